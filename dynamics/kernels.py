@@ -1,0 +1,93 @@
+"""Compiled right-hand side of the motion.
+
+State y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4): disk centre in the space-fixed frame, pendulum angles relative to the
+rotor. The rotor's phase ψ and its rates ω, α are given functions of time.
+
+With e_i = (cos φ_i, sin φ_i), n_i = (sin φ_i, −cos φ_i), φ_i = ψ + θ_i, a free pendulum obeys
+    J_i φ̈_i = S_i n_i·p̈ − c_i θ̇_i,        p̈ = q̈ + R_C (α (−sin ψ, cos ψ) − ω² (cos ψ, sin ψ)),
+and pushes the rotor with S_i (φ̇_i² e_i + φ̈_i n_i). Putting the first into the second leaves two equations
+    (M_S 1 − Σ_free S_i²/J_i n_i n_iᵀ) q̈ = forces without q̈,
+whose matrix is positive definite because S_i²/J_i = M_i < M_S. A locked pendulum has φ̇ = ω, φ̈ = α.
+The rates may be complex: a complex step gives exact derivatives of everything built on this function.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+# Order of the packed parameters (RotorParameters.packed)
+MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC = range(13)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c):
+    """Direction n, reduced mass, and the pendulum's push on the rotor without its q̈ part."""
+    phi = psi + theta
+    cos_phi, sin_phi = np.cos(phi), np.sin(phi)
+    speed = omega + rate * free
+    turn = alpha * (1 - free) - free * c / j * rate
+    fx = s * (speed * speed * cos_phi + turn * sin_phi)
+    fy = s * (speed * speed * sin_phi - turn * cos_phi)
+    return sin_phi, -cos_phi, free * s * s / j, fx, fy
+
+
+@njit(cache=True, error_model="numpy")
+def rates(y, psi, omega, alpha, p, free_a, free_b, out):
+    """Write dy/dt into out.
+
+    Args:
+        y, out: shape (8,), float or complex.
+        psi, omega, alpha: rotor phase (rad), speed (rad/s), acceleration (rad/s²).
+        p: packed parameters, shape (13,).
+        free_a, free_b: 1.0 for a released pendulum, 0.0 for a locked one.
+    """
+    nax, nay, ma, fax, fay = _pendulum(y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA])
+    nbx, nby, mb, fbx, fby = _pendulum(y[3], y[7], psi, omega, alpha, free_b, p[SB], p[JB], p[CB])
+    cos_psi, sin_psi = np.cos(psi), np.sin(psi)
+    w2 = omega * omega
+    # acceleration of the pivot relative to the disk centre
+    rx = -p[RC] * (alpha * sin_psi + w2 * cos_psi)
+    ry = p[RC] * (alpha * cos_psi - w2 * sin_psi)
+    dot_a = nax * rx + nay * ry
+    dot_b = nbx * rx + nby * ry
+    fx = (
+        -p[C1] * y[4] - p[K1] * y[0] + fax + fbx + p[SP] * (w2 * cos_psi + alpha * sin_psi)
+        + ma * dot_a * nax + mb * dot_b * nbx
+    )
+    fy = (
+        -p[C2] * y[5] - p[K2] * y[1] + fay + fby + p[SP] * (w2 * sin_psi - alpha * cos_psi)
+        + ma * dot_a * nay + mb * dot_b * nby
+    )
+    mxx = p[MASS] - ma * nax * nax - mb * nbx * nbx
+    myy = p[MASS] - ma * nay * nay - mb * nby * nby
+    mxy = -ma * nax * nay - mb * nbx * nby
+    det = mxx * myy - mxy * mxy
+    ax = (myy * fx - mxy * fy) / det
+    ay = (mxx * fy - mxy * fx) / det
+    out[0], out[1], out[2], out[3] = y[4], y[5], y[6] * free_a, y[7] * free_b
+    out[4], out[5] = ax, ay
+    out[6] = free_a * ((p[SA] * (nax * ax + nay * ay + dot_a) - p[CA] * y[6]) / p[JA] - alpha)
+    out[7] = free_b * ((p[SB] * (nbx * ax + nby * ay + dot_b) - p[CB] * y[7]) / p[JB] - alpha)
+
+
+@njit(cache=True, error_model="numpy")
+def rk4_step(y, h, phase0, phase1, phase2, p, free_a, free_b, k1, k2, k3, k4, work):
+    """Advance y by h in place with the classical fourth-order step.
+
+    Args:
+        phase0, phase1, phase2: (ψ, ω, α) at the start, the middle and the end of the step.
+        k1, k2, k3, k4, work: scratch, shape (8,).
+    """
+    rates(y, phase0[0], phase0[1], phase0[2], p, free_a, free_b, k1)
+    for i in range(8):
+        work[i] = y[i] + 0.5 * h * k1[i]
+    rates(work, phase1[0], phase1[1], phase1[2], p, free_a, free_b, k2)
+    for i in range(8):
+        work[i] = y[i] + 0.5 * h * k2[i]
+    rates(work, phase1[0], phase1[1], phase1[2], p, free_a, free_b, k3)
+    for i in range(8):
+        work[i] = y[i] + h * k3[i]
+    rates(work, phase2[0], phase2[1], phase2[2], p, free_a, free_b, k4)
+    for i in range(8):
+        y[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
