@@ -1,1 +1,1 @@
-"""."""
+"""Measured steady states against the model: order tracking, validation, report."""

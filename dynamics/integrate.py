@@ -35,7 +35,9 @@ class SpeedHistory:
         return cls(np.array([at_s, at_s + 1.0]), np.array([[phase_rad, speed_rad_s, 0.0, 0.0]]))
 
     @classmethod
-    def ramp(cls, from_rad_s: float, to_rad_s: float, duration_s: float, phase_rad: float = 0.0) -> SpeedHistory:
+    def ramp(
+        cls, from_rad_s: float, to_rad_s: float, duration_s: float, phase_rad: float = 0.0
+    ) -> SpeedHistory:
         """A linear ramp from t = 0 on, then constant speed."""
         slope = (to_rad_s - from_rad_s) / duration_s
         return cls(np.array([0.0, duration_s]), np.array([[phase_rad, from_rad_s, slope / 2, 0.0]]))
@@ -141,7 +143,21 @@ def integrate(y0, times, step, knots, coefficients, p, free_a, free_b):
         for j in range(n):
             segment = _phase_at(t + (j + 0.5) * h, segment, knots, coefficients, ph[1])
             segment = _phase_at(t + (j + 1) * h, segment, knots, coefficients, ph[2])
-            rk4_step(y, h, ph[0], ph[1], ph[2], p, free_a, free_b, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4])
+            rk4_step(
+                y,
+                h,
+                ph[0],
+                ph[1],
+                ph[2],
+                p,
+                free_a,
+                free_b,
+                scratch[0],
+                scratch[1],
+                scratch[2],
+                scratch[3],
+                scratch[4],
+            )
             ph[0] = ph[2]
         out[i] = y
     return out
@@ -165,7 +181,9 @@ def locked_orbit(
     w, mass = speed_rad_s, p.total_mass_kg
     c1, c2 = p.damping_Ns_per_m
     force = moment * w * w
-    return force / (p.k1_N_per_m - mass * w * w + 1j * w * c1), force / (p.k2_N_per_m - mass * w * w + 1j * w * c2)
+    return force / (p.k1_N_per_m - mass * w * w + 1j * w * c1), force / (
+        p.k2_N_per_m - mass * w * w + 1j * w * c2
+    )
 
 
 def locked_state(

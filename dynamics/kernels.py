@@ -52,12 +52,22 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     dot_a = nax * rx + nay * ry
     dot_b = nbx * rx + nby * ry
     fx = (
-        -p[C1] * y[4] - p[K1] * y[0] + fax + fbx + p[SP] * (w2 * cos_psi + alpha * sin_psi)
-        + ma * dot_a * nax + mb * dot_b * nbx
+        -p[C1] * y[4]
+        - p[K1] * y[0]
+        + fax
+        + fbx
+        + p[SP] * (w2 * cos_psi + alpha * sin_psi)
+        + ma * dot_a * nax
+        + mb * dot_b * nbx
     )
     fy = (
-        -p[C2] * y[5] - p[K2] * y[1] + fay + fby + p[SP] * (w2 * sin_psi - alpha * cos_psi)
-        + ma * dot_a * nay + mb * dot_b * nby
+        -p[C2] * y[5]
+        - p[K2] * y[1]
+        + fay
+        + fby
+        + p[SP] * (w2 * sin_psi - alpha * cos_psi)
+        + ma * dot_a * nay
+        + mb * dot_b * nby
     )
     mxx = p[MASS] - ma * nax * nax - mb * nbx * nbx
     myy = p[MASS] - ma * nay * nay - mb * nby * nby

@@ -68,7 +68,9 @@ def _half_turn(y0, omega, steps, p, tangent):
     y = y0.copy()
     for i in range(steps):
         ph[0, 0], ph[1, 0], ph[2, 0] = omega * h * i, omega * h * (i + 0.5), omega * h * (i + 1)
-        rk4_step(y, h, ph[0], ph[1], ph[2], p, 1.0, 1.0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4])
+        rk4_step(
+            y, h, ph[0], ph[1], ph[2], p, 1.0, 1.0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+        )
     jacobian = np.zeros((8, 8))
     if tangent:
         complex_scratch = np.empty((5, 8), dtype=np.complex128)
@@ -80,8 +82,19 @@ def _half_turn(y0, omega, steps, p, tangent):
             for i in range(steps):
                 ph[0, 0], ph[1, 0], ph[2, 0] = omega * h * i, omega * h * (i + 0.5), omega * h * (i + 1)
                 rk4_step(
-                    z, h, ph[0], ph[1], ph[2], p, 1.0, 1.0,
-                    complex_scratch[0], complex_scratch[1], complex_scratch[2], complex_scratch[3], complex_scratch[4],
+                    z,
+                    h,
+                    ph[0],
+                    ph[1],
+                    ph[2],
+                    p,
+                    1.0,
+                    1.0,
+                    complex_scratch[0],
+                    complex_scratch[1],
+                    complex_scratch[2],
+                    complex_scratch[3],
+                    complex_scratch[4],
                 )
             jacobian[:, j] = z.imag / 1e-30
     return y, jacobian
@@ -110,10 +123,15 @@ def balanced_angles(parameters: RotorParameters) -> list[tuple[float, float]]:
         return []
     theta3 = math.acos(max(-1.0, min(1.0, (b * b - a * a - s * s) / (2 * a * s))))
     theta4 = math.atan2(-a * math.sin(theta3), -s - a * math.cos(theta3))
-    return [(theta3 % (2 * math.pi), theta4 % (2 * math.pi)), (-theta3 % (2 * math.pi), -theta4 % (2 * math.pi))]
+    return [
+        (theta3 % (2 * math.pi), theta4 % (2 * math.pi)),
+        (-theta3 % (2 * math.pi), -theta4 % (2 * math.pi)),
+    ]
 
 
-def singular_points(parameters: RotorParameters, speed: float, total_moment: float) -> list[tuple[float, complex]]:
+def singular_points(
+    parameters: RotorParameters, speed: float, total_moment: float
+) -> list[tuple[float, complex]]:
     """Types II and III on an isotropic suspension in closed form.
 
     Args:
@@ -136,7 +154,9 @@ def singular_points(parameters: RotorParameters, speed: float, total_moment: flo
     ]
 
 
-def _orbit(parameters: RotorParameters, speed: float, guess: np.ndarray, accuracy: float) -> np.ndarray | None:
+def _orbit(
+    parameters: RotorParameters, speed: float, guess: np.ndarray, accuracy: float
+) -> np.ndarray | None:
     """Newton's method on H; None when it does not converge."""
     packed = parameters.packed()
     steps = _steps(parameters, speed, accuracy)
@@ -157,7 +177,9 @@ def _orbit(parameters: RotorParameters, speed: float, guess: np.ndarray, accurac
     return None
 
 
-def _describe(parameters: RotorParameters, speed: float, kind: str, start: np.ndarray, accuracy: float) -> SteadyState:
+def _describe(
+    parameters: RotorParameters, speed: float, kind: str, start: np.ndarray, accuracy: float
+) -> SteadyState:
     steps = _steps(parameters, speed, accuracy)
     coarse = _multipliers(parameters, speed, start, steps)
     fine = _multipliers(parameters, speed, start, 2 * steps)
@@ -195,7 +217,9 @@ def multipliers(parameters: RotorParameters, speed_rad_s: float, accuracy: float
     return _describe(parameters, speed_rad_s, "I", start, accuracy)
 
 
-def steady_states(parameters: RotorParameters, speed_rad_s: float, accuracy: float = 1e-8) -> list[SteadyState]:
+def steady_states(
+    parameters: RotorParameters, speed_rad_s: float, accuracy: float = 1e-8
+) -> list[SteadyState]:
     """Every steady motion of Types I, II, III found at a constant speed, stable ones first.
 
     Args:

@@ -1,0 +1,103 @@
+"""parameters.toml: what an identification found, with covariance and where it came from."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+
+from dynamics.parameters import RotorParameters
+from rig_configs.errors import ParametersFileError
+
+PARAMETER_UNITS: Mapping[str, str] = {
+    "k1_N_per_m": "N/m",
+    "k2_N_per_m": "N/m",
+    "zeta1": "1",
+    "zeta2": "1",
+    "c3_Nms_per_rad": "N m s/rad",
+    "c4_Nms_per_rad": "N m s/rad",
+    "SP_kg_m": "kg m",
+}
+
+
+@dataclass(frozen=True)
+class IdentifiedParameters:
+    """Identified values with their joint covariance.
+
+    Attributes:
+        values: name to value (SI), in the order of the covariance.
+        covariance: shape (n, n), products of the values' units.
+        provenance: free facts kept with the values: logs with digests, method, software version, consistency.
+    Raises:
+        ParametersFileError: unknown names, or a covariance of the wrong shape, not symmetric or not positive.
+    """
+
+    values: dict[str, float]
+    covariance: np.ndarray
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = len(self.values)
+        unknown = sorted(set(self.values) - set(PARAMETER_UNITS))
+        if unknown:
+            raise ParametersFileError(f"unknown parameters {unknown}; known: {list(PARAMETER_UNITS)}")
+        cov = self.covariance
+        if cov.shape != (n, n) or not np.all(np.isfinite(cov)):
+            raise ParametersFileError(f"covariance must be a finite {n} × {n} matrix, got shape {cov.shape}")
+        scale = np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
+        if np.any(np.diag(cov) < 0) or np.any(np.abs(cov - cov.T) > 1e-9 * scale + 1e-300):
+            raise ParametersFileError("covariance must be symmetric with no negative variance")
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by name."""
+        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlation matrix, shape (n, n)."""
+        s = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(s, s)
+
+    def applied_to(self, physics: RotorParameters) -> RotorParameters:
+        """The rig's numbers with the identified ones in place of the file's."""
+        return physics.with_values(**self.values)
+
+    def save(self, path: str | Path) -> None:
+        """Write parameters.toml."""
+        document = tomlkit.document()
+        document.add(tomlkit.comment("Identified parameters. Lay over a rig file with --parameters."))
+        for name, value in self.values.items():
+            document[name] = {"value": value, "std": self.std[name], "unit": PARAMETER_UNITS[name]}
+        document["covariance"] = {"order": list(self.values), "matrix": self.covariance.tolist()}
+        document["provenance"] = self.provenance
+        Path(path).write_text(tomlkit.dumps(document), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> IdentifiedParameters:
+        """Read parameters.toml.
+
+        Raises:
+            ParametersFileError: the file is absent, not TOML, or lacks values or covariance.
+        """
+        try:
+            raw = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            order = raw["covariance"]["order"]
+            values = {name: float(raw[name]["value"]) for name in order}
+            matrix = np.array(raw["covariance"]["matrix"], float)
+        except OSError as error:
+            raise ParametersFileError(
+                f"{path}: cannot be read: {error}. `rig identify` writes one"
+            ) from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ParametersFileError(f"{path}: not a TOML file: {error}") from error
+        except (KeyError, TypeError, ValueError) as error:
+            raise ParametersFileError(
+                f"{path}: expected a table per parameter and [covariance] with order and matrix; problem: {error!r}"
+            ) from error
+        return cls(values, matrix, raw.get("provenance", {}))
