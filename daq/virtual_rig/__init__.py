@@ -1,1 +1,1 @@
-"""."""
+"""A process that behaves on its wires like the rig."""
