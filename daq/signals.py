@@ -7,11 +7,20 @@ clock, with the uncertainty of each device's clock rate. Gaps stay gaps: nothing
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+from daq.clock import ClockLine, fit_line
+from daq.log import Log, open_log
+from daq.protocols import optoncdt
+from rig_configs.schema import Rig
 
 
 @dataclass(frozen=True)
@@ -57,3 +66,81 @@ class Run:
     clock_rate_std: Mapping[str, float] = field(default_factory=dict)
     losses: Mapping[str, int] = field(default_factory=dict)
     metadata: Mapping[str, Any] = field(default_factory=dict)
+
+
+def load_run(path: str | Path) -> Run:
+    """Read one log into signals on the common clock.
+
+    Raises:
+        LogError: not a readable log, or one without the channels a run needs.
+    """
+    with open_log(path) as log:
+        rig = Rig.model_validate_json(log.attachments["rig.json"])
+        start_s = _start(log)
+        lasers = {
+            axis: _laser(log, axis, config.clock_tolerance_ppm, start_s)
+            for axis, config in (("x", rig.devices.laser_x), ("y", rig.devices.laser_y))
+        }
+        angles = log["pendulums"]
+        node_s = angles.node_time_us * 1e-6
+        line = _line(node_s, angles.log_time_ns, start_s, rig.devices.encoder.clock_tolerance_ppm)
+        marks = log["tacho"] if "tacho" in log.topics else None
+        releases = [
+            Release(int(e["pendulum"]), float(line.host_s(np.array([e["node_time_us"] * 1e-6]))[0]))
+            for e in log.events
+            if e["kind"] == "lock" and e["state"] == "released"
+        ]
+        index = math.radians(rig.devices.encoder.index_angle_deg)
+        run = log.metadata.get("run", {})
+        return Run(
+            test=run.get("test", "unknown"),
+            source=str(path),
+            start_s=start_s,
+            x_time_s=lasers["x"][0],
+            x_m=lasers["x"][1],
+            y_time_s=lasers["y"][0],
+            y_m=lasers["y"][1],
+            angle_time_s=line.host_s(node_s),
+            angle_rad=np.column_stack([angles.theta3_rad, angles.theta4_rad]),
+            mark_time_s=np.empty(0) if marks is None else line.host_s(marks.node_time_us * 1e-6),
+            mark_phase_rad=np.empty(0) if marks is None else 2 * np.pi * marks.revolutions.astype(float) + index,
+            releases=tuple(releases),
+            angle_step_rad=2 * np.pi / rig.devices.encoder.counts_per_revolution,
+            clock_rate_std={
+                "laser_x": lasers["x"][2].rate_std,
+                "laser_y": lasers["y"][2].rate_std,
+                "encoder": line.rate_std,
+            },
+            losses=_losses(log),
+            metadata={**run, "identities": json.loads(log.attachments["identities.json"]), "complete": log.complete},
+        )
+
+
+def _start(log: Log) -> float:
+    """The earliest sample, whole seconds since 1970."""
+    return math.floor(min(log[t].log_time_ns[0] for t in ("laser/x", "laser/y", "pendulums")) * 1e-9)
+
+
+def _line(device_s: NDArray[np.float64], log_ns: NDArray[np.int64], start_s: float, tolerance_ppm: float) -> ClockLine:
+    """Clock line through the last sample of every read."""
+    last = np.flatnonzero(np.diff(log_ns, append=log_ns[-1] + 1))
+    host = (log_ns[last] - int(start_s) * 1_000_000_000) * 1e-9
+    return fit_line(device_s[last], host, tolerance_ppm)
+
+
+def _laser(
+    log: Log, axis: str, tolerance_ppm: float, start_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], ClockLine]:
+    samples = log[f"laser/{axis}"]
+    device_s = samples.device_ticks * optoncdt.TICK_S
+    line = _line(device_s, samples.log_time_ns, start_s, tolerance_ppm)
+    return line.host_s(device_s), samples.displacement_m, line
+
+
+def _losses(log: Log) -> dict[str, int]:
+    """Losses by "device.what", from the summary or, in a cut log, from the last health message."""
+    summary = log.metadata.get("summary", {})
+    by_device = json.loads(summary["losses"]) if "losses" in summary else {}
+    if not by_device and log.health:
+        by_device = log.health[-1].get("losses", {})
+    return {f"{device}.{what}": int(n) for device, losses in by_device.items() for what, n in losses.items()}

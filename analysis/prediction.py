@@ -1,0 +1,182 @@
+"""The model's steady state at a measured speed, with the identified parameters' covariance carried through.
+
+A steady state y is a fixed point of the half-revolution map, y = H(y, p). Differentiating gives
+dy/dp = (1 − ∂H/∂y)⁻¹ ∂H/∂p, so one converged state and a few integrations over half a revolution replace a new
+search per parameter. What is compared (angles, order-1 amplitudes in sensor axes, rms radius) is then a function of
+y and p, differentiated along that direction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
+from dynamics.errors import DynamicsError
+from dynamics.integrate import fastest_rate, integrate
+from rig_configs import IdentifiedParameters, Rig
+
+QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
+_TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
+_SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
+_ACCURACY = 1e-6
+
+
+class NoStableState(Exception):
+    """The model has no stable steady state at the speed, or the search for one failed; the text says which."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One stable steady state in the terms of the sensors.
+
+    Attributes:
+        state: the model's steady state (stiffness axes).
+        speed_rad_s: the speed it holds for.
+        values: θ3, θ4 (rad, [0, 2π)), order-1 amplitudes of x and y in sensor axes (m), rms radius (m); order of
+            QUANTITIES.
+        covariance: of `values`, from parameters, axis angle and speed, shape (5, 5).
+        residual_m_per_rad: order-1 amplitude of x and of y (sensor axes) per rad of a pendulum off its place, for
+            judging amplitudes near zero.
+    """
+
+    state: SteadyState
+    speed_rad_s: float
+    values: np.ndarray
+    covariance: np.ndarray
+    residual_m_per_rad: tuple[float, float]
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations of `values`, shape (5,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+def predict_point(
+    rig: Rig,
+    identified: IdentifiedParameters,
+    speed_rad_s: float,
+    axis_angle_deg: tuple[float, float] = (0.0, 0.0),
+    *,
+    speed_std_rad_s: float = 0.0,
+    near_rad: Sequence[float] | None = None,
+) -> Prediction:
+    """The stable steady state at a speed, and how uncertain the identified parameters leave it.
+
+    Args:
+        rig: gives masses and lengths; its suspension, damping and S_P are replaced by the identified ones.
+        identified: values with covariance; SI.
+        speed_rad_s, speed_std_rad_s: running speed and its standard uncertainty.
+        axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty.
+        near_rad: measured θ3, θ4; of several stable states (mirror images) the nearest is taken.
+    Raises:
+        NoStableState: no stable steady state, or the search failed.
+    """
+    try:
+        physics = identified.applied_to(rig.physics)
+        states = [s for s in steady_states(physics, speed_rad_s, _ACCURACY) if s.stable]
+    except (DynamicsError, np.linalg.LinAlgError) as error:
+        raise NoStableState(f"the search for steady states failed: {error}") from error
+    if not states:
+        raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
+    state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
+    beta, beta_std = (math.radians(v) for v in axis_angle_deg)
+    covariance, values = _propagate(physics, identified, state, speed_rad_s, speed_std_rad_s, beta, beta_std)
+    response = _per_radian(physics, speed_rad_s, beta)
+    return Prediction(state, speed_rad_s, values, covariance, response)
+
+
+def _distance(state: SteadyState, near: Sequence[float]) -> float:
+    return float(np.sum(np.abs(np.exp(1j * np.array(state.theta_rad)) - np.exp(1j * np.asarray(near)))))
+
+
+def _motion(physics: RotorParameters, speed: float, start: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """States at times from a start at ψ = 0, constant speed, pendulums free."""
+    history = SpeedHistory.constant(speed)
+    step = 0.03 / fastest_rate(physics, speed)
+    packed = physics.packed()
+    return integrate(start, times, step, history.knots_s, history.coefficients, packed, 1.0, 1.0)
+
+
+def _half_turn(physics: RotorParameters, speed: float, start: np.ndarray) -> np.ndarray:
+    """The map H whose fixed points are the steady states."""
+    return _TURN * _motion(physics, speed, start, np.array([0.0, np.pi / speed]))[-1]
+
+
+def _observed(physics: RotorParameters, speed: float, start: np.ndarray, beta: float) -> np.ndarray:
+    """θ3, θ4, order-1 amplitudes in sensor axes, rms radius; means over one revolution, shape (5,)."""
+    n = 64
+    times = np.linspace(0, 2 * np.pi / speed, n + 1)
+    states = _motion(physics, speed, start, times)[:-1]
+    turn = np.exp(-1j * speed * times[:-1])
+    x, y = states[:, 0], states[:, 1]
+    x_sensor, y_sensor = _rotated(2 * np.mean(x * turn), 2 * np.mean(y * turn), beta)
+    radius = math.sqrt(float(np.mean(x * x + y * y)))
+    return np.array([*states[:, 2:4].mean(axis=0), abs(x_sensor), abs(y_sensor), radius])
+
+
+def _rotated(x: complex, y: complex, beta: float) -> tuple[complex, complex]:
+    """Stiffness axes to sensor axes."""
+    c, s = math.cos(beta), math.sin(beta)
+    return x * c + y * s, -x * s + y * c
+
+
+def _propagate(
+    physics: RotorParameters, identified: IdentifiedParameters, state: SteadyState,
+    speed: float, speed_std: float, beta: float, beta_std: float,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Covariance (5, 5) and values (5,) of what is observed."""
+    start = state.start
+    slope = np.empty((8, 8))
+    for j, h in enumerate(_SCALE):
+        up, down = start.copy(), start.copy()
+        up[j] += h
+        down[j] -= h
+        slope[:, j] = (_half_turn(physics, speed, up) - _half_turn(physics, speed, down)) / (2 * h)
+    inverse = np.linalg.inv(np.eye(8) - slope)
+    own = physics.identified()
+    columns = []
+    for name in identified.values:
+        h = 1e-4 * abs(own[name]) or 1e-9
+        pair = [physics.with_values(**{name: own[name] + sign * h}) for sign in (1, -1)]
+        columns.append(_along(pair, (speed, speed), (beta, beta), start, inverse, h))
+    h = 1e-5 * speed
+    columns.append(_along([physics, physics], (speed + h, speed - h), (beta, beta), start, inverse, h))
+    h = 1e-4
+    columns.append(_along([physics, physics], (speed, speed), (beta + h, beta - h), start, inverse, h))
+    jacobian = np.stack(columns, axis=1)
+    n = len(identified.values)
+    joint = np.zeros((n + 2, n + 2))
+    joint[:n, :n] = identified.covariance
+    joint[n, n], joint[n + 1, n + 1] = speed_std**2, beta_std**2
+    values = _observed(physics, speed, start, beta)
+    values[:2] %= 2 * np.pi
+    return jacobian @ joint @ jacobian.T, values
+
+
+def _along(
+    pair: Sequence[RotorParameters], speeds: tuple[float, float], betas: tuple[float, float],
+    start: np.ndarray, inverse: np.ndarray, h: float,
+) -> np.ndarray:  # fmt: skip
+    """Derivative of what is observed when a number moves by ±h and the steady state with it, shape (5,)."""
+    up, down = (_half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
+    moved = inverse @ (up - down) / 2  # of the state, for +h
+    observed = [
+        _observed(p, w, start + sign * moved, b)
+        for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)
+    ]
+    return (observed[0] - observed[1]) / (2 * h)
+
+
+def _per_radian(physics: RotorParameters, speed: float, beta: float) -> tuple[float, float]:
+    """Order-1 amplitudes in sensor axes of an imbalance S_A · 1 rad, A the heavier pendulum's moment, m/rad."""
+    moment = max(physics.a.first_moment_kg_m, physics.b.first_moment_kg_m)
+    c1, c2 = physics.damping_Ns_per_m
+    force = moment * speed**2
+    x = force / (physics.k1_N_per_m - physics.total_mass_kg * speed**2 + 1j * speed * c1)
+    y = -1j * force / (physics.k2_N_per_m - physics.total_mass_kg * speed**2 + 1j * speed * c2)
+    x_sensor, y_sensor = _rotated(x, y, beta)
+    return abs(x_sensor), abs(y_sensor)

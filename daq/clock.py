@@ -1,0 +1,172 @@
+"""Device clocks onto the common clock.
+
+A sample made at device time d reaches the host at h = offset + rate·d + delay with delay ≥ some floor. The least
+delayed samples lie on the lower edge of h against d, so the straight line under all points that runs closest to them
+(the edge of the lower convex hull above the mean time) recovers offset and rate, up to the constant floor.
+
+`ClockMap` follows that line causally while recording; its output is continuous and strictly increasing.
+`fit_line` uses a whole log at once and says how well it knows the rate.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_BIN_NS = 250_000_000
+_BINS = 480
+_SLEW = 0.01  # largest relative correction of the mapped clock's rate
+_SETTLE_NS = 1_000_000_000
+
+
+def lower_line(device: NDArray[np.float64], lag: NDArray[np.float64]) -> tuple[float, float]:
+    """The line under all points with the least sum of distances.
+
+    Args:
+        device, lag: shape (n,), device time ascending, and host time minus device time, same unit.
+    Returns:
+        Lag at device time 0 and slope.
+    """
+    hull: list[int] = []
+    for i in range(len(device)):
+        while len(hull) > 1:
+            a, b = hull[-2], hull[-1]
+            turn = (device[b] - device[a]) * (lag[i] - lag[a]) - (lag[b] - lag[a]) * (device[i] - device[a])
+            if turn > 0:
+                break
+            hull.pop()
+        hull.append(i)
+    if len(hull) == 1:
+        return float(lag[hull[0]]), 0.0
+    middle = float(np.mean(device))
+    k = next((j for j in range(len(hull) - 1) if device[hull[j + 1]] >= middle), len(hull) - 2)
+    a, b = hull[k], hull[k + 1]
+    slope = float((lag[b] - lag[a]) / (device[b] - device[a]))
+    return float(lag[a] - slope * device[a]), slope
+
+
+class ClockMap:
+    """Causal map of one device's clock (ns, unwrapped) to the common clock (ns since 1970).
+
+    Args:
+        tolerance_ppm: standard uncertainty of the device's rate; the estimated rate is kept within five of them.
+    """
+
+    def __init__(self, tolerance_ppm: float) -> None:
+        self._limit = 5e-6 * tolerance_ppm
+        self._bins: deque[tuple[int, float, float]] = deque(maxlen=_BINS)  # bin, device ns, lag ns (relative)
+        self._device0 = 0
+        self._host0 = 0
+        self._at = 0.0  # mapped line: device ns (relative) …
+        self._lag = 0.0  # … its lag there …
+        self._slope = 0.0  # … and slope
+        self._started = False
+
+    def map(self, device_ns: NDArray[np.int64], host_ns: int) -> NDArray[np.int64]:
+        """Times of the samples of one read, and learn from it.
+
+        Args:
+            device_ns: shape (n,), n ≥ 1, device time of the samples, ascending.
+            host_ns: when the read returned; belongs to the last sample.
+        """
+        if not self._started:
+            self._device0, self._host0 = int(device_ns[-1]), host_ns
+            self._started = True
+        relative = device_ns - self._device0
+        lag = self._lag + self._slope * (relative - self._at)
+        times = relative + np.rint(lag).astype(np.int64) + self._host0
+        self._learn(float(relative[-1]), float(host_ns - self._host0 - int(relative[-1])))
+        return times
+
+    def _learn(self, device: float, lag: float) -> None:
+        number = int(device // _BIN_NS)
+        if self._bins and self._bins[-1][0] == number:
+            if lag < self._bins[-1][2]:
+                self._bins[-1] = (number, device, lag)
+        else:
+            self._bins.append((number, device, lag))
+        target, slope = self._target(device)
+        here = self._lag + self._slope * (device - self._at)
+        correction = max(-_SLEW, min(_SLEW, (target - here) / _SETTLE_NS))
+        self._at, self._lag, self._slope = device, here, slope + correction
+
+    def _target(self, device: float) -> tuple[float, float]:
+        points = np.array([b[1:] for b in self._bins])
+        if len(points) < 8:
+            return float(points[:, 1].min()), 0.0
+        offset, slope = lower_line(points[:, 0], points[:, 1])
+        if abs(slope) > self._limit:
+            slope = float(np.copysign(self._limit, slope))
+            offset = float(np.min(points[:, 1] - slope * points[:, 0]))
+        return offset + slope * device, slope
+
+
+@dataclass(frozen=True)
+class ClockLine:
+    """host = offset_s + (1 + rate) · device, both in s.
+
+    Attributes:
+        rate_std: standard uncertainty of the rate, relative.
+        jitter_s: mean distance of the least delayed reads from the line.
+    """
+
+    offset_s: float
+    rate: float
+    rate_std: float
+    jitter_s: float
+
+    def host_s(self, device_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Common-clock time of device times."""
+        return self.offset_s + (1 + self.rate) * device_s
+
+
+def fit_line(device_s: NDArray[np.float64], host_s: NDArray[np.float64], tolerance_ppm: float) -> ClockLine:
+    """The line of a whole record, its rate combined with the clock's stated tolerance.
+
+    Args:
+        device_s, host_s: shape (n,), device time of the last sample of each read and when the read returned.
+        tolerance_ppm: prior standard uncertainty of the rate.
+    """
+    prior = 1e-6 * tolerance_ppm
+    lag = host_s - device_s
+    bins = np.floor((device_s - device_s[0]) / 0.25).astype(int)
+    best = np.array([group[np.argmin(lag[group])] for group in np.split(np.arange(len(lag)), _starts(bins))])
+    x, y = device_s[best] - device_s[0], lag[best] - lag[0]
+    span = float(x[-1])
+    if len(x) < 8 or span < 1.5:
+        offset = float(lag.min())
+        return ClockLine(offset, 0.0, prior, float(np.mean(y - y.min())))
+    constant, slope = lower_line(x, y)
+    jitter = float(np.mean(y - constant - slope * x))
+    own = max(jitter, 1e-6) * np.sqrt(12.0 / len(x)) / span
+    weight = prior**2 / (prior**2 + own**2)
+    rate = slope * weight
+    offset = float(np.min(y - rate * x)) + float(lag[0]) - rate * float(device_s[0])
+    return ClockLine(offset, rate, float(own * np.sqrt(weight)), jitter)
+
+
+def _starts(bins: NDArray[np.int_]) -> NDArray[np.intp]:
+    return np.flatnonzero(np.diff(bins)) + 1
+
+
+class Unwrap:
+    """Continues a counter that wraps at `size` into an ever growing integer."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._last: int | None = None
+
+    def feed(self, values: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Unwrapped values, each the nearest continuation of the one before; shape (n,)."""
+        raw = values.astype(np.int64)
+        if len(raw) == 0:
+            return raw
+        first = raw[0] if self._last is None else self._last
+        steps = np.diff(raw, prepend=raw[0] if self._last is None else self._last % self._size)
+        steps = (steps + self._size // 2) % self._size - self._size // 2
+        result = first + np.cumsum(steps)
+        self._last = int(result[-1])
+        return result

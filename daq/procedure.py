@@ -1,0 +1,292 @@
+"""The guided tests: what to do with drive, locks and operator, and when a test is over.
+
+Every test ends with a finished log and the rotor at rest, or with the error that ended it and the rotor stopping.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import ProcedureError
+from daq.protocols import cia402
+from daq.session import Session
+from daq.settling import Settling, locked_settled, settled
+
+_RPM = math.pi / 30
+_HUMAN_S = 120.0  # how long a person may take, wall seconds
+_LOOK_S = 0.5  # rig time between two looks at the signals
+_STOP_RAMP_RPM_S = 400.0
+_POINT_LIMIT_S = 90.0
+_BEFORE_RELEASE_S = 4.0
+
+Progress = Callable[[str, float | None], None]
+
+
+class Operator(Protocol):
+    """Who does by hand what the rig cannot do: a person at the terminal, or the simulated operator of the demo."""
+
+    def pluck(self, axis: str) -> None:
+        """Displace the column by a few mm along an axis and let go."""
+        ...
+
+    def flick(self) -> None:
+        """Set both pendulums spinning by hand, slower than two turns a second."""
+        ...
+
+
+@dataclass(frozen=True)
+class TestDone:
+    """A finished test: its name, its log, and the facts that went into the log's summary."""
+
+    test: str
+    log: Path
+    summary: Mapping[str, Any]
+
+
+class Procedures:
+    """The guided tests on one open session.
+
+    Args:
+        session: open rig.
+        operator: who plucks and flicks.
+        folder: where logs go; names are counted up.
+        progress: told what is going on, with the share done where that is known.
+        note: the operator's note, kept in every log.
+    """
+
+    def __init__(self, session: Session, operator: Operator, folder: Path, progress: Progress, note: str = "") -> None:
+        self._s, self._operator, self._folder, self._progress, self._note = session, operator, folder, progress, note
+        self._clock = session.clock
+
+    # --- the tests ---------------------------------------------------------------------------------------------
+
+    def ring_down(self, axis: str) -> TestDone:
+        """Pluck along an axis, record until it has rung down to a fiftieth."""
+        test = f"ring-down-{axis}"
+        self._at_rest_and_locked()
+        self._begin(test, {})
+        self._clock.sleep(0.7)
+        self._tell(f"{test}: pluck the column along {axis} by 2 to 3 mm and let go", None)
+        self._operator.pluck(axis)
+        field = f"laser/{axis}"
+        self._until(lambda: self._span(field, 0.3)[1] > 3e-4, _HUMAN_S, f"the column to be plucked along {axis}")
+        self._clock.sleep(0.8)
+        peak = 0.0
+
+        def rung_down() -> bool:
+            nonlocal peak
+            now, _ = self._span(field, 0.6)
+            peak = max(peak, now)
+            share = math.log(max(peak, 1e-9) / max(now, 1e-9)) / math.log(50)
+            self._tell(f"{test}: {now * 1e3:.2f} mm peak to peak", min(1.0, share))
+            return now < peak / 50 or now < 4e-5
+
+        reached = self._look_until(rung_down, 60.0)
+        return self._end(test, {"rung_down": reached})
+
+    def spin_down(self) -> TestDone:
+        """Release both pendulums at rest, flick them, record until they have slowed by e⁵."""
+        test = "spin-down"
+        self._at_rest_and_locked()
+        self._s.command_node("release both")
+        self._wait_locks(closed=False)
+        self._begin(test, {})
+        self._clock.sleep(0.7)
+        self._tell(f"{test}: flick both pendulums, slower than two turns a second", None)
+        self._operator.flick()
+        self._until(lambda: bool(np.all(np.abs(self._rates()) > 3.0)), _HUMAN_S, "both pendulums to be flicked")
+        peak = np.abs(self._rates())
+
+        def slowed() -> bool:
+            rates = np.abs(self._rates())
+            np.maximum(peak, rates, out=peak)
+            share = float(np.min(np.log(peak / np.maximum(rates, 1e-3)))) / 5.0
+            self._tell(f"{test}: {rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
+            return share >= 1.0
+
+        reached = self._look_until(slowed, 120.0)
+        done = self._end(test, {"slowed_down": reached})
+        self._lock_both()
+        return done
+
+    def run_up(self, top_rpm: float, duration_s: float) -> TestDone:
+        """Ramp from rest through both resonances with locked pendulums."""
+        test = "run-up"
+        self._at_rest_and_locked()
+        drive = self._s.drive
+        drive.enable()
+        drive.set_ramp(top_rpm / duration_s)
+        self._begin(test, {"top_rpm": f"{top_rpm:.0f}", "duration_s": f"{duration_s:g}"})
+        self._clock.sleep(0.5)
+        drive.set_speed(self._allowed(top_rpm))
+
+        def there() -> bool:
+            self._tell(f"{test}: {drive.actual_rpm:.0f} rpm", drive.actual_rpm / top_rpm)
+            return drive.actual_rpm > 0.985 * top_rpm
+
+        reached = self._look_until(there, 1.5 * duration_s)
+        self._clock.sleep(1.0)
+        done = self._end(test, {"reached_top": reached})
+        self._stop_rotor()
+        return done
+
+    def point(self, name: str, speed_rad_s: float) -> TestDone:
+        """Spin up with locked pendulums, wait until the orbit is steady, release, record until all is steady."""
+        test = f"point-{name}"
+        rpm = speed_rad_s / _RPM
+        self._at_rest_and_locked()
+        drive = self._s.drive
+        drive.enable()
+        drive.set_ramp(self._s.rig.devices.drive.ramp_rpm_per_s)
+        drive.set_speed(self._allowed(rpm))
+
+        def at_speed() -> bool:
+            self._tell(f"{test}: spinning up, {drive.actual_rpm:.0f} of {rpm:.0f} rpm", None)
+            return abs(drive.actual_rpm - rpm) < 0.01 * rpm + 2
+
+        if not self._look_until(at_speed, 60.0):
+            raise self._stopped(f"{test}: {drive.actual_rpm:.0f} rpm after 60 s, expected {rpm:.0f}. Look at the drive")
+        steady = self._look_until(lambda: self._locked_steady(test), 60.0)
+        self._begin(test, {"point": name, "speed_rpm": f"{rpm:.3f}"})
+        self._clock.sleep(_BEFORE_RELEASE_S)
+        self._tell(f"{test}: releasing the pendulums", None)
+        self._s.command_node("release both")
+        released_ns = self._clock.now_ns()
+        last: Settling | None = None
+
+        def all_steady() -> bool:
+            nonlocal last
+            since = (self._clock.now_ns() - released_ns) * 1e-9
+            if since < 3.0:
+                return False
+            last = self._steady(released_ns)
+            self._tell(f"{test}: {since:.0f} s after release, {last.why}", None)
+            return last.settled
+
+        reached = self._look_until(all_steady, _POINT_LIMIT_S)
+        why = last.why if last else "no data"
+        done = self._end(test, {"steady_before_release": steady, "settled": reached, "why": why})
+        self._stop_rotor()
+        self._lock_both()
+        return done
+
+    # --- parts -------------------------------------------------------------------------------------------------
+
+    def _allowed(self, rpm: float) -> float:
+        limit = self._s.rig.limits.speed_rpm
+        if rpm > limit:
+            raise self._stopped(f"{rpm:.0f} rpm wanted, limits.speed_rpm is {limit:.0f}: nothing was turned")
+        return rpm
+
+    def _stopped(self, message: str) -> ProcedureError:
+        self._s.drive.quick_stop()
+        return ProcedureError(message)
+
+    def _tell(self, text: str, share: float | None) -> None:
+        self._progress(text, share)
+
+    def _begin(self, test: str, facts: Mapping[str, str]) -> None:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        number = 1 + sum(1 for _ in self._folder.glob("*.mcap*"))
+        path = self._folder / f"{number:02d}-{test}.mcap"
+        self._s.start_recording(path, {"test": test, "note": self._note, **facts})
+
+    def _end(self, test: str, summary: Mapping[str, Any]) -> TestDone:
+        log = self._s.stop_recording(summary)
+        return TestDone(test, log, summary)
+
+    def _until(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
+        self._s.wait_for(condition, wall_s, what)
+
+    def _look_until(self, condition: Callable[[], bool], limit_s: float) -> bool:
+        """Look every half second of rig time; False when the limit (rig time) is reached first."""
+        end = self._clock.now_ns() + int(limit_s * 1e9)
+        while not condition():
+            self._s.check()
+            self._watch_drive()
+            if self._clock.now_ns() > end:
+                return False
+            self._clock.sleep(_LOOK_S)
+        return True
+
+    def _watch_drive(self) -> None:
+        state = self._s.drive.state
+        if state in (cia402.QUICK_STOP_ACTIVE, cia402.FAULT, cia402.FAULT_REACTION):
+            raise ProcedureError(
+                f"the drive went to {state} by itself. Look at events in the log and at the drive, then repeat the test"
+            )
+
+    def _since(self, seconds: float) -> int:
+        return self._clock.now_ns() - int(seconds * 1e9)
+
+    def _span(self, topic: str, seconds: float) -> tuple[float, float]:
+        """Peak to peak and largest deviation from the median of the last seconds of a laser, m."""
+        _, (x,) = self._s.recent.last(topic, ("displacement_m",), self._since(seconds))
+        x = x[np.isfinite(x)]
+        return (float(np.ptp(x)), float(np.max(np.abs(x)))) if len(x) else (0.0, 0.0)
+
+    def _rates(self) -> NDArray[np.float64]:
+        """Pendulum speeds over the last fifth of a second, rad/s, shape (2,)."""
+        time_ns, (a, b) = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), self._since(0.3))
+        if len(time_ns) < 10:
+            return np.zeros(2)
+        span = (time_ns[-1] - time_ns[0]) * 1e-9
+        return np.array([a[-1] - a[0], b[-1] - b[0]]) / span
+
+    def _signals(self, since_ns: int) -> tuple[NDArray[np.float64], ...]:
+        """Angle times and angles, marks, lasers since an instant, times in s from it."""
+        recent = self._s.recent
+        t, (a, b) = recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
+        m, (turns,) = recent.last("tacho", ("revolutions",), since_ns)
+        tx, (x,) = recent.last("laser/x", ("displacement_m",), since_ns)
+        ty, (y,) = recent.last("laser/y", ("displacement_m",), since_ns)
+
+        def seconds(ns: NDArray[np.int64]) -> NDArray[np.float64]:
+            return (ns - since_ns) * 1e-9
+
+        return (
+            seconds(t), np.column_stack([a, b]), seconds(m), 2 * np.pi * turns.astype(float),
+            seconds(tx)[::4], x[::4], seconds(ty)[::4], y[::4],
+        )  # fmt: skip
+
+    def _locked_steady(self, test: str) -> bool:
+        _, _, marks, phase, tx, x, ty, y = self._signals(self._since(15.0))
+        found = locked_settled(marks, phase, tx, x, ty, y)
+        self._tell(f"{test}: waiting for a steady orbit, {found.why}", None)
+        return found.settled
+
+    def _steady(self, released_ns: int) -> Settling:
+        since = max(released_ns, self._since(20.0))
+        t, angles, marks, phase, tx, x, ty, y = self._signals(since)
+        return settled(t, angles, marks, phase, tx, x, ty, y, release_time_s=(released_ns - since) * 1e-9)
+
+    def _at_rest_and_locked(self) -> None:
+        self._s.check()
+        self._stop_rotor()
+        self._lock_both()
+
+    def _stop_rotor(self) -> None:
+        drive = self._s.drive
+        if drive.actual_rpm != 0 or drive.state == cia402.OPERATION_ENABLED:
+            drive.set_ramp(_STOP_RAMP_RPM_S)
+            drive.set_speed(0)
+            self._until(lambda: drive.actual_rpm == 0, 30.0, "the rotor to stop")
+            self._clock.sleep(0.5)
+
+    def _lock_both(self) -> None:
+        self._s.command_node("lock both")
+        self._wait_locks(closed=True)
+
+    def _wait_locks(self, closed: bool) -> None:
+        def there() -> bool:
+            _, (flags,) = self._s.recent.last("pendulums", ("flags",), self._since(1.0))
+            return len(flags) > 0 and bool(flags[-1] & 96) == closed and (flags[-1] & 96) in (0, 96)
+
+        self._until(there, 10.0, f"both locks to {'close' if closed else 'open'}")

@@ -1,0 +1,175 @@
+"""What the drive speaks: CANopen (CiA 301) frames and the CiA 402 state machine in velocity mode.
+
+Used by the host and by the simulated drive alike; no bus and no clock here. Speeds are the drive's own rpm words.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+# Object dictionary
+CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1016, 0x1017
+CONTROLWORD, STATUSWORD = 0x6040, 0x6041
+TARGET_VELOCITY, VELOCITY_DEMAND, ACTUAL_VELOCITY = 0x6042, 0x6043, 0x6044
+VELOCITY_ACCELERATION, VELOCITY_DECELERATION = 0x6048, 0x6049
+"""Ramps: sub 1 Δspeed in rpm (u32), sub 2 Δtime in s (u16)."""
+MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
+MODE_VELOCITY = 2
+
+# Controlword
+DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN = 0x0000, 0x0002, 0x0006
+SWITCH_ON, ENABLE_OPERATION = 0x0007, 0x000F
+FAULT_RESET, HALT = 0x0080, 0x0100
+
+NOT_READY = "NOT READY TO SWITCH ON"
+SWITCH_ON_DISABLED = "SWITCH ON DISABLED"
+READY = "READY TO SWITCH ON"
+SWITCHED_ON = "SWITCHED ON"
+OPERATION_ENABLED = "OPERATION ENABLED"
+QUICK_STOP_ACTIVE = "QUICK STOP ACTIVE"
+FAULT_REACTION = "FAULT REACTION ACTIVE"
+FAULT = "FAULT"
+UNKNOWN = "UNKNOWN"
+
+STATES = {
+    NOT_READY: (0x4F, 0x00),
+    SWITCH_ON_DISABLED: (0x4F, 0x40),
+    READY: (0x6F, 0x21),
+    SWITCHED_ON: (0x6F, 0x23),
+    OPERATION_ENABLED: (0x6F, 0x27),
+    QUICK_STOP_ACTIVE: (0x6F, 0x07),
+    FAULT_REACTION: (0x4F, 0x0F),
+    FAULT: (0x4F, 0x08),
+}
+"""State name to (mask, value) of the statusword. Source: CiA 402 state table."""
+
+_TOWARDS_OPERATION = {
+    SWITCH_ON_DISABLED: SHUTDOWN,
+    READY: SWITCH_ON,
+    SWITCHED_ON: ENABLE_OPERATION,
+    OPERATION_ENABLED: ENABLE_OPERATION,
+    QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
+    FAULT: FAULT_RESET,
+}
+_STATUS_SPEED = struct.Struct("<Hh")
+_EMERGENCY = struct.Struct("<HB5s")
+
+
+class Heartbeat(IntEnum):
+    """NMT state in a heartbeat frame."""
+
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+@dataclass(frozen=True)
+class Emergency:
+    """An emergency frame: CiA error code, error register (1001h), five bytes of the maker's own."""
+
+    error_code: int
+    error_register: int
+    maker_bytes: bytes
+
+
+def state(statusword: int) -> str:
+    """Name of the drive state, one of `STATES`, or `UNKNOWN` for a pattern the table does not have."""
+    return next((name for name, (mask, value) in STATES.items() if statusword & mask == value), UNKNOWN)
+
+
+def towards_operation(state_name: str) -> int | None:
+    """Controlword for the next step towards OPERATION ENABLED; None where one can only wait."""
+    return _TOWARDS_OPERATION.get(state_name)
+
+
+def pack_tpdo1(statusword: int, actual_rpm: int) -> bytes:
+    """Drive to host: statusword u16, actual speed i16 in rpm."""
+    return _STATUS_SPEED.pack(statusword, actual_rpm)
+
+
+def unpack_tpdo1(data: bytes) -> tuple[int, int]:
+    """Statusword and actual speed in rpm.
+
+    Raises:
+        ValueError: not 4 bytes.
+    """
+    return _four(data, "TPDO1 (statusword u16, actual rpm i16)")
+
+
+def pack_rpdo1(controlword: int, target_rpm: int) -> bytes:
+    """Host to drive: controlword u16, target speed i16 in rpm."""
+    return _STATUS_SPEED.pack(controlword, target_rpm)
+
+
+def unpack_rpdo1(data: bytes) -> tuple[int, int]:
+    """Controlword and target speed in rpm.
+
+    Raises:
+        ValueError: not 4 bytes.
+    """
+    return _four(data, "RPDO1 (controlword u16, target rpm i16)")
+
+
+def _four(data: bytes, what: str) -> tuple[int, int]:
+    if len(data) != _STATUS_SPEED.size:
+        raise ValueError(f"expected 4 bytes of {what}, got {len(data)}: check the drive's PDO mapping")
+    word, speed = _STATUS_SPEED.unpack(data)
+    return word, speed
+
+
+def pack_emergency(emergency: Emergency) -> bytes:
+    """The 8 data bytes of an emergency frame."""
+    return _EMERGENCY.pack(emergency.error_code, emergency.error_register, emergency.maker_bytes)
+
+
+def unpack_emergency(data: bytes) -> Emergency:
+    """Read the 8 data bytes of an emergency frame.
+
+    Raises:
+        ValueError: not 8 bytes.
+    """
+    if len(data) != _EMERGENCY.size:
+        raise ValueError(f"expected 8 bytes of an emergency frame, got {len(data)}")
+    return Emergency(*_EMERGENCY.unpack(data))
+
+
+def heartbeat(data: bytes) -> Heartbeat | None:
+    """NMT state in a heartbeat frame; None when the byte is none (the top bit may toggle and is ignored)."""
+    value = data[0] & 0x7F if len(data) == 1 else -1
+    return Heartbeat(value) if value in Heartbeat.__members__.values() else None
+
+
+def consumer_heartbeat(host_node: int, timeout_ms: int) -> int:
+    """Value of 1016h sub 1: the drive goes to quick stop when this node's heartbeat stays away so long."""
+    return host_node << 16 | timeout_ms
+
+
+def cob_emergency(node: int) -> int:
+    """COB-ID of emergency frames."""
+    return 0x080 + node
+
+
+def cob_tpdo(number: int, node: int) -> int:
+    """COB-ID of transmit PDO 1 … 4 (device to host), predefined connection set."""
+    return 0x080 + 0x100 * number + node
+
+
+def cob_rpdo(number: int, node: int) -> int:
+    """COB-ID of receive PDO 1 … 4 (host to device), predefined connection set."""
+    return 0x100 + 0x100 * number + node
+
+
+def cob_sdo_answer(node: int) -> int:
+    """COB-ID of a device's SDO answers."""
+    return 0x580 + node
+
+
+def cob_sdo_request(node: int) -> int:
+    """COB-ID of SDO requests to a device."""
+    return 0x600 + node
+
+
+def cob_heartbeat(node: int) -> int:
+    """COB-ID of heartbeat frames."""
+    return 0x700 + node

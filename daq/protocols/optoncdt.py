@@ -1,0 +1,339 @@
+"""Micro-Epsilon optoNCDT triangulation lasers: the RS422 stream and the ASCII command answers on the same line.
+
+A value travels as three bytes, low six bits first:
+
+    L  00dddddd   M  01dddddd   H  1Fdddddd      F = 0 on the first value of a measurement, 1 on the others
+
+so every byte says which third it is, and a block (one measurement, as many values as outputs are selected) starts
+at F = 0. Command answers are ASCII (below 0x80, thus never an H byte) and may stand between values.
+
+How the two are told apart: a value is an L and an M that stand directly before an H. Low bytes that turn out not to
+do so are text if printable, damage otherwise. A line is therefore handed out when the byte after its LF has arrived;
+only the prompt ``->``, behind which nothing may follow, is taken at once. Source: ILD1420 manual, measurement data
+format and scaling pages.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from daq.errors import DeviceError
+
+PROMPT = "->"
+DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI = "DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"
+
+COUNTER_WRAP = 2**18
+"""The measurement counter restarts at 0 after this many measurements."""
+TIMESTAMP_WRAP = 2**32
+"""The timestamp restarts at 0 after this many ticks: 11 h 55 min 49.67 s."""
+TICK_S = 1e-5
+"""One timestamp tick, s."""
+CODE_MAX = 65520
+"""Largest distance code; anything above is an error code."""
+
+ERROR_CODES = {
+    262073: "scaling underflow",
+    262074: "scaling overflow",
+    262075: "too much data for the baud rate",
+    262076: "no peak",
+    262077: "peak before the measuring range",
+    262078: "peak behind the measuring range",
+    262079: "cannot be calculated",
+    262080: "cannot be calculated",
+    262081: "peak too large",
+    262082: "laser is off",
+}
+"""Distance words that are no distance, and why (18-bit codes; never mask them to 16 bits before the test)."""
+
+_NO_PEAK, _BEFORE_RANGE, _BEHIND_RANGE = 262076, 262077, 262078
+_LF, _CR, _TAB, _DASH, _ANGLE = b"\n\r\t->"
+_TEXT = frozenset(range(0x20, 0x7F)) | {_LF, _CR, _TAB}
+_LINE_LIMIT = 1024  # bytes; the longest answers seen are GETINFO lines well under 100
+_STALE_AFTER = 256  # values without a text byte after which an unterminated text was damage, not an answer
+_WINDOW = 16  # blocks the fast path looks at first; doubles while the stream is clean
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """What one `StreamDecoder.feed` found.
+
+    Attributes:
+        values: raw 18-bit words of the complete blocks, uint32 of shape (blocks, words).
+        text: answer lines without their line end; the prompt is an item of its own, ``"->"``.
+        skipped_bytes: bytes thrown away while finding the beat again.
+    """
+
+    values: NDArray[np.uint32]
+    text: list[str]
+    skipped_bytes: int
+
+
+class StreamDecoder:
+    """Bytes of one sensor in, measurement blocks and answer lines out; the split into calls makes no difference.
+
+    Args:
+        words: names of the output values in stream order, for instance from `parse_outinfo`.
+    """
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self.set_words(words)
+        self._pending = bytearray()  # nothing, an L, or an L and an M: maybe the start of a value
+        self._line = bytearray()  # text of a line not yet ended
+        self._line_age = 0  # values since its last byte
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Names of the columns of `Decoded.values`."""
+        return self._words
+
+    def set_words(self, words: Sequence[str]) -> None:
+        """Select the output values from now on; a half-received block is dropped.
+
+        Raises:
+            ValueError: no words given.
+        """
+        if not words:
+            raise ValueError("expected at least one output word, got none: pass the names in stream order")
+        self._words = tuple(words)
+        self._block: list[int] = []  # values of the block under way
+        self._rows: list[NDArray[np.uint32]] = []
+        self._text: list[str] = []
+        self._skipped = 0
+
+    def feed(self, data: bytes) -> Decoded:
+        """Decode the next bytes of the line.
+
+        Args:
+            data: any number of bytes, as they came.
+        """
+        self._rows, self._text, self._skipped = [], [], 0
+        position, window, width = 0, _WINDOW, 3 * len(self._words)
+        while position < len(data):
+            if not self._block and not self._pending and len(data) - position >= width:
+                taken = self._take_clean_blocks(data, position, window)
+                window = 2 * window if taken == window else _WINDOW
+                position += taken * width
+                if taken:
+                    continue
+            position = self._walk(data, position)
+        empty = np.empty((0, len(self._words)), np.uint32)
+        values = np.concatenate(self._rows) if self._rows else empty
+        return Decoded(values, self._text, self._skipped)
+
+    def _take_clean_blocks(self, data: bytes, position: int, limit: int) -> int:
+        """Decode up to `limit` whole blocks that stand back to back; returns how many."""
+        words = len(self._words)
+        count = min(limit, (len(data) - position) // (3 * words))
+        triples = np.frombuffer(data, np.uint8, 3 * words * count, position).reshape(count, words, 3)
+        first = np.full(words, 0b11, np.uint8)
+        first[0] = 0b10
+        kinds = triples >> 6
+        good = (kinds[..., 0] == 0b00) & (kinds[..., 1] == 0b01) & (kinds[..., 2] == first)
+        rows = good.all(axis=1)
+        taken = count if rows.all() else int(rows.argmin())
+        if taken:
+            six = (triples[:taken] & 0x3F).astype(np.uint32)
+            self._rows.append((six[..., 0] | six[..., 1] << 6 | six[..., 2] << 12).astype(np.uint32))
+            self._age_line(taken * words)
+        return taken
+
+    def _walk(self, data: bytes, position: int) -> int:
+        """Go byte by byte until a block is complete or the data ends; returns the new position."""
+        for index in range(position, len(data)):
+            byte = data[index]
+            if byte >= 0x80:
+                if self._end_of_value(byte):
+                    return index + 1
+            elif byte < 0x40:
+                if byte == _ANGLE and self._pending == b"-":
+                    self._pending.clear()
+                    self._prompt()
+                else:
+                    self._flush_pending()
+                    self._pending.append(byte)
+            elif len(self._pending) == 1:
+                self._pending.append(byte)
+            else:
+                self._flush_pending()
+                self._text_byte(byte)
+        return len(data)
+
+    def _end_of_value(self, high: int) -> bool:
+        """An H byte came: a value if an L and an M stand before it. True when it completed a block."""
+        if len(self._pending) != 2:
+            self._damage(len(self._pending) + 1)
+            self._pending.clear()
+            return False
+        low, middle = self._pending
+        self._pending.clear()
+        self._age_line(1)
+        continues = bool(high & 0x40)
+        if continues and not self._block:  # a further value of a block whose start was not seen
+            self._skipped += 3
+            return False
+        if not continues and self._block:  # a new block although the last one lacks values
+            self._damage(0)
+        self._block.append(low | (middle & 0x3F) << 6 | (high & 0x3F) << 12)
+        if len(self._block) < len(self._words):
+            return False
+        self._rows.append(np.array([self._block], np.uint32))
+        self._block.clear()
+        return True
+
+    def _flush_pending(self) -> None:
+        """What looked like the start of a value was not one."""
+        for byte in self._pending:
+            self._text_byte(byte)
+        self._pending.clear()
+
+    def _text_byte(self, byte: int) -> None:
+        if byte not in _TEXT or len(self._line) >= _LINE_LIMIT:
+            self._damage(len(self._line) + 1)
+            self._line.clear()
+        elif byte == _LF:
+            self._end_line()
+        else:
+            self._line.append(byte)
+            self._line_age = 0
+
+    def _end_line(self) -> None:
+        line = self._line.decode("ascii").strip()
+        self._line.clear()
+        if line:
+            self._text.append(line)
+
+    def _prompt(self) -> None:
+        self._end_line()
+        self._text.append(PROMPT)
+
+    def _age_line(self, values: int) -> None:
+        """Text that never ends was the debris of a damaged value; count it as such."""
+        if not self._line:
+            return
+        self._line_age += values
+        if self._line_age > _STALE_AFTER:
+            self._skipped += len(self._line)
+            self._line.clear()
+
+    def _damage(self, count: int) -> None:
+        """Throw away `count` bytes and the block they fell into."""
+        self._skipped += count + 3 * len(self._block)
+        self._block.clear()
+
+
+def encode_block(values: ArrayLike) -> bytes:
+    """Measurement blocks as the sensor sends them.
+
+    Args:
+        values: raw words 0 … 2**18 - 1, integers of shape (blocks, words).
+
+    Returns:
+        3 × blocks × words bytes.
+
+    Raises:
+        ValueError: wrong shape, or a word needs more than 18 bits.
+    """
+    words = np.asarray(values, np.uint32)
+    if words.ndim != 2 or words.shape[1] == 0:
+        raise ValueError(f"expected an array (blocks, words), got shape {words.shape}")
+    if words.size and words.max() >= 2**18:
+        raise ValueError(f"expected 18-bit words (< 262144), got {words.max()}")
+    out = np.empty((*words.shape, 3), np.uint8)
+    out[..., 0] = words & 0x3F
+    out[..., 1] = 0x40 | (words >> 6) & 0x3F
+    out[..., 2] = 0xC0 | words >> 12
+    out[:, 0, 2] &= 0xBF
+    return out.tobytes()
+
+
+def metres(code: ArrayLike, range_m: float) -> NDArray[np.float64]:
+    """Distance from the start of the measuring range, ILD1220/1320/1420/2300 without mastering.
+
+    Args:
+        code: distance words, any shape.
+        range_m: measuring range, m.
+
+    Returns:
+        m, same shape; NaN where the word is above `CODE_MAX`, thus an error code.
+
+    Source: ILD1420 manual, scaling of the 16-bit distance: d = (102/65520·x − 1)·range/100.
+    """
+    words = np.asarray(code, np.float64)
+    return np.where(words <= CODE_MAX, (102.0 / CODE_MAX * words - 1.0) * range_m / 100.0, np.nan)
+
+
+def code(metres: ArrayLike, range_m: float) -> NDArray[np.uint32]:
+    """Distance word a sensor would send; the inverse of `metres` to half a step (range · 7.8e-6).
+
+    Args:
+        metres: distance from the start of the measuring range, m, any shape; NaN means that nothing is seen.
+        range_m: measuring range, m.
+
+    Returns:
+        uint32, same shape; error code 262077 before −1 % and 262078 behind 101 % of the range, 262076 for NaN.
+    """
+    distance = np.asarray(metres, np.float64)
+    exact = np.rint((distance * 100.0 / range_m + 1.0) * (CODE_MAX / 102.0))
+    seen = np.nan_to_num(exact, nan=0.0, posinf=2.0 * CODE_MAX, neginf=-1.0)
+    words = np.where(seen < 0, _BEFORE_RANGE, np.where(seen > CODE_MAX, _BEHIND_RANGE, seen))
+    return np.where(np.isnan(exact), _NO_PEAK, words).astype(np.uint32)
+
+
+def timestamp_ticks(lo: ArrayLike, hi: ArrayLike) -> NDArray[np.uint32]:
+    """Sensor time in ticks of 10 µs from the two 16-bit timestamp words; wraps at `TIMESTAMP_WRAP`."""
+    low, high = np.asarray(lo, np.uint32), np.asarray(hi, np.uint32)
+    return ((low & 0xFFFF) | (high & 0xFFFF) << 16).astype(np.uint32)
+
+
+class Info(TypedDict):
+    """What `parse_info` reads: name, serial number, measuring range in m, firmware version."""
+
+    name: str
+    serial: str
+    range_m: float
+    version: str
+
+
+def parse_info(lines: Sequence[str]) -> Info:
+    """Read the answer to GETINFO.
+
+    Raises:
+        DeviceError: the measuring range is missing or no positive number of mm.
+    """
+    fields = {key.strip().lower(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+    text = fields.get("measuring range", "")
+    match = re.fullmatch(r"(\d+(?:\.\d*)?)\s*mm", text, re.IGNORECASE)
+    if match is None or float(match[1]) <= 0:
+        raise DeviceError(
+            f"expected a line like 'Measuring range: 25.00mm' in the answer to GETINFO, got {text!r} "
+            f"in {list(lines)!r}: is this an optoNCDT sensor, and was the stream stopped before asking?"
+        )
+    name, serial, version = (fields.get(key, "") for key in ("name", "serial", "version"))
+    return Info(name=name, serial=serial, range_m=float(match[1]) / 1000.0, version=version)
+
+
+def parse_outinfo(line: str) -> tuple[str, ...]:
+    """Read the answer to GETOUTINFO_RS422, like ``GETOUTINFO_RS422 DIST COUNTER TIMESTAMP``.
+
+    Returns:
+        Word names in stream order. The first name is always ``DIST``: firmware versions call it differently.
+        TIMESTAMP is two words, low half first. Other names are kept.
+
+    Raises:
+        DeviceError: another answer, or no output selected.
+    """
+    head, *names = line.replace(",", " ").split() or [""]
+    if names and names[-1].lower() == "ok":
+        names.pop()
+    if head.upper() != "GETOUTINFO_RS422" or not names or names == ["NONE"]:
+        raise DeviceError(
+            f"expected 'GETOUTINFO_RS422 DIST …', got {line!r}: select an output with OUTPUT RS422 / OUTADD_RS422"
+        )
+    words = [DISTANCE]
+    for name in names[1:]:
+        words += [TIMESTAMP_LO, TIMESTAMP_HI] if name.upper() == "TIMESTAMP" else [name.upper()]
+    return tuple(words)

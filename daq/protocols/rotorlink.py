@@ -1,0 +1,427 @@
+"""RotorLink v1: the encoder node on the rotor, its radio dongle, and the commands to it.
+
+On a serial line a frame is ``COBS(payload) 0x00``; on an XBee the payload is the radio data. The payload is a body
+and its CRC-16/CCITT-FALSE, little endian like every number here. Each body starts with type u8, node u8 and
+seq u16, which counts the sender's frames of all types; a gap in it is lost frames, a repeat is dropped.
+"""
+
+import binascii
+import struct
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from cobs import cobs
+from numpy.typing import NDArray
+
+COUNTS_DTYPE = np.dtype("<i4")
+MAX_SAMPLES = 29
+MAX_PAYLOAD_BYTES = 250
+MAX_WRAPPED_BYTES = MAX_PAYLOAD_BYTES + 11  # a dongle's wrapper goes over the cable only, never on air
+RUN_LIMIT_BYTES = 300
+NO_COMMAND = 0xFFFF
+
+FLAG_FAULT_A, FLAG_FAULT_B, FLAG_SAMPLES_LOST, FLAG_LOW_BATTERY = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+FLAG_REPEATS, FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED = 1 << 4, 1 << 5, 1 << 6
+
+LOCK_STATES = ("locked", "released", "moving", "fault")
+ACTIONS = {"lock A": 1, "lock B": 2, "lock both": 3, "release A": 4, "release both": 5, "release B": 6, "zero": 7}
+RESULTS = (
+    "accepted",
+    "refused: rotor turning",
+    "unknown command",
+    "fault",
+    "refused: not locked, or already so",
+)
+
+
+class BadFrame(ValueError):  # noqa: N818
+    """A payload is no frame; `reason` is ``crc``, ``type`` or ``length``."""
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+def crc16(body: bytes) -> int:
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 0x29B1 for ``b"123456789"``."""
+    return binascii.crc_hqx(body, 0xFFFF)
+
+
+def encode_frame(body: bytes) -> bytes:
+    """Payload of a body: the body and its CRC, low byte first."""
+    return body + crc16(body).to_bytes(2, "little")
+
+
+def wire(payload: bytes) -> bytes:
+    """Payload as it goes over a serial line: COBS, then 0x00."""
+    return cobs.encode(payload) + b"\x00"
+
+
+class _Packed:
+    """A frame of constant size: its fields in order, packed as `LAYOUT` behind the type."""
+
+    TYPE: ClassVar[int]
+    LAYOUT: ClassVar[struct.Struct]
+
+    def pack(self) -> bytes:
+        """The payload: body and CRC.
+
+        Raises:
+            struct.error: a field does not fit its integer on the wire.
+        """
+        return encode_frame(self.LAYOUT.pack(self.TYPE, *vars(self).values()))
+
+
+@dataclass(frozen=True, eq=False)
+class EncoderBlock:
+    """Encoder samples of both pendulums, evenly spaced in node time.
+
+    Attributes:
+        first_index: number of the first sample since the node's start.
+        node_time_us: node time of the first sample, µs, wraps at 2**32.
+        period_us: time between samples, µs.
+        flags: `FLAG_…` bits.
+        counts: int32 of shape (n, 2), columns A and B, n = 1 … 29; positive with the rotation, relative to the rotor.
+    """
+
+    TYPE: ClassVar[int] = 0x11
+    HEAD: ClassVar[struct.Struct] = struct.Struct("<BBHIIHBB")
+
+    node: int
+    seq: int
+    first_index: int
+    node_time_us: int
+    period_us: int
+    flags: int
+    counts: NDArray[np.int32] = field(repr=False)
+
+    def pack(self) -> bytes:
+        """The payload: body and CRC.
+
+        Raises:
+            ValueError: counts are not (1 … 29, 2).
+        """
+        counts = np.asarray(self.counts, COUNTS_DTYPE)
+        if counts.ndim != 2 or counts.shape[1] != 2 or not 1 <= len(counts) <= MAX_SAMPLES:
+            raise ValueError(f"expected counts of shape (1 … {MAX_SAMPLES}, 2), got {counts.shape}")
+        head = (self.node, self.seq, self.first_index, self.node_time_us, self.period_us, len(counts), self.flags)
+        return encode_frame(self.HEAD.pack(self.TYPE, *head) + counts.tobytes())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, EncoderBlock) and self.pack() == other.pack()
+
+    def __hash__(self) -> int:
+        return hash((self.node, self.seq, self.first_index))
+
+
+@dataclass(frozen=True)
+class Status(_Packed):
+    """The node's state, each second; temperature in 0.1 °C, battery in mV."""
+
+    TYPE: ClassVar[int] = 0x12
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHIHhIHBBI")
+
+    node: int
+    seq: int
+    node_time_us: int
+    battery_mv: int
+    temperature_decidegc: int
+    frames_sent: int
+    overruns: int
+    firmware_major: int
+    firmware_minor: int
+    counts_per_revolution: int
+
+
+@dataclass(frozen=True)
+class LockEvent(_Packed):
+    """A pendulum's lock changed: pendulum 0 A, 1 B; state indexes `LOCK_STATES`; command seq or `NO_COMMAND`."""
+
+    TYPE: ClassVar[int] = 0x13
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHIBBH")
+
+    node: int
+    seq: int
+    node_time_us: int
+    pendulum: int
+    state: int
+    command_seq: int
+
+
+@dataclass(frozen=True)
+class Pong(_Packed):
+    """Answer to a ping: node times at which the ping came and this answer left."""
+
+    TYPE: ClassVar[int] = 0x14
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHIIH")
+
+    node: int
+    seq: int
+    received_us: int
+    answered_us: int
+    ping_seq: int
+
+
+@dataclass(frozen=True)
+class IndexMark(_Packed):
+    """The rotor's index passed the frame's mark: the tachometer and phase reference."""
+
+    TYPE: ClassVar[int] = 0x15
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHII")
+
+    node: int
+    seq: int
+    node_time_us: int
+    revolutions: int
+
+
+@dataclass(frozen=True)
+class Acknowledge(_Packed):
+    """Answer to a command; result indexes `RESULTS`."""
+
+    TYPE: ClassVar[int] = 0x16
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHHB")
+
+    node: int
+    seq: int
+    command_seq: int
+    result: int
+
+
+@dataclass(frozen=True)
+class DongleStatus(_Packed):
+    """The dongle's state, each second: frames received, frames damaged on air, signal strength."""
+
+    TYPE: ClassVar[int] = 0x20
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHIIIb")
+
+    node: int
+    seq: int
+    dongle_time_us: int
+    frames_received: int
+    frames_damaged: int
+    rssi_dbm: int
+
+
+@dataclass(frozen=True)
+class Command(_Packed):
+    """Host to node: one of `ACTIONS`. Repeated with the same seq when no answer comes; the node acts once."""
+
+    TYPE: ClassVar[int] = 0x90
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHBx")
+
+    node: int
+    seq: int
+    action: int
+
+
+@dataclass(frozen=True)
+class Ping(_Packed):
+    """Host to node: what time is it; answered by `Pong`."""
+
+    TYPE: ClassVar[int] = 0x91
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBH")
+
+    node: int
+    seq: int
+
+
+NodeFrame = EncoderBlock | Status | LockEvent | Pong | IndexMark | Acknowledge
+
+
+@dataclass(frozen=True)
+class Wrapped:
+    """A node's frame as a dongle received it. Its own seq counts losses on the cable, the inner one those on air.
+
+    Attributes:
+        dongle_time_us: dongle time at reception, µs, wraps at 2**32.
+        rssi_dbm: signal strength of this frame, dBm.
+        inner: the node's frame, None when it is damaged.
+        damaged: the inner payload as received when it is no frame, else empty.
+        damage: why it is none, as in `BadFrame.reason`.
+    """
+
+    TYPE: ClassVar[int] = 0x21
+    HEAD: ClassVar[struct.Struct] = struct.Struct("<BBHIb")
+
+    node: int
+    seq: int
+    dongle_time_us: int
+    rssi_dbm: int
+    inner: NodeFrame | None
+    damaged: bytes = b""
+    damage: str = ""
+
+    def pack(self) -> bytes:
+        """The payload: body and CRC."""
+        inner = self.damaged if self.inner is None else self.inner.pack()
+        head = self.HEAD.pack(self.TYPE, self.node, self.seq, self.dongle_time_us, self.rssi_dbm)
+        return encode_frame(head + inner)
+
+
+Frame = NodeFrame | DongleStatus | Wrapped | Command | Ping
+_NODE_CLASSES: dict[int, Any] = {kind.TYPE: kind for kind in (Status, LockEvent, Pong, IndexMark, Acknowledge)}
+_ALL_CLASSES = _NODE_CLASSES | {kind.TYPE: kind for kind in (DongleStatus, Command, Ping)}
+
+
+def _checked_body(payload: bytes, limit: int) -> bytes:
+    if not 6 <= len(payload) <= limit:
+        raise BadFrame("length", f"expected a payload of 6 … {limit} bytes, got {len(payload)}")
+    body = payload[:-2]
+    expected, came = int.from_bytes(payload[-2:], "little"), crc16(body)
+    if expected != came:
+        raise BadFrame("crc", f"expected CRC {expected:#06x} as the frame says, its bytes give {came:#06x}")
+    return body
+
+
+def _parse_body(body: bytes, layouts: dict[int, Any]) -> Any:
+    """The frame of a constant-size body, by its type."""
+    kind = layouts.get(body[0])
+    if kind is None:
+        raise BadFrame("type", f"expected a type of {sorted(map(hex, layouts))}, got {body[0]:#04x}")
+    if len(body) != kind.LAYOUT.size:
+        raise BadFrame("length", f"expected {kind.LAYOUT.size} bytes for {kind.__name__}, got {len(body)}")
+    return kind(*kind.LAYOUT.unpack(body)[1:])
+
+
+def _parse_encoder(body: bytes) -> EncoderBlock:
+    head = EncoderBlock.HEAD
+    samples = body[head.size - 2] if len(body) >= head.size else 0
+    if not 1 <= samples <= MAX_SAMPLES or len(body) != head.size + 8 * samples:
+        raise BadFrame("length", f"expected 1 … {MAX_SAMPLES} samples of 8 bytes, got {samples} in {len(body)} bytes")
+    _, node, seq, first_index, node_time_us, period_us, _, flags = head.unpack_from(body)
+    counts = np.frombuffer(body, COUNTS_DTYPE, offset=head.size).reshape(samples, 2)
+    return EncoderBlock(node, seq, first_index, node_time_us, period_us, flags, counts)
+
+
+def parse_node(payload: bytes) -> NodeFrame:
+    """Frame of a node's own payload, bare or out of a dongle's wrapper.
+
+    Raises:
+        BadFrame: wrong CRC, unknown type or wrong length.
+    """
+    body = _checked_body(payload, MAX_PAYLOAD_BYTES)
+    return _parse_encoder(body) if body[0] == EncoderBlock.TYPE else _parse_body(body, _NODE_CLASSES)
+
+
+def parse(payload: bytes) -> Frame:
+    """Frame of any payload, from the node, the dongle or the host.
+
+    A wrapper that is sound around a damaged inner payload comes back with ``inner=None`` and the bytes in `damaged`.
+
+    Raises:
+        BadFrame: wrong CRC, unknown type or wrong length.
+    """
+    if payload[:1] != bytes([Wrapped.TYPE]):
+        body = _checked_body(payload, MAX_PAYLOAD_BYTES)
+        return _parse_encoder(body) if body[0] == EncoderBlock.TYPE else _parse_body(body, _ALL_CLASSES)
+    body = _checked_body(payload, MAX_WRAPPED_BYTES)
+    if len(body) < Wrapped.HEAD.size:
+        raise BadFrame("length", f"expected at least {Wrapped.HEAD.size} bytes for Wrapped, got {len(body)}")
+    head, rest = Wrapped.HEAD.unpack_from(body)[1:], body[Wrapped.HEAD.size :]
+    try:
+        return Wrapped(*head, inner=parse_node(rest))
+    except BadFrame as fault:
+        return Wrapped(*head, inner=None, damaged=rest, damage=fault.reason)
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """What one `FrameDecoder.feed` found.
+
+    Attributes:
+        frames: sound frames in order; a `Wrapped` around a damaged payload is one of them.
+        bad: reason and bytes of what was no frame; ``inner …`` reasons belong to a `Wrapped` that is in `frames`.
+    """
+
+    frames: list[Frame]
+    bad: list[tuple[str, bytes]]
+
+
+class FrameDecoder:
+    """Bytes of a serial line in, frames out; the split into calls makes no difference, memory is bounded."""
+
+    def __init__(self) -> None:
+        self._run = bytearray()
+        self._overlong = False
+
+    def feed(self, data: bytes) -> Decoded:
+        """Decode the next bytes of the line.
+
+        Args:
+            data: any number of bytes, as they came.
+        """
+        found = Decoded([], [])
+        *ended, rest = data.split(b"\x00")
+        for run in ended:
+            self._extend(run, found)
+            if self._run and not self._overlong:
+                _decode_run(bytes(self._run), found)
+            self._run.clear()
+            self._overlong = False
+        self._extend(rest, found)
+        return found
+
+    def _extend(self, run: bytes, found: Decoded) -> None:
+        """Grow the run under way; one that cannot be a frame any more is reported once and forgotten."""
+        if self._overlong:
+            return
+        self._run += run[: RUN_LIMIT_BYTES + 1 - len(self._run)]
+        if len(self._run) > RUN_LIMIT_BYTES:
+            found.bad.append(("overlong", bytes(self._run[:RUN_LIMIT_BYTES])))
+            self._run.clear()
+            self._overlong = True
+
+
+def _decode_run(run: bytes, found: Decoded) -> None:
+    try:
+        payload = cobs.decode(run)
+    except cobs.DecodeError:
+        found.bad.append(("cobs", run))
+        return
+    try:
+        frame = parse(payload)
+    except BadFrame as fault:
+        found.bad.append((fault.reason, payload))
+        return
+    found.frames.append(frame)
+    if isinstance(frame, Wrapped) and frame.inner is None:
+        found.bad.append((f"inner {frame.damage}", frame.damaged))
+
+
+class SequenceCounter:
+    """Counts what is missing from one sender's seq, which wraps at 65536.
+
+    A step back by up to `LATE` is a frame seen before; one by up to half the wrap is a sender that started again. A
+    restart that looks like a step forward cannot be told from losses here: call `reset` when node time says so.
+    """
+
+    LATE: ClassVar[int] = 16
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.repeats = 0
+        self.restarts = 0
+        self._last: int | None = None
+
+    def reset(self) -> None:
+        """The sender started again: the next seq follows nothing. The totals stay."""
+        self._last = None
+
+    def feed(self, seq: int) -> tuple[int, bool]:
+        """Take the seq of the next frame.
+
+        Returns:
+            Frames lost just before it, and whether it is a repeat to be dropped.
+        """
+        step = 1 if self._last is None else (seq - self._last) & 0xFFFF
+        if step == 0 or step >= 0x10000 - self.LATE:
+            self.repeats += 1
+            return 0, True
+        self._last = seq
+        if step >= 0x8000:
+            self.restarts += 1
+            return 0, False
+        self.lost += step - 1
+        return step - 1, False

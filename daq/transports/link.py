@@ -1,0 +1,206 @@
+"""A device's byte stream: serial ports and ptys, TCP, and CAN adapters, all behind one small protocol."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import sys
+import threading
+from typing import Any, Protocol
+
+import can
+import serial
+
+from daq.errors import LinkLost
+from daq.protocols import slcan
+
+_READ_BYTES = 65536
+
+
+class Link(Protocol):
+    """Bytes in and out of one device. One thread reads, any thread writes."""
+
+    name: str
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived; b"" when nothing came within timeout_s (wall seconds).
+
+        Raises:
+            LinkLost: the device is gone.
+        """
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send all bytes.
+
+        Raises:
+            LinkLost: the device is gone.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release the port; a second call does nothing."""
+        ...
+
+
+def open_link(port: str, baud: int, bitrate: int | None = None) -> Link:
+    """Open the link a rig file names.
+
+    Args:
+        port: a serial device or pty ("/dev/ttyUSB0", "COM3"), "socket://host:port", any URL pyserial knows, or
+            "can:INTERFACE:CHANNEL" for an adapter python-can drives ("can:socketcan:can0").
+        baud: line rate of a serial port.
+        bitrate: of the CAN bus, for "can:" ports.
+    Raises:
+        LinkLost: the port cannot be opened; the message says why and what to look at.
+    """
+    try:
+        if port.startswith("can:"):
+            _, interface, channel = port.split(":", 2)
+            return CanLink(interface, channel, bitrate or 500_000)
+        if port.startswith("socket://"):
+            host, _, number = port.removeprefix("socket://").rpartition(":")
+            return SocketLink(host, int(number))
+        return SerialLink(port, baud)
+    except (OSError, ValueError, serial.SerialException, can.CanError) as error:
+        raise LinkLost(
+            f"{port}: cannot be opened ({error}). Is the device plugged in, the port's name right, "
+            "and no other program using it?"
+        ) from error
+
+
+class SerialLink:
+    """A serial port through pyserial, read as soon as bytes are there."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        self.name = port
+        self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=0, exclusive=True, do_not_open=True)
+        self._port.open()
+        with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
+            self._port.set_low_latency_mode(True)
+        self._descriptor = None
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError, AttributeError, NotImplementedError):
+                self._descriptor = self._port.fileno()
+        self._lock = threading.Lock()
+
+    def read(self, timeout_s: float) -> bytes:
+        """See Link."""
+        try:
+            if self._descriptor is None:
+                self._port.timeout = timeout_s
+                first = self._port.read(1)
+                return first + self._port.read(self._port.in_waiting) if first else b""
+            ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
+            if not ready:
+                return b""
+            data = os.read(self._descriptor, _READ_BYTES)
+        except (OSError, ValueError, TypeError, serial.SerialException) as error:
+            raise LinkLost(f"{self.name}: lost while reading ({error}). Look at cable and power") from error
+        if not data:
+            raise LinkLost(f"{self.name}: the other end closed. Look at cable and power")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See Link."""
+        with self._lock:
+            try:
+                self._port.write_timeout = 1.0
+                self._port.write(data)
+            except (OSError, ValueError, TypeError, serial.SerialException) as error:
+                raise LinkLost(f"{self.name}: lost while writing ({error}). Look at cable and power") from error
+
+    def close(self) -> None:
+        """See Link."""
+        with contextlib.suppress(OSError, serial.SerialException):
+            self._port.close()
+
+
+class SocketLink:
+    """A device behind a TCP port (a serial server, or a simulated rig where there are no ptys)."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.name = f"socket://{host}:{port}"
+        self._socket = socket.create_connection((host, port), timeout=5.0)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._lock = threading.Lock()
+
+    def read(self, timeout_s: float) -> bytes:
+        """See Link."""
+        try:
+            ready, _, _ = select.select([self._socket], [], [], timeout_s)
+            if not ready:
+                return b""
+            data = self._socket.recv(_READ_BYTES)
+        except (OSError, ValueError) as error:
+            raise LinkLost(f"{self.name}: lost while reading ({error})") from error
+        if not data:
+            raise LinkLost(f"{self.name}: the other end closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See Link."""
+        with self._lock:
+            try:
+                self._socket.sendall(data)
+            except (OSError, ValueError) as error:
+                raise LinkLost(f"{self.name}: lost while writing ({error})") from error
+
+    def close(self) -> None:
+        """See Link."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
+class CanLink:
+    """Any adapter python-can drives, spoken to in slcan text so that everything above sees one kind of CAN."""
+
+    def __init__(self, interface: str, channel: str, bitrate: int) -> None:
+        self.name = f"can:{interface}:{channel}"
+        self._bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate)
+        self._decoder = slcan.LineDecoder()
+        self._lock = threading.Lock()
+
+    def read(self, timeout_s: float) -> bytes:
+        """See Link."""
+        lines: list[bytes] = []
+        try:
+            message = self._bus.recv(timeout_s)
+            while message is not None and len(lines) < 1000:
+                lines.append(
+                    slcan.encode(
+                        slcan.CanFrame(
+                            message.arbitration_id,
+                            bytes(message.data),
+                            message.is_extended_id,
+                            message.is_remote_frame,
+                        )
+                    )
+                )
+                message = self._bus.recv(0)
+        except (can.CanError, OSError, ValueError) as error:
+            raise LinkLost(f"{self.name}: lost while reading ({error})") from error
+        return b"".join(lines)
+
+    def write(self, data: bytes) -> None:
+        """See Link. Lines that are no frames (adapter set-up) are this adapter's own business and dropped."""
+        with self._lock:
+            try:
+                for frame in self._decoder.feed(data).frames:
+                    self._bus.send(
+                        can.Message(
+                            arbitration_id=frame.arbitration_id,
+                            data=frame.data,
+                            is_extended_id=frame.extended,
+                            is_remote_frame=frame.remote,
+                        )
+                    )
+            except (can.CanError, OSError, ValueError) as error:
+                raise LinkLost(f"{self.name}: lost while writing ({error})") from error
+
+    def close(self) -> None:
+        """See Link."""
+        self._bus.shutdown()

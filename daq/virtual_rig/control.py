@@ -1,0 +1,99 @@
+"""The control port: what a person does by hand on the rig, and what only an onlooker of a simulation can know.
+
+One JSON object a line over TCP on loopback; the first must carry the token that the rig printed at its start.
+Requests: {"do": "pluck", "x_mm": …, "y_mm": …, "hold_s": …}, {"do": "flick", "pendulum": 0|1, "speed_rad_s": …},
+{"do": "set", "key": "suspension.k2_N_per_m", "value": …}, {"do": "truth"}, {"do": "radio"}, {"do": "state"},
+{"do": "quit"}. Each is answered by one line.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import queue
+import socket
+import threading
+from typing import Any
+
+_LINE_LIMIT = 65536
+
+
+class ControlServer:
+    """Accepts the simulated operator; requests are carried out by the rig's own loop."""
+
+    def __init__(self, token: str) -> None:
+        self._token = token
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        self.requests: queue.Queue[tuple[dict[str, Any], queue.Queue[dict[str, Any]]]] = queue.Queue(100)
+        threading.Thread(target=self._accept, name="control", daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                peer, _ = self._listener.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._serve, args=(peer,), name="operator", daemon=True).start()
+
+    def _serve(self, peer: socket.socket) -> None:
+        with peer, peer.makefile("rwb") as stream:
+            allowed = False
+            while line := stream.readline(_LINE_LIMIT):
+                try:
+                    request = json.loads(line)
+                    assert isinstance(request, dict)
+                except (ValueError, AssertionError):
+                    stream.write(b'{"error": "expected one JSON object a line"}\n')
+                    stream.flush()
+                    return
+                allowed = allowed or hmac.compare_digest(str(request.get("token", "")), self._token)
+                if not allowed:
+                    stream.write(b'{"error": "expected the token the rig printed"}\n')
+                    stream.flush()
+                    return
+                answer: queue.Queue[dict[str, Any]] = queue.Queue(1)
+                self.requests.put((request, answer))
+                stream.write(json.dumps(answer.get()).encode() + b"\n")
+                stream.flush()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._listener.close()
+
+
+class OperatorLine:
+    """The simulated operator's end of the control port.
+
+    Args:
+        port, token: as the rig printed them.
+    """
+
+    def __init__(self, port: int, token: str) -> None:
+        self._token = token
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=10)
+        self._stream = self._socket.makefile("rwb")
+        self._lock = threading.Lock()
+
+    def ask(self, do: str, **what: Any) -> dict[str, Any]:
+        """Send one request and wait for its answer.
+
+        Raises:
+            ConnectionError: the rig is gone.
+            ValueError: the rig refused; the message says why.
+        """
+        with self._lock:
+            self._stream.write(json.dumps({"token": self._token, "do": do, **what}).encode() + b"\n")
+            self._stream.flush()
+            line = self._stream.readline(16 * 1024 * 1024)
+        if not line:
+            raise ConnectionError("the virtual rig closed its control port")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise ValueError(f"virtual rig: {answer['error']}")
+        return answer
+
+    def close(self) -> None:
+        """Hang up."""
+        self._stream.close()
+        self._socket.close()

@@ -1,0 +1,174 @@
+"""The rig's end of each cable: a pty or a TCP port, with a bounded buffer that counts what it had to drop."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import sys
+from collections import deque
+from typing import Protocol
+
+_BUFFER_BYTES = 4 * 1024 * 1024  # a USB adapter's driver queue, generous: a host may stall
+
+
+class Wire(Protocol):
+    """One end of a cable."""
+
+    port: str
+    overrun_bytes: int
+
+    def descriptor(self) -> int | None:
+        """What to wait on for incoming bytes; None when nobody is connected."""
+        ...
+
+    def receive(self) -> bytes:
+        """What the host sent; never blocks."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Queue bytes for the host and send what fits; never blocks."""
+        ...
+
+    def close(self) -> None:
+        """Pull the cable."""
+        ...
+
+
+class _Outbox:
+    """A bounded queue of bytes that could not be sent yet."""
+
+    def __init__(self) -> None:
+        self.overrun_bytes = 0
+        self._parts: deque[bytes] = deque()
+        self._size = 0
+
+    def _queue(self, data: bytes) -> None:
+        if self._size + len(data) > _BUFFER_BYTES:
+            self.overrun_bytes += len(data)
+        elif data:
+            self._parts.append(data)
+            self._size += len(data)
+
+    def _drain(self, write_to: int) -> None:
+        while self._parts:
+            try:
+                written = os.write(write_to, self._parts[0])
+            except BlockingIOError:
+                return
+            self._size -= written
+            if written < len(self._parts[0]):
+                self._parts[0] = self._parts[0][written:]
+                return
+            self._parts.popleft()
+
+
+class PtyWire(_Outbox):
+    """A pseudo-terminal; the host opens `port` as a serial line."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        import tty  # noqa: PLC0415 (POSIX only)
+
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)  # before anyone opens it: a cooked line would echo our own bytes back
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(self._slave)
+
+    def descriptor(self) -> int | None:
+        """See Wire."""
+        return self._master
+
+    def receive(self) -> bytes:
+        """See Wire."""
+        with contextlib.suppress(OSError):
+            return os.read(self._master, 65536)
+        return b""
+
+    def send(self, data: bytes) -> None:
+        """See Wire."""
+        self._queue(data)
+        with contextlib.suppress(OSError):
+            self._drain(self._master)
+
+    def close(self) -> None:
+        """See Wire."""
+        for descriptor in (self._master, self._slave):
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+
+
+class TcpWire(_Outbox):
+    """A TCP port on loopback for machines without ptys; one host at a time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.setblocking(False)
+        self.port = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._peer: socket.socket | None = None
+
+    def _accept(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            peer, _ = self._listener.accept()
+            peer.setblocking(False)
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self._peer is not None:
+                self._peer.close()
+            self._peer = peer
+            self._parts.clear()
+            self._size = 0
+
+    def descriptor(self) -> int | None:
+        """See Wire."""
+        self._accept()
+        return self._listener.fileno() if self._peer is None else self._peer.fileno()
+
+    def receive(self) -> bytes:
+        """See Wire."""
+        self._accept()
+        if self._peer is None:
+            return b""
+        try:
+            data = self._peer.recv(65536)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._peer.close()
+            self._peer = None
+        return data
+
+    def send(self, data: bytes) -> None:
+        """See Wire. Without a host the bytes go nowhere, as on an open cable."""
+        if self._peer is None:
+            return
+        self._queue(data)
+        try:
+            while self._parts:
+                sent = self._peer.send(self._parts[0])
+                self._size -= sent
+                if sent < len(self._parts[0]):
+                    self._parts[0] = self._parts[0][sent:]
+                    return
+                self._parts.popleft()
+        except BlockingIOError:
+            return
+        except OSError:
+            self._peer.close()
+            self._peer = None
+
+    def close(self) -> None:
+        """See Wire."""
+        if self._peer is not None:
+            self._peer.close()
+        self._listener.close()
+
+
+def make_wire(kind: str) -> Wire:
+    """A wire of a kind: "pty", "tcp", or "auto" (ptys where the system has them)."""
+    has_pty = sys.platform != "win32"
+    if kind == "pty" and not has_pty:
+        raise OSError("ptys need Linux or macOS; use --link tcp on this system")
+    return PtyWire() if kind in ("pty", "auto") and has_pty else TcpWire()

@@ -1,0 +1,173 @@
+"""Nonlinear least squares: Levenberg–Marquardt, and separable problems with the linear unknowns eliminated.
+
+A separable model is y = Φ(θ) c + noise. With P the projector on Φ's columns the residual (1 − P) y depends on θ
+alone. Its Jacobian is taken in Kaufman's form −(1 − P) (∂Φ/∂θ) c: the dropped term is proportional to the residual.
+The derivative acts on the *fitted* signal Φ c and never on the data; otherwise noise in the data counts as
+information about θ and the intervals come out too short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where an iteration ended.
+
+    Attributes:
+        theta: shape (p,).
+        covariance: inverse of JᵀJ, shape (p, p); the residual's rows are in standard deviations.
+        residual: shape (n,), priors last.
+        jacobian: shape (n, p).
+        converged: whether the last step was below 1e-3 standard deviations in every combination of θ.
+        iterations: evaluations used.
+    """
+
+    theta: np.ndarray
+    covariance: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    converged: bool
+    iterations: int
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared residuals."""
+        return float(self.residual @ self.residual)
+
+
+def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) -> Minimum:
+    """Levenberg–Marquardt with Marquardt's scaling.
+
+    Args:
+        evaluate: θ to residual (n,) in standard deviations and Jacobian (n, p). Columns may differ in scale.
+        start: shape (p,).
+    """
+    theta = np.array(start, float)
+    residual, jacobian = evaluate(theta)
+    damping, converged, used = 1e-4, False, 1
+    while used < max_iterations and not converged:
+        scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
+        normal = (jacobian / scale).T @ (jacobian / scale)
+        gradient = (jacobian / scale).T @ residual
+        step = -np.linalg.solve(normal + damping * np.eye(len(theta)), gradient)
+        trial_residual, trial_jacobian = evaluate(theta + step / scale)
+        used += 1
+        better = np.all(np.isfinite(trial_residual)) and trial_residual @ trial_residual < residual @ residual
+        # length of the undamped step in standard deviations
+        converged = bool(step @ normal @ step < 1e-6 and damping < 0.1)
+        if better:
+            theta, residual, jacobian = theta + step / scale, trial_residual, trial_jacobian
+            damping = max(damping / 10, 1e-10)
+        else:
+            damping *= 10
+            if damping > 1e10:
+                break
+    return Minimum(theta, inverse_normal(jacobian), residual, jacobian, converged, used)
+
+
+def inverse_normal(jacobian: np.ndarray) -> np.ndarray:
+    """(JᵀJ)⁻¹ with columns scaled first; directions without information get a huge variance, not an error."""
+    scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
+    scale = np.where(scale > 0, scale, 1e-150)
+    values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
+    inverse = (vectors / np.maximum(values, 1e-15)) @ vectors.T
+    inverse = inverse / np.outer(scale, scale)
+    return 0.5 * (inverse + inverse.T)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One independent part of a separable model: its own data and its own linear unknowns.
+
+    Attributes:
+        data: y / σ, shape (n,).
+        basis: Φ / σ, shape (n, k).
+        tangent: c ↦ (∂Φ/∂θ_j) c / σ as columns, shape (n, p).
+    """
+
+    data: np.ndarray
+    basis: np.ndarray
+    tangent: Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A solved separable problem.
+
+    Attributes:
+        minimum: θ with its covariance, priors included.
+        coefficients: one array (k,) per block.
+        residuals: per block (y − Φ c) / σ, shape (n,).
+        coefficient_covariances: per block, covariance of (θ, c), shape (p + k, p + k).
+        chi2_per_dof: reduced χ² of the data.
+    """
+
+    minimum: Minimum
+    coefficients: list[np.ndarray]
+    residuals: list[np.ndarray]
+    coefficient_covariances: list[np.ndarray]
+    chi2_per_dof: float
+
+
+Model = Callable[[np.ndarray], Sequence[Block]]
+
+
+def solve_separable(
+    model: Model, start: np.ndarray, prior: np.ndarray, prior_std: np.ndarray, max_iterations: int = 40
+) -> Solution:
+    """Least squares over θ and every block's c.
+
+    Args:
+        model: θ to blocks.
+        start: θ to begin with, shape (p,).
+        prior, prior_std: independent Gaussian knowledge of θ, shape (p,); std inf where there is none.
+    """
+    known = np.isfinite(prior_std)
+    rows = np.eye(len(start))[known] / prior_std[known, None]
+
+    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residuals, jacobians = [], []
+        for block in model(theta):
+            q, c = _projected(block)
+            residual = block.data - block.basis @ c
+            tangent = block.tangent(c)
+            residuals.append(residual)
+            jacobians.append(q @ (q.T @ tangent) - tangent)
+        residuals.append(rows @ (theta - np.where(known, prior, 0.0)))
+        return np.concatenate(residuals), np.concatenate([*jacobians, rows])
+
+    minimum = minimise(evaluate, start, max_iterations)
+    return _solution(model, minimum)
+
+
+def _projected(block: Block) -> tuple[np.ndarray, np.ndarray]:
+    q, r = np.linalg.qr(block.basis)
+    diagonal = np.abs(np.diag(r))
+    ridge = np.where(diagonal > 1e-12 * diagonal.max(), 0.0, 1.0)  # a column that is not there
+    return q, np.linalg.solve(r + np.diag(ridge * diagonal.max()), q.T @ block.data)
+
+
+def _solution(model: Model, minimum: Minimum) -> Solution:
+    coefficients, residuals, joint = [], [], []
+    count = unknowns = 0
+    for block in model(minimum.theta):
+        _, c = _projected(block)
+        coefficients.append(c)
+        residuals.append(block.data - block.basis @ c)
+        inverse = inverse_normal(block.basis)
+        shift = -inverse @ (block.basis.T @ block.tangent(c))  # dc/dθ
+        cross = minimum.covariance @ shift.T
+        own = inverse + shift @ cross
+        joint.append(np.block([[minimum.covariance, cross], [cross.T, own]]))
+        count += len(block.data)
+        unknowns += len(c)
+    chi2 = sum(float(r @ r) for r in residuals)
+    dof = max(1, count - unknowns - len(minimum.theta))
+    return Solution(minimum, coefficients, residuals, joint, chi2 / dof)

@@ -1,0 +1,119 @@
+"""From raw sensor samples to what is fitted: masks, white noise, block averages.
+
+Block averages lose nothing as long as a block is short against the fastest cycle: the mean of f over samples at t_i
+is f(t̄) + ½ v f''(t̄) with t̄ and v the samples' mean time and variance, so gaps and masked samples need no filling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.errors import NotIdentifiable
+
+
+@dataclass(frozen=True)
+class Averages:
+    """Block averages of one channel.
+
+    Attributes:
+        time_s: mean time of the samples in each block, shape (n,).
+        spread_s2: variance of their times, shape (n,).
+        value: mean, shape (n,), in the channel's unit.
+        count: samples in each block, shape (n,).
+        noise: white noise of one sample, same unit.
+    """
+
+    time_s: np.ndarray
+    spread_s2: np.ndarray
+    value: np.ndarray
+    count: np.ndarray
+    noise: float
+
+    @property
+    def weight(self) -> np.ndarray:
+        """One over each block's standard deviation."""
+        return np.sqrt(self.count) / self.noise
+
+    def between(self, start_s: float, end_s: float) -> Averages:
+        """The blocks inside a span of time."""
+        return self.where((self.time_s >= start_s) & (self.time_s <= end_s))
+
+    def where(self, keep: np.ndarray) -> Averages:
+        """The blocks for which keep, shape (n,), is true."""
+        return Averages(
+            self.time_s[keep], self.spread_s2[keep], self.value[keep], self.count[keep], self.noise
+        )
+
+
+def white_noise(value: np.ndarray) -> float:
+    """Standard deviation of the white part, from third differences and their median (gaps and steps do no harm).
+
+    A signal that is smooth over four samples does not enter; quantisation does, as the noise that it is.
+    """
+    third = np.diff(value[np.isfinite(value)], 3)
+    if len(third) < 20:
+        raise NotIdentifiable(f"{len(value)} samples are too few to know the noise; record longer")
+    robust = float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0))
+    spread = float(np.sqrt(np.mean(np.clip(third, -8 * robust, 8 * robust) ** 2) / 20.0)) if robust else 0.0
+    return max(robust, spread)
+
+
+def clipped(value: np.ndarray) -> np.ndarray:
+    """Where a sensor sat at its rail: runs of at least four equal samples at the record's extreme, more than once.
+
+    A single run is a flat peak of a coarsely quantised signal and no rail.
+
+    Returns:
+        shape (n,), true for samples to leave out.
+    """
+    mask = np.zeros(len(value), bool)
+    good = np.isfinite(value)
+    if not good.any():
+        return mask
+    for extreme in (np.nanmax(value), np.nanmin(value)):
+        at = np.r_[False, value == extreme, False]
+        edges = np.flatnonzero(at[1:] != at[:-1])
+        lengths = edges[1::2] - edges[::2]
+        if np.count_nonzero(lengths >= 4) >= 2:
+            mask |= value == extreme
+    return mask
+
+
+def block_averages(time_s: np.ndarray, value: np.ndarray, width_s: float, noise: float) -> Averages:
+    """Means over fixed spans of time.
+
+    Args:
+        time_s, value: shape (n,); NaN values are left out.
+        width_s: length of a block, s; at most a sixteenth of the fastest cycle.
+        noise: white noise of one sample, for the weights.
+    """
+    good = np.isfinite(value) & np.isfinite(time_s)
+    t, y = time_s[good], value[good]
+    if len(t) == 0:
+        raise NotIdentifiable("no valid sample in the record")
+    label = np.floor((t - t[0]) / width_s).astype(np.int64)
+    first = np.flatnonzero(np.r_[True, np.diff(label) != 0])
+    count = np.diff(np.r_[first, len(t)])
+    base = t[first]
+    local = t - np.repeat(base, count)
+    mean = np.add.reduceat(local, first) / count
+    spread = np.add.reduceat((local - np.repeat(mean, count)) ** 2, first) / count
+    return Averages(base + mean, spread, np.add.reduceat(y, first) / count, count, noise)
+
+
+def correlation_inflation(residual: np.ndarray, window: int = 16) -> float:
+    """How much longer intervals must be because residuals are not white: sd of window means over what white gives.
+
+    Args:
+        residual: shape (n,), in time order.
+    Returns:
+        1 unless the excess is beyond chance (three standard deviations of the ratio's own scatter).
+    """
+    n = len(residual) // window
+    if n < 8:
+        return 1.0
+    means = residual[: n * window].reshape(n, window).mean(axis=1)
+    ratio = float(np.mean(means**2) * window / max(np.mean(residual**2), 1e-300))
+    return float(np.sqrt(ratio)) if ratio > 1 + 3 * np.sqrt(2.0 / n) else 1.0

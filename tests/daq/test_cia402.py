@@ -1,0 +1,78 @@
+"""CiA 402 and CiA 301 pieces against the standard's tables."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.protocols import cia402 as cia
+
+U16, I16 = st.integers(0, 2**16 - 1), st.integers(-(2**15), 2**15 - 1)
+
+
+@pytest.mark.parametrize(
+    ("statusword", "name"),
+    [
+        (0x0000, cia.NOT_READY),
+        (0x0250, cia.SWITCH_ON_DISABLED),
+        (0x0231, cia.READY),
+        (0x0233, cia.SWITCHED_ON),
+        (0x0637, cia.OPERATION_ENABLED),
+        (0x0217, cia.QUICK_STOP_ACTIVE),
+        (0x021F, cia.FAULT_REACTION),
+        (0x0218, cia.FAULT),
+        (0x0001, cia.UNKNOWN),
+    ],
+)
+def test_state_names(statusword, name):
+    assert cia.state(statusword) == name
+
+
+@given(U16)
+def test_at_most_one_state_fits(statusword):
+    fitting = [name for name, (mask, value) in cia.STATES.items() if statusword & mask == value]
+    assert len(fitting) <= 1
+    assert cia.state(statusword) == (fitting[0] if fitting else cia.UNKNOWN)
+
+
+def test_the_way_to_operation():
+    steps = [cia.towards_operation(name) for name in (cia.FAULT, cia.SWITCH_ON_DISABLED, cia.READY, cia.SWITCHED_ON)]
+    assert steps == [0x80, 0x06, 0x07, 0x0F]
+    assert cia.towards_operation(cia.FAULT_REACTION) is None
+
+
+@given(U16, I16)
+def test_process_data_round_trip(word, rpm):
+    assert cia.unpack_tpdo1(cia.pack_tpdo1(word, rpm)) == (word, rpm)
+    assert cia.unpack_rpdo1(cia.pack_rpdo1(word, rpm)) == (word, rpm)
+
+
+def test_process_data_bytes():
+    assert cia.pack_rpdo1(cia.ENABLE_OPERATION, -300) == bytes.fromhex("0f00 d4fe")
+    with pytest.raises(ValueError, match="4 bytes"):
+        cia.unpack_tpdo1(b"123")
+
+
+@given(U16, st.integers(0, 255), st.binary(min_size=5, max_size=5))
+def test_emergency_round_trip(error_code, register, maker):
+    emergency = cia.Emergency(error_code, register, maker)
+    assert cia.unpack_emergency(cia.pack_emergency(emergency)) == emergency
+
+
+def test_emergency_bytes():
+    assert cia.unpack_emergency(bytes.fromhex("3081 10 0102030405")).error_code == 0x8130
+    with pytest.raises(ValueError, match="8 bytes"):
+        cia.unpack_emergency(b"")
+
+
+def test_heartbeat():
+    assert cia.heartbeat(b"\x05") is cia.Heartbeat.OPERATIONAL
+    assert cia.heartbeat(b"\x85") is cia.Heartbeat.OPERATIONAL
+    assert cia.heartbeat(b"\x06") is None
+    assert cia.heartbeat(b"") is None
+    assert cia.consumer_heartbeat(1, 500) == 0x000101F4
+
+
+def test_connection_set_of_node_5():
+    ids = [cia.cob_emergency(5), cia.cob_tpdo(1, 5), cia.cob_rpdo(1, 5), cia.cob_tpdo(4, 5), cia.cob_rpdo(4, 5)]
+    assert ids == [0x085, 0x185, 0x205, 0x485, 0x505]
+    assert [cia.cob_sdo_answer(5), cia.cob_sdo_request(5), cia.cob_heartbeat(5)] == [0x585, 0x605, 0x705]

@@ -1,0 +1,258 @@
+"""open_log: whole, unfinished, cut and damaged files; only whole and correct samples come out."""
+
+import io
+import struct
+
+import mcap.writer
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from daq import channels as ch
+from daq.errors import ChannelMissing, LogError
+from daq.log import open_log
+from daq.mcap_chunks import CHUNK_LIMIT_BYTES
+from daq.mcap_writer import MAGIC, BlockWriter
+
+T0 = 1_700_000_000_000_000_000
+BLOCKS, PER_BLOCK = 12, 25
+
+
+def laser(start, n):
+    """Samples that say by themselves which they are, so that a wrong one is seen."""
+    k = np.arange(start, start + n)
+    return {"displacement_m": k * 1e-6, "code": k, "counter": k % 2**18, "device_ticks": 25 * k.astype(np.uint64)}
+
+
+def record(compression="zstd", chunk_bytes=256 * 1024, finish=True):
+    """A small log: laser in blocks, index marks, raw bytes both ways, events; flushed after every block."""
+    stream = io.BytesIO()
+    writer = BlockWriter(stream, compression, chunk_bytes)
+    writer.start("rig")
+    ids = {}
+    for channel in (ch.LASER_X, ch.TACHO):
+        schema = writer.register_schema(channel.schema_name, "protobuf", channel.file_descriptor_set())
+        ids[channel.topic] = writer.register_channel(channel.topic, "protobuf", schema)
+    raw_schema = writer.register_schema(ch.RAW_SCHEMA_NAME, "protobuf", ch.raw_descriptor_set())
+    raw = writer.register_channel("raw/laser_x", "protobuf", raw_schema)
+    note_schema = writer.register_schema(ch.NOTE_SCHEMA_NAME, "jsonschema", ch.note_schema())
+    events = writer.register_channel("events", "json", note_schema)
+    writer.add_metadata("rig", {"name": "bench"})
+    writer.add_attachment("rig.toml", "text/plain", b"[rig]\n", T0)
+    for block in range(BLOCKS):
+        now, k = T0 + block * 10**7, np.arange(block * PER_BLOCK, (block + 1) * PER_BLOCK)
+        writer.add_message(raw, now, now, block, ch.pack_raw(block % 2, bytes([block]) * 40))
+        messages = ch.LASER_X.pack(laser(k[0], PER_BLOCK))
+        writer.add_block(ids["laser/x"], now, T0 + k * 250_000, k, messages)
+        writer.add_message(events, now, now, block, ch.pack_note({"kind": "beat", "number": block}))
+        writer.flush()
+    if finish:
+        writer.finish()
+    return stream.getvalue()
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return record()
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return record("none")
+
+
+def write(tmp_path, data, name="run.mcap"):
+    path = tmp_path / name
+    path.write_bytes(data)
+    return path
+
+
+def check_samples(log):
+    """What is handed out is whole and correct; returns how many laser samples there are."""
+    if "laser/x" not in log:
+        return 0
+    x = log["laser/x"]
+    k = x.code.astype(np.int64)
+    for name, column in laser(0, BLOCKS * PER_BLOCK).items():
+        assert np.array_equal(x[name], column[k])
+    assert np.array_equal(x.time_ns, T0 + k * 250_000)
+    assert np.array_equal(x.sequence, k)
+    assert len(np.unique(k)) == len(k)
+    assert len(k) % PER_BLOCK == 0
+    for chunk in log.raw("laser_x") if "laser_x" in log.devices else []:
+        assert chunk.data == bytes([chunk.data[0]]) * 40
+        assert chunk.direction == chunk.data[0] % 2
+        assert chunk.host_ns == T0 + chunk.data[0] * 10**7
+    for event in log.events:
+        assert event == {"kind": "beat", "number": event["number"], "time_ns": T0 + event["number"] * 10**7}
+    return len(k)
+
+
+def test_a_finished_log(tmp_path, whole):
+    with open_log(write(tmp_path, whole)) as log:
+        assert (log.complete, log.missing) == (True, [])
+        assert log.topics == ("events", "laser/x", "raw/laser_x", "tacho")
+        assert list(log) == ["laser/x", "tacho"]
+        assert len(log) == 2
+        assert check_samples(log) == BLOCKS * PER_BLOCK == log.count("laser/x")
+        assert len(log["tacho"]) == len(log["tacho"].revolutions) == 0
+        assert [chunk.direction for _, chunk in log.raw_in_order()] == [0, 1] * (BLOCKS // 2)
+        assert [chunk for _, chunk in log.raw_in_order()] == log.raw("laser_x")
+        assert (len(log.events), log.health) == (BLOCKS, [])
+        assert (log.metadata, log.attachments) == ({"rig": {"name": "bench"}}, {"rig.toml": b"[rig]\n"})
+        x = log["laser/x"]
+        assert x.time_s[1] - x.time_s[0] == pytest.approx(250e-6, abs=5e-7)
+        assert (x.log_time_ns[::PER_BLOCK] == T0 + np.arange(BLOCKS) * 10**7).all()
+    assert len(x.displacement_m) == BLOCKS * PER_BLOCK  # samples outlive the log
+    with pytest.raises(LogError, match="closed"):
+        log.raw("laser_x")
+
+
+def test_the_library_agrees_message_for_message(tmp_path, whole):
+    reader = make_reader(io.BytesIO(whole), validate_crcs=True)
+    messages = [message for _, _, message in reader.iter_messages(topics=["laser/x"])]
+    x = open_log(write(tmp_path, whole))["laser/x"]
+    assert [m.publish_time for m in messages] == x.time_ns.tolist()
+    assert [m.log_time for m in messages] == x.log_time_ns.tolist()
+    assert b"".join(m.data for m in messages) == ch.LASER_X.pack(x.columns).tobytes()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "none"])
+def test_a_log_of_the_librarys_own_writer(tmp_path, compression):
+    kinds = {"zstd": mcap.writer.CompressionType.ZSTD, "none": mcap.writer.CompressionType.NONE}
+    for use_chunking in (True, False):
+        stream = io.BytesIO()
+        writer = mcap.writer.Writer(stream, compression=kinds[compression], use_chunking=use_chunking)
+        writer.start()
+        schema = writer.register_schema(ch.LASER_X.schema_name, "protobuf", ch.LASER_X.file_descriptor_set())
+        cid = writer.register_channel("laser/x", "protobuf", schema)
+        for k, message in enumerate(ch.LASER_X.pack(laser(0, 50))):
+            shortened = message.tobytes() if k else message.tobytes()[:0]  # the first as proto3 would: all zeros
+            writer.add_message(cid, T0 + k, shortened, T0 + k * 250_000, k)
+        writer.finish()
+        log = open_log(write(tmp_path, stream.getvalue()))
+        assert log.missing == []
+        assert check_samples(log) == 50
+
+
+def test_an_unfinished_log_is_read_and_said_so(tmp_path):
+    log = open_log(write(tmp_path, record(finish=False), "run.mcap.part"))
+    assert check_samples(log) == BLOCKS * PER_BLOCK
+    assert not log.complete
+    assert "not finished" in " ".join(log.missing)
+
+
+@pytest.mark.parametrize("kind", ["whole", "plain"])
+def test_cut_anywhere(tmp_path, kind, request):
+    data = request.getfixturevalue(kind)
+    counts = []
+    for size in np.unique(np.linspace(len(MAGIC), len(data) - 1, 200).astype(int)):
+        with open_log(write(tmp_path, data[:size])) as log:
+            assert not log.complete
+            counts.append(check_samples(log))
+    assert counts == sorted(counts)
+    assert (counts[0], counts[-1]) == (0, BLOCKS * PER_BLOCK)
+    assert len(set(counts)) == BLOCKS + 1
+
+
+@settings(max_examples=150)
+@given(st.sampled_from(["whole", "plain"]), st.floats(0, 1, exclude_max=True))
+def test_a_flipped_bit_is_noticed_and_costs_one_chunk_at_most(tmp_path_factory, whole, plain, kind, place):
+    damaged = bytearray({"whole": whole, "plain": plain}[kind])
+    first, last = 8 * len(MAGIC), 8 * len(damaged)
+    bit = first + int(place * (last - first))
+    damaged[bit // 8] ^= 1 << bit % 8
+    with open_log(write(tmp_path_factory.mktemp("flip"), bytes(damaged))) as log:
+        assert log.missing
+        # the definitions are in the first chunk and in the summary, so even its loss costs its own samples only
+        assert check_samples(log) >= (BLOCKS - 1) * PER_BLOCK
+
+
+@given(st.binary(max_size=400), st.integers(0, 3000), st.sampled_from(["whole", "plain"]))
+@settings(max_examples=100)
+def test_hostile_bytes_never_break_it(tmp_path_factory, whole, plain, junk, place, kind):
+    original = {"whole": whole, "plain": plain}[kind]
+    data = MAGIC + original[8:place] + junk + original[place + len(junk) :]
+    with open_log(write(tmp_path_factory.mktemp("junk"), data)) as log:
+        check_samples(log)
+
+
+def chunk(unpacked, packed, compression=b"zstd", crc=0):
+    body = struct.pack("<QQQII", 0, 0, unpacked, crc, len(compression)) + compression
+    body += struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [
+        chunk(2**60, zstandard.compress(b"")),
+        chunk(10, zstandard.compress(bytes(10**7))),
+        chunk(CHUNK_LIMIT_BYTES + 1, zstandard.compress(bytes(10))),
+        chunk(2**20, b"\x28\xb5\x2f\xfd\xe0" + b"\xff" * 7 + b"\x0f" + bytes(8)),
+        chunk(5, b"12345", b"lz4"),
+        chunk(9, b"\x05" + b"\xff" * 8, b""),
+        chunk(12, b"\x05" + struct.pack("<Q", 3) + b"abc", b""),
+        struct.pack("<BQ", 6, 2**63) + bytes(100),
+        struct.pack("<BQ", 4, 12) + bytes([1, 0, 1, 0]) + struct.pack("<Q", 2**63),
+        struct.pack("<BQ", 0x0C, 8) + b"\xff" * 8,
+        struct.pack("<BQ", 0, 0) * 10,
+    ],
+)
+def test_hostile_lengths_cost_no_memory(tmp_path, hostile, whole):
+    with open_log(write(tmp_path, MAGIC + hostile + whole[8:])) as log:
+        assert log.missing
+        assert check_samples(log) == BLOCKS * PER_BLOCK
+
+
+def test_a_bad_attachment_is_left_out(tmp_path, whole):
+    log = open_log(write(tmp_path, whole.replace(b"[rig]\n", b"[Rig]\n", 1)))
+    assert log.attachments == {}
+    assert any("rig.toml" in text for text in log.missing)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x89MCA", b"time;x\n1;2\n", b"\x00" * 100])
+def test_no_log_at_all(tmp_path, data):
+    with pytest.raises(LogError, match="expected an MCAP log"):
+        open_log(write(tmp_path, data))
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(LogError, match="No such file"):
+        open_log(tmp_path / "nowhere.mcap")
+    with pytest.raises(LogError, match="directory"):
+        open_log(tmp_path)
+
+
+def test_missing_names_help(tmp_path, whole):
+    with open_log(write(tmp_path, whole)) as log:
+        with pytest.raises(ChannelMissing, match=r"did you mean 'laser/x'"):
+            log["laser_x"]
+        with pytest.raises(ChannelMissing, match="expected one of"):
+            log.raw("tachometer")
+        with pytest.raises(ChannelMissing, match="displacement_m"):
+            log["laser/x"]["displacement_mm"]
+        with pytest.raises(AttributeError, match="displacement_m"):
+            log["laser/x"].displacement_mm  # noqa: B018
+        assert log.get("laser/z") is None
+        assert "raw/laser_x" not in log
+
+
+def test_content_that_is_not_its_schemas(tmp_path):
+    stream = io.BytesIO()
+    writer = BlockWriter(stream)
+    writer.start()
+    schema = writer.register_schema(ch.TACHO.schema_name, "protobuf", ch.TACHO.file_descriptor_set())
+    writer.add_message(writer.register_channel("tacho", "protobuf", schema), T0, T0, 0, b"\x0d\x01")
+    writer.add_message(writer.register_channel("events", "json", 0), T0, T0, 0, b"{no json")
+    writer.add_message(writer.register_channel("health", "json", 0), T0, T0, 0, b"[1]")
+    writer.add_message(writer.register_channel("bare", "protobuf", 0), T0, T0, 0, b"")
+    writer.finish()
+    log = open_log(write(tmp_path, stream.getvalue()))
+    assert log.complete
+    for read in (lambda: log["tacho"], lambda: log.events, lambda: log.health, lambda: log["bare"]):
+        with pytest.raises(LogError, match="expected"):
+            read()

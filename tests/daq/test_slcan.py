@@ -1,0 +1,94 @@
+"""LAWICEL text: round trips, any chunking, damage."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.protocols.slcan import BEL, CanFrame, Decoded, LineDecoder, encode
+
+FRAMES = st.one_of(
+    st.builds(CanFrame, st.integers(0, 0x7FF), st.binary(max_size=8)),
+    st.builds(CanFrame, st.integers(0, 0x1FFFFFFF), st.binary(max_size=8), st.just(True)),
+    st.builds(CanFrame, st.integers(0, 0x7FF), st.integers(0, 8).map(bytes), st.just(False), st.just(True)),
+)
+
+
+def decode(pieces):
+    decoder = LineDecoder()
+    frames, other, damaged = [], [], 0
+    for piece in pieces:
+        found = decoder.feed(piece)
+        frames += found.frames
+        other += found.other_lines
+        damaged += found.damaged
+    return Decoded(frames, other, damaged)
+
+
+def test_known_lines():
+    assert encode(CanFrame(0x205, bytes([0x0F, 0, 0x2C, 1]))) == b"t20540F002C01\r"
+    assert encode(CanFrame(0x1ABCDEF0, b"\xff", extended=True)) == b"T1ABCDEF01FF\r"
+    assert encode(CanFrame(0x185, bytes(4), remote=True)) == b"r1854\r"
+
+
+@given(FRAMES)
+def test_round_trip(frame):
+    assert decode([encode(frame)]) == Decoded([frame], [], 0)
+
+
+@given(FRAMES, st.integers(0, 0xEA5F))
+def test_adapter_time_behind_the_data_is_ignored(frame, time_ms):
+    assert decode([encode(frame)[:-1] + f"{time_ms:04X}\r".encode()]) == Decoded([frame], [], 0)
+
+
+@given(
+    st.lists(st.one_of(FRAMES.map(encode), st.binary(max_size=90), st.sampled_from([b"z\r", b"\r", b"\x07", b"\r\n"])))
+)
+def test_any_split_gives_the_same(pieces):
+    data = b"".join(pieces)
+    assert decode(data[i : i + 1] for i in range(len(data))) == decode(pieces) == decode([data])
+
+
+@given(st.lists(st.one_of(FRAMES.map(encode), st.binary(max_size=200)), max_size=6))
+def test_a_sound_line_survives_whatever_came_before(pieces):
+    wanted = CanFrame(0x123, b"\x01\x02")
+    assert decode([*pieces, b"\r", encode(wanted)]).frames[-1] == wanted
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"t12",
+        b"t1239",
+        b"t1232AABB0",
+        b"t1232AA",
+        b"t8001AA",
+        b"T200000000",
+        b"t1231G0",
+        b"t1231\xff0",
+        b"\x80",
+        b"t" * 65,
+    ],
+)
+def test_damaged_lines_are_counted(line):
+    assert decode([line + b"\r"]) == Decoded([], [], 1)
+
+
+def test_answers_bell_and_crlf():
+    found = decode([b"V1013\rz\r\r\x07t1230\r\nt1240\r"])
+    assert found == Decoded([CanFrame(0x123), CanFrame(0x124)], ["V1013", "z", "", BEL], 0)
+
+
+def test_an_endless_line_is_bounded():
+    decoder = LineDecoder()
+    for _ in range(100):
+        decoder.feed(b"A" * 1000)
+    assert len(decoder._line) <= 64
+    assert decoder.feed(b"\r" + encode(CanFrame(1))) == Decoded([CanFrame(1)], [], 1)
+
+
+@pytest.mark.parametrize(
+    "frame", [CanFrame(0x800), CanFrame(-1), CanFrame(1, bytes(9)), CanFrame(2**29, extended=True)]
+)
+def test_a_frame_that_cannot_be_is_refused(frame):
+    with pytest.raises(ValueError, match="expected an identifier"):
+        encode(frame)
