@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def order_track(
     edges[-1] = len(psi)
     windows = [
         _window(time_s[a:b], x[a:b], psi[a:b], highest, orders)
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in pairwise(edges)
         if b - a >= 4 * (2 * highest + 1)
     ]
     if not windows:

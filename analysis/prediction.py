@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.errors import NoStableState
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from dynamics.integrate import fastest_rate, integrate
@@ -23,10 +24,6 @@ QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
 _ACCURACY = 1e-6
-
-
-class NoStableState(Exception):
-    """The model has no stable steady state at the speed, or the search for one failed; the text says which."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +110,7 @@ def _observed(physics: RotorParameters, speed: float, start: np.ndarray, beta: f
     states = _motion(physics, speed, start, times)[:-1]
     turn = np.exp(-1j * speed * times[:-1])
     x, y = states[:, 0], states[:, 1]
-    x_sensor, y_sensor = _rotated(2 * np.mean(x * turn), 2 * np.mean(y * turn), beta)
+    x_sensor, y_sensor = _rotated(complex(2 * np.mean(x * turn)), complex(2 * np.mean(y * turn)), beta)
     radius = math.sqrt(float(np.mean(x * x + y * y)))
     return np.array([*states[:, 2:4].mean(axis=0), abs(x_sensor), abs(y_sensor), radius])
 
@@ -165,8 +162,7 @@ def _along(
     up, down = (_half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
     moved = inverse @ (up - down) / 2  # of the state, for +h
     observed = [
-        _observed(p, w, start + sign * moved, b)
-        for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)
+        _observed(p, w, start + sign * moved, b) for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)
     ]
     return (observed[0] - observed[1]) / (2 * h)
 

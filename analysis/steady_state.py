@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.errors import NotEnoughData
 from analysis.order_tracking import order_track
 from daq.settling import Settling, settled
 from daq.signals import Run
@@ -21,10 +22,6 @@ _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at eight windows of one second
 _DRIFTING_RAD, _DRIFTING_M = math.radians(0.01), 0.2e-6
 _MEAN_LAG = 1.5  # distance to the end of the mean over DRIFTING_AVERAGE_S, in units of the end's, decay 0.4 /s
 _LEAST_SPEED_TOLERANCE = 5e-4  # a revolution further off the plateau's speed belongs to the stop
-
-
-class NotEnoughData(Exception):
-    """A run is too short, or too much of it is missing, to say anything; the text says what."""
 
 
 @dataclass(frozen=True)

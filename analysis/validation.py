@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri_exp
 
-from analysis.prediction import QUANTITIES, NoStableState, Prediction, predict_point
-from analysis.steady_state import NotEnoughData, SteadyMeasurement, measure
+from analysis.errors import NoStableState, NotEnoughData
+from analysis.prediction import QUANTITIES, Prediction, predict_point
+from analysis.steady_state import SteadyMeasurement, measure
 from daq.signals import Run
 from rig_configs import IdentifiedParameters, Rig
 
@@ -128,9 +129,7 @@ def validate_point(
     try:
         measured = measure(run, rig)
     except NotEnoughData as error:
-        return PointResult(
-            name, expected, "not settled", None, None, {}, "not enough data", f"{error}", run.source
-        )
+        return PointResult(name, expected, "not settled", None, None, {}, "not enough data", f"{error}", run.source)
     prediction, trouble = _predict(rig, identified, measured, axis_angle_deg)
     scores = _scores(measured, prediction) if prediction and measured.state in ("I", "II", "III") else {}
     verdict, why = _judge(measured, prediction, trouble, expected, scores)
@@ -158,9 +157,7 @@ def _predict(
     speed = measured.speed_rad_s
     near = [theta.value for theta in measured.theta_rad]
     try:
-        return predict_point(
-            rig, identified, speed.value, axis_angle_deg, speed_std_rad_s=speed.std, near_rad=near
-        ), ""
+        return predict_point(rig, identified, speed.value, axis_angle_deg, speed_std_rad_s=speed.std, near_rad=near), ""
     except NoStableState as error:
         return None, str(error)
 
@@ -179,9 +176,7 @@ def _scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[str, fl
         off = off if math.isfinite(off) else 0.0
         stds = [
             math.hypot(noise, gain * off)
-            for noise, gain in zip(
-                (measured.noise_x_m, measured.noise_y_m), prediction.residual_m_per_rad, strict=True
-            )
+            for noise, gain in zip((measured.noise_x_m, measured.noise_y_m), prediction.residual_m_per_rad, strict=True)
         ]
         amplitudes = [abs(measured.x_m), abs(measured.y_m)]
         scores["amplitude_x"] = balanced_z(amplitudes[:1], stds[:1])
@@ -198,20 +193,25 @@ def _judge(
     scores: Mapping[str, float],
 ) -> tuple[str, str]:
     """Verdict and reason."""
-    if not measured.locked:
-        a, b = np.degrees(measured.locked_rad)
-        return "not locked", (
-            f"before release the pendulums stood at {a:.1f}° and {b:.1f}°, not locked at 0° and 180°"
-        )
-    if measured.state == "not settled":
-        return "not settled", measured.settling.why
-    if measured.state == "slipping":
+    if measured.state == "slipping" and measured.locked:
         if expected == "slipping":
             return "pass", f"slipping as expected: {measured.settling.why}"
         model = f"the model has a stable state {prediction.state.type} here" if prediction else trouble
         return "fail", f"{measured.settling.why}; {model}"
+    if not measured.locked:
+        a, b = np.degrees(measured.locked_rad)
+        return "not locked", (f"before release the pendulums stood at {a:.1f}° and {b:.1f}°, not locked at 0° and 180°")
+    if measured.state == "not settled":
+        return "not settled", measured.settling.why
     if prediction is None:
         return "fail", f"measured state {measured.state}, but {trouble}"
+    return _compare(measured, prediction, expected, scores)
+
+
+def _compare(
+    measured: SteadyMeasurement, prediction: Prediction, expected: str | None, scores: Mapping[str, float]
+) -> tuple[str, str]:
+    """Verdict and reason of a settled state."""
     if measured.state != prediction.state.type:
         return "fail", f"measured state {measured.state}, but the model's stable state is {prediction.state.type}"
     if expected is not None and measured.state != expected:

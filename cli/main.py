@@ -1,14 +1,51 @@
-"""The `rig` command."""
-from cyclopts import App
-app = App(name="rig")
+"""The `rig` command: parse, call one verb, print.
 
-@app.command
-def virtual(rig: str, *, time_scale: float = 1.0, link: str = "auto", set: list[str] = []):
-    from daq.virtual_rig.run import serve
-    from rig_configs import load_rig
-    serve(load_rig(rig, settings=set), time_scale, link)
+Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or I/O fault, 130 interrupted.
+"""
 
-def main():
-    app()
+from __future__ import annotations
+
+import sys
+
+from cyclopts import App, CycloptsError
+
+from cli import acquire, demo, offline
+from cli.console import say
+from daq.errors import LogError, RigError
+from dynamics.errors import DynamicsError
+from rig_configs.errors import RigConfigError
+
+app = App(name="rig", help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.")
+for verb in (demo.demo, acquire.virtual, acquire.check, acquire.record, acquire.test,
+             offline.identify, offline.validate, offline.predict, offline.replay, offline.log):  # fmt: skip
+    app.command(verb)
+
+
+def run(arguments: list[str]) -> int:
+    """Carry out one command; returns the exit code."""
+    try:
+        result = app(arguments, exit_on_error=False, print_error=True)
+        return result if isinstance(result, int) else 0
+    except CycloptsError:
+        return 2  # cyclopts has said what is wrong
+    except (RigConfigError, DynamicsError, LogError) as error:
+        say(f"rig: {error}")
+        return 2
+    except RigError as error:
+        say(f"rig: {error}")
+        return 3
+    except OSError as error:
+        say(f"rig: {error}")
+        return 3
+    except KeyboardInterrupt:
+        say("rig: interrupted")
+        return 130
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run(sys.argv[1:]))
+
+
 if __name__ == "__main__":
     main()

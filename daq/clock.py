@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _BIN_NS = 250_000_000
-_BINS = 480
+_BINS = 120
 _SLEW = 0.01  # largest relative correction of the mapped clock's rate
 _SETTLE_NS = 1_000_000_000
 
@@ -63,6 +63,7 @@ class ClockMap:
         self._at = 0.0  # mapped line: device ns (relative) …
         self._lag = 0.0  # … its lag there …
         self._slope = 0.0  # … and slope
+        self._line: tuple[float, float] | None = None
         self._started = False
 
     def map(self, device_ns: NDArray[np.int64], host_ns: int) -> NDArray[np.int64]:
@@ -87,20 +88,28 @@ class ClockMap:
             if lag < self._bins[-1][2]:
                 self._bins[-1] = (number, device, lag)
         else:
+            self._fit_closed_bins()
             self._bins.append((number, device, lag))
         target, slope = self._target(device)
         here = self._lag + self._slope * (device - self._at)
         correction = max(-_SLEW, min(_SLEW, (target - here) / _SETTLE_NS))
         self._at, self._lag, self._slope = device, here, slope + correction
 
-    def _target(self, device: float) -> tuple[float, float]:
+    def _fit_closed_bins(self) -> None:
+        """A new line each time a bin is complete: often enough for a crystal, and cheap."""
+        if len(self._bins) < 8:
+            return
         points = np.array([b[1:] for b in self._bins])
-        if len(points) < 8:
-            return float(points[:, 1].min()), 0.0
         offset, slope = lower_line(points[:, 0], points[:, 1])
         if abs(slope) > self._limit:
             slope = float(np.copysign(self._limit, slope))
             offset = float(np.min(points[:, 1] - slope * points[:, 0]))
+        self._line = (offset, slope)
+
+    def _target(self, device: float) -> tuple[float, float]:
+        if self._line is None:
+            return min(b[2] for b in self._bins), 0.0
+        offset, slope = self._line
         return offset + slope * device, slope
 
 
@@ -132,7 +141,9 @@ def fit_line(device_s: NDArray[np.float64], host_s: NDArray[np.float64], toleran
     """
     prior = 1e-6 * tolerance_ppm
     lag = host_s - device_s
-    bins = np.floor((device_s - device_s[0]) / 0.25).astype(int)
+    # Long bins find less delayed reads, short ones leave more points: twenty balance the two.
+    width = max(0.25, float(device_s[-1] - device_s[0]) / 20)
+    bins = np.floor((device_s - device_s[0]) / width).astype(int)
     best = np.array([group[np.argmin(lag[group])] for group in np.split(np.arange(len(lag)), _starts(bins))])
     x, y = device_s[best] - device_s[0], lag[best] - lag[0]
     span = float(x[-1])

@@ -134,6 +134,11 @@ class DriveControl:
         self._target_rpm = round(rpm)
         self._pdo(cia402.ENABLE_OPERATION, self._target_rpm)
 
+    def disable(self) -> None:
+        """Take the torque away; the rotor must be at rest."""
+        self._target_rpm = 0
+        self._pdo(cia402.SHUTDOWN, 0)
+
     def quick_stop(self) -> None:
         """Stop as fast as the drive can."""
         self._target_rpm = 0

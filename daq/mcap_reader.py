@@ -85,6 +85,9 @@ class _Walk:
             Opcode.STATISTICS: self._statistics,
         }
         self.announced: int | None = None
+        self.data_ended = False
+        self.loose: list[ChunkPlace] = []
+        self.search_from = len(MAGIC)  # behind the last chunk that was right, or behind the last one searched for
 
     def run(self) -> Contents:
         position = 8
@@ -93,6 +96,7 @@ class _Walk:
                 position = self._record(position)
             except _DamageError as damage:
                 position = self._resume(position, str(damage))
+        self._keep_loose()
         missing = self.contents.missing
         if not self.finished:
             missing.append(f"the file was not finished or is cut: no footer in its {self.size} bytes")
@@ -128,14 +132,18 @@ class _Walk:
         return end
 
     def _resume(self, position: int, why: str) -> int:
-        """Note the damage and find the next chunk behind it; the end of the file when there is none."""
+        """Note the damage and find the next chunk; the end of the file when there is none.
+
+        The search begins behind the last right chunk, not here: a wrong length may have jumped over some.
+        """
         self.contents.missing.append(f"byte {position}: {why}")
-        for match in _NEXT_CHUNK.finditer(self.file, position + 1):
+        for match in _NEXT_CHUNK.finditer(self.file, self.search_from):
             start = match.start() + _HEAD.size
             length = int.from_bytes(self.file[match.start() + 1 : start], "little")
             if length <= self.size - start and self._chunk_place(start, length) is not None:
-                self.contents.missing.append(f"bytes {position} … {match.start()} were skipped")
+                self.search_from = match.start() + 1
                 return match.start()
+        self.search_from = self.size
         return self.size
 
     def _chunk_place(self, start: int, length: int) -> ChunkPlace | None:
@@ -160,8 +168,20 @@ class _Walk:
         self._keep(place, start - _HEAD.size)
 
     def _loose_message(self, position: int, end: int) -> None:
-        """A message outside of chunks, as other writers may store it: a chunk of its own without a CRC."""
-        self._keep(ChunkPlace(position, end - position, end - position, "", 0), position)
+        """A message outside of chunks, where no CRC covers it."""
+        if self.loose and self.loose[-1].start + self.loose[-1].packed == position:
+            start = self.loose.pop().start
+        else:
+            start = position
+        self.loose.append(ChunkPlace(start, end - start, end - start, "", 0))
+
+    def _keep_loose(self) -> None:
+        """Messages outside of chunks count only in a file without chunks; beside chunks they are damaged records."""
+        if self.contents.chunks and self.loose:
+            self.contents.missing.append(f"{len(self.loose)} stretches of messages outside of chunks were left out")
+            return
+        for place in self.loose:
+            self._keep(place, place.start)
 
     def _keep(self, place: ChunkPlace, position: int) -> None:
         try:
@@ -170,6 +190,7 @@ class _Walk:
             self.contents.missing.append(f"byte {position}: a chunk was left out: {fault}")
             return
         self.contents.chunks.append(place)
+        self.search_from = max(self.search_from, place.start + place.packed)
         for row in np.flatnonzero((scan.opcodes == Opcode.SCHEMA) | (scan.opcodes == Opcode.CHANNEL)):
             body = scan.data[scan.offsets[row] : scan.offsets[row] + scan.lengths[row]].tobytes()
             self._take(int(scan.opcodes[row]), position, body)
@@ -205,6 +226,7 @@ class _Walk:
             self.contents.attachments[attachment.name] = attachment.data
 
     def _data_end(self, start: int, body: bytes) -> None:
+        self.data_ended = True
         crc = records.DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
         if crc and self._crc(0, start - _HEAD.size) != crc:
             self.contents.missing.append("the data section's CRC is wrong: the file was changed after writing")
@@ -213,8 +235,8 @@ class _Walk:
         self.announced = records.Statistics.read(ReadDataStream(BytesIO(body))).message_count
 
     def _footer(self, start: int, length: int) -> None:
-        if length != 20:
-            raise _DamageError("a footer of another length than 20 bytes")
+        if length != 20 or not self.data_ended:
+            raise _DamageError("a footer of another length than 20 bytes, or before the end of the data")
         summary_start, _, crc = struct.unpack("<QQI", self.file[start : start + 20])
         if crc and self._crc(summary_start or start - _HEAD.size, start + 16) != crc:
             self.contents.missing.append("the summary's CRC is wrong")

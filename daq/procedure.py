@@ -106,6 +106,8 @@ class Procedures:
 
         def slowed() -> bool:
             rates = np.abs(self._rates())
+            if not np.all(np.isfinite(rates)):
+                return False  # radio silence says nothing about the pendulums
             np.maximum(peak, rates, out=peak)
             share = float(np.min(np.log(peak / np.maximum(rates, 1e-3)))) / 5.0
             self._tell(f"{test}: {rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
@@ -233,12 +235,13 @@ class Procedures:
         return (float(np.ptp(x)), float(np.max(np.abs(x)))) if len(x) else (0.0, 0.0)
 
     def _rates(self) -> NDArray[np.float64]:
-        """Pendulum speeds over the last fifth of a second, rad/s, shape (2,)."""
-        time_ns, (a, b) = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), self._since(0.3))
-        if len(time_ns) < 10:
-            return np.zeros(2)
-        span = (time_ns[-1] - time_ns[0]) * 1e-9
-        return np.array([a[-1] - a[0], b[-1] - b[0]]) / span
+        """Pendulum speeds over the newest fifth of a second of samples, rad/s, shape (2,); NaN without samples."""
+        time_ns, (a, b) = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), self._since(3.0))
+        new = time_ns > (time_ns[-1] - 200_000_000 if len(time_ns) else 0)
+        if np.count_nonzero(new) < 10:
+            return np.full(2, np.nan)
+        t, a, b = time_ns[new], a[new], b[new]
+        return np.array([a[-1] - a[0], b[-1] - b[0]]) / ((t[-1] - t[0]) * 1e-9)
 
     def _signals(self, since_ns: int) -> tuple[NDArray[np.float64], ...]:
         """Angle times and angles, marks, lasers since an instant, times in s from it."""
@@ -279,6 +282,7 @@ class Procedures:
             drive.set_speed(0)
             self._until(lambda: drive.actual_rpm == 0, 30.0, "the rotor to stop")
             self._clock.sleep(0.5)
+            drive.disable()
 
     def _lock_both(self) -> None:
         self._s.command_node("lock both")

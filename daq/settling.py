@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -79,7 +80,7 @@ def settled(
     """
     edges = _windows(mark_time_s, mark_phase_rad, window_s, windows)
     if edges is None or (release_time_s is not None and edges[0] < release_time_s):
-        return _unknown("fewer than {} windows of {:g} s since release".format(windows, window_s))
+        return _unknown(f"fewer than {windows} windows of {window_s:g} s since release")
     angles, angle_noise = _angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges)
     orbit, orbit_noise = _amplitudes(mark_time_s, mark_phase_rad, x_time_s, x_m, y_time_s, y_m, edges)
     if angles is None or orbit is None:
@@ -119,7 +120,7 @@ def locked_settled(
     """Whether the locked orbit is steady, before the pendulums are released; arguments as in `settled`."""
     edges = _windows(mark_time_s, mark_phase_rad, window_s, windows)
     if edges is None:
-        return _unknown("fewer than {} windows of {:g} s at speed".format(windows, window_s))
+        return _unknown(f"fewer than {windows} windows of {window_s:g} s at speed")
     orbit, noise = _amplitudes(mark_time_s, mark_phase_rad, x_time_s, x_m, y_time_s, y_m, edges)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
@@ -167,7 +168,7 @@ def _cut(time: np.ndarray, values: np.ndarray, edges: np.ndarray) -> list[tuple[
     steps = np.diff(time[where[0] : where[-1]])
     if counts.min() < 8 or counts.min() < _LEAST_SHARE * np.diff(edges).max() / np.median(steps):
         return []
-    return [(time[a:b], values[a:b]) for a, b in zip(where[:-1], where[1:], strict=True)]
+    return [(time[a:b], values[a:b]) for a, b in pairwise(where)]
 
 
 def _angle_means(
@@ -234,7 +235,8 @@ def _to_come(means: np.ndarray, noise: np.ndarray, unseen: float) -> tuple[float
     keep *= math.exp(2 * spread)
     if keep >= _NOT_SHRINKING:
         return drift, math.inf
-    return drift, math.sqrt(late) * keep / (1 - keep)
+    last = drift * keep ** ((half - 1) / 2)  # drift is the rms over the later half; this is its last change
+    return last, last * keep / (1 - keep)
 
 
 def _slipping(angles: np.ndarray) -> str:

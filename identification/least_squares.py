@@ -25,7 +25,8 @@ class Minimum:
         covariance: inverse of JᵀJ, shape (p, p); the residual's rows are in standard deviations.
         residual: shape (n,), priors last.
         jacobian: shape (n, p).
-        converged: whether the last step was below 1e-3 standard deviations in every combination of θ.
+        converged: whether the last step was below 1e-3 standard deviations in every direction of θ, or several
+            steps in a row gained nothing.
         iterations: evaluations used.
     """
 
@@ -51,7 +52,7 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) ->
     """
     theta = np.array(start, float)
     residual, jacobian = evaluate(theta)
-    damping, converged, used = 1e-4, False, 1
+    damping, converged, used, idle = 1e-4, False, 1, 0
     while used < max_iterations and not converged:
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
         normal = (jacobian / scale).T @ (jacobian / scale)
@@ -60,8 +61,12 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) ->
         trial_residual, trial_jacobian = evaluate(theta + step / scale)
         used += 1
         better = np.all(np.isfinite(trial_residual)) and trial_residual @ trial_residual < residual @ residual
-        # length of the undamped step in standard deviations
-        converged = bool(step @ normal @ step < 1e-6 and damping < 0.1)
+        # length of the step in standard deviations, which grow with residuals above the noise
+        unit = max(1.0, float(residual @ residual) / len(residual))
+        converged = bool(step @ normal @ step < 1e-6 * unit and damping < 0.1)
+        gained = float(residual @ residual - trial_residual @ trial_residual) if better else 0.0
+        idle = idle + 1 if gained < 1e-4 * unit else 0
+        converged |= idle >= 4  # along a valley that the data do not see
         if better:
             theta, residual, jacobian = theta + step / scale, trial_residual, trial_jacobian
             damping = max(damping / 10, 1e-10)

@@ -55,9 +55,29 @@ def white_noise(value: np.ndarray) -> float:
     third = np.diff(value[np.isfinite(value)], 3)
     if len(third) < 20:
         raise NotIdentifiable(f"{len(value)} samples are too few to know the noise; record longer")
-    robust = float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0))
-    spread = float(np.sqrt(np.mean(np.clip(third, -8 * robust, 8 * robust) ** 2) / 20.0)) if robust else 0.0
-    return max(robust, spread)
+    robust = float(np.median(np.abs(third)) / 0.6745)
+    limit = 8 * robust if robust else np.inf  # a coarse quantiser's median may be 0
+    return float(np.sqrt(np.mean(np.clip(third, -limit, limit) ** 2) / 20.0))
+
+
+def encoder_noise(angle: np.ndarray, step: float) -> float:
+    """White noise of an encoder's samples, jitter and quantisation, from where it moves.
+
+    Crossing steps quickly (half a step a sample) makes quantisation white. At rest the readings show anything from no
+    noise to half a step, depending on where within a step the shaft stopped: that is no measure of anything.
+
+    Args:
+        angle: shape (n,), in time order.
+        step: quantisation, same unit.
+    Returns:
+        At least step/√12; 0.42 steps (a jitter of 0.3 steps) when too little moves.
+    """
+    fast = np.abs(angle[20:] - angle[:-20]) > 10 * step
+    third = np.diff(angle, 3)[: len(fast)][fast]
+    if len(third) < 100:
+        return 0.42 * step
+    robust = 8 * max(step, float(np.median(np.abs(third))) / 0.6745)  # a push or a gap is no noise
+    return max(step / np.sqrt(12), float(np.sqrt(np.mean(np.clip(third, -robust, robust) ** 2) / 20.0)))
 
 
 def clipped(value: np.ndarray) -> np.ndarray:

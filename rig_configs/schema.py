@@ -78,7 +78,7 @@ class Laser(Table):
     range_m: Positive = 0.025
     lever_ratio: Positive = 1.0
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = 0.001
-    clock_tolerance_ppm: Positive = 50.0
+    clock_tolerance_ppm: Positive = 30.0
 
 
 class EncoderNode(Table):
@@ -95,7 +95,7 @@ class EncoderNode(Table):
     counts_per_revolution: Annotated[int, Field(ge=64)] = 4096
     index_angle_deg: Finite = 0.0
     zero_std_deg: NotNegative = 0.05
-    clock_tolerance_ppm: Positive = 50.0
+    clock_tolerance_ppm: Positive = 30.0
 
 
 class Drive(Table):

@@ -156,12 +156,12 @@ class Campaign:
     def _locks(self) -> np.ndarray:
         return np.radians([0.0, 180.0] + self.rng.uniform(-0.2, 0.2, 2))
 
-    def spin_down(self, record_s: float = 13.0) -> Run:
+    def spin_down(self, record_s: float = 4.0, apart_s: float = 0.3) -> Run:
         """Rotor at rest, both pendulums flicked."""
         psi = self.rng.uniform(0, 2 * np.pi)
         history = SpeedHistory.constant(0.0, psi)
         speeds = self.rng.choice([-1, 1], 2) * 10 * (1 + 0.1 * self.rng.normal(size=2))
-        flicks = np.sort(1.0 + self.rng.uniform(0, 0.5, 2))
+        flicks = np.sort(1.0 + self.rng.uniform(0, apart_s, 2))
         first = int(self.rng.integers(2))
         time = np.arange(0, record_s + 1.5, 1e-3)
         start = np.zeros(8)

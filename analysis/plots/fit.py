@@ -1,0 +1,73 @@
+"""A fitted curve over its data, with what is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.plots.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
+
+
+@dataclass(frozen=True)
+class FitCurve:
+    """One signal of one fit.
+
+    Attributes:
+        title: what was fitted, for example "ring-down x".
+        time_s, measured, fitted: shape (n,); the values in `unit`; nan where nothing was measured.
+        unit: unit of the values, for example "mm".
+        y_label: what the values are.
+        notes: a sentence for the caption.
+    """
+
+    title: str
+    time_s: np.ndarray
+    measured: np.ndarray
+    fitted: np.ndarray
+    unit: str
+    y_label: str
+    notes: str = ""
+
+    @property
+    def residual_rms(self) -> float:
+        """Root mean square of measured − fitted, in `unit`; nan without a common sample."""
+        rest = self.measured - self.fitted
+        rest = rest[np.isfinite(rest)]
+        return float(np.sqrt(np.mean(rest**2))) if len(rest) else float("nan")
+
+
+def draw_fit(curve: FitCurve, name: str) -> str:
+    """SVG: the whole record and a stretch near its start, each with its residuals below."""
+    time = np.asarray(curve.time_s, float)
+    rest = curve.measured - curve.fitted
+    with drawing(8.6, 3.4) as figure:
+        grid = figure.subplots(2, 2, sharex="col", height_ratios=(3, 1), width_ratios=(1.7, 1))
+        figure.subplots_adjust(left=0.085, right=0.975, top=0.92, bottom=0.14, wspace=0.16, hspace=0.12)
+        crossings = _crossings(np.asarray(curve.fitted, float))
+        near = slice(0, _stretch(len(time), crossings))
+        bins = bins_for(len(crossings) / 2)
+        for column, part, title in ((0, slice(None), "whole record"), (1, near, "a stretch of it")):
+            top, bottom = grid[0, column], grid[1, column]
+            band(top, time[part], curve.measured[part], MEASURED, "measured", bins=bins)
+            outline(top, time[part], curve.fitted[part], MODEL, "fitted", bins=bins)
+            band(bottom, time[part], rest[part], GREY, "residual", bins=bins)
+            label(top, title=title)
+            label(bottom, "time, s")
+        label(grid[0, 0], y=f"{curve.y_label}, {curve.unit}")
+        label(grid[1, 0], y="residual")
+        grid[0, 0].legend(loc="upper right", ncols=2, fontsize=8)
+        figure.align_ylabels(grid[:, 0])
+        return to_svg(figure, name, f"Measured and fitted curve of {curve.title} with residuals")
+
+
+def _crossings(fitted: np.ndarray) -> np.ndarray:
+    """Samples at which the fit passes its mean."""
+    swing = np.nan_to_num(fitted - np.nanmean(fitted))
+    return np.flatnonzero(np.diff(np.signbit(swing)))
+
+
+def _stretch(samples: int, crossings: np.ndarray) -> int:
+    """How many samples hold about eight swings of the fit, or an eighth of the record."""
+    end = int(crossings[16]) if len(crossings) > 24 else samples // 8
+    return min(max(end, 16), samples)

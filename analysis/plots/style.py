@@ -1,0 +1,119 @@
+"""One look for every figure: colours a colour-blind reader can tell apart, thin lines, light ground."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+MEASURED = "#0072B2"
+MODEL = "#D55E00"
+GOOD = "#009E73"
+GREY = "#666666"
+
+_SETTINGS: dict[Any, Any] = {
+    "svg.hashsalt": "rig-report",
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#888888",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "axes.labelcolor": "#222222",
+    "legend.frameon": False,
+    "lines.linewidth": 1.1,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+}
+
+
+@contextmanager
+def drawing(width_in: float, height_in: float) -> Iterator[Figure]:
+    """A figure in the report's style; no window, no global state left behind."""
+    with mpl.rc_context(_SETTINGS):
+        yield Figure(figsize=(width_in, height_in))
+
+
+def to_svg(figure: Figure, name: str, description: str) -> str:
+    """The figure as one <svg> element whose ids start with `name`, so that many fit on one page.
+
+    Args:
+        name: letters and digits, different for each figure of a page.
+        description: read out by screen readers.
+    """
+    out = io.StringIO()
+    with mpl.rc_context(_SETTINGS):
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->\n?", "", text, flags=re.DOTALL)
+    text = re.sub(r'\b(id=")', rf"\1{name}-", text)
+    text = re.sub(r"(url\(#|href=\"#)", rf"\1{name}-", text)
+    text = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d{2})\d+", r"\1", path[0]), text)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{_attribute(description)}" ', 1)
+
+
+def _attribute(text: str) -> str:
+    for sign, entity in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
+        text = text.replace(sign, entity)
+    return text
+
+
+def label(axes: Axes, x: str | None = None, y: str | None = None, title: str | None = None) -> None:
+    """Labels as plain text: a dollar sign in a name is a dollar sign."""
+    for text, put in ((x, axes.set_xlabel), (y, axes.set_ylabel), (title, axes.set_title)):
+        if text is not None:
+            put(text, parse_math=False)
+
+
+def envelope(time: np.ndarray, values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least and largest value per bin: what a plot of every sample would cover; empty bins stay nan."""
+    edges = np.linspace(time[0], time[-1], bins + 1)
+    low, high = np.full(bins, np.nan), np.full(bins, np.nan)
+    where = np.searchsorted(time, edges[1:-1])
+    for i, part in enumerate(np.split(values, where)):
+        finite = part[np.isfinite(part)]
+        if len(finite):
+            low[i], high[i] = finite.min(), finite.max()
+    return 0.5 * (edges[:-1] + edges[1:]), low, high
+
+
+def bins_for(cycles: float, most: int = 400) -> int:
+    """Bins for an envelope: none shorter than a cycle of the vibration, or the bins beat with it."""
+    return int(min(most, cycles)) if cycles > 60 else most
+
+
+def band(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
+    """Measured samples: all of them when few, otherwise the band they fill (see `bins_for`)."""
+    if len(time) <= 2 * bins:
+        axes.plot(time, values, color=colour, lw=1.7, alpha=0.6, label=name)
+        return
+    middle, low, high = envelope(time, values, bins)
+    axes.fill_between(middle, low, high, color=colour, alpha=0.55, lw=0.7, label=name)
+
+
+def outline(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
+    """A computed motion over a measured band: its envelope as two lines, or the curve itself when smooth."""
+    if len(time) <= 2 * bins:
+        axes.plot(time, values, color=colour, lw=1.1, label=name)
+        return
+    middle, low, high = envelope(time, values, bins)
+    axes.plot(middle, low, color=colour, lw=1.1, label=name)
+    axes.plot(middle, high, color=colour, lw=1.1)

@@ -1,0 +1,105 @@
+"""What a report is made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from analysis.plots.fit import FitCurve
+from analysis.validation import Validation
+from daq.signals import Run
+from rig_configs import IdentifiedParameters, Rig
+
+
+@dataclass(frozen=True)
+class TestEstimate:
+    """What one test says by itself: names (with units) to values and standard deviations."""
+
+    __test__ = False  # not a pytest class
+
+    test: str
+    source: str
+    values: Mapping[str, float]
+    std: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class ConsistencyCheck:
+    """Whether tests agree on a quantity: `z` is the largest difference in standard deviations."""
+
+    name: str
+    z: float
+    text: str = ""
+
+
+class Identification(Protocol):
+    """What the report needs of an identification's result."""
+
+    @property
+    def parameters(self) -> IdentifiedParameters:
+        """Joint values with covariance."""
+        ...
+
+    @property
+    def estimates(self) -> Sequence[TestEstimate]:
+        """Each test by itself."""
+        ...
+
+    @property
+    def consistency(self) -> Sequence[ConsistencyCheck]:
+        """Whether the tests agree."""
+        ...
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Sentences for the reader."""
+        ...
+
+    @property
+    def fits(self) -> Sequence[FitCurve]:
+        """Measured and fitted curves."""
+        ...
+
+
+@dataclass(frozen=True)
+class IdentificationResult:
+    """A plain Identification, for results that come from elsewhere."""
+
+    parameters: IdentifiedParameters
+    estimates: Sequence[TestEstimate] = ()
+    consistency: Sequence[ConsistencyCheck] = ()
+    warnings: Sequence[str] = ()
+    fits: Sequence[FitCurve] = ()
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Everything a report shows.
+
+    Attributes:
+        title: the report's heading.
+        rig: the rig file the campaign was run with.
+        runs: the recorded tests, in the order they were run.
+        identification: parameters with their fits.
+        validation: measured against predicted at the points; None when no point was run.
+        axis_angle_deg: angle from the stiffness to the sensor x axis and its standard uncertainty, degrees.
+        devices: device name to facts about it (model, serial, firmware, port), as shown.
+        losses: log to counted losses by stream; None takes them from the runs.
+        truth: a simulated rig's own numbers by parameter name, for the closing comparison.
+        notes: paragraphs of the operator.
+        software_version, seed: as recorded with the logs.
+    """
+
+    title: str
+    rig: Rig
+    runs: Sequence[Run]
+    identification: Identification
+    validation: Validation | None = None
+    axis_angle_deg: tuple[float, float] = (0.0, 0.0)
+    devices: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    losses: Mapping[str, Mapping[str, int]] | None = None
+    truth: Mapping[str, float] | None = None
+    notes: Sequence[str] = ()
+    software_version: str = ""
+    seed: int | None = None

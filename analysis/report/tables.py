@@ -1,0 +1,179 @@
+"""Rows of the report's tables, as text ready for the page (the template escapes it)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from analysis.report.campaign import Campaign
+from analysis.report.rounding import plain, signed, with_std
+from analysis.validation import Z_LIMIT, PointResult
+from daq.signals import Run
+from rig_configs import PARAMETER_UNITS
+
+SYMBOLS = {
+    "k1_N_per_m": "k1", "k2_N_per_m": "k2", "zeta1": "ζ1", "zeta2": "ζ2",
+    "c3_Nms_per_rad": "c3", "c4_Nms_per_rad": "c4", "SP_kg_m": "S_P",
+}  # fmt: skip
+_QUANTITIES = (
+    ("theta3", "θ3", "theta3_deg", "°"),
+    ("theta4", "θ4", "theta4_deg", "°"),
+    ("amplitude_x", "x amplitude, order 1", "amplitude_x_mm", "mm"),
+    ("amplitude_y", "y amplitude, order 1", "amplitude_y_mm", "mm"),
+    ("amplitude", "rms radius", "amplitude_mm", "mm"),
+)
+CLASSES = {"pass": "good", "fail": "bad"}
+
+
+def run_rows(campaign: Campaign) -> list[dict[str, str]]:
+    """One row per log: test, when, how long, samples."""
+    return [
+        {
+            "test": run.test,
+            "source": run.source,
+            "start": datetime.fromtimestamp(run.start_s, UTC).strftime("%Y-%m-%d %H:%M:%S"),
+            "duration": f"{_duration(run):.1f}",
+            "lasers": f"{len(run.x_time_s)} / {len(run.y_time_s)}",
+            "angles": str(len(run.angle_time_s)),
+            "marks": str(len(run.mark_time_s)),
+            "invalid": str(int(np.isnan(run.x_m).sum() + np.isnan(run.y_m).sum())),
+        }
+        for run in campaign.runs
+    ]
+
+
+def _duration(run: Run) -> float:
+    times = [t for t in (run.x_time_s, run.y_time_s, run.angle_time_s, run.mark_time_s) if len(t)]
+    return max(t[-1] for t in times) - min(t[0] for t in times) if times else 0.0
+
+
+def loss_table(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[str]]]]:
+    """Streams, and per log the counted losses of each."""
+    losses: Mapping[str, Mapping[str, int]] = (
+        campaign.losses if campaign.losses is not None else {run.source: run.losses for run in campaign.runs}
+    )
+    streams = sorted({stream for row in losses.values() for stream in row})
+    return streams, [(log, [str(row.get(s, "–")) for s in streams]) for log, row in losses.items()]
+
+
+def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:
+    """Identified values with 95 % intervals, against the rig file and, where known, the truth."""
+    known = campaign.identification.parameters
+    file = campaign.rig.physics.identified()
+    rows = []
+    for name, value in known.values.items():
+        std, unit = known.std[name], PARAMETER_UNITS[name]
+        truth = (campaign.truth or {}).get(name)
+        rows.append(
+            {
+                "symbol": SYMBOLS.get(name, name),
+                "value": with_std(value, std, unit),
+                "relative": f"{100 * std / abs(value):.2g} %" if value else "–",
+                "file": plain(file[name]),
+                "change": f"{signed(100 * (value / file[name] - 1), 2)} %" if file[name] else "–",
+                "truth": "" if truth is None else plain(truth),
+                "truth_z": "" if truth is None or std <= 0 else signed((value - truth) / std),
+            }
+        )
+    return rows
+
+
+def correlation_rows(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[tuple[str, float]]]]]:
+    """Names, and per parameter the correlations with their shade (0 to 1)."""
+    known = campaign.identification.parameters
+    names = [SYMBOLS.get(n, n) for n in known.values]
+    std = np.sqrt(np.diag(known.covariance))
+    scale = np.where(std > 0, std, 1.0)
+    matrix = known.covariance / np.outer(scale, scale)
+    return names, [
+        (name, [(signed(float(v), 2), round(min(1.0, abs(float(v))), 2)) for v in row])
+        for name, row in zip(names, matrix, strict=True)
+    ]
+
+
+def estimate_rows(campaign: Campaign) -> list[dict[str, str]]:
+    """Every value every test found by itself."""
+    rows = []
+    for estimate in campaign.identification.estimates:
+        for name, value in estimate.values.items():
+            unit = PARAMETER_UNITS.get(name, "")
+            rows.append(
+                {
+                    "test": estimate.test,
+                    "source": estimate.source,
+                    "name": SYMBOLS.get(name, name),
+                    "value": with_std(value, estimate.std.get(name, math.nan), unit),
+                }
+            )
+    return rows
+
+
+def consistency_rows(campaign: Campaign) -> list[dict[str, str]]:
+    """Agreement between tests."""
+    return [
+        {"name": SYMBOLS.get(c.name, c.name), "z": signed(c.z), "text": c.text, "class": "" if abs(c.z) < 3 else "bad"}
+        for c in campaign.identification.consistency
+    ]
+
+
+def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, str]:
+    """A point in one line."""
+    values = point.to_json()
+    measured = values["measured"]
+    speed = measured["speed_rpm"]
+    first = campaign.identification.parameters.applied_to(campaign.rig.physics).natural_frequencies_rad_s[0]
+    largest = max((abs(z) for z in point.z_scores.values()), default=math.nan)
+    return {
+        "name": name,
+        "speed": "–" if speed is None else f"{speed:.1f}",
+        "ratio": "–" if speed is None else f"{speed * math.pi / 30 / first:.3f}",
+        "state": point.state,
+        "expected": point.expected or "–",
+        "model": point.prediction.state.type if point.prediction else "–",
+        "largest": "–" if math.isnan(largest) else f"{largest:.1f}",
+        "verdict": point.verdict,
+        "class": CLASSES.get(point.verdict, "open"),
+        "why": point.why,
+    }
+
+
+def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
+    """Measured against predicted, quantity by quantity."""
+    values = point.to_json()
+    rows = []
+    for name, text, key, unit in _QUANTITIES:
+        value, model = values["measured"][key], values["predicted"][key]
+        factor, shown = (1e3, "µm") if unit == "mm" and max(abs(value or 0), abs(model or 0)) < 0.01 else (1.0, unit)
+        z = point.z_scores.get(name)
+        balanced = bool(point.prediction and point.prediction.state.type == "I" and name.startswith("amp"))
+        rows.append(
+            {
+                "name": text,
+                "measured": _pair(value, values["measured_std"][key], factor, shown),
+                "predicted": f"0 {shown}" if balanced else _pair(model, values["predicted_std"][key], factor, shown),
+                "difference": _difference(value, 0.0 if balanced else model, factor, unit, shown),
+                "z": "–" if z is None else (f"{abs(z):.1f}" if balanced else signed(z)),
+                "class": "bad" if z is not None and not abs(z) <= Z_LIMIT else "",
+            }
+        )
+    return rows
+
+
+def _pair(value: float | None, std: float | None, factor: float, unit: str) -> str:
+    if value is None:
+        return "–"
+    return with_std(value * factor, math.nan if std is None else std * factor, unit)
+
+
+def _difference(value: float | None, model: float | None, factor: float, unit: str, shown: str) -> str:
+    if value is None or model is None:
+        return "–"
+    difference = (value - model) * factor
+    if unit == "°":
+        difference = (difference + 180) % 360 - 180
+    text = signed(difference, {"mm": 4, "µm": 2}.get(shown, 2))
+    return f"{text}°" if shown == "°" else f"{text} {shown}"

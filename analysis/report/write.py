@@ -1,0 +1,123 @@
+"""Writing the report: figures drawn, tables filled, one template."""
+
+from __future__ import annotations
+
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from analysis.plots.fit import FitCurve, draw_fit
+from analysis.plots.point import draw_point, simulate_release
+from analysis.plots.stability_map import MapPoint, draw_stability_map
+from analysis.report import tables
+from analysis.report.campaign import Campaign
+from analysis.report.rounding import plain
+from analysis.validation import Z_LIMIT, PointResult
+from daq.signals import Run
+from dynamics.errors import DynamicsError
+
+_TEMPLATE = "template.html.j2"
+
+
+def write_report(path: str | Path, campaign: Campaign) -> Path:
+    """Write a campaign's report as one HTML file that needs nothing beside it.
+
+    Args:
+        path: the file to write; its folder must exist.
+        campaign: what was run, identified and validated.
+    Returns:
+        The path written.
+    """
+    path = Path(path)
+    path.write_text(render(campaign), encoding="utf-8")
+    return path
+
+
+def render(campaign: Campaign) -> str:
+    """The report's HTML. The same campaign gives the same text."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    text = resources.files("analysis.report").joinpath(_TEMPLATE).read_text(encoding="utf-8")
+    points = dict(campaign.validation.points) if campaign.validation else {}
+    names, correlations = tables.correlation_rows(campaign)
+    streams, losses = tables.loss_table(campaign)
+    return environment.from_string(text).render(
+        campaign=campaign,
+        runs=tables.run_rows(campaign),
+        streams=streams,
+        losses=losses,
+        parameters=tables.parameter_rows(campaign),
+        axis_angle=tables.with_std(*campaign.axis_angle_deg, "°"),
+        correlation_names=names,
+        correlations=correlations,
+        estimates=tables.estimate_rows(campaign),
+        consistency=tables.consistency_rows(campaign),
+        fits=[_fit(curve, i) for i, curve in enumerate(campaign.identification.fits)],
+        points=[_point(campaign, name, point, i) for i, (name, point) in enumerate(points.items())],
+        summary=[tables.summary_row(point, name, campaign) for name, point in points.items()],
+        counts=_counts(points),
+        stability=_map(campaign, points),
+        z_limit=f"{Z_LIMIT:g}",
+    )
+
+
+def _counts(points: dict[str, PointResult]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for point in points.values():
+        counts[point.verdict] = counts.get(point.verdict, 0) + 1
+    return counts
+
+
+def _fit(curve: FitCurve, index: int) -> dict[str, Any]:
+    return {
+        "title": curve.title,
+        "notes": curve.notes,
+        "rms": plain(curve.residual_rms, 2),
+        "unit": curve.unit,
+        "figure": Markup(draw_fit(curve, f"fit{index}")),
+    }
+
+
+def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dict[str, Any]:
+    """A point's section: figure (where there is something to draw) and table."""
+    figure, simulated = None, None
+    run = _run_of(campaign, point)
+    if point.measurement is not None and run is not None:
+        physics = campaign.identification.parameters.applied_to(campaign.rig.physics)
+        beta = math.radians(campaign.axis_angle_deg[0])
+        simulated = simulate_release(run, point.measurement, physics, beta)
+        figure = Markup(draw_point(run, point.measurement, point.prediction, simulated, f"point{index}"))
+    return {
+        **tables.summary_row(point, name, campaign),
+        "source": point.source,
+        "rows": tables.quantity_rows(point) if point.measurement else [],
+        "figure": figure,
+        "simulated": simulated is not None,
+        "averaged": ""
+        if point.measurement is None
+        else f"{point.measurement.to_s - point.measurement.from_s:.1f} s averaged, "
+        f"{point.measurement.to_s - point.measurement.release_s:.0f} s after release",
+    }
+
+
+def _run_of(campaign: Campaign, point: PointResult) -> Run | None:
+    own = [r for r in campaign.runs if r.source == point.source and r.test == f"point-{point.name}"]
+    return own[0] if own else None
+
+
+def _map(campaign: Campaign, points: dict[str, PointResult]) -> Markup | None:
+    """The stability map with the measured points; None when the rig has no balanced state."""
+    physics = campaign.identification.parameters.applied_to(campaign.rig.physics)
+    first = physics.natural_frequencies_rad_s[0]
+    marks = [
+        MapPoint(name, point.measurement.speed_rad_s.value / first, point.state)
+        for name, point in points.items()
+        if point.measurement is not None
+    ]
+    try:
+        return Markup(draw_stability_map(physics, marks))
+    except DynamicsError:
+        return None

@@ -1,0 +1,151 @@
+"""Commands that talk to devices: virtual, check, record, test."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from cli.console import STDERR, StepProgress, print_json, say
+from cli.options import Json, ParametersPath, Settings
+from daq.procedure import Procedures, TestDone
+from daq.session import Session
+from daq.transports import HostClock
+from rig_configs import RigFileError, load_rig
+from rig_configs.schema import Rig
+
+TimeScale = Annotated[float, Parameter(help="seconds of rig time per wall second; 1 on a real rig")]
+
+
+class TerminalOperator:
+    """Asks the person at the terminal; the test goes on when the sensors see that it was done."""
+
+    def pluck(self, axis: str) -> None:
+        """See daq.procedure.Operator."""
+        say(f">>> displace the column by 2 to 3 mm along {axis} and let go")
+
+    def flick(self) -> None:
+        """See daq.procedure.Operator."""
+        say(">>> flick both pendulums, slower than two turns a second")
+
+
+def virtual(
+    rig: str = "virtual",
+    *,
+    time_scale: TimeScale = 1.0,
+    link: Literal["auto", "pty", "tcp"] = "auto",
+    settings: Settings = None,
+) -> None:
+    """Start a virtual rig and print its ports as one JSON line; Ctrl-C ends it."""
+    from daq.virtual_rig.run import serve  # noqa: PLC0415 (only this command simulates)
+
+    serve(load_rig(rig, settings=settings or []), time_scale, link)
+
+
+def check(
+    rig: str, *, seconds: float = 2.0, time_scale: TimeScale = 1.0, settings: Settings = None, json: Json = False
+) -> int:
+    """Validate a rig file, open its devices, show identities, rates and faults."""
+    loaded = load_rig(rig, settings=settings or [])
+    with Session(loaded, HostClock(time_scale)) as session:
+        started = session.clock.now_ns()
+        time.sleep(seconds)
+        rates: dict[str, float] = {}
+        for topic in ("laser/x", "laser/y", "pendulums", "motor"):
+            times, _ = session.recent.last(topic, (), started)
+            span = (times[-1] - times[0]) * 1e-9 if len(times) > 1 else math.nan
+            rates[topic] = (len(times) - 1) / span if span else math.nan
+        result = {"rig": loaded.name, "identities": session.identities, "rates_Hz": rates, "losses": session.losses()}
+    if json:
+        print_json(result)
+        return 0
+    for name, identity in session.identities.items():
+        STDERR.print(f"{name:8} " + ", ".join(f"{k} {v}" for k, v in identity.items()))
+    for topic, rate in rates.items():
+        STDERR.print(f"{topic:10} {rate:8.1f} Hz")
+    return 0
+
+
+def record(
+    rig: str,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    duration: float | None = None,
+    note: str = "",
+    time_scale: TimeScale = 1.0,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Record every device until Ctrl-C, or for --duration seconds of rig time."""
+    loaded = load_rig(rig, settings=settings or [])
+    clock = HostClock(time_scale)
+    with Session(loaded, clock) as session:
+        session.start_recording(output, {"test": "record", "note": note})
+        end = clock.now_ns() + int((duration or math.inf if duration else 1e9) * 1e9)
+        try:
+            while clock.now_ns() < end:
+                session.check()
+                time.sleep(0.05)
+            ended = "duration"
+        except KeyboardInterrupt:
+            ended = "Ctrl-C"
+        losses = session.losses()
+        path = session.stop_recording({"ended": ended})
+    if json:
+        print_json({"log": str(path), "losses": losses})
+    else:
+        say(f"{path}: recorded, ended by {ended}")
+    return 0
+
+
+def test(
+    rig: str,
+    name: str,
+    point: str | None = None,
+    *,
+    out: Path = Path("out"),
+    parameters: ParametersPath = None,
+    note: str = "",
+    top_rpm: float | None = None,
+    duration: float = 40.0,
+    time_scale: TimeScale = 1.0,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Run one guided test: ring-down-x, ring-down-y, spin-down, run-up, or point NAME."""
+    loaded = load_rig(rig, parameters, settings or [])
+    with Session(loaded, HostClock(time_scale)) as session, StepProgress({name: 1.0}) as progress:
+        progress.step(name)
+        tests = Procedures(session, TerminalOperator(), out, progress.tell, note)
+        done = run_test(tests, loaded, name if point is None else f"point-{point}", top_rpm, duration)
+    result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary}
+    if json:
+        print_json(result)
+    else:
+        say(f"{done.log}: {done.test} done")
+    return 0
+
+
+def run_test(
+    tests: Procedures, rig: Rig, name: str, top_rpm: float | None = None, duration_s: float = 40.0
+) -> TestDone:
+    """One guided test by its name; speeds follow from the rig's (identified) k1 and k2.
+
+    Raises:
+        RigFileError: no such test or point.
+    """
+    if name in ("ring-down-x", "ring-down-y"):
+        return tests.ring_down(name[-1])
+    if name == "spin-down":
+        return tests.spin_down()
+    if name == "run-up":
+        higher = max(rig.physics.natural_frequencies_rad_s) * 30 / math.pi
+        return tests.run_up(top_rpm or min(1.3 * higher, rig.limits.speed_rpm), duration_s)
+    point = rig.points.get(name.removeprefix("point-"))
+    if point is None or not name.startswith("point-"):
+        known = ["ring-down-x", "ring-down-y", "spin-down", "run-up", *(f"point {p}" for p in rig.points)]
+        raise RigFileError(f"{name!r}: no such test. Known: {', '.join(known)}")
+    return tests.point(name.removeprefix("point-"), rig.physics.speed_rad_s(point.speed_ratio))

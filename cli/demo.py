@@ -1,0 +1,187 @@
+"""`rig demo`: the main job on the virtual rig, with the verbs and drivers that run a real one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from json import loads
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from cli.acquire import run_test
+from cli.console import StepProgress, print_json, say
+from cli.options import Json, Settings
+from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.workbench import Workbench
+from daq.log import open_log
+from daq.procedure import Procedures
+from daq.session import Session
+from daq.transports import HostClock
+from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting
+from rig_configs.schema import Rig
+
+_BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
+_USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # seconds, for the bar; others 2 or 7
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A change of the simulated rig's truth just before a step."""
+
+    key: str
+    value: Any
+    step: str
+
+
+def demo(
+    *,
+    rig: str = "virtual",
+    out: Path = Path("out/demo"),
+    seed: int | None = None,
+    time_scale: Annotated[float, Parameter(help="seconds of rig time per wall second")] = 8.0,
+    settings: Settings = None,
+    fault: Annotated[list[str] | None, Parameter(help="KEY=VALUE@STEP: change the truth just before a step")] = None,
+    link: str = "auto",
+    json: Json = False,
+) -> int:
+    """A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, reported."""
+    started = time.monotonic()
+    changes = list(settings or []) + ([f"virtual.seed={seed}"] if seed is not None else [])
+    loaded = load_rig(rig, settings=changes)
+    faults = [_parse_fault(text, loaded) for text in fault or []]
+    folder = _fresh(out)
+    steps = _steps(loaded)
+    progress = StepProgress({s: _USUAL_S.get(s, 7.0 if s.startswith("point") else 2.0) for s in steps})
+    workbench = Workbench()
+    try:
+        with progress:
+            result = _campaign(rig, changes, loaded, faults, folder, time_scale, link, progress, workbench)
+    finally:
+        workbench.close()
+    result["seconds"] = time.monotonic() - started
+    _show(result, json)
+    return 0 if result["passed"] else 1
+
+
+def _steps(rig: Rig) -> list[str]:
+    return ["start", *_BEFORE_POINTS, "identify", *(f"point-{name}" for name in rig.points), "report"]
+
+
+def _parse_fault(text: str, rig: Rig) -> Fault:
+    setting, sign, step = text.rpartition("@")
+    known = _steps(rig)
+    names = {s.removeprefix("point-"): s for s in known} | {s: s for s in known}
+    if not sign or step not in names:
+        raise RigFileError(f"--fault {text!r}: expected KEY=VALUE@STEP with a step of {', '.join(known)}")
+    key, value = parse_setting(setting)
+    key = key.removeprefix("virtual.truth.")
+    load_rig("virtual", settings={f"virtual.truth.{key}": 1.0 if isinstance(value, str) else value})  # a known key?
+    return Fault(key, value, names[step])
+
+
+def _fresh(out: Path) -> Path:
+    """The folder for this campaign; an earlier one's logs are never written over."""
+    folder, number = out, 1
+    while folder.exists() and any(folder.iterdir()):
+        number += 1
+        folder = out.with_name(f"{out.name}-{number}")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _campaign(
+    name: str,
+    changes: list[str],
+    rig: Rig,
+    faults: list[Fault],
+    folder: Path,
+    time_scale: float,
+    link: str,
+    progress: StepProgress,
+    workbench: Workbench,
+) -> dict[str, Any]:
+    progress.step("start")
+    logs: list[Path] = []
+    with VirtualRigProcess(name, changes, time_scale, link) as simulated:
+        truth = simulated.line.ask("truth")["truth"]
+        plugged = load_rig(name, settings=[*changes, *simulated.port_settings()])
+
+        def begin(step: str) -> None:
+            progress.step(step)
+            for fault in [f for f in faults if f.step == step]:
+                simulated.line.ask("set", key=fault.key, value=fault.value)
+                progress.say(f"fault: {fault.key} = {fault.value} before {step}")
+
+        with Session(plugged, HostClock(time_scale)) as session:
+            tests = Procedures(session, SimulatedOperator(simulated.line), folder / "logs", progress.tell)
+            for test in _BEFORE_POINTS:
+                begin(test)
+                logs.append(run_test(tests, plugged, test).log)
+            begin("identify")
+            parameters = folder / "parameters-before-points.toml"
+            workbench.identify(plugged, logs, parameters).result()
+            known = IdentifiedParameters.load(parameters)
+            identified = load_rig(name, known, [*changes, *simulated.port_settings()])
+            for point in rig.points:
+                begin(f"point-{point}")
+                logs.append(run_test(tests, identified, f"point-{point}").log)
+        radio = simulated.line.ask("radio")
+    progress.step("report")
+    assert rig.virtual is not None
+    facts = {
+        "truth": truth,
+        "seed": rig.virtual.seed,
+        "notes": [f"Before {f.step} the simulated rig's {f.key} was changed to {f.value}." for f in faults],
+    }
+    report = folder / "report.html"
+    result = workbench.conclude(plugged, logs, folder / "parameters.toml", report, facts).result()
+    result["truth"] = truth
+    result["radio"] = [_radio_check(path, radio) for path in logs]
+    result["logs"] = [str(path) for path in logs]
+    result["report"] = str(report)
+    return result
+
+
+def _radio_check(path: Path, radio: Mapping[str, Any]) -> dict[str, Any]:
+    """Frames this log counted as lost against those the simulated radio dropped in the same stretch."""
+    from daq.protocols import rotorlink  # noqa: PLC0415
+
+    decoder = rotorlink.FrameDecoder()
+    numbers: list[int] = []
+    with open_log(path) as log:
+        for chunk in log.raw("encoder"):
+            if chunk.direction == 0:
+                numbers += [
+                    f.inner.seq
+                    for f in decoder.feed(chunk.data).frames
+                    if isinstance(f, rotorlink.Wrapped) and f.inner is not None
+                ]
+        counted = int(loads(log.metadata["summary"]["losses"])["encoder"]["radio_frames"])
+    # seq counts the same frames as the radio's own number, modulo 65536
+    spread = {d % 65536 for d in radio["dropped"]}
+    inside, seq = 0, numbers[0] if numbers else 0
+    while numbers and seq != numbers[-1]:
+        seq = (seq + 1) & 0xFFFF
+        inside += seq in spread
+    return {"log": path.name, "counted": counted, "dropped": inside}
+
+
+def _show(result: Mapping[str, Any], as_json: bool) -> None:
+    if as_json:
+        print_json({k: v for k, v in result.items() if k != "lines"})
+        return
+    print("Identified parameters against the simulated truth:")
+    for line in result["lines"]:
+        print(f"  {line}")
+    print("Points:")
+    for name, point in result["points"].items():
+        print(f"  {name}: {point['verdict']:14} {point['state']:10} {point['why']}")
+    for warning in result["warnings"]:
+        say(f"warning: {warning}")
+    lost = sum(row["counted"] for row in result["radio"])
+    dropped = sum(row["dropped"] for row in result["radio"])
+    print(f"Radio frames lost: {lost} counted, {dropped} dropped by the simulated radio")
+    print(f"Report: {result['report']}   ({result['seconds']:.0f} s)")

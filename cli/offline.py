@@ -1,0 +1,198 @@
+"""Commands that work on logs and rig files alone: identify, validate, predict, replay, log."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from cli.console import STDERR, print_json, say
+from cli.options import Json, ParametersPath, Settings
+from rig_configs import IdentifiedParameters, RigFileError, load_rig
+
+
+def identify(
+    *logs: Path,
+    rig: str = "virtual",
+    output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("parameters.toml"),
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml."""
+    from cli import results  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification import identify as find  # noqa: PLC0415
+
+    _need(logs, "rig identify LOG…")
+    loaded = load_rig(rig, settings=settings or [])
+    found = find(results.load_runs(logs), loaded, lambda text: STDERR.print(text))
+    parameters = results.with_version(found.parameters)
+    parameters.save(output)
+    if json:
+        print_json({**results.identification_json(found), "file": str(output)})
+        return 0
+    for line in results.parameter_lines(parameters):
+        print(line)
+    for warning in found.warnings:
+        say(f"warning: {warning}")
+    say(f"written to {output}")
+    return 0
+
+
+def validate(
+    rig: str,
+    *logs: Path,
+    parameters: ParametersPath = None,
+    axis_angle_deg: float = 0.0,
+    axis_angle_std_deg: float = 3.0,
+    report: Path | None = None,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Compare measured steady states at the points with the model; exit 1 when a point does not pass."""
+    from analysis.report.campaign import Campaign, IdentificationResult  # noqa: PLC0415
+    from analysis.report.write import write_report  # noqa: PLC0415
+    from analysis.validation import validate as compare  # noqa: PLC0415
+    from cli import results  # noqa: PLC0415
+
+    _need(logs, "rig validate RIG LOG…")
+    loaded = load_rig(rig, settings=settings or [])
+    if parameters is None:
+        raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
+    known = IdentifiedParameters.load(parameters)
+    runs = results.load_runs(logs)
+    angle = (axis_angle_deg, axis_angle_std_deg)
+    found = compare(runs, loaded, known, angle)
+    if report is not None:
+        write_report(report, Campaign(f"Validation of {loaded.name}", loaded, runs, IdentificationResult(known), found,
+                                      axis_angle_deg=angle))  # fmt: skip
+    if json:
+        print_json({**found.to_json(), "passed": found.passed, "report": str(report) if report else None})
+    else:
+        print_points(found.to_json()["points"])
+    return 0 if found.passed else 1
+
+
+def print_points(points: dict[str, Any]) -> None:
+    """A line per point with its verdict and reason."""
+    for name, point in points.items():
+        print(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
+
+
+def predict(
+    rig: str,
+    *,
+    point: str | None = None,
+    speed_rpm: float | None = None,
+    speed_ratio: float | None = None,
+    accuracy: float = 1e-8,
+    parameters: ParametersPath = None,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Steady states, stability and amplitudes at a point or a speed."""
+    loaded = load_rig(rig, parameters, settings or [])
+    from dynamics import steady_states  # noqa: PLC0415
+
+    physics = loaded.physics
+    given = [x is not None for x in (point, speed_rpm, speed_ratio)]
+    if sum(given) != 1:
+        raise RigFileError("rig predict: give one of --point, --speed-rpm, --speed-ratio")
+    if point is not None:
+        if point not in loaded.points:
+            raise RigFileError(f"rig predict: no point {point!r} in {loaded.name}; known: {', '.join(loaded.points)}")
+        speed = physics.speed_rad_s(loaded.points[point].speed_ratio)
+    else:
+        speed = speed_rpm * math.pi / 30 if speed_rpm is not None else physics.speed_rad_s(speed_ratio or 0.0)
+    if not 0 < speed < math.inf:
+        raise RigFileError(f"rig predict: expected a speed above 0, got {speed:g} rad/s")
+    found = steady_states(physics, speed, accuracy)
+    result = {
+        "model": "isotropic suspension" if physics.is_isotropic else "anisotropic suspension, periodic orbits",
+        "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
+        "speed_rpm": speed * 30 / math.pi,
+        "steady_states": [
+            {
+                "type": s.type,
+                "theta3_deg": math.degrees(s.theta_rad[0]),
+                "theta4_deg": math.degrees(s.theta_rad[1]),
+                "amplitude_mm": 1e3 * s.amplitude_m,
+                "stable": s.stable,
+                "multiplier_max": s.multiplier_max,
+                "error_estimate": s.error_estimate,
+            }
+            for s in found
+        ],
+    }
+    if json:
+        print_json(result)
+        return 0
+    print(f"{result['speed_rpm']:.2f} rpm, speed ratio {result['speed_ratio']:.4f}: {result['model']}")
+    for s in result["steady_states"]:
+        print(
+            f"  {s['type']:3} {'stable  ' if s['stable'] else 'unstable'} θ3 {s['theta3_deg']:8.3f}° "
+            f"θ4 {s['theta4_deg']:8.3f}°  amplitude {s['amplitude_mm']:.4f} mm  multiplier {s['multiplier_max']:.6f}"
+        )
+    return 0
+
+
+def replay(log: Path, *, check: bool = False, json: Json = False) -> int:
+    """Decode a log's raw bytes again through the same pipeline; --check compares with what was decoded live."""
+    from daq.replay import check as compare  # noqa: PLC0415
+
+    rows = compare(log)
+    differing = [row for row in rows if row.difference]
+    if json:
+        print_json({"log": str(log), "channels": [vars(row) for row in rows], "identical": not differing})
+    else:
+        for row in rows:
+            print(f"{row.topic:10} {row.live:9d} live {row.again:9d} again   {row.difference or 'identical'}")
+    return 1 if check and differing else 0
+
+
+def log(log: Path, *, json: Json = False) -> int:
+    """What is in one log: content, rates, losses, events, devices."""
+    from daq.log import open_log  # noqa: PLC0415
+
+    with open_log(log) as opened:
+        channels = {}
+        for topic in opened.topics:
+            if topic in ("events", "health") or topic.startswith("raw/"):
+                continue
+            times = opened[topic].time_ns
+            span = (times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
+            channels[topic] = {
+                "samples": len(times),
+                "span_s": span,
+                "rate_Hz": (len(times) - 1) / span if span else 0.0,
+            }
+        kinds: dict[str, int] = {}
+        for event in opened.events:
+            kinds[event["kind"]] = kinds.get(event["kind"], 0) + 1
+        result = {
+            "log": str(log),
+            "complete": opened.complete,
+            "missing": opened.missing,
+            "run": opened.metadata.get("run", {}),
+            "summary": opened.metadata.get("summary", {}),
+            "channels": channels,
+            "events": kinds,
+        }
+    if json:
+        print_json(result)
+        return 0
+    for key in ("run", "summary"):
+        for name, value in result[key].items():
+            print(f"{name:16} {value}")
+    for topic, facts in channels.items():
+        print(f"{topic:10} {facts['samples']:9d} samples {facts['span_s']:8.2f} s {facts['rate_Hz']:8.1f} Hz")
+    print("events     " + ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())))
+    for line in result["missing"]:
+        print(f"missing    {line}")
+    return 0
+
+
+def _need(logs: tuple[Path, ...], usage: str) -> None:
+    if not logs:
+        raise RigFileError(f"no log given; usage: {usage}")

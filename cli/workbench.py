@@ -1,0 +1,104 @@
+"""The offline half of a campaign, in a process of its own so that fitting never delays the drive's heartbeat."""
+
+from __future__ import annotations
+
+import multiprocessing
+from concurrent.futures import Future, ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from rig_configs import IdentifiedParameters
+from rig_configs.schema import Rig
+
+_found: dict[str, Any] = {}  # the worker's own memory between two jobs of one campaign
+
+
+def _warm_up() -> None:
+    """Import and compile while the first tests are being recorded."""
+    import numpy as np  # noqa: PLC0415
+
+    import analysis.report.write  # noqa: F401, PLC0415
+    import identification  # noqa: F401, PLC0415
+    from dynamics import SpeedHistory, simulate, steady_states  # noqa: PLC0415
+    from dynamics.scene import Scene  # noqa: PLC0415
+    from rig_configs import load_rig  # noqa: PLC0415
+
+    physics = load_rig("virtual").physics
+    simulate(physics, Scene(SpeedHistory.constant(30.0)), np.linspace(0, 0.1, 11))
+    steady_states(physics, 30.0)
+
+
+def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
+    from cli import results  # noqa: PLC0415
+    from identification import identify  # noqa: PLC0415
+
+    found = identify(results.load_runs(logs), rig)
+    results.with_version(found.parameters).save(out)
+    _found["identification"] = found
+    return results.identification_json(found)
+
+
+def _conclude(rig: Rig, logs: list[Path], out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
+    """Validate the points with what was identified before them, refine with the releases, write the report."""
+    from analysis.report.campaign import Campaign  # noqa: PLC0415
+    from analysis.report.write import write_report  # noqa: PLC0415
+    from analysis.validation import validate  # noqa: PLC0415
+    from cli import results  # noqa: PLC0415
+    from identification import identify  # noqa: PLC0415
+
+    runs = results.load_runs(logs)
+    before = _found["identification"]
+    validation = validate(runs, rig, before.parameters, results.axis_angle(before))
+    joint = identify(runs, rig)
+    results.with_version(joint.parameters).save(out)
+    identities = runs[0].metadata.get("identities", {})
+    devices = {name: {k: str(v) for k, v in identity.items()} for name, identity in identities.items()}
+    campaign = Campaign(
+        title=f"Campaign on {rig.name}",
+        rig=rig,
+        runs=runs,
+        identification=results.report_identification(joint),
+        validation=validation,
+        axis_angle_deg=results.axis_angle(before),
+        devices=devices,
+        truth=facts["truth"],
+        notes=facts["notes"],
+        software_version=results.software_version(),
+        seed=facts["seed"],
+    )
+    write_report(report, campaign)
+    losses = {Path(run.source).name: dict(run.losses) for run in runs}
+    return {
+        **results.identification_json(joint),
+        **validation.to_json(),
+        "passed": validation.passed,
+        "losses": losses,
+        "lines": results.parameter_lines(joint.parameters, facts["truth"]),
+    }
+
+
+class Workbench:
+    """One worker process; jobs are carried out in the order given."""
+
+    def __init__(self) -> None:
+        self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        self._pool.submit(_warm_up)
+
+    def identify(self, rig: Rig, logs: list[Path], out: Path) -> Future[dict[str, Any]]:
+        """Identify from the tests before the points; writes parameters.toml."""
+        return self._pool.submit(_identify, rig, logs, out)
+
+    def conclude(
+        self, rig: Rig, logs: list[Path], out: Path, report: Path, facts: dict[str, Any]
+    ) -> Future[dict[str, Any]]:
+        """Validation, joint parameters, report."""
+        return self._pool.submit(_conclude, rig, logs, out, report, facts)
+
+    def close(self) -> None:
+        """End the worker."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def applied(path: Path) -> IdentifiedParameters:
+    """Parameters a job wrote."""
+    return IdentifiedParameters.load(path)

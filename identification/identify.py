@@ -1,0 +1,224 @@
+"""From recorded runs to the rig's parameters: every test alone, then all together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.signals import Run
+from identification.errors import IdentificationError, NotIdentifiable
+from identification.estimate import Estimate
+from identification.joint import ConsistencyRow, combine
+from identification.pendulum_transient import TransientFit
+from identification.release import fit_release
+from identification.ring_down import RingDownFit, fit_ring_down_runs, ring_down_estimate
+from identification.run_up import RunUpFit, fit_run_up_run, run_up_estimate
+from identification.spin_down_run import damping_estimate, fit_spin_down_run
+from identification.suspension_knowledge import Knowledge
+from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
+from rig_configs.schema import Rig
+
+Fit = RingDownFit | RunUpFit | TransientFit
+
+
+@dataclass(frozen=True)
+class NamedFit:
+    """One test's fit for the report: its curves are in fit.curves."""
+
+    test: str
+    source: str
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a set of runs says about the rig.
+
+    Attributes:
+        parameters: the joint estimate, in the order of parameters.toml; what no run shows is absent.
+        axis_angle_deg, axis_angle_std_deg: sensor axes against stiffness axes; NaN when no run shows it.
+        estimates: per test.
+        fits: per test, with curves.
+        consistency: per parameter and test, where at least two tests found it.
+        warnings: what a reader must know; empty when all is well.
+    """
+
+    parameters: IdentifiedParameters
+    axis_angle_deg: float
+    axis_angle_std_deg: float
+    estimates: list[Estimate]
+    fits: list[NamedFit]
+    consistency: list[ConsistencyRow]
+    warnings: list[str]
+
+
+@dataclass
+class _Work:
+    """What has been collected so far."""
+
+    rig: Rig
+    tell: Callable[[str], None]
+    estimates: list[Estimate]
+    fits: list[NamedFit]
+    warnings: list[str]
+
+    def add(self, run: Run, fit: Fit, estimate: Estimate | None) -> None:
+        self.fits.append(NamedFit(run.test, run.source, fit))
+        self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
+        if estimate is not None:
+            self.estimates.append(estimate)
+
+    def knowledge(self) -> Knowledge:
+        """The rig file with what the tests so far have found laid over it."""
+        known = Knowledge.nominal(self.rig.physics)
+        if not self.estimates:
+            return known
+        found, _, _ = combine(self.estimates)
+        damping = {n: v for n, v in found.values.items() if n.startswith(("c3", "c4"))}
+        known = known.with_found(found.values, found.std)
+        return replace(known, physics=known.physics.with_values(**damping))
+
+
+def identify(runs: Sequence[Run], rig: Rig, progress: Callable[[str], None] | None = None) -> Identification:
+    """Find k1, k2, ζ1, ζ2, c3, c4, S_P from whatever runs there are.
+
+    Args:
+        runs: ring-downs, spin-downs, run-ups and points in any number and order.
+        rig: masses, lengths, gains' and zeros' uncertainties; its k, ζ, c, S_P are start values at most.
+        progress: told one line before each fit.
+    Raises:
+        NotIdentifiable: no run gave any parameter; the message lists why.
+    Source: docs/theory/identification.md.
+    """
+    work = _Work(rig, progress or (lambda _: None), [], [], [])
+    _ring_downs([r for r in runs if r.test.startswith("ring-down")], work)
+    for run in runs:
+        if run.test == "run-up":
+            _one(run, work, _run_up)
+    for run in runs:
+        if run.test == "spin-down":
+            _one(run, work, _spin_down)
+    points = [r for r in runs if r.test.startswith("point-") and r.releases]
+    # short transients first; each sharpens the start of the next
+    for run in sorted(points, key=lambda r: r.angle_time_s[-1] if len(r.angle_time_s) else 0.0):
+        _one(run, work, _release)
+    if not work.estimates:
+        raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
+    return _finished(runs, work)
+
+
+def _one(run: Run, work: _Work, fit: Callable[[Run, _Work], tuple[Fit, Estimate]]) -> None:
+    """One run; what it cannot give becomes a warning."""
+    work.tell(f"{run.test}: fitting {Path(run.source).name}")
+    try:
+        work.add(run, *fit(run, work))
+    except IdentificationError as error:
+        work.warnings.append(f"{run.test} left out: {error}")
+
+
+def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
+    fit = fit_run_up_run(run)
+    devices = work.rig.devices
+    gains = (devices.laser_x.gain_std, devices.laser_y.gain_std)
+    return fit, run_up_estimate(run, fit, work.rig.physics, gains)
+
+
+def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
+    fit = fit_spin_down_run(run, work.knowledge())
+    return fit, damping_estimate(run, fit, "coupled run-down of both pendulums, nonlinear least squares")
+
+
+def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
+    fit = fit_release(run, work.knowledge(), np.radians(work.rig.devices.encoder.zero_std_deg))
+    return fit, damping_estimate(run, fit, "transient after release, nonlinear least squares over growing horizons")
+
+
+def _ring_downs(runs: list[Run], work: _Work) -> None:
+    """Each ring-down alone where it tells both directions apart, otherwise all of them in one fit."""
+    mass = work.rig.physics.total_mass_kg
+    alone: list[tuple[Run, RingDownFit]] = []
+    for run in runs:
+        work.tell(f"{run.test}: fitting {Path(run.source).name}")
+        try:
+            alone.append((run, fit_ring_down_runs([run], mass)))
+        except IdentificationError as error:
+            work.warnings.append(f"{run.test} left out: {error}")
+    if len(alone) > 1 and any(not _tells_directions_apart(fit) for _, fit in alone):
+        try:
+            together = fit_ring_down_runs([run for run, _ in alone], mass)
+            work.add(_joined([run for run, _ in alone]), together, None)
+            work.estimates.append(ring_down_estimate(_joined([run for run, _ in alone]), together))
+            return
+        except IdentificationError as error:
+            work.warnings.append(f"joint fit of the ring-downs failed: {error}")
+    for run, fit in alone:
+        work.add(run, fit, ring_down_estimate(run, fit))
+
+
+def _tells_directions_apart(fit: RingDownFit) -> bool:
+    return "axis_angle_deg" in fit.values and fit.std["axis_angle_deg"] < 1.0
+
+
+def _joined(runs: list[Run]) -> Run:
+    """The first run under all runs' names, for the joint fit's provenance; the least certain clock counts."""
+    rates = {d: max(r.clock_rate_std.get(d, 20e-6) for r in runs) for d in ("laser_x", "laser_y", "encoder")}
+    source = " + ".join(r.source for r in runs)
+    return replace(runs[0], test="ring-down", source=source, clock_rate_std=rates)
+
+
+def _finished(runs: Sequence[Run], work: _Work) -> Identification:
+    parameters, rows, warnings = combine(work.estimates)
+    missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
+    if missing:
+        warnings.append(f"not identified: {', '.join(missing)}; {_advice(missing)}")
+    facts = _provenance(runs, work, rows)
+    angle, std = _axis_angle(work.fits)
+    return Identification(
+        IdentifiedParameters(parameters.values, parameters.covariance, facts), angle, std,
+        work.estimates, work.fits, rows, work.warnings + warnings,
+    )  # fmt: skip
+
+
+def _advice(missing: list[str]) -> str:
+    tests = []
+    if any(n.startswith(("k", "zeta")) for n in missing):
+        tests.append("ring-downs along x and y")
+    if any(n.startswith("c") for n in missing):
+        tests.append("a spin-down")
+    if "SP_kg_m" in missing:
+        tests.append("a run-up")
+    return "record " + ", ".join(tests)
+
+
+def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) -> dict[str, Any]:
+    digests = {r.source: r.metadata.get("digest", "") for r in runs}
+    tests = [
+        {
+            "test": e.test,
+            "log": " + ".join(Path(s).name for s in e.source.split(" + ")),
+            **({"digest": str(digests[e.source])} if digests.get(e.source) else {}),
+            "method": e.method,
+            "values": {n: float(v) for n, v in zip(e.names, e.values, strict=True)},
+            "std": e.std,
+        }
+        for e in work.estimates
+    ]
+    consistency = [
+        {"parameter": r.parameter, "test": r.test, "z": r.z, "chi2": r.chi2, "dof": r.dof, "p": r.p} for r in rows
+    ]
+    return {"method": "generalised least squares over per-test fits", "tests": tests, "consistency": consistency}
+
+
+def _axis_angle(fits: list[NamedFit]) -> tuple[float, float]:
+    """Weighted mean of what ring-downs and run-ups say."""
+    found = [
+        (f.fit.values["axis_angle_deg"], f.fit.std["axis_angle_deg"]) for f in fits if "axis_angle_deg" in f.fit.values
+    ]
+    if not found:
+        return float("nan"), float("nan")
+    weight = np.array([1 / s**2 for _, s in found])
+    return float(weight @ [v for v, _ in found] / weight.sum()), float(weight.sum() ** -0.5)

@@ -1,0 +1,212 @@
+"""The verdict: calibrated where the model is right, failing where it is not, never a crash."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from analysis_runs import Drawn, draw, point_run
+
+from analysis import NoStableState, predict_point, validate
+from analysis.validation import balanced_z, validate_point
+from daq.signals import Run
+from rig_configs import IdentifiedParameters, Rig, load_rig
+
+SETTLED_S = {"A": 45.0, "B": 50.0, "C": 62.0, "D": 30.0, "E": 25.0}
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return load_rig("virtual")
+
+
+@pytest.fixture(scope="module")
+def drawn(rig: Rig) -> Drawn:
+    return draw(rig, 0)
+
+
+@pytest.fixture(scope="module")
+def runs(rig: Rig, drawn: Drawn) -> dict[str, Run]:
+    return {name: point_run(rig, name, drawn=drawn, after_s=SETTLED_S[name]) for name in rig.points}
+
+
+def test_every_point_passes_with_the_expected_state(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    result = validate(list(runs.values()), rig, drawn.identified, drawn.axis_angle_deg)
+    assert result.passed, [p.why for p in result.points.values()]
+    assert {name: p.state for name, p in result.points.items()} == {n: p.expected for n, p in rig.points.items()}
+
+
+def test_json_has_the_promised_keys_and_only_json_values(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    short = dataclasses.replace(runs["B"], releases=())
+    data = validate([runs["A"], short], rig, drawn.identified, drawn.axis_angle_deg).to_json()
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    values = {"theta3_deg", "theta4_deg", "amplitude_mm", "amplitude_x_mm", "amplitude_y_mm", "speed_rpm"}
+    for point in data["points"].values():
+        assert list(point) == [
+            "state", "measured", "predicted", "measured_std", "predicted_std", "z_scores", "verdict", "why",
+        ]  # fmt: skip
+        for part in ("measured", "predicted", "measured_std", "predicted_std"):
+            assert set(point[part]) == values
+    assert set(data["points"]["A"]["z_scores"]) == {
+        "theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["A", "B", "D", "E"])
+def test_z_scores_are_calibrated(rig: Rig, name: str) -> None:
+    """Over ten rigs each with its own gains, zeros and identification errors."""
+    scores = []
+    for seed in range(10):
+        own = draw(rig, seed)
+        run = point_run(rig, name, seed, drawn=own, after_s=SETTLED_S[name])
+        result = validate_point(run, rig, own.identified, own.axis_angle_deg)
+        assert result.verdict == "pass", (seed, result.why)
+        scores.append(list(result.z_scores.values()))
+    z = np.array(scores)
+    assert np.max(np.abs(z)) < 4
+    assert 0.2 < np.mean(z[:, :2] ** 2) < 2.2
+    assert np.mean(z[:, 2:] ** 2) < 2.2
+
+
+@pytest.mark.parametrize(("name", "factor"), [("D", 1.05), ("D", 0.95)])
+def test_changed_spring_fails(rig: Rig, drawn: Drawn, name: str, factor: float) -> None:
+    true = rig.true_physics
+    changed = true.with_values(k2_N_per_m=true.k2_N_per_m * factor)
+    run = point_run(rig, name, drawn=drawn, after_s=30.0, physics=changed)
+    result = validate_point(run, rig, drawn.identified, drawn.axis_angle_deg)
+    assert result.verdict == "fail"
+    assert "y amplitude" in result.why
+    assert abs(result.z_scores["amplitude_y"]) > 20
+
+
+def test_vibration_where_none_is_predicted_fails(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    run = runs["E"]
+    shaken = run.x_m + 3e-6 * np.cos(np.interp(run.x_time_s, run.mark_time_s, run.mark_phase_rad))
+    result = validate_point(dataclasses.replace(run, x_m=shaken), rig, drawn.identified, drawn.axis_angle_deg)
+    assert result.verdict == "fail"
+    assert "where none is predicted" in result.why
+
+
+def test_other_state_than_the_model_fails(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    """The speed says B, the pendulums stand together."""
+    run = runs["B"]
+    together = run.angle_rad.copy()
+    together[:, 1] += np.where(run.angle_time_s > 4.5, 2.5, 0.0)
+    result = validate_point(dataclasses.replace(run, angle_rad=together), rig, drawn.identified, drawn.axis_angle_deg)
+    assert result.verdict == "fail"
+    assert "stable state is I" in result.why
+
+
+def test_rig_file_that_expects_another_state_fails(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    other = load_rig("virtual", settings={"points.D.expected": "I"})
+    result = validate_point(runs["D"], other, drawn.identified, drawn.axis_angle_deg)
+    assert result.verdict == "fail"
+    assert "rig file expects I" in result.why
+
+
+def test_still_moving_is_not_settled(rig: Rig, drawn: Drawn) -> None:
+    run = point_run(rig, "C", drawn=drawn, after_s=20.0)
+    result = validate_point(run, rig, drawn.identified, drawn.axis_angle_deg)
+    assert (result.verdict, result.state) == ("not settled", "not settled")
+    assert not result.z_scores
+
+
+def test_creeping_pendulum_is_not_settled(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    """0.1° a second: the amplitude hardly shows it."""
+    run = runs["A"]
+    creep = run.angle_rad + math.radians(0.1) * np.maximum(run.angle_time_s - 20.0, 0.0)[:, None] * [1.0, 0.0]
+    result = validate_point(dataclasses.replace(run, angle_rad=creep), rig, drawn.identified, drawn.axis_angle_deg)
+    assert result.verdict == "not settled"
+    assert "does not shrink" in result.why
+
+
+def test_slipping(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    run = runs["D"]
+    slip = run.angle_rad - 9.0 * np.maximum(run.angle_time_s - 4.0, 0.0)[:, None]
+    slipping = dataclasses.replace(run, angle_rad=slip)
+    result = validate_point(slipping, rig, drawn.identified, drawn.axis_angle_deg)
+    assert (result.verdict, result.state) == ("fail", "slipping")
+    allowed = load_rig("virtual", settings={"points.D.expected": "slipping"})
+    assert validate_point(slipping, allowed, drawn.identified, drawn.axis_angle_deg).verdict == "pass"
+
+
+def test_not_locked(rig: Rig, drawn: Drawn) -> None:
+    run = point_run(rig, "D", drawn=drawn, after_s=30.0, start_deg=(12.0, 180.0))
+    result = validate_point(run, rig, drawn.identified, drawn.axis_angle_deg)
+    assert result.verdict == "not locked"
+    assert "11.9°" in result.why
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda run: dataclasses.replace(run, releases=()),
+        lambda run: dataclasses.replace(run, releases=run.releases[:1]),
+        lambda run: dataclasses.replace(run, x_m=np.full_like(run.x_m, np.nan)),
+        lambda run: dataclasses.replace(run, angle_time_s=run.angle_time_s[:0], angle_rad=run.angle_rad[:0]),
+        lambda run: dataclasses.replace(run, mark_time_s=run.mark_time_s[:2], mark_phase_rad=run.mark_phase_rad[:2]),
+        lambda run: dataclasses.replace(run, y_time_s=run.y_time_s[:0], y_m=run.y_m[:0]),
+        lambda run: dataclasses.replace(run, mark_time_s=run.mark_time_s[:0], mark_phase_rad=run.mark_phase_rad[:0]),
+    ],
+)
+def test_missing_signals_are_not_enough_data(rig: Rig, drawn: Drawn, runs: dict[str, Run], spoil) -> None:
+    result = validate_point(spoil(runs["E"]), rig, drawn.identified, drawn.axis_angle_deg)
+    assert result.verdict == "not enough data", result.why
+    assert result.why
+
+
+def test_short_record_is_not_enough_data(rig: Rig, drawn: Drawn) -> None:
+    run = point_run(rig, "E", drawn=drawn, after_s=5.0)
+    assert validate_point(run, rig, drawn.identified).verdict == "not enough data"
+
+
+def test_dropouts_change_nothing(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    run = runs["D"]
+    x = run.x_m.copy()
+    x[np.random.default_rng(1).random(len(x)) < 0.2] = np.nan
+    x[-12000:-10000] = np.nan
+    result = validate_point(dataclasses.replace(run, x_m=x), rig, drawn.identified, drawn.axis_angle_deg)
+    assert result.verdict == "pass", result.why
+
+
+def test_no_stable_state_is_a_fail_that_says_so(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    """Ten per cent damping between the resonances: the pendulums would slip for ever."""
+    values = drawn.identified.values | {"zeta1": 0.1, "zeta2": 0.1}
+    wild = IdentifiedParameters(values, drawn.identified.covariance)
+    with pytest.raises(NoStableState, match="no stable"):
+        predict_point(rig, wild, 62.0)
+    result = validate_point(runs["D"], rig, wild, drawn.axis_angle_deg)
+    assert result.verdict == "fail"
+    assert "no stable" in result.why
+
+
+def test_predicted_std_is_what_a_new_search_gives(rig: Rig, drawn: Drawn) -> None:
+    """The implicit-function derivative against steady states searched anew at p ± std."""
+    name, speed = "k2_N_per_m", 62.08
+    own = drawn.identified
+    only = np.zeros_like(own.covariance)
+    j = list(own.values).index(name)
+    only[j, j] = own.covariance[j, j]
+    std = predict_point(rig, IdentifiedParameters(own.values, only), speed, (1.0, 0.0)).std
+    ends = []
+    for sign in (-1, 1):
+        moved = own.values | {name: own.values[name] + sign * math.sqrt(only[j, j])}
+        ends.append(predict_point(rig, IdentifiedParameters(moved, only), speed, (1.0, 0.0)).values)
+    assert np.abs(ends[1] - ends[0]) / 2 == pytest.approx(std, rel=1e-2)
+
+
+def test_balanced_z_is_standard_normal_under_noise() -> None:
+    rng = np.random.default_rng(3)
+    noise = np.abs(rng.normal(size=(4000, 2)) @ [1, 1j])[:, None]
+    pair = np.abs(rng.normal(size=(4000, 2, 2)) @ [1, 1j])
+    for amplitudes in (noise, pair):
+        z = np.array([balanced_z(a, np.ones(len(a))) for a in amplitudes])
+        assert np.mean(z**2) == pytest.approx(1.0, abs=0.08)
+    assert math.isfinite(balanced_z([1e3], [1.0]))
+    assert balanced_z([1e3], [1.0]) > 900
+
+
+def test_repeated_point_keeps_both_runs(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+    again = dataclasses.replace(runs["E"], start_s=runs["E"].start_s + 100)
+    assert list(validate([again, runs["E"]], rig, drawn.identified, drawn.axis_angle_deg).points) == ["E", "E (2)"]

@@ -1,0 +1,128 @@
+"""Settled or not: decay, growth, creep and slip, with the rig's noise and quantisation."""
+
+import math
+
+import numpy as np
+import pytest
+
+from daq.settling import Settling, locked_settled, settled
+
+STEP = 2 * np.pi / 4096
+SPEED = 49.0
+
+
+def signals(
+    offset, *, duration: float = 30.0, amplitude=lambda t: 1e-3 + 0 * t, wobble: float = 0.0, seed: int = 0,
+    base=(0.0, math.pi), speed: float = SPEED, keep: float = 1.0,
+):  # fmt: skip
+    """Angles base + offset(t) (rad; A up, B down), order-1 motion of a given amplitude; all noisy and quantised."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, duration, 1e-3)
+    t = t[rng.random(len(t)) < keep]
+    angle = np.array(base) + np.stack([offset(t), -offset(t)], axis=1) + wobble * np.cos(2 * speed * t)[:, None]
+    angle = np.round(angle / STEP + 0.3 * rng.standard_normal(angle.shape)) * STEP
+    marks = np.arange(0, duration, 2 * np.pi / speed)
+    lt = np.arange(0, duration, 1 / 4000)
+    x = amplitude(lt) * np.cos(speed * lt) + 4e-6 * rng.standard_normal(len(lt))
+    y = 0.7 * amplitude(lt) * np.sin(speed * lt) + 4e-6 * rng.standard_normal(len(lt))
+    return t, angle, marks, speed * marks, lt, x, lt, y
+
+
+def judge(*args, **kwargs) -> Settling:
+    return settled(*signals(*args, **kwargs))
+
+
+def test_standing_pendulums_are_settled() -> None:
+    for seed in range(10):
+        result = judge(lambda t: 1.0 + 0 * t, seed=seed)
+        assert result.settled, result.why
+        assert result.remaining_rad < math.radians(0.01)
+
+
+@pytest.mark.parametrize("wobble_deg", [0.5, 5.0])
+def test_wobble_of_a_periodic_orbit_does_not_matter(wobble_deg: float) -> None:
+    result = judge(lambda t: 1.0 + 0 * t, wobble=math.radians(wobble_deg), keep=0.9)
+    assert result.settled, result.why
+
+
+@pytest.mark.parametrize("rate", [0.2, 0.4, 1.0])
+def test_remaining_of_an_exponential_approach(rate: float) -> None:
+    """What is still to come is found to a third, or is too small to matter."""
+    for left_deg in (3.0, 1.0, 0.3):
+        left = math.radians(left_deg)
+        result = judge(lambda t, left=left: 1.0 + left * np.exp(-rate * (t - 30.0)))
+        assert not result.settled
+        # the last mean lies half a window back
+        assert result.remaining_rad == pytest.approx(left * math.exp(rate / 2), rel=0.35)
+
+
+@pytest.mark.parametrize("rate", [0.17, 0.25, 0.5, 1.0])
+@pytest.mark.parametrize("end_deg", [0.08, 0.3, 2.0])
+def test_leaving_an_unstable_balance_is_never_settled(rate: float, end_deg: float) -> None:
+    """At the end the pendulums are only end_deg off the saddle; the drift is below every tolerance, and grows."""
+    for seed in range(8):
+        result = judge(lambda t: 0.18 + math.radians(end_deg) * np.exp(rate * (t - 30.0)), seed=seed)
+        assert not result.settled, (seed, result)
+        assert result.remaining_rad == math.inf
+
+
+def test_standing_as_released_is_not_settled_for_a_while() -> None:
+    """Nothing moves yet: only the time since release tells."""
+    data = signals(lambda t: np.where(t > 10.0, math.radians(1.0), 0.0), duration=30.0)
+    assert not settled(*data, release_time_s=10.0).settled
+    assert "unstable balance" in settled(*data, release_time_s=10.0).why
+    assert settled(*data, release_time_s=10.0, linger_s=15.0).settled
+
+
+def test_creeping_pendulum_is_not_settled_though_the_amplitude_stands() -> None:
+    for seed in range(5):
+        result = judge(lambda t: math.radians(0.03) * t, seed=seed)
+        assert not result.settled
+        assert not result.slipping
+        assert "pendulum angles drift" in result.why
+
+
+def test_slipping_is_recognised() -> None:
+    result = judge(lambda t: -8.0 * t)
+    assert result.slipping
+    assert not result.settled
+    assert "pendulum A slips" in result.why
+
+
+def test_swinging_over_once_and_decaying_is_not_slipping() -> None:
+    assert not judge(lambda t: 4.0 * (1 - np.exp(-0.6 * np.maximum(t - 22.0, 0)))).slipping
+
+
+def test_amplitude_that_still_decays_is_not_settled() -> None:
+    result = judge(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 3e-4 * np.exp(-0.3 * (t - 20.0)))
+    assert not result.settled
+    assert "amplitudes" in result.why
+
+
+def test_short_or_sparse_signals_are_not_settled() -> None:
+    assert "fewer than" in judge(lambda t: 0 * t, duration=5.0).why
+    data = list(signals(lambda t: 0 * t))
+    data[5] = np.full_like(data[5], np.nan)
+    assert "displacements" in settled(*data).why
+    data = list(signals(lambda t: 0 * t))
+    data[0], data[1] = data[0][:10], data[1][:10]
+    assert "angles" in settled(*data).why
+    empty = np.empty(0)
+    assert not settled(empty, np.empty((0, 2)), empty, empty, empty, empty, empty, empty).settled
+
+
+def test_speed_that_changes_is_not_settled() -> None:
+    data = list(signals(lambda t: 0 * t))
+    data[3] = data[3] + 0.02 * data[2] ** 2
+    assert "speed" in settled(*data).why
+
+
+def test_locked_orbit_decays_before_it_is_steady() -> None:
+    def decaying(t):  # a free vibration beats with the forced one
+        return 1e-3 + 4e-4 * np.exp(-0.38 * t) * np.cos(3.2 * t)
+
+    early = signals(lambda t: 0 * t, duration=9.0, amplitude=decaying)[2:]
+    late = signals(lambda t: 0 * t, duration=26.0, amplitude=decaying)[2:]
+    assert not locked_settled(*early).settled
+    assert locked_settled(*late).settled, locked_settled(*late).why
+    assert math.isnan(locked_settled(*late).remaining_rad)
