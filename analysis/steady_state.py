@@ -18,7 +18,7 @@ AVERAGE_S = 6.0  # the last seconds that are averaged
 DRIFTING_AVERAGE_S = 2.0  # the same while an end drift shows: a long mean would lag behind it
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 BALANCED_SHARE = 0.15  # of S_P: below this rest the pendulums balance (Type I)
-_LEAST_AFTER_RELEASE_S = 9.0  # settling looks at eight windows of one second
+_LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
 _DRIFTING_RAD, _DRIFTING_M = math.radians(0.01), 0.2e-6
 _MEAN_LAG = 1.5  # distance to the end of the mean over DRIFTING_AVERAGE_S, in units of the end's, decay 0.4 /s
 _LEAST_SPEED_TOLERANCE = 5e-4  # a revolution further off the plateau's speed belongs to the stop
@@ -86,6 +86,8 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
     angles = _between(run.angle_time_s, run.angle_rad, release - 3.0, end)
     locked, locked_rad = _locked(run, angles)
     settling = _settling(run, release, end)
+    if settling.span_s == 0.0:
+        raise NotEnoughData(settling.why)
     drift_rad, drift_m = _drift(settling)
     start = end - (DRIFTING_AVERAGE_S if drift_rad > _DRIFTING_RAD or drift_m > _DRIFTING_M else AVERAGE_S)
     speed = _speed(run, start, end)

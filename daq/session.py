@@ -126,7 +126,7 @@ class Session:
             self.identities["encoder"] = {"driver": d.encoder.driver, "port": d.encoder.port}
             self.drive.start()
             self.identities["drive"] = {"driver": d.drive.driver, "node_id": d.drive.node_id}
-            self.wait_for(lambda: self._all_alive(), 3.0, "every device to send samples")
+            self.wait_for(self._all_alive, 3.0, "every device to send samples")
             threading.Thread(target=self._report_health, name="health", daemon=True).start()
         except BaseException:
             self.close()
@@ -260,9 +260,8 @@ class Session:
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             **metadata,
         }
-        snapshot = self.rig.model_dump(exclude={"virtual"})
         attachments = {
-            "rig.json": json.dumps(snapshot).encode(),
+            "rig.json": self.rig.snapshot_json(),
             "identities.json": json.dumps(self.identities).encode(),
         }
         recorder = Recorder(path, self.clock, facts, attachments, tuple(self._devices))

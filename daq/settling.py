@@ -59,7 +59,7 @@ def settled(
     angle_tolerance_rad: float = math.radians(0.1),
     amplitude_tolerance_m: float = 3e-6,
     window_s: float = 1.0,
-    windows: int = 8,
+    windows: int = 9,
     release_time_s: float | None = None,
     linger_s: float = 30.0,
 ) -> Settling:
@@ -115,7 +115,7 @@ def locked_settled(
     *,
     amplitude_tolerance_m: float = 5e-6,
     window_s: float = 1.0,
-    windows: int = 6,
+    windows: int = 9,
 ) -> Settling:
     """Whether the locked orbit is steady, before the pendulums are released; arguments as in `settled`."""
     edges = _windows(mark_time_s, mark_phase_rad, window_s, windows)
@@ -214,8 +214,8 @@ def _to_come(means: np.ndarray, noise: np.ndarray, unseen: float) -> tuple[float
 
     The changes of both columns are taken together; their mean squares over the first and the second half of the
     windows, freed of noise, give the share r that a change keeps per window. r is taken two standard deviations
-    high. Changes lost in the noise, or below `unseen`, are not asked for their trend: there the difference between
-    the halves' means, freed of noise, stands for what is to come.
+    high. Changes from window to window that are lost in the noise, or below `unseen`, are judged on the means of
+    the thirds instead.
     """
     changes = np.diff(means, axis=0)
     power = np.sum(changes**2, axis=1)
@@ -226,8 +226,7 @@ def _to_come(means: np.ndarray, noise: np.ndarray, unseen: float) -> tuple[float
     drift = float(np.sqrt(np.mean(changes[-half:] ** 2, axis=0)).max())
     early_net, late_net = early - noise_power, late - noise_power
     if late < 4 * noise_power:  # no drift to be seen
-        between = means[-half:].mean(axis=0) - means[:half].mean(axis=0)
-        return drift, float(np.sqrt(np.maximum(between**2 - 2 * noise**2 / half, 0.0).max()))
+        return drift, _slow_change(means, noise)
     if early_net <= 0:
         return drift, math.inf
     keep = (late_net / early_net) ** (0.5 / apart)
@@ -235,8 +234,23 @@ def _to_come(means: np.ndarray, noise: np.ndarray, unseen: float) -> tuple[float
     keep *= math.exp(2 * spread)
     if keep >= _NOT_SHRINKING:
         return drift, math.inf
-    last = drift * keep ** ((half - 1) / 2)  # drift is the rms over the later half; this is its last change
+    last = drift / math.sqrt(np.mean(keep ** (-2.0 * np.arange(half))))  # of a geometric row with that rms
     return last, last * keep / (1 - keep)
+
+
+def _slow_change(means: np.ndarray, noise: np.ndarray) -> float:
+    """What is still to come of a drift too slow to be seen from window to window; inf when it does not shrink.
+
+    Two consecutive differences between the means of the thirds. The noise is not divided by the number of windows:
+    a code's quantisation bias stays the same in all of them.
+    """
+    first, middle, last = (part.mean(axis=0) for part in np.array_split(means, 3))
+    before, now = np.linalg.norm(middle - first), np.linalg.norm(last - middle)
+    sigma = float(np.linalg.norm(noise)) * math.sqrt(2)
+    if now < 2.5 * sigma:
+        return float(math.sqrt(max(now**2 - sigma**2, 0.0)))
+    keep = (now + sigma) / max(before - sigma, 1e-3 * sigma)
+    return float(now * keep / (1 - keep)) if keep < _NOT_SHRINKING ** (len(means) / 3) else math.inf
 
 
 def _slipping(angles: np.ndarray) -> str:

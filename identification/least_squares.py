@@ -65,7 +65,7 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) ->
         unit = max(1.0, float(residual @ residual) / len(residual))
         converged = bool(step @ normal @ step < 1e-6 * unit and damping < 0.1)
         gained = float(residual @ residual - trial_residual @ trial_residual) if better else 0.0
-        idle = idle + 1 if gained < 1e-4 * unit else 0
+        idle = idle + 1 if gained < 3e-3 * unit else 0
         converged |= idle >= 4  # along a valley that the data do not see
         if better:
             theta, residual, jacobian = theta + step / scale, trial_residual, trial_jacobian

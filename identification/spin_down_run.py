@@ -151,7 +151,7 @@ def _best_phase(problem: TransientProblem, start: np.ndarray, end: float) -> Min
         tries.append(problem.solve(begin, early, 6))
     tries.sort(key=lambda m: m.cost)
     best = None
-    for candidate in tries[:2]:
+    for candidate in tries[:4]:
         problem.prior[_PSI] = candidate.theta[_PSI]
         minimum = problem.solve(candidate.theta, end)
         if best is None or minimum.cost < best.cost:

@@ -252,6 +252,10 @@ class Rig(Table):
         """The physical part as dynamics takes it."""
         return _physics(self.rotor, self.imbalance, self.pendulums, self.suspension)
 
+    def snapshot_json(self) -> bytes:
+        """The rig file as it goes into a log: all a reader of the log needs, nothing only a simulation knows."""
+        return self.model_dump_json(exclude={"virtual"}).encode()
+
     @property
     def true_physics(self) -> RotorParameters:
         """The simulated rig's own numbers; for the virtual rig and for the demo's closing comparison only."""

@@ -1,0 +1,44 @@
+"""Checks the figures of a demo campaign: truth recovered within its intervals, precise enough, every point passed."""
+
+import json
+import sys
+from pathlib import Path
+
+WORST = {"k1_N_per_m": 5e-4, "k2_N_per_m": 5e-4, "zeta1": 1e-2, "zeta2": 1e-2, "c3_Nms_per_rad": 1e-2,
+         "c4_Nms_per_rad": 1e-2, "SP_kg_m": 1e-2}  # fmt: skip
+
+
+def main() -> int:
+    """Exit code 0 when everything holds; says what does not."""
+    result = json.loads(Path(sys.argv[1]).read_text())
+    faults = []
+    for name, relative in WORST.items():
+        found, truth = result["parameters"].get(name), result["truth"][name]
+        if found is None:
+            faults.append(f"{name}: not identified")
+            continue
+        z = (found["value"] - truth) / found["std"]
+        print(f"{name:16} {found['value']:.7g} ± {found['std']:.2g}, truth {truth:.7g}, {z:+.2f} sd")
+        if abs(z) > 4:
+            faults.append(f"{name}: {z:+.2f} standard deviations from the truth")
+        if found["std"] > relative * truth:
+            faults.append(f"{name}: standard deviation {found['std'] / truth:.2g} of the value, wanted {relative:g}")
+    for name, point in result["points"].items():
+        print(f"{name}: {point['verdict']} {point['state']}")
+        if point["verdict"] != "pass":
+            faults.append(f"point {name}: {point['verdict']}: {point['why']}")
+    for row in result["radio"]:
+        if row["counted"] != row["dropped"]:
+            faults.append(f"{row['log']}: {row['counted']} radio frames counted lost, {row['dropped']} were")
+    if not Path(result["report"]).stat().st_size > 100_000:
+        faults.append("the report is suspiciously small")
+    if result["seconds"] > 180:
+        faults.append(f"the demo took {result['seconds']:.0f} s")
+    print(f"{result['seconds']:.0f} s")
+    for fault in faults:
+        print(f"FAULT {fault}")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,32 @@
+"""Shared fixtures: a virtual rig in its own process, and hypothesis settings fit for a shared two-core machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from cli.simulated import VirtualRigProcess
+from rig_configs import load_rig
+from rig_configs.schema import Rig
+
+settings.register_profile(
+    "suite", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
+)
+settings.load_profile("suite")
+
+TIME_SCALE = 8.0
+
+
+@pytest.fixture
+def virtual_rig() -> Iterator[VirtualRigProcess]:
+    """A virtual rig at eight times the speed of life, on ptys where there are any."""
+    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE) as process:
+        yield process
+
+
+@pytest.fixture
+def plugged(virtual_rig: VirtualRigProcess) -> Rig:
+    """The rig file pointed at the virtual rig's ports."""
+    return load_rig("virtual", settings=virtual_rig.port_settings())

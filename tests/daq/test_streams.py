@@ -1,0 +1,123 @@
+"""Pipelines: what is lost is counted, what is not is decoded, and the same bytes give the same samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq import channels
+from daq.protocols import optoncdt, rotorlink
+from daq.streams import RX, Batch, Event, LaserPipeline, NodePipeline, make_pipelines
+from rig_configs import load_rig
+
+DEVICES = load_rig("virtual").devices
+START_NS = 1_700_000_000_000_000_000
+
+
+def blocks(counters: np.ndarray, metres: np.ndarray) -> np.ndarray:
+    ticks = counters * 25
+    return np.column_stack(
+        [optoncdt.code(metres + 0.0125, 0.025), counters % 2**18, ticks & 0xFFFF, (ticks >> 16) & 0xFFFF]
+    ).astype(np.uint32)
+
+
+def feed(pipeline: LaserPipeline | NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[Event]]:
+    items = [x for i, p in enumerate(parts) for x in pipeline.feed(RX, p, START_NS + i * 10_000_000)]
+    return [x for x in items if isinstance(x, Batch)], [x for x in items if isinstance(x, Event)]
+
+
+def laser() -> LaserPipeline:
+    return LaserPipeline("laser_x", DEVICES.laser_x, channels.LASER_X, {})
+
+
+@given(st.lists(st.integers(2, 80), min_size=1, max_size=8), st.lists(st.integers(0, 50), min_size=8, max_size=8))
+def test_laser_gaps_are_counted_exactly(lengths: list[int], gaps: list[int]) -> None:
+    counters, at = [], 262_100  # across the wrap of the 18-bit counter
+    for length, gap in zip(lengths, gaps, strict=False):
+        counters.append(np.arange(at, at + length))
+        at += length + gap
+    parts = [optoncdt.encode_block(blocks(c, np.full(len(c), 1e-3))) for c in counters]
+    # a block is complete when the next one begins or its number of words has come
+    pipeline = laser()
+    batches, events = feed(pipeline, parts)
+    used = gaps[: len(lengths) - 1]
+    assert pipeline.losses["samples"] == sum(used)
+    assert sum(len(b.time_ns) for b in batches) == sum(lengths)
+    assert [e.facts["samples"] for e in events if e.kind == "gap"] == [g for g in used if g]
+    values = np.concatenate([b.columns["displacement_m"] for b in batches])
+    assert np.allclose(values, 1e-3, atol=2e-7)
+    times = np.concatenate([b.time_ns for b in batches])
+    assert np.all(np.diff(times) > 0)
+
+
+def test_invalid_codes_are_nan_and_counted() -> None:
+    pipeline = laser()
+    words = blocks(np.arange(100, 110), np.zeros(10))
+    words[3:5, 0] = 262_078
+    batches, _ = feed(pipeline, [optoncdt.encode_block(words)])
+    displacement = batches[0].columns["displacement_m"]
+    assert np.flatnonzero(np.isnan(displacement)).tolist() == [3, 4]
+    assert pipeline.losses["invalid"] == 2
+    assert batches[0].columns["code"][3] == 262_078
+
+
+def test_a_restarted_sensor_is_an_event_not_a_huge_gap() -> None:
+    pipeline = laser()
+    parts = [optoncdt.encode_block(blocks(np.arange(90_000, 90_100), np.zeros(100))),
+             optoncdt.encode_block(blocks(np.arange(5, 105), np.zeros(100)))]  # fmt: skip
+    batches, events = feed(pipeline, parts)
+    assert [e.kind for e in events] == ["restart"]
+    assert pipeline.losses["samples"] == 0
+    assert sum(len(b.time_ns) for b in batches) == 200
+
+
+def node_frames(count: int, first_seq: int = 65_530) -> list[bytes]:
+    return [
+        rotorlink.wire(
+            rotorlink.EncoderBlock(
+                1, (first_seq + i) & 0xFFFF, 20 * i, (20_000 * i) % 2**32, 1000, 96,
+                np.column_stack([np.arange(20) + 20 * i, np.full(20, 2048)]).astype(np.int32),
+            ).pack()
+        )
+        for i in range(count)
+    ]  # fmt: skip
+
+
+@given(st.sets(st.integers(1, 38), max_size=25))
+def test_lost_radio_frames_are_counted_and_the_rest_is_kept(lost: set[int]) -> None:
+    pipeline = NodePipeline("encoder", DEVICES.encoder)
+    batches, _ = feed(pipeline, [f for i, f in enumerate(node_frames(40)) if i not in lost])
+    assert pipeline.losses["radio_frames"] == len(lost)
+    assert pipeline.losses["samples"] == 20 * len(lost)
+    index = np.concatenate([b.columns["index"] for b in batches])
+    assert np.array_equal(index, [k for i in range(40) if i not in lost for k in range(20 * i, 20 * i + 20)])
+
+
+def test_repeated_and_damaged_frames_give_no_samples_twice() -> None:
+    frames = node_frames(6)
+    damaged = bytearray(frames[3])
+    damaged[10] ^= 0x40
+    pipeline = NodePipeline("encoder", DEVICES.encoder)
+    batches, events = feed(pipeline, [frames[0], frames[1], frames[1], frames[2], bytes(damaged), frames[4], frames[5]])
+    index = np.concatenate([b.columns["index"] for b in batches])
+    assert np.array_equal(index, [*range(60), *range(80, 120)])
+    assert pipeline.losses == {"radio_frames": 1, "cable_frames": 0, "damaged_frames": 1, "samples": 20}
+    assert "damage" in [e.kind for e in events]
+
+
+@given(st.binary(max_size=4000), st.integers(1, 400))
+def test_no_bytes_break_a_pipeline(data: bytes, cut: int) -> None:
+    for pipeline in make_pipelines(DEVICES, {}).values():
+        for i in range(0, len(data), cut):
+            pipeline.feed(RX, data[i : i + cut], START_NS + i)
+
+
+@pytest.mark.parametrize("cut", [1, 7, 64])
+def test_the_split_into_reads_changes_no_value(cut: int) -> None:
+    data = optoncdt.encode_block(blocks(np.arange(1000, 1200), np.linspace(-1e-3, 1e-3, 200)))
+    whole, _ = feed(laser(), [data])
+    parts, _ = feed(laser(), [data[i : i + cut] for i in range(0, len(data), cut)])
+    for name in ("displacement_m", "counter", "device_ticks"):
+        assert np.array_equal(np.concatenate([b.columns[name] for b in parts]), whole[0].columns[name])

@@ -1,0 +1,109 @@
+"""What every Link must do, asked of a pty, a TCP port and a CAN adapter."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import can
+import pytest
+
+from daq.errors import LinkLost
+from daq.protocols import slcan
+from daq.transports import HostClock, Link, open_link
+from daq.virtual_rig.wires import PtyWire, TcpWire
+
+FRAME = slcan.encode(slcan.CanFrame(0x185, b"\x37\x02\x10\x00"))
+
+
+@dataclass
+class Peer:
+    """The far end of a link: send, receive, pull the cable."""
+
+    link: Link
+    send: Callable[[bytes], None]
+    receive: Callable[[], bytes]
+    pull: Callable[[], None] | None
+    close: Callable[[], None]
+
+
+def _wired(wire: Any) -> Peer:
+    link = open_link(wire.port, 921_600)
+    wire.receive()  # a TCP wire accepts here
+    return Peer(link, wire.send, wire.receive, wire.close, wire.close)
+
+
+def _can() -> Peer:
+    far = can.Bus(interface="virtual", channel="contract")
+    link = open_link("can:virtual:contract", 0)
+    decoder = slcan.LineDecoder()
+
+    def send(data: bytes) -> None:
+        for frame in decoder.feed(data).frames:
+            far.send(can.Message(arbitration_id=frame.arbitration_id, data=frame.data, is_extended_id=False))
+
+    def receive() -> bytes:
+        message = far.recv(1.0)
+        return b"" if message is None else slcan.encode(slcan.CanFrame(message.arbitration_id, bytes(message.data)))
+
+    return Peer(link, send, receive, None, far.shutdown)
+
+
+@pytest.fixture(params=["pty", "tcp", "can"])
+def peer(request: pytest.FixtureRequest) -> Iterator[Peer]:
+    if request.param == "pty" and sys.platform == "win32":
+        pytest.skip("ptys need POSIX")
+    made = {"pty": lambda: _wired(PtyWire()), "tcp": lambda: _wired(TcpWire()), "can": _can}[request.param]()
+    yield made
+    made.link.close()
+    made.close()
+
+
+def _arrives(read: Callable[[], bytes], wanted: bytes) -> bytes:
+    got, deadline = b"", time.monotonic() + 3
+    while len(got) < len(wanted) and time.monotonic() < deadline:
+        got += read()
+    return got
+
+
+def test_bytes_arrive_whole_and_in_order(peer: Peer) -> None:
+    for _ in range(20):
+        peer.send(FRAME)
+    assert _arrives(lambda: peer.link.read(0.2), FRAME * 20) == FRAME * 20
+
+
+def test_bytes_leave_whole_and_in_order(peer: Peer) -> None:
+    peer.link.write(FRAME * 3)
+    assert _arrives(peer.receive, FRAME * 3) == FRAME * 3
+
+
+def test_silence_is_an_empty_read_after_the_timeout(peer: Peer) -> None:
+    assert peer.link.read(0.01) == b""
+
+
+def test_a_pulled_cable_is_link_lost(peer: Peer) -> None:
+    if peer.pull is None:
+        pytest.skip("an in-process bus has no cable")
+    peer.pull()
+    with pytest.raises(LinkLost, match="lost|closed"):
+        _arrives(lambda: peer.link.read(0.2), b"x" * 100)
+
+
+def test_a_port_that_is_not_there_says_what_to_look_at() -> None:
+    with pytest.raises(LinkLost, match="plugged in"):
+        open_link("/dev/no-such-port", 921_600)
+    with pytest.raises(LinkLost, match="plugged in"):
+        open_link("socket://127.0.0.1:1", 921_600)
+
+
+def test_host_clock_runs_at_its_rate() -> None:
+    clock = HostClock(10.0)
+    before, wall = clock.now_ns(), time.monotonic_ns()
+    clock.sleep(0.5)
+    passed, walled = clock.now_ns() - before, time.monotonic_ns() - wall
+    assert passed == pytest.approx(10 * walled, rel=0.02)
+    assert clock.patience(0.5) == 5.0
+    assert HostClock(1.0).patience(0.5) == 0.5
