@@ -75,7 +75,9 @@ def main() -> None:
             )
         pooled += [v for name, values in z.items() if not name.startswith(" ") for v in values]
     a = np.abs(pooled)
-    print(f"\npooled over {len(a)} values: |z| < 1 {np.mean(a < 1):.3f}, < 2 {np.mean(a < 2):.3f}, largest {a.max():.2f}")
+    print(
+        f"\npooled over {len(a)} values: |z| < 1 {np.mean(a < 1):.3f}, < 2 {np.mean(a < 2):.3f}, largest {a.max():.2f}"
+    )
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ for verb in (demo.demo, acquire.virtual, acquire.check, acquire.record, acquire.
 def run(arguments: list[str]) -> int:
     """Carry out one command; returns the exit code."""
     try:
-        result = app(arguments, exit_on_error=False, print_error=True)
+        result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
         return result if isinstance(result, int) else 0
     except CycloptsError:
         return 2  # cyclopts has said what is wrong

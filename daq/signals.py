@@ -25,10 +25,18 @@ from rig_configs.schema import Rig
 
 @dataclass(frozen=True)
 class Release:
-    """A pendulum let go during the run: 0 is A, 1 is B; time in s since the run's start."""
+    """A pendulum let go during the run.
+
+    Attributes:
+        pendulum: 0 is A, 1 is B.
+        time_s: since the run's start.
+        time_std_s: its standard uncertainty; large when the node's own message was lost and the encoder blocks'
+            lock flags had to tell.
+    """
 
     pendulum: int
     time_s: float
+    time_std_s: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -85,11 +93,7 @@ def load_run(path: str | Path) -> Run:
         node_s = angles.node_time_us * 1e-6
         line = _line(node_s, angles.log_time_ns, start_s, rig.devices.encoder.clock_tolerance_ppm)
         marks = log["tacho"] if "tacho" in log.topics else None
-        releases = [
-            Release(int(e["pendulum"]), float(line.host_s(np.array([e["node_time_us"] * 1e-6]))[0]))
-            for e in log.events
-            if e["kind"] == "lock" and e["state"] == "released"
-        ]
+        releases = _releases(log, line)
         index = math.radians(rig.devices.encoder.index_angle_deg)
         run = log.metadata.get("run", {})
         return Run(
@@ -104,7 +108,7 @@ def load_run(path: str | Path) -> Run:
             angle_rad=np.column_stack([angles.theta3_rad, angles.theta4_rad]),
             mark_time_s=np.empty(0) if marks is None else line.host_s(marks.node_time_us * 1e-6),
             mark_phase_rad=np.empty(0) if marks is None else 2 * np.pi * marks.revolutions.astype(float) + index,
-            releases=tuple(releases),
+            releases=releases,
             angle_step_rad=2 * np.pi / rig.devices.encoder.counts_per_revolution,
             clock_rate_std={
                 "laser_x": lasers["x"][2].rate_std,
@@ -126,6 +130,42 @@ def _line(device_s: NDArray[np.float64], log_ns: NDArray[np.int64], start_s: flo
     last = np.flatnonzero(np.diff(log_ns, append=log_ns[-1] + 1))
     host = (log_ns[last] - int(start_s) * 1_000_000_000) * 1e-9
     return fit_line(device_s[last], host, tolerance_ppm)
+
+
+_LOCK_FLAGS = (0x20, 0x40)
+
+
+def _releases(log: Log, line: ClockLine) -> tuple[Release, ...]:
+    """Releases by the node's own message; where the radio lost it, by the lock flags of the encoder blocks.
+
+    One command lets both go at once: when the flags change in the same block, a message about one tells both.
+    """
+    told = {
+        int(e["pendulum"]): float(line.host_s(np.array([e["node_time_us"] * 1e-6]))[0])
+        for e in log.events
+        if e["kind"] == "lock" and e["state"] == "released"
+    }
+    samples = log["pendulums"]
+    seen: dict[int, tuple[float, float]] = {}
+    for pendulum, flag in enumerate(_LOCK_FLAGS):
+        closed = (samples.flags & flag) != 0
+        opened = np.flatnonzero(closed[:-1] & ~closed[1:])
+        if len(opened):
+            i = int(opened[-1])
+            before, after = line.host_s(samples.node_time_us[i : i + 2] * 1e-6)
+            # flags are a block's state when it is sent: the lock opened within the block before `after`, or in a gap
+            end = after + (samples.node_time_us[min(i + 20, len(samples) - 1)] - samples.node_time_us[i + 1]) * 1e-6
+            seen[pendulum] = (0.5 * (before + end), (end - before) / math.sqrt(12))
+    releases: list[Release] = []
+    for pendulum in sorted(set(told) | set(seen)):
+        other = 1 - pendulum
+        if pendulum in told:
+            releases.append(Release(pendulum, told[pendulum]))
+        elif other in told and seen.get(other) == seen[pendulum]:
+            releases.append(Release(pendulum, told[other]))
+        else:
+            releases.append(Release(pendulum, *seen[pendulum]))
+    return tuple(releases)
 
 
 def _laser(

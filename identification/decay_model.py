@@ -55,7 +55,7 @@ def _block(record: DecayRecord, index: int, count: int, theta: np.ndarray) -> Bl
         slopes.append([p[1] for p in parts])
     for mode in range(2):
         signal = np.concatenate([mix[i, mode] * waves[mode][i] for i in range(2)])
-        columns += [signal.real, -signal.imag]
+        columns += [np.real(signal), -np.imag(signal)]
     weight = np.concatenate([c.weight for c in channels])
     drift = _drift_columns(record, nx)
     basis = np.column_stack([*columns, drift]) * weight[:, None]
@@ -93,7 +93,7 @@ def single_block(channel: Averages, zero_s: float, theta: np.ndarray) -> Block:
     t = channel.time_s - zero_s
     wave, slope = averaged_decay(rate(omega, zeta), t, channel.spread_s2)
     weight = channel.weight
-    basis = np.column_stack([wave.real, -wave.imag, np.ones_like(t), t]) * weight[:, None]
+    basis = np.column_stack([np.real(wave), -np.imag(wave), np.ones_like(t), t]) * weight[:, None]
 
     def tangent(c: np.ndarray) -> np.ndarray:
         moved = complex(c[0], c[1]) * slope

@@ -56,7 +56,7 @@ class Response:
 
 
 @njit(cache=True, error_model="numpy")
-def _slope(s, u, w2, g, out):
+def _slope(s: np.ndarray, u: complex, w2: float, g: float, out: np.ndarray):
     out[0] = s[1]
     out[1] = u - g * s[1] - w2 * s[0]
     out[2] = s[3]
@@ -66,7 +66,7 @@ def _slope(s, u, w2, g, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _march(force, step, omega, zeta):
+def _march(force: np.ndarray, step: float, omega: float, zeta: float):
     n = (len(force) - 1) // 2
     out = np.empty((n + 1, 6), dtype=np.complex128)
     s = np.zeros(6, dtype=np.complex128)
@@ -92,7 +92,7 @@ def _march(force, step, omega, zeta):
 
 
 @njit(cache=True, error_model="numpy")
-def _at(times, start, step, grid, force, w2, g):
+def _at(times: np.ndarray, start: float, step: float, grid: np.ndarray, force: np.ndarray, w2: float, g: float):
     """Cubic Hermite interpolation of h, ḣ and the two sensitivities; ḧ from the equation."""
     out = np.empty((5, len(times)), dtype=np.complex128)
     last = len(grid) - 2

@@ -77,6 +77,6 @@ def without_mode(channel: Averages, start: Start) -> Averages:
     """The channel with one mode and an offset regressed out."""
     t = channel.time_s - channel.time_s[0]
     wave, _ = averaged_decay(rate(start.omega, start.zeta), t, channel.spread_s2)
-    basis = np.column_stack([wave.real, wave.imag, np.ones_like(t)])
+    basis = np.column_stack([np.real(wave), np.imag(wave), np.ones_like(t)])
     fitted = basis @ np.linalg.lstsq(basis, channel.value, rcond=None)[0]
     return Averages(channel.time_s, channel.spread_s2, channel.value - fitted, channel.count, channel.noise)

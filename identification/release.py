@@ -1,8 +1,8 @@
 """Pendulum damping from a release at speed.
 
 A release starts near an unstable equilibrium: what the angles do depends on their start to a degree that grows
-exponentially, so the fit proceeds over growing horizons, each from the one before. A horizon whose residuals are not
-noise ends it; the longest good one is the answer.
+exponentially, so the fit proceeds over growing horizons, each from the one before. Where the residuals of a horizon
+are not noise the whole run is left out: a model that fails later may be biased before that shows.
 
 θ = (ln c3, ln c4, θ3, θ4 at release, two encoder zeros, shift of the release's time, the disk's deviation x, y, ẋ, ẏ
 from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P).
@@ -53,15 +53,18 @@ def fit_release(run: Run, knowledge: Knowledge, zero_std_rad: float) -> Transien
     after = run.angle_time_s > go + _BLOCK_S
     angles = _averages(run, after)
     problem, start = _problem(run, knowledge, history, go, angles, zero_std_rad)
+    horizons = _horizons(angles)
     best: tuple[Minimum, float] | None = None
-    for horizon in _horizons(angles):
+    for horizon in horizons:
         end = go + horizon
         minimum = problem.solve(start, end, 15)
         if not problem.chi2_per_dof(minimum, end) < _GOOD:
-            break
+            raise FitFailed(
+                f"{run.source}: the model follows the released pendulums for less than {horizon:.2g} of "
+                f"{horizons[-1]:.2g} s (χ²/dof {problem.chi2_per_dof(minimum, end):.3g})"
+            )
         best, start = (minimum, end), minimum.theta
-    if best is None:
-        raise FitFailed(f"{run.source}: the model does not follow the pendulums after their release")
+    assert best is not None
     fit = problem.result(*best, f"release {run.test}", 2)
     if max(fit.std[n] / fit.values[n] for n in fit.values) > 0.2:
         raise FitFailed(f"{run.source}: only {fit.horizon_s:.2g} s of the release can be followed; damping stays open")

@@ -43,7 +43,7 @@ def release_instant(channels: list[Averages]) -> float:
                 level[i] = False
                 continue
             part = channel.value[a:b]
-            level[i] &= part.max() - part.min() < 0.03 * largest + 8 * noise
+            level[i] &= part.max() - part.min() < 0.03 * largest + 6 * noise
             away[i] |= float(np.median(move[a:b])) > 0.3 * largest
     held = np.flatnonzero(level & away)
     if len(held) == 0:

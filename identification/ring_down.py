@@ -5,7 +5,7 @@ Model and estimator: identification.decay_model and docs/theory/identification.m
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,7 +21,11 @@ from identification.samples import Averages, block_averages, clipped, correlatio
 
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted
 DELAY_STD_S = 3e-3  # between two lasers' clocks
+_LEFT_OVER, _WRONG_CHI2 = 0.1, 10.0  # share of the signal and χ²/dof that mark a model that is none
 _BLOCK_S = 1 / 250.0  # ≥ 20 samples a cycle up to 12.5 Hz
+
+
+Attempt = Callable[[], tuple[Solution, list[list[Averages]]]]
 
 
 @dataclass(frozen=True)
@@ -204,7 +208,9 @@ def _starts(records: list[list[Averages]]) -> tuple[Start, Start]:
     strong, leader, best, channel = _leader(records)
     rest = without_mode(channel, leader)
     follower = damped_periodogram(rest)
-    if np.var(channel.value) > np.var(records[best][strong].value) and np.var(rest.value) < 0.05 * np.var(channel.value):
+    if np.var(channel.value) > np.var(records[best][strong].value) and np.var(rest.value) < 0.05 * np.var(
+        channel.value
+    ):
         follower = leader  # a strong signal of its own, yet the leader's mode explains it
     return (leader, follower) if strong == 0 else (follower, leader)
 
@@ -234,14 +240,15 @@ def _lone_axis(prepared: _Prepared) -> tuple[int, str] | None:
     return None
 
 
-def _with_later_starts(prepared: _Prepared, attempt):
+def _with_later_starts(prepared: _Prepared, attempt: Attempt) -> tuple[Solution, list[list[Averages]]]:
     """Fit; where the residual right after the supposed release stands out, begin later and fit again."""
+    solution, cut = attempt()
     for _ in range(12):
-        solution, cut = attempt()
         early = _early_excess(solution, cut)
         if not any(early):
-            return solution, cut
+            break
         prepared.starts = [s + 0.1 if bad else s for s, bad in zip(prepared.starts, early, strict=True)]
+        solution, cut = attempt()
     return solution, cut
 
 
@@ -266,7 +273,9 @@ def _result(
 ) -> RingDownFit:
     minimum = solution.minimum
     if not minimum.converged or not np.all(np.isfinite(minimum.theta)):
-        raise FitFailed(f"ring-down: no convergence in {minimum.iterations} iterations, χ²/dof {solution.chi2_per_dof:.3g}")
+        raise FitFailed(
+            f"ring-down: no convergence in {minimum.iterations} iterations, χ²/dof {solution.chi2_per_dof:.3g}"
+        )
     theta, n = minimum.theta, len(names)
     values, scale = np.empty(n), np.empty(n)
     for i, name in enumerate(names):
@@ -284,8 +293,13 @@ def _result(
             at += len(own)
             worst = max(worst, correlation_inflation(own))
             metres = own / channel.weight
+            left_over = float(np.std(metres) / np.std(channel.value))
+            if left_over > _LEFT_OVER and solution.chi2_per_dof > _WRONG_CHI2:
+                raise FitFailed(f"ring-down: the model leaves {left_over:.0%} of sensor {axis}'s signal")
             rms.append(float(np.sqrt(np.mean(metres**2))))
-            curves.append(Curve(f"ring-down {number + 1}: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
+            curves.append(
+                Curve(f"ring-down {number + 1}: {axis}", "m", channel.time_s, channel.value, channel.value - metres)
+            )
     inflation = max(worst, np.sqrt(max(1.0, solution.chi2_per_dof)))
     covariance = minimum.covariance[:n, :n] * np.outer(scale, scale) * inflation**2
     table = dict(zip(names, values.tolist(), strict=True))
@@ -295,7 +309,9 @@ def _result(
     return RingDownFit(table, covariance, warnings, curves, noise, rms, solution.chi2_per_dof, list(prepared.starts))
 
 
-def _with_stiffness(table: dict[str, float], covariance: np.ndarray, mass: float | None) -> tuple[dict[str, float], np.ndarray]:
+def _with_stiffness(
+    table: dict[str, float], covariance: np.ndarray, mass: float | None
+) -> tuple[dict[str, float], np.ndarray]:
     """k = M (2π f)² beside the frequencies."""
     if mass is None:
         return table, covariance

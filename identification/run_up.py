@@ -27,6 +27,7 @@ _BLOCK_S = 1 / 320.0
 _SKIPPED_MARKS = 2  # the spline's end piece has no neighbour to hold it
 _DELAY_STD_S = 10e-3
 _PAD_S = 0.05
+_LEFT_OVER = 0.1  # share of the signal that marks a model that is none
 
 
 @dataclass(frozen=True)
@@ -139,10 +140,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
 
 def _locked_moment(run: Run, physics: RotorParameters) -> complex:
     """First mass moment of the locked pendulums in the rotor's frame, kg m."""
-    if len(run.angle_rad) == 0:
-        theta = np.array([0.0, np.pi])
-    else:
-        theta = np.mean(run.angle_rad, axis=0)
+    theta = np.mean(run.angle_rad, axis=0) if len(run.angle_rad) else np.array([0.0, np.pi])
     a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
     return complex(a * np.exp(1j * theta[0]) + b * np.exp(1j * theta[1]))
 
@@ -187,11 +185,20 @@ def _fit(
 def _result(record: RunUpRecord, solution: Solution, history: SpeedHistory, warnings: list[str]) -> RunUpFit:
     minimum, theta = solution.minimum, solution.minimum.theta
     if not minimum.converged or not np.all(np.isfinite(theta)):
-        raise FitFailed(f"run-up: no convergence in {minimum.iterations} iterations, χ²/dof {solution.chi2_per_dof:.3g}")
+        raise FitFailed(
+            f"run-up: no convergence in {minimum.iterations} iterations, χ²/dof {solution.chi2_per_dof:.3g}"
+        )
+    if np.exp(max(theta[0], theta[2])) > history.phase(record.drive.end_s)[0, 1]:
+        raise NotIdentifiable("the run-up does not pass both resonances; run it up further")
     inflation = np.sqrt(max(1.0, solution.chi2_per_dof))
     curves, naive = [], {}
     for axis, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
         metres = residual / channel.weight
+        if np.std(metres) > _LEFT_OVER * np.std(channel.value):
+            raise FitFailed(
+                f"run-up: the model leaves {np.std(metres) / np.std(channel.value):.0%} of sensor {axis}'s signal; "
+                "does the run pass both resonances with the pendulums locked?"
+            )
         inflation = max(inflation, correlation_inflation(residual))
         curves.append(Curve(f"run-up: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
         naive[axis] = half_power(channel, history)
@@ -218,7 +225,17 @@ def _values(solution: Solution) -> tuple[dict[str, float], np.ndarray]:
     joint[p : p + 2, p + 2 :] = joint[p : p + 2, :p] @ inverse @ joint[:p, p + 2 :]
     joint[p + 2 :, p : p + 2] = joint[p : p + 2, p + 2 :].T
     amplitudes = [np.hypot(c[0], c[1]) for c in solution.coefficients]
-    names = ["f1_Hz", "zeta1", "f2_Hz", "zeta2", "axis_angle_deg", "amplitude_x_m", "amplitude_y_m", "delay_x_s", "delay_y_s"]
+    names = [
+        "f1_Hz",
+        "zeta1",
+        "f2_Hz",
+        "zeta2",
+        "axis_angle_deg",
+        "amplitude_x_m",
+        "amplitude_y_m",
+        "delay_x_s",
+        "delay_y_s",
+    ]
     f = np.exp(theta[:4]) / np.array([2 * np.pi, 1, 2 * np.pi, 1])
     values = [*f, np.degrees(theta[ANGLE]), *amplitudes, *theta[DELAYS]]
     jacobian = np.zeros((9, p + 4))

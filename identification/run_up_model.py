@@ -54,15 +54,13 @@ def _sensor_block(
     half = 0.5 * channel.spread_s2
     forced = [r.h + half * r.curve for r in seen]
     since = channel.time_s - drive.start_s
-    decays = [
-        averaged_decay(rate(w, z), since, channel.spread_s2) for w, z in zip(omegas, zetas, strict=True)
-    ]
+    decays = [averaged_decay(rate(w, z), since, channel.spread_s2) for w, z in zip(omegas, zetas, strict=True)]
     weight = channel.weight
     # x = Re(A h1), y = Im(A h2) = Re(−i A h2): both are Re(A times a complex signal)
     signal = mix[0] * forced[0] - 1j * mix[1] * forced[1]
-    columns = [signal.real, -signal.imag]
+    columns = [np.real(signal), -np.imag(signal)]
     for wave, _ in decays:
-        columns += [wave.real, -wave.imag]
+        columns += [np.real(wave), -np.imag(wave)]
     basis = np.column_stack([*columns, np.ones_like(since), since]) * weight[:, None]
 
     def tangent(c: np.ndarray) -> np.ndarray:

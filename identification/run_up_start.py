@@ -31,7 +31,7 @@ def transfer_function_start(channel: Averages, drive: Drive, imaginary: bool) ->
     band = (w > 2 * np.pi * 0.5) & (w < 1.1 * top)
     if np.count_nonzero(band) < 30:
         raise NotIdentifiable("the run-up is too short to hold a resonance")
-    x, u, v = (np.fft.rfft(s)[band] for s in (signal, force.real, force.imag))
+    x, u, v = (np.fft.rfft(s)[band] for s in (signal, np.real(force), np.imag(force)))
     w = w[band]
     weight = 1 / (w**2)
     square, damping = 0.0, 0.0

@@ -42,9 +42,7 @@ class Averages:
 
     def where(self, keep: np.ndarray) -> Averages:
         """The blocks for which keep, shape (n,), is true."""
-        return Averages(
-            self.time_s[keep], self.spread_s2[keep], self.value[keep], self.count[keep], self.noise
-        )
+        return Averages(self.time_s[keep], self.spread_s2[keep], self.value[keep], self.count[keep], self.noise)
 
 
 def white_noise(value: np.ndarray) -> float:

@@ -7,6 +7,7 @@ half a revolution changes nothing the encoders see, so ψ is searched over half 
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -53,10 +54,8 @@ def fit_spin_down_run(run: Run, knowledge: Knowledge) -> TransientFit:
     first = int(np.argmin([d.start_s for d in declines]))
     push = declines[1 - first].push_s - _BEFORE_PUSH_S
     if push - declines[first].start_s > _WORTH_S:  # one pendulum running down before the other is flicked
-        try:
+        with contextlib.suppress(FitFailed):  # a hand on the second pendulum: the stretch after it stands alone
             fits.append(_fit_from(run, whole, declines, declines[first].start_s, push, knowledge))
-        except FitFailed:
-            pass  # a hand on the second pendulum; the stretch after it stands alone
     return _together(fits)
 
 
@@ -65,20 +64,21 @@ def _fit_from(
 ) -> TransientFit:
     """One stretch; begins later while the residual right after its begin stands out."""
     slowest = min(d.rate_per_s for d in declines)
-    for _ in range(6):
+    for attempts_left in range(5, -1, -1):
         end = min(*(float(w.time_s[-1]) for w in whole), begin + TIME_CONSTANTS / slowest, limit)
         problem, start = _problem(whole, declines, begin, end, knowledge)
         minimum = _best_phase(problem, start, end)
-        if not _early_excess(problem, minimum) or end - begin < _WORTH_S:
-            break
-        begin += 0.04  # the hand was still there
-    fit = problem.result(minimum, end, "spin-down", 2)
-    if not minimum.converged or fit.chi2_per_dof > 10:
+        if attempts_left and _early_excess(problem, minimum) and end - begin > _WORTH_S:
+            begin += 0.04  # the hand was still there
+            continue
+        fit = problem.result(minimum, end, "spin-down", 2)
+        if minimum.converged and fit.chi2_per_dof < 10:
+            return fit
         raise FitFailed(
             f"{run.source}: the coupled model does not follow the spin-down: χ²/dof {fit.chi2_per_dof:.3g}, "
             f"{minimum.iterations} iterations"
         )
-    return fit
+    raise AssertionError("the last attempt returns or raises")
 
 
 def _together(fits: list[TransientFit]) -> TransientFit:

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from analysis.plots.fit import FitCurve, draw_fit
 from analysis.plots.point import draw_point, simulate_release
 from analysis.plots.stability_map import MapPoint, draw_stability_map
+from analysis.prediction import known_axis_angle
 from analysis.report import tables
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
@@ -87,7 +88,7 @@ def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dic
     run = _run_of(campaign, point)
     if point.measurement is not None and run is not None:
         physics = campaign.identification.parameters.applied_to(campaign.rig.physics)
-        beta = math.radians(campaign.axis_angle_deg[0])
+        beta = math.radians(known_axis_angle(campaign.axis_angle_deg)[0])
         simulated = simulate_release(run, point.measurement, physics, beta)
         figure = Markup(draw_point(run, point.measurement, point.prediction, simulated, f"point{index}"))
     return {

@@ -169,6 +169,8 @@ class VirtualRig:
                         "overrun_bytes": {n: w.overrun_bytes for n, w in self.wires.items()}}  # fmt: skip
             case "state":
                 return {"time_s": self.motion.time_s, "speed_rpm": self.drive.speed_rpm, "drive": self.drive.state}
+            case "unplug":
+                self.wires[str(request["device"])].close()
             case "quit":
                 self._running = False
             case other:

@@ -77,7 +77,7 @@ class PtyWire(_Outbox):
 
     def descriptor(self) -> int | None:
         """See Wire."""
-        return self._master
+        return self._master if self._master >= 0 else None
 
     def receive(self) -> bytes:
         """See Wire."""
@@ -96,6 +96,7 @@ class PtyWire(_Outbox):
         for descriptor in (self._master, self._slave):
             with contextlib.suppress(OSError):
                 os.close(descriptor)
+        self._master = self._slave = -1
 
 
 class TcpWire(_Outbox):
@@ -109,7 +110,7 @@ class TcpWire(_Outbox):
         self._peer: socket.socket | None = None
 
     def _accept(self) -> None:
-        with contextlib.suppress(BlockingIOError):
+        with contextlib.suppress(OSError):  # nobody waits, or the cable is pulled
             peer, _ = self._listener.accept()
             peer.setblocking(False)
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -122,7 +123,8 @@ class TcpWire(_Outbox):
     def descriptor(self) -> int | None:
         """See Wire."""
         self._accept()
-        return self._listener.fileno() if self._peer is None else self._peer.fileno()
+        descriptor = self._listener.fileno() if self._peer is None else self._peer.fileno()
+        return descriptor if descriptor >= 0 else None
 
     def receive(self) -> bytes:
         """See Wire."""
@@ -163,6 +165,7 @@ class TcpWire(_Outbox):
         """See Wire."""
         if self._peer is not None:
             self._peer.close()
+            self._peer = None
         self._listener.close()
 
 

@@ -86,9 +86,7 @@ class Campaign:
 
     def _run(self, test: str, releases: tuple[Release, ...] = (), **signals: Any) -> Run:
         rates = dict.fromkeys(("laser_x", "laser_y", "encoder"), self.clock_rate_std)
-        return Run(
-            test, f"{test}-{self.seed}.mcap", 0.0, releases=releases, clock_rate_std=rates, **signals
-        )
+        return Run(test, f"{test}-{self.seed}.mcap", 0.0, releases=releases, clock_rate_std=rates, **signals)
 
     def ring_down(self, axis: str, held_m: float = 2.5e-3, record_s: float = 12.0) -> Run:
         """One second of quiet, half a second held, then free."""
@@ -136,9 +134,7 @@ class Campaign:
         lock = self._locks()
         start = np.zeros(8)
         start[2:4] = lock
-        states = integrate(
-            start, time, 1e-3, history.knots_s, history.coefficients, self.truth.packed(), 0.0, 0.0
-        )
+        states = integrate(start, time, 1e-3, history.knots_s, history.coefficients, self.truth.packed(), 0.0, 0.0)
         first = np.ceil(psi0 / (2 * np.pi))
         turns = 2 * np.pi * np.arange(first, np.floor(psi[len(time) - 1] / (2 * np.pi)) + 1)
         moving = np.flatnonzero(np.diff(psi) > 1e-9)
@@ -154,7 +150,7 @@ class Campaign:
         )
 
     def _locks(self) -> np.ndarray:
-        return np.radians([0.0, 180.0] + self.rng.uniform(-0.2, 0.2, 2))
+        return np.radians(np.array([0.0, 180.0]) + self.rng.uniform(-0.2, 0.2, 2))
 
     def spin_down(self, record_s: float = 4.0, apart_s: float = 0.3) -> Run:
         """Rotor at rest, both pendulums flicked."""
@@ -173,9 +169,7 @@ class Campaign:
                 start[6 + pendulum] += speeds[pendulum]
             inside = time[(time >= cuts[i]) & (time < cuts[i + 1])]
             span = np.r_[cuts[i], inside, cuts[i + 1]]
-            out = integrate(
-                start, span, 1e-3, history.knots_s, history.coefficients, self.truth.packed(), 1.0, 1.0
-            )
+            out = integrate(start, span, 1e-3, history.knots_s, history.coefficients, self.truth.packed(), 1.0, 1.0)
             states.append(out[1:-1])
             start = out[-1].copy()
         state = np.concatenate(states)
@@ -203,9 +197,7 @@ class Campaign:
         signals = self.encoder(time, state[:, 2:4], state[:, 6:8], (turns - psi0) / speed, turns)
         stamp = float(self._stamped(np.array(go), self._encoder_clock)) + 5e-4 * self.rng.normal()
         releases = (Release(0, stamp), Release(1, stamp))
-        return self._run(
-            f"point-{name}", releases, **self.lasers(time, state[:, [0, 1, 4, 5]]), **signals
-        )
+        return self._run(f"point-{name}", releases, **self.lasers(time, state[:, [0, 1, 4, 5]]), **signals)
 
     def commissioning(self) -> list[Run]:
         """The four tests before the validation points."""

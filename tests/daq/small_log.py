@@ -1,0 +1,56 @@
+"""A small log with every channel, made through the real recorder and pipelines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.protocols import cia402, optoncdt, rotorlink, slcan
+from daq.recorder import Recorder
+from daq.streams import RX, Batch, make_pipelines
+from daq.transports import HostClock
+from rig_configs import load_rig
+
+
+def device_bytes() -> list[tuple[str, bytes]]:
+    """One read per device for each of ten steps of 10 ms."""
+    reads: list[tuple[str, bytes]] = []
+    for step in range(10):
+        number = 40 * step + np.arange(40)
+        ticks = 25 * number + 1000
+        codes = optoncdt.code(0.0125 + 1e-3 * np.sin(0.05 * number), 0.025)
+        words = np.column_stack([codes, number, ticks & 0xFFFF, ticks >> 16]).astype(np.uint32)
+        counts = np.column_stack([10 * step + np.arange(10), np.full(10, 2048)]).astype(np.int32)
+        block = rotorlink.EncoderBlock(1, 2 * step, 10 * step, 10_000 * step, 1000, 96, counts)
+        mark = rotorlink.IndexMark(1, 2 * step + 1, 10_000 * step + 9_500, step)
+        frame = slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
+        reads += [("laser_x", optoncdt.encode_block(words)), ("laser_y", optoncdt.encode_block(words)),
+                  ("encoder", rotorlink.wire(block.pack()) + rotorlink.wire(mark.pack())),
+                  ("drive", slcan.encode(frame))]  # fmt: skip
+    return reads
+
+
+def write_small_log(path: Path, falsify: bool = False) -> Path:
+    """Write it; with `falsify` one decoded sample is not what the raw bytes say."""
+    rig = load_rig("virtual")
+    pipelines = make_pipelines(rig.devices, {})
+    attachments: dict[str, bytes] = {"rig.json": rig.snapshot_json(), "identities.json": b"{}"}
+    recorder = Recorder(path, HostClock(), {"test": "small"}, attachments, tuple(pipelines))
+    start = 1_700_000_000_000_000_000
+    for i, (device, data) in enumerate(device_bytes()):
+        host_ns = start + 10_000_000 * (i // 4 + 1)
+        recorder.raw(device, RX, data, host_ns)
+        for item in pipelines[device].feed(RX, data, host_ns):
+            if isinstance(item, Batch):
+                recorder.batch(_falsified(item) if falsify and i == 4 else item, host_ns)
+            else:
+                recorder.event(item, host_ns)
+    return recorder.close({"losses": {n: p.losses for n, p in pipelines.items()}})
+
+
+def _falsified(batch: Batch) -> Batch:
+    columns: dict[str, Any] = {k: np.array(v) for k, v in batch.columns.items()}
+    columns["displacement_m"][3] += 1e-9
+    return Batch(batch.channel, batch.time_ns, batch.sequence, columns)

@@ -1,0 +1,198 @@
+"""A whole rig on real ptys: recording, replay, losses, a pulled cable, a killed host, a full disk, an intruder."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from cli.demo import _radio_check
+from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.errors import DeviceError, LinkLost
+from daq.log import open_log
+from daq.procedure import Procedures
+from daq.protocols import cia402
+from daq.replay import check
+from daq.session import Session
+from daq.transports import HostClock
+from daq.virtual_rig.control import OperatorLine
+from rig_configs import load_rig
+from rig_configs.schema import Rig
+from tests.conftest import TIME_SCALE
+
+needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and ptys need POSIX")
+
+
+def quiet(text: str, share: float | None) -> None:
+    """No progress in tests."""
+
+
+def test_a_recorded_test_holds_raw_and_decoded_and_replays_exactly(
+    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet, note="<b>note</b>")
+        done = tests.ring_down("x")
+        spun = tests.spin_down()
+    radio = virtual_rig.line.ask("radio")
+    for path in (done.log, spun.log):
+        rows = check(path)
+        assert [r.topic for r in rows if r.difference] == []
+        assert all(r.live > 0 for r in rows if r.topic not in ("tacho",))
+        counted = _radio_check(path, radio)
+        assert counted["counted"] == counted["dropped"]
+        with open(path, "rb") as file:
+            topics = {channel.topic for _, channel, _ in make_reader(file, validate_crcs=True).iter_messages()}
+        assert {"raw/laser_x", "raw/laser_y", "raw/encoder", "raw/drive", "laser/x", "laser/y", "pendulums"} <= topics
+        with open_log(path) as log:
+            assert log.complete
+            losses = json.loads(log.metadata["summary"]["losses"])
+            assert losses["laser_x"] == {"samples": 0, "bytes": 0, "invalid": 0}
+            assert log.metadata["run"]["note"] == "<b>note</b>"
+            assert b"virtual" not in log.attachments["rig.json"].replace(b'"name":"virtual"', b"")
+
+
+def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(plugged: Rig) -> None:
+    wrong = plugged.model_copy(
+        update={"devices": plugged.devices.model_copy(
+            update={"laser_x": plugged.devices.laser_x.model_copy(update={"range_m": 0.05})})}
+    )  # fmt: skip
+    with pytest.raises(DeviceError, match=r"50 mm, the sensor 25 mm"), Session(wrong, HostClock(TIME_SCALE)):
+        pass
+
+
+def test_locking_is_refused_while_the_rotor_turns(plugged: Rig) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        session.command_node("release both")
+        session.drive.enable()
+        session.drive.set_speed(120)
+        session.wait_for(lambda: session.drive.actual_rpm > 100, 5.0, "the rotor to turn")
+        with pytest.raises(DeviceError, match="refused"):
+            session.command_node("lock both")
+        session.drive.set_speed(0)
+        session.wait_for(lambda: session.drive.actual_rpm == 0, 5.0, "the rotor to stop")
+        session.command_node("lock both")
+
+
+@needs_posix
+def test_a_pulled_cable_is_reported_and_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        session.drive.enable()
+        session.drive.set_speed(300)
+        session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
+        virtual_rig.line.ask("unplug", device="laser_y")
+        with pytest.raises(LinkLost, match="cable"):
+            session.wait_for(lambda: False, 5.0, "nothing")
+        deadline = time.monotonic() + 3
+        while virtual_rig.line.ask("state")["speed_rpm"] > 1 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert virtual_rig.line.ask("state")["speed_rpm"] < 1
+
+
+_RECORD_SPINNING = """
+import sys, time
+from pathlib import Path
+from daq.session import Session
+from daq.transports import HostClock
+from rig_configs import load_rig
+rig = load_rig("virtual", settings=sys.argv[3:])
+session = Session(rig, HostClock(float(sys.argv[2]))).open()
+session.drive.enable()
+session.drive.set_speed(600)
+session.wait_for(lambda: session.drive.actual_rpm > 590, 30, "speed")
+session.start_recording(Path(sys.argv[1]), {"test": "record"})
+print("recording", flush=True)
+while True:
+    session.check()
+    time.sleep(0.05)
+"""
+
+
+def recording_host(path: Path, rig: VirtualRigProcess, scale: float, *wrapper: str) -> subprocess.Popen[str]:
+    command = [*wrapper, sys.executable, "-c", _RECORD_SPINNING, str(path), str(scale), *rig.port_settings()]
+    host = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert host.stdout is not None
+    assert host.stdout.readline().strip() == "recording"
+    return host
+
+
+@needs_posix
+@pytest.mark.parametrize("after_s", [0.06, 1.1])
+def test_a_killed_host_loses_little_and_the_drive_stops_by_itself(after_s: float, tmp_path: Path) -> None:
+    with VirtualRigProcess("virtual", ["virtual.drive.lag_s=0.02"], 4.0) as rig:
+        path = tmp_path / "killed.mcap"
+        host = recording_host(path, rig, 4.0)
+        time.sleep(after_s)
+        host.send_signal(signal.SIGKILL)
+        killed = time.monotonic()
+        killed_rig_s = rig.line.ask("state")["time_s"]
+        while rig.line.ask("state")["speed_rpm"] > 0.5 and time.monotonic() < killed + 5:
+            time.sleep(0.01)
+        stopped_after = time.monotonic() - killed
+        host.communicate()
+        assert stopped_after < 1.0
+        with open_log(path.with_name("killed.mcap.part")) as log:
+            assert not log.complete
+            last_chunk_s = max(int(log[t].log_time_ns[-1]) for t in ("laser/x", "pendulums")) * 1e-9
+            first_s = int(log["laser/x"].log_time_ns[0]) * 1e-9
+            assert last_chunk_s > first_s
+            # wall time between the last sample kept and the kill: the recording ran `after_s` at least
+            kept_wall_s = (last_chunk_s - first_s) / 4.0
+            assert kept_wall_s > after_s - 0.5
+        assert killed_rig_s > 0
+        rows = check(path.with_name("killed.mcap.part"))
+        # what was decoded live from raw bytes that are in the file is there too, up to the cut
+        assert all(abs(r.live - r.again) < 4000 for r in rows)
+
+
+@needs_posix
+def test_a_full_disk_ends_the_run_with_a_readable_log_and_a_stopped_rotor(tmp_path: Path) -> None:
+    with VirtualRigProcess("virtual", [], 4.0) as rig:
+        path = tmp_path / "full.mcap"
+        limit = "import resource, os, sys, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); " + (
+            "resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)); os.execv(sys.argv[1], sys.argv[1:])"
+        )
+        host = recording_host(path, rig, 4.0, sys.executable, "-c", limit)
+        _, stderr = host.communicate(timeout=30)
+        assert host.returncode != 0
+        assert "File too large" in stderr or "OSError" in stderr
+        deadline = time.monotonic() + 5
+        while rig.line.ask("state")["speed_rpm"] > 0.5 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert rig.line.ask("state")["speed_rpm"] < 0.5
+        with open_log(path.with_name("full.mcap.part")) as log:
+            assert len(log["laser/x"]) > 1000
+
+
+def test_the_control_port_asks_for_its_token(virtual_rig: VirtualRigProcess) -> None:
+    intruder = OperatorLine(virtual_rig.line._socket.getpeername()[1], "wrong")
+    with pytest.raises(ValueError, match="token"):
+        intruder.ask("truth")
+    intruder.close()
+    assert set(virtual_rig.line.ask("truth")["truth"]) == {
+        "k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "c3_Nms_per_rad", "c4_Nms_per_rad", "SP_kg_m",
+    }  # fmt: skip
+
+
+@needs_posix
+def test_ptys_and_tcp_ports_carry_the_same_rig(tmp_path: Path) -> None:
+    with VirtualRigProcess("virtual", [], TIME_SCALE, link="tcp") as rig:
+        assert all(port.startswith("socket://127.0.0.1:") for port in rig.ports.values())
+        plugged = load_rig("virtual", settings=rig.port_settings())
+        with Session(plugged, HostClock(TIME_SCALE)) as session:
+            done = Procedures(session, SimulatedOperator(rig.line), tmp_path, quiet).spin_down()
+        assert [r.topic for r in check(done.log) if r.difference] == []
+
+
+def test_the_drive_reports_its_states_on_the_way_to_operation(plugged: Rig) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        session.drive.enable()
+        assert session.drive.state == cia402.OPERATION_ENABLED
+        session.drive.disable()
+        session.wait_for(lambda: session.drive.state != cia402.OPERATION_ENABLED, 2.0, "the drive to be disabled")

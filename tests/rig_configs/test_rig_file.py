@@ -1,0 +1,102 @@
+"""Rig files: every fault says file, key, what was expected, what came and the nearest known name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig_configs import IdentifiedParameters, ParametersFileError, RigFileError, load_rig, parse_setting, shipped_rigs
+
+
+def test_shipped_rigs_load_and_hold_the_points() -> None:
+    assert {"virtual", "isotropic"} <= set(shipped_rigs())
+    rig = load_rig("virtual")
+    assert {n: p.speed_ratio for n, p in rig.points.items()} == {"A": 0.83, "B": 1.6, "C": 2.6, "D": 3.3, "E": 5.8}
+    assert rig.suspension.k2_N_per_m / rig.suspension.k1_N_per_m == pytest.approx(14.9, rel=1e-5)
+    assert load_rig("isotropic").physics.is_isotropic
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("rotor.mass=7", ["virtual.toml", "rotor.mass", "did you mean rotor.mass_kg"]),
+        ("suspension.zetta1=0.1", ["did you mean suspension.zeta1"]),
+        ("suspension.zeta1=-0.1", ["suspension.zeta1", "greater than or equal to 0", "-0.1"]),
+        ("suspension.k1_N_per_m=inf", ["suspension.k1_N_per_m", "inf"]),
+        ("points.A.speed_ration=1", ["did you mean points.A.speed_ratio"]),
+        ("pointss.A=1", ["did you mean points"]),
+        ("devices.laser_x.axis=y", ["laser_x must look along axis"]),
+        ("devices.drive.heartbeat_timeout_ms=120", ["at least twice heartbeat_ms"]),
+        ("virtual.truth.suspension.k2=1", ["did you mean virtual.truth.suspension.k2_N_per_m"]),
+        ("suspension.q=+5%", ["no number at suspension.q"]),
+        ("suspension", ["expected key=value"]),
+        ("name.first=1", ["name is a value, not a table"]),
+    ],
+)
+def test_a_fault_is_explained(setting: str, words: list[str]) -> None:
+    with pytest.raises(RigFileError) as caught:
+        load_rig("virtual", settings=[setting])
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_missing_device_and_a_missing_value_are_named(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "rig_configs" / "virtual.toml").read_text()
+    start, end = text.index("[devices.encoder]"), text.index("[devices.drive]")
+    broken = tmp_path / "broken.toml"
+    broken.write_text(text[:start] + text[end:].replace("mass_kg = 7.0", ""))
+    with pytest.raises(RigFileError, match=r"broken.toml: devices.encoder: missing; expected a table with driver"):
+        load_rig(broken)
+
+
+def test_a_file_that_is_not_there_names_the_shipped_ones() -> None:
+    with pytest.raises(RigFileError, match="did you mean the shipped rig 'virtual'"):
+        load_rig("virtal")
+    with pytest.raises(RigFileError, match="not a TOML file"):
+        load_rig(__file__)
+
+
+def test_settings_are_absolute_or_relative() -> None:
+    base = load_rig("virtual")
+    raised = load_rig("virtual", settings=["suspension.k2_N_per_m=+7%", "virtual.truth.suspension.zeta1=*2"])
+    assert raised.suspension.k2_N_per_m == pytest.approx(1.07 * base.suspension.k2_N_per_m)
+    assert raised.true_physics.zeta1 == pytest.approx(2 * base.true_physics.zeta1)
+    assert parse_setting("a.b=3") == ("a.b", 3)
+    assert parse_setting("a.b=text here") == ("a.b", "text here")
+
+
+def test_truth_follows_the_rig_file_where_it_says_nothing() -> None:
+    rig = load_rig("virtual", settings=["pendulums.b.mass_kg=0.070"])
+    assert rig.true_physics.b.mass_kg == 0.070
+    assert rig.true_physics.k1_N_per_m != rig.physics.k1_N_per_m
+
+
+def test_a_snapshot_knows_no_simulation() -> None:
+    snapshot = load_rig("virtual").snapshot_json()
+    assert b"truth" not in snapshot
+    assert b"0.0208" not in snapshot
+
+
+def test_parameters_file_round_trip_and_overlay(tmp_path: Path) -> None:
+    values = {"k1_N_per_m": 2600.0, "k2_N_per_m": 38000.0, "zeta1": 0.021, "c4_Nms_per_rad": 9e-4, "SP_kg_m": 2.5e-3}
+    root = np.random.default_rng(1).normal(size=(5, 5)) * 1e-6
+    known = IdentifiedParameters(values, root @ root.T, {"software": "1"})
+    path = tmp_path / "parameters.toml"
+    known.save(path)
+    again = IdentifiedParameters.load(path)
+    assert again.values == values
+    assert np.allclose(again.covariance, known.covariance, rtol=1e-12, atol=0)
+    rig = load_rig("virtual", path)
+    assert rig.physics.identified() == pytest.approx({**load_rig("virtual").physics.identified(), **values})
+
+
+@pytest.mark.parametrize("text", ["", "x = [", "[covariance]\norder=['k1_N_per_m']\nmatrix=[[1.0]]"])
+def test_a_damaged_parameters_file_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_text(text)
+    with pytest.raises(ParametersFileError, match=r"parameters\.toml"):
+        IdentifiedParameters.load(path)
+    with pytest.raises(ParametersFileError, match="cannot be read"):
+        IdentifiedParameters.load(tmp_path / "absent.toml")
