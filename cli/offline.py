@@ -26,7 +26,7 @@ def identify(
 
     _need(logs, "rig identify LOG…")
     loaded = load_rig(rig, settings=settings or [])
-    found = find(results.load_runs(logs), loaded, lambda text: STDERR.print(text))
+    found = find(results.load_runs(logs), loaded, STDERR.print)
     parameters = results.with_version(found.parameters)
     parameters.save(output)
     if json:

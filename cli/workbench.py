@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
@@ -17,12 +18,12 @@ def _warm_up() -> None:
     """Import and compile while the first tests are being recorded."""
     import numpy as np  # noqa: PLC0415
 
-    import analysis.report.write  # noqa: F401, PLC0415
-    import identification  # noqa: F401, PLC0415
     from dynamics import SpeedHistory, simulate, steady_states  # noqa: PLC0415
     from dynamics.scene import Scene  # noqa: PLC0415
     from rig_configs import load_rig  # noqa: PLC0415
 
+    for module in ("analysis.report.write", "analysis.validation", "identification"):
+        importlib.import_module(module)
     physics = load_rig("virtual").physics
     simulate(physics, Scene(SpeedHistory.constant(30.0)), np.linspace(0, 0.1, 11))
     steady_states(physics, 30.0)

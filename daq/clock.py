@@ -22,7 +22,7 @@ _SLEW = 0.01  # largest relative correction of the mapped clock's rate
 _SETTLE_NS = 1_000_000_000
 
 
-def lower_line(device: NDArray[np.float64], lag: NDArray[np.float64]) -> tuple[float, float]:
+def lower_line(device: NDArray[np.floating], lag: NDArray[np.floating]) -> tuple[float, float]:
     """The line under all points with the least sum of distances.
 
     Args:
@@ -127,12 +127,12 @@ class ClockLine:
     rate_std: float
     jitter_s: float
 
-    def host_s(self, device_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def host_s(self, device_s: NDArray[np.floating]) -> NDArray[np.floating]:
         """Common-clock time of device times."""
         return self.offset_s + (1 + self.rate) * device_s
 
 
-def fit_line(device_s: NDArray[np.float64], host_s: NDArray[np.float64], tolerance_ppm: float) -> ClockLine:
+def fit_line(device_s: NDArray[np.floating], host_s: NDArray[np.floating], tolerance_ppm: float) -> ClockLine:
     """The line of a whole record, its rate combined with the clock's stated tolerance.
 
     Args:

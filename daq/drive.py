@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import can
 import canopen
-from canopen.sdo import SdoAbortedError, SdoCommunicationError
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from daq.errors import DeviceError
 from daq.protocols import cia402, slcan
@@ -89,7 +89,7 @@ class DriveControl:
             self._write(index, sub, value, size)
         self.set_ramp(c.ramp_rpm_per_s)
         self._start_heartbeat()
-        self._network.send_message(0, [1, c.node_id])
+        self._network.send_message(0, bytes([1, c.node_id]))
 
     def _write(self, index: int, sub: int, value: int, size: int) -> None:
         for attempt in (1, 2, 3):
@@ -154,7 +154,7 @@ class DriveControl:
         def beat() -> None:
             identifier = cia402.cob_heartbeat(self._config.host_node_id)
             while self._beating.is_set():
-                self._network.send_message(identifier, [int(cia402.Heartbeat.OPERATIONAL)])
+                self._network.send_message(identifier, bytes([cia402.Heartbeat.OPERATIONAL]))
                 time.sleep(period)
 
         self._beat = threading.Thread(target=self._guard(beat), name="heartbeat", daemon=True)
@@ -175,6 +175,6 @@ class DriveControl:
         if self._beat is not None:
             self._beat.join(timeout=2.0)
             self._pdo(cia402.DISABLE_VOLTAGE, 0)
-            self._network.send_message(0, [0x80, self._config.node_id])
+            self._network.send_message(0, bytes([0x80, self._config.node_id]))
             self._send(b"C\r")
             self._beat = None

@@ -15,7 +15,7 @@ class RigError(Exception):
     """Base of everything this package raises on purpose; catch it to tell a rig trouble from a bug."""
 
 
-class LinkLost(RigError):  # noqa: N818
+class LinkLost(RigError):
     """A device is gone: reading or writing its byte link fails and waiting will not help."""
 
 
@@ -27,7 +27,7 @@ class LogError(RigError):
     """A file is not a readable log, or a record in it cannot be what its header says."""
 
 
-class ChannelMissing(LogError, KeyError):  # noqa: N818
+class ChannelMissing(LogError, KeyError):
     """The log has no channel of the wanted name; the text lists those it has and the nearest one."""
 
     def __str__(self) -> str:

@@ -234,7 +234,7 @@ class Procedures:
         x = x[np.isfinite(x)]
         return (float(np.ptp(x)), float(np.max(np.abs(x)))) if len(x) else (0.0, 0.0)
 
-    def _rates(self) -> NDArray[np.float64]:
+    def _rates(self) -> NDArray[np.floating]:
         """Pendulum speeds over the newest fifth of a second of samples, rad/s, shape (2,); NaN without samples."""
         time_ns, (a, b) = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), self._since(3.0))
         new = time_ns > (time_ns[-1] - 200_000_000 if len(time_ns) else 0)
@@ -243,15 +243,15 @@ class Procedures:
         t, a, b = time_ns[new], a[new], b[new]
         return np.array([a[-1] - a[0], b[-1] - b[0]]) / ((t[-1] - t[0]) * 1e-9)
 
-    def _signals(self, since_ns: int) -> tuple[NDArray[np.float64], ...]:
-        """Angle times and angles, marks, lasers since an instant, times in s from it."""
+    def _signals(self, since_ns: int, lasers_since_ns: int | None = None) -> tuple[NDArray[np.floating], ...]:
+        """Angle times and angles, marks and (perhaps later) lasers since an instant, times in s from it."""
         recent = self._s.recent
         t, (a, b) = recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
         m, (turns,) = recent.last("tacho", ("revolutions",), since_ns)
-        tx, (x,) = recent.last("laser/x", ("displacement_m",), since_ns)
-        ty, (y,) = recent.last("laser/y", ("displacement_m",), since_ns)
+        tx, (x,) = recent.last("laser/x", ("displacement_m",), lasers_since_ns or since_ns)
+        ty, (y,) = recent.last("laser/y", ("displacement_m",), lasers_since_ns or since_ns)
 
-        def seconds(ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        def seconds(ns: NDArray[np.int64]) -> NDArray[np.floating]:
             return (ns - since_ns) * 1e-9
 
         return (
@@ -266,9 +266,9 @@ class Procedures:
         return found.settled
 
     def _steady(self, released_ns: int) -> Settling:
-        since = max(released_ns, self._since(20.0))
-        t, angles, marks, phase, tx, x, ty, y = self._signals(since)
-        return settled(t, angles, marks, phase, tx, x, ty, y, release_time_s=(released_ns - since) * 1e-9)
+        since = released_ns - 1_500_000_000  # some of the time before, to know how the pendulums stood
+        signals = self._signals(since, max(since, self._since(15.0)))
+        return settled(*signals, release_time_s=(released_ns - since) * 1e-9)
 
     def _at_rest_and_locked(self) -> None:
         self._s.check()

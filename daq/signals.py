@@ -125,7 +125,7 @@ def _start(log: Log) -> float:
     return math.floor(min(log[t].log_time_ns[0] for t in ("laser/x", "laser/y", "pendulums")) * 1e-9)
 
 
-def _line(device_s: NDArray[np.float64], log_ns: NDArray[np.int64], start_s: float, tolerance_ppm: float) -> ClockLine:
+def _line(device_s: NDArray[np.floating], log_ns: NDArray[np.int64], start_s: float, tolerance_ppm: float) -> ClockLine:
     """Clock line through the last sample of every read."""
     last = np.flatnonzero(np.diff(log_ns, append=log_ns[-1] + 1))
     host = (log_ns[last] - int(start_s) * 1_000_000_000) * 1e-9
@@ -170,7 +170,7 @@ def _releases(log: Log, line: ClockLine) -> tuple[Release, ...]:
 
 def _laser(
     log: Log, axis: str, tolerance_ppm: float, start_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], ClockLine]:
+) -> tuple[NDArray[np.floating], NDArray[np.floating], ClockLine]:
     samples = log[f"laser/{axis}"]
     device_s = samples.device_ticks * optoncdt.TICK_S
     line = _line(device_s, samples.log_time_ns, start_s, tolerance_ppm)

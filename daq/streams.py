@@ -317,8 +317,8 @@ class DrivePipeline:
                 rows.append(cia402.unpack_tpdo1(frame.data))
             elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
                 emergency = cia402.unpack_emergency(frame.data)
-                out.append(Event("emergency", self._device, f"drive error 0x{emergency.error_code:04X}",
-                                 {"error_code": emergency.error_code, "register": emergency.error_register}))  # fmt: skip
+                facts = {"error_code": emergency.error_code, "register": emergency.error_register}
+                out.append(Event("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
         if rows:
             out += self._speed(rows, host_ns)
         return out

@@ -1,5 +1,8 @@
 """The motion over time: prescribed rotor phase, state integrated inside compiled code."""
 
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -35,9 +38,7 @@ class SpeedHistory:
         return cls(np.array([at_s, at_s + 1.0]), np.array([[phase_rad, speed_rad_s, 0.0, 0.0]]))
 
     @classmethod
-    def ramp(
-        cls, from_rad_s: float, to_rad_s: float, duration_s: float, phase_rad: float = 0.0
-    ) -> SpeedHistory:
+    def ramp(cls, from_rad_s: float, to_rad_s: float, duration_s: float, phase_rad: float = 0.0) -> SpeedHistory:
         """A linear ramp from t = 0 on, then constant speed."""
         slope = (to_rad_s - from_rad_s) / duration_s
         return cls(np.array([0.0, duration_s]), np.array([[phase_rad, from_rad_s, slope / 2, 0.0]]))
@@ -181,9 +182,7 @@ def locked_orbit(
     w, mass = speed_rad_s, p.total_mass_kg
     c1, c2 = p.damping_Ns_per_m
     force = moment * w * w
-    return force / (p.k1_N_per_m - mass * w * w + 1j * w * c1), force / (
-        p.k2_N_per_m - mass * w * w + 1j * w * c2
-    )
+    return force / (p.k1_N_per_m - mass * w * w + 1j * w * c1), force / (p.k2_N_per_m - mass * w * w + 1j * w * c2)
 
 
 def locked_state(
@@ -237,7 +236,7 @@ def simulate(parameters: RotorParameters, scene: Scene, time_s: np.ndarray, accu
     def run(h: float) -> np.ndarray:
         return integrate(y0, times, h, history.knots_s, history.coefficients, packed, free_a, free_b)
 
-    coarse = run(step)
+    coarse, error = run(step), np.inf
     for _ in range(8):
         step /= 2
         fine = run(step)

@@ -11,6 +11,9 @@ whose matrix is positive definite because S_i²/J_i = M_i < M_S. A locked pendul
 The rates may be complex: a complex step gives exact derivatives of everything built on this function.
 """
 
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
 from __future__ import annotations
 
 import numpy as np

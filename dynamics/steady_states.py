@@ -8,6 +8,9 @@ known in closed form, whatever the suspension; Types II and III are found by New
 isotropic closed form. The derivative of H is exact: a complex step of 1e-30 through the integrator.
 """
 
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
 from __future__ import annotations
 
 import math
@@ -17,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from dynamics.errors import NotConverged
-from dynamics.integrate import fastest_rate, integrate
+from dynamics.integrate import fastest_rate, integrate, locked_state
 from dynamics.kernels import rk4_step
 from dynamics.parameters import RotorParameters
 
@@ -68,9 +71,7 @@ def _half_turn(y0, omega, steps, p, tangent):
     y = y0.copy()
     for i in range(steps):
         ph[0, 0], ph[1, 0], ph[2, 0] = omega * h * i, omega * h * (i + 0.5), omega * h * (i + 1)
-        rk4_step(
-            y, h, ph[0], ph[1], ph[2], p, 1.0, 1.0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-        )
+        rk4_step(y, h, ph[0], ph[1], ph[2], p, 1.0, 1.0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4])
     jacobian = np.zeros((8, 8))
     if tangent:
         complex_scratch = np.empty((5, 8), dtype=np.complex128)
@@ -129,9 +130,7 @@ def balanced_angles(parameters: RotorParameters) -> list[tuple[float, float]]:
     ]
 
 
-def singular_points(
-    parameters: RotorParameters, speed: float, total_moment: float
-) -> list[tuple[float, complex]]:
+def singular_points(parameters: RotorParameters, speed: float, total_moment: float) -> list[tuple[float, complex]]:
     """Types II and III on an isotropic suspension in closed form.
 
     Args:
@@ -154,9 +153,7 @@ def singular_points(
     ]
 
 
-def _orbit(
-    parameters: RotorParameters, speed: float, guess: np.ndarray, accuracy: float
-) -> np.ndarray | None:
+def _orbit(parameters: RotorParameters, speed: float, guess: np.ndarray, accuracy: float) -> np.ndarray | None:
     """Newton's method on H; None when it does not converge."""
     packed = parameters.packed()
     steps = _steps(parameters, speed, accuracy)
@@ -177,9 +174,7 @@ def _orbit(
     return None
 
 
-def _describe(
-    parameters: RotorParameters, speed: float, kind: str, start: np.ndarray, accuracy: float
-) -> SteadyState:
+def _describe(parameters: RotorParameters, speed: float, kind: str, start: np.ndarray, accuracy: float) -> SteadyState:
     steps = _steps(parameters, speed, accuracy)
     coarse = _multipliers(parameters, speed, start, steps)
     fine = _multipliers(parameters, speed, start, 2 * steps)
@@ -217,9 +212,7 @@ def multipliers(parameters: RotorParameters, speed_rad_s: float, accuracy: float
     return _describe(parameters, speed_rad_s, "I", start, accuracy)
 
 
-def steady_states(
-    parameters: RotorParameters, speed_rad_s: float, accuracy: float = 1e-8
-) -> list[SteadyState]:
+def steady_states(parameters: RotorParameters, speed_rad_s: float, accuracy: float = 1e-8) -> list[SteadyState]:
     """Every steady motion of Types I, II, III found at a constant speed, stable ones first.
 
     Args:
@@ -233,8 +226,7 @@ def steady_states(
         start = np.zeros(8)
         start[2:4] = theta3, theta4
         found.append(_describe(parameters, speed_rad_s, "I", start, accuracy))
-    s_a, s_b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
-    for kind, moment, gap in (("II", s_a - s_b, math.pi), ("III", s_a + s_b, 0.0)):
+    for kind, gap in (("II", math.pi), ("III", 0.0)):
         for angle in np.arange(8) * math.pi / 4:
             guess = _guess(parameters, speed_rad_s, angle, gap)
             start = _orbit(parameters, speed_rad_s, guess, accuracy)
@@ -245,8 +237,6 @@ def steady_states(
 
 
 def _guess(parameters: RotorParameters, speed: float, angle: float, gap: float) -> np.ndarray:
-    from dynamics.integrate import locked_state
-
     return locked_state(parameters, speed, 0.0, angle, angle + gap)
 
 

@@ -7,14 +7,14 @@ import numpy as np
 from identification.errors import NotIdentifiable
 from identification.samples import Averages
 
-_WINDOW_S = 0.06
+_WINDOW_S, _MARGIN_S = 0.1, 0.017
 
 
 def release_instant(channels: list[Averages]) -> float:
     """A time surely at or after the release, s.
 
-    The last stretch of 60 ms in which every channel stays level (within 3 % of the largest displacement) while one
-    is far from rest is the end of the hold: at any frequency above 2 Hz a free oscillation near its peak moves more.
+    The last stretch of 100 ms in which every channel stays level (within 3 % of the displacement, and noise) far from
+    rest is the end of the hold: a free oscillation above 2 Hz moves by a fifth of its amplitude around its peak.
     Without a hold (the record starts in free decay) it is the record's start.
 
     Args:
@@ -32,20 +32,23 @@ def release_instant(channels: list[Averages]) -> float:
         )
     start = max(c.time_s[0] for c in channels)
     end = min(c.time_s[-1] for c in channels)
-    edges = np.arange(start, end - _WINDOW_S, _WINDOW_S / 4)
-    level = np.ones(len(edges), bool)
-    away = np.zeros(len(edges), bool)
-    for channel, move in zip(channels, moves, strict=True):
-        first = np.searchsorted(channel.time_s, edges)
-        last = np.searchsorted(channel.time_s, edges + _WINDOW_S)
-        for i, (a, b) in enumerate(zip(first, last, strict=True)):
-            if b - a < 3:
-                level[i] = False
-                continue
-            part = channel.value[a:b]
-            level[i] &= part.max() - part.min() < 0.03 * largest + 6 * noise
-            away[i] |= float(np.median(move[a:b])) > 0.3 * largest
-    held = np.flatnonzero(level & away)
+    edges = np.arange(start, end - _WINDOW_S, _WINDOW_S / 6)
+    middles, ranges = zip(*(_windows(c, m, edges) for c, m in zip(channels, moves, strict=True)), strict=True)
+    displaced = np.max(middles, axis=0)
+    level = np.max(ranges, axis=0) < 0.03 * displaced + 6 * noise
+    held = np.flatnonzero(level & (displaced > 0.5 * largest))
     if len(held) == 0:
         return float(start)
-    return float(edges[held[-1]] + _WINDOW_S + 0.015)
+    return float(edges[held[-1]] + _WINDOW_S + _MARGIN_S)
+
+
+def _windows(channel: Averages, move: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Median displacement from rest and range of the values in each window; the range is inf where samples lack."""
+    first = np.searchsorted(channel.time_s, edges)
+    last = np.searchsorted(channel.time_s, edges + _WINDOW_S)
+    middle, spread = np.zeros(len(edges)), np.full(len(edges), np.inf)
+    for i, (a, b) in enumerate(zip(first, last, strict=True)):
+        if b - a >= 3:
+            middle[i] = np.median(move[a:b])
+            spread[i] = np.ptp(channel.value[a:b])
+    return middle, spread

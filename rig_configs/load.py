@@ -44,11 +44,7 @@ def load_rig(
     except tomllib.TOMLDecodeError as error:
         raise RigFileError(f"{source}: not a TOML file: {error}") from error
     if parameters is not None:
-        known = (
-            parameters
-            if isinstance(parameters, IdentifiedParameters)
-            else IdentifiedParameters.load(parameters)
-        )
+        known = parameters if isinstance(parameters, IdentifiedParameters) else IdentifiedParameters.load(parameters)
         _lay_parameters(raw, known)
     pairs = settings.items() if isinstance(settings, Mapping) else [parse_setting(s) for s in settings]
     for key, value in pairs:

@@ -91,9 +91,7 @@ class IdentifiedParameters:
             values = {name: float(raw[name]["value"]) for name in order}
             matrix = np.array(raw["covariance"]["matrix"], float)
         except OSError as error:
-            raise ParametersFileError(
-                f"{path}: cannot be read: {error}. `rig identify` writes one"
-            ) from error
+            raise ParametersFileError(f"{path}: cannot be read: {error}. `rig identify` writes one") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ParametersFileError(f"{path}: not a TOML file: {error}") from error
         except (KeyError, TypeError, ValueError) as error:

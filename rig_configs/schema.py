@@ -113,9 +113,7 @@ class Drive(Table):
     @model_validator(mode="after")
     def _beats_before_timeout(self) -> Drive:
         if self.heartbeat_timeout_ms < 2 * self.heartbeat_ms:
-            raise ValueError(
-                "heartbeat_timeout_ms must be at least twice heartbeat_ms, or one late beat stops the rig"
-            )
+            raise ValueError("heartbeat_timeout_ms must be at least twice heartbeat_ms, or one late beat stops the rig")
         return self
 
 
@@ -264,9 +262,7 @@ class Rig(Table):
         return _laid_over(self.physics, self.virtual.truth)
 
 
-def _physics(
-    rotor: Rotor, imbalance: Imbalance, pendulums: Pendulums, suspension: Suspension
-) -> RotorParameters:
+def _physics(rotor: Rotor, imbalance: Imbalance, pendulums: Pendulums, suspension: Suspension) -> RotorParameters:
     a, b = pendulums.a, pendulums.b
     return RotorParameters(
         rotor_mass_kg=rotor.mass_kg,

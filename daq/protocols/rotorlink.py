@@ -35,7 +35,7 @@ RESULTS = (
 )
 
 
-class BadFrame(ValueError):  # noqa: N818
+class BadFrame(ValueError):
     """A payload is no frame; `reason` is ``crc``, ``type`` or ``length``."""
 
     def __init__(self, reason: str, text: str) -> None:

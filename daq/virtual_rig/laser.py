@@ -20,11 +20,11 @@ class DeviceClock:
     def __init__(self, offset_s: float, drift: float) -> None:
         self.offset_s, self.drift = offset_s, drift
 
-    def device_s(self, time_s: NDArray[np.float64] | float) -> NDArray[np.float64] | float:
+    def device_s(self, time_s: NDArray[np.floating] | float) -> NDArray[np.floating] | float:
         """What the device's clock shows at a rig time."""
         return self.offset_s + (1 + self.drift) * time_s
 
-    def rig_s(self, device_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rig_s(self, device_s: NDArray[np.floating]) -> NDArray[np.floating]:
         """Rig time at which the device's clock shows a value."""
         return (device_s - self.offset_s) / (1 + self.drift)
 
@@ -42,7 +42,7 @@ class SimulatedLaser:
     def __init__(
         self,
         config: Laser,
-        look: NDArray[np.float64],
+        look: NDArray[np.floating],
         offset_m: float,
         noise_m: float,
         clock: DeviceClock,
@@ -159,7 +159,7 @@ class SimulatedLaser:
         return optoncdt.encode_block(self._words(seen, counter, device_s))
 
     def _words(
-        self, seen: NDArray[np.float64], counter: NDArray[np.int_], device_s: NDArray[np.float64]
+        self, seen: NDArray[np.floating], counter: NDArray[np.int_], device_s: NDArray[np.floating]
     ) -> NDArray[np.uint32]:
         half = 0.5 * self._config.range_m
         codes = optoncdt.code(np.clip(seen, -half, half) + half, self._config.range_m).astype(np.int64)

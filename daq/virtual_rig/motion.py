@@ -1,5 +1,8 @@
 """The true motion, on a fixed 4 kHz grid of rig time."""
 
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
 from __future__ import annotations
 
 import math
@@ -81,10 +84,10 @@ class Trajectory:
         rows: shape (n + 1, 10): x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4, ψ, ω.
     """
 
-    time_s: NDArray[np.float64]
-    rows: NDArray[np.float64]
+    time_s: NDArray[np.floating]
+    rows: NDArray[np.floating]
 
-    def at(self, time_s: NDArray[np.float64], value: int, rate: int) -> NDArray[np.float64]:
+    def at(self, time_s: NDArray[np.floating], value: int, rate: int) -> NDArray[np.floating]:
         """Cubic Hermite interpolation of one column with its rate's column; shape of time_s."""
         i = np.clip(((time_s - self.time_s[0]) / GRID_S).astype(int), 0, len(self.time_s) - 2)
         u = (time_s - self.time_s[i]) / GRID_S
@@ -124,7 +127,7 @@ class Motion:
         return float(self._rotor[1])
 
     @property
-    def angles_rad(self) -> NDArray[np.float64]:
+    def angles_rad(self) -> NDArray[np.floating]:
         """True θ3, θ4."""
         return self._state[2:4].copy()
 

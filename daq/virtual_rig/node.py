@@ -75,7 +75,7 @@ class SimulatedNode:
         self,
         config: EncoderNode,
         motion: Motion,
-        zero_error_rad: NDArray[np.float64],
+        zero_error_rad: NDArray[np.floating],
         noise_counts: float,
         play_rad: float,
         clock: DeviceClock,
@@ -170,7 +170,7 @@ class SimulatedNode:
             self._closed[pendulum] = True
             self._lock_event(now_s, pendulum, 0, self._closing.pop(pendulum))
 
-    def _counts_exact(self) -> NDArray[np.float64]:
+    def _counts_exact(self) -> NDArray[np.floating]:
         return (self._motion.angles_rad + self._zero) * self._config.counts_per_revolution / (2 * math.pi)
 
     def sample(self, motion: Trajectory) -> None:

@@ -93,8 +93,8 @@ def test_the_wheel_carries_the_rig_files_and_runs_outside_the_checkout(tmp_path:
     script = "import sys; from cli.main import run; import rig_configs; print(rig_configs.__file__, file=sys.stderr); "
     done = subprocess.run(
         [sys.executable, "-c", script + "sys.exit(run(['predict', 'isotropic', '--point', 'above', '--json']))"],
-        cwd=tmp_path, env={"PYTHONPATH": str(target), "PATH": "", "HOME": str(tmp_path)}, capture_output=True, text=True,
-        check=False,
+        cwd=tmp_path, env={"PYTHONPATH": str(target), "PATH": "", "HOME": str(tmp_path)},
+        capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert str(target) in done.stderr
     assert json.loads(done.stdout)["steady_states"][0]["type"] == "I"

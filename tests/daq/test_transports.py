@@ -88,7 +88,7 @@ def test_a_pulled_cable_is_link_lost(peer: Peer) -> None:
     if peer.pull is None:
         pytest.skip("an in-process bus has no cable")
     peer.pull()
-    with pytest.raises(LinkLost, match="lost|closed"):
+    with pytest.raises(LinkLost, match=r"lost|closed"):
         _arrives(lambda: peer.link.read(0.2), b"x" * 100)
 
 
