@@ -1,12 +1,13 @@
 """Finds k1, k2, ζ1, ζ2, c3, c4 and S_P from recorded runs, with covariance."""
 
+from identification.curve import Curve
 from identification.errors import FitFailed, IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.identify import Identification, NamedFit, identify
 from identification.joint import ConsistencyRow, combine
 from identification.pendulum_transient import TransientFit
 from identification.release import fit_release
-from identification.ring_down import Curve, RingDownFit, fit_ring_down, fit_ring_down_runs
+from identification.ring_down import RingDownFit, fit_ring_down, fit_ring_down_runs
 from identification.run_up import RunUpFit, fit_run_up, fit_run_up_run
 from identification.spin_down import SpinDownFit, fit_spin_down
 from identification.spin_down_run import fit_spin_down_run

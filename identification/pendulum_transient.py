@@ -15,8 +15,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from dynamics.integrate import fastest_rate, integrate
 from dynamics.parameters import RotorParameters
+from identification.curve import Curve
 from identification.least_squares import Minimum, minimise
-from identification.ring_down import Curve
 from identification.samples import Averages, correlation_inflation
 from identification.suspension_knowledge import Knowledge
 

@@ -11,12 +11,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from daq.signals import Run
+from identification.curve import Curve
 from identification.decay_model import SHARED, DecayRecord, model_of, single_block
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.least_squares import Solution, solve_separable
-from identification.modes import Start, damped_periodogram, without_mode
+from identification.modes import damped_periodogram
 from identification.release_instant import release_instant
+from identification.ring_down_start import lone_axis, ring_down_starts
 from identification.samples import Averages, block_averages, clipped, correlation_inflation, white_noise
 
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted
@@ -26,22 +28,6 @@ _BLOCK_S = 1 / 250.0  # ≥ 20 samples a cycle up to 12.5 Hz
 
 
 Attempt = Callable[[], tuple[Solution, list[list[Averages]]]]
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A measured signal beside its fit, for a plot.
-
-    Attributes:
-        label, unit: what it is.
-        time_s, measured, fitted: shape (n,).
-    """
-
-    label: str
-    unit: str
-    time_s: np.ndarray
-    measured: np.ndarray
-    fitted: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -178,7 +164,7 @@ def _fit_one(prepared: _Prepared, mass: float | None, axis: int) -> RingDownFit:
 
 
 def _fit_two(prepared: _Prepared, mass: float | None) -> RingDownFit:
-    lone = _lone_axis(prepared)
+    lone = lone_axis(_cut(prepared))
     if lone is not None:
         axis, reason = lone
         prepared.warnings.append(f"{reason}; direction {axis + 1} alone is fitted. Add a ring-down along {'yx'[axis]}")
@@ -187,7 +173,7 @@ def _fit_two(prepared: _Prepared, mass: float | None) -> RingDownFit:
     def attempt() -> tuple[Solution, list[list[Averages]]]:
         cut = _cut(prepared)
         records = [DecayRecord(x, y, float(x.time_s[0])) for x, y in cut]
-        first, second = _starts(cut)
+        first, second = ring_down_starts(cut)
         delays = len(records)
         theta = np.zeros(SHARED + delays)
         theta[:4] = np.log([first.omega, first.zeta, second.omega, second.zeta])
@@ -197,47 +183,6 @@ def _fit_two(prepared: _Prepared, mass: float | None) -> RingDownFit:
     solution, cut = _with_later_starts(prepared, attempt)
     names = ["f1_Hz", "zeta1", "f2_Hz", "zeta2", "axis_angle_deg"]
     return _result(prepared, cut, solution, names, mass)
-
-
-def _starts(records: list[list[Averages]]) -> tuple[Start, Start]:
-    """Start values of mode 1 (along x) and mode 2 (along y).
-
-    The strongest signal of all gives its axis' mode. The other axis' mode is looked for where its signal is largest
-    against the first; there the first mode is regressed out. When nothing is left both directions are alike.
-    """
-    strong, leader, best, channel = _leader(records)
-    rest = without_mode(channel, leader)
-    follower = damped_periodogram(rest)
-    if np.var(channel.value) > np.var(records[best][strong].value) and np.var(rest.value) < 0.05 * np.var(
-        channel.value
-    ):
-        follower = leader  # a strong signal of its own, yet the leader's mode explains it
-    return (leader, follower) if strong == 0 else (follower, leader)
-
-
-def _leader(records: list[list[Averages]]) -> tuple[int, Start, int, Averages]:
-    """The axis of the strongest signal, its mode, and the record and channel that show the other axis best."""
-    energy = np.array([[np.var(c.value) for c in record] for record in records])
-    record, strong = np.unravel_index(np.argmax(energy), energy.shape)
-    leader = damped_periodogram(records[record][strong])
-    best = int(np.argmax(energy[:, 1 - strong] / energy[:, strong]))
-    return int(strong), leader, best, records[best][1 - strong]
-
-
-def _lone_axis(prepared: _Prepared) -> tuple[int, str] | None:
-    """The only direction a single record can speak of, with the reason; None when it holds both."""
-    if len(prepared.channels) > 1:
-        return None
-    cut = _cut(prepared)
-    strong, leader, _, channel = _leader(cut)
-    rest = without_mode(channel, leader)
-    follower = damped_periodogram(rest)
-    floor = channel.noise**2 / float(np.median(channel.count))
-    if np.var(rest.value) < 1.2 * floor or follower.share < 0.15:
-        return strong, f"sensor {'xy'[1 - strong]} shows no mode of its own"
-    if abs(follower.omega - leader.omega) < 3 * leader.zeta * leader.omega:
-        return strong, "both directions ring alike and one record does not tell them apart"
-    return None
 
 
 def _with_later_starts(prepared: _Prepared, attempt: Attempt) -> tuple[Solution, list[list[Averages]]]:

@@ -14,11 +14,12 @@ from daq.signals import Run
 from dynamics.errors import OutsideDomain
 from dynamics.integrate import SpeedHistory
 from dynamics.parameters import RotorParameters
+from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.forced_oscillator import Drive
 from identification.least_squares import Solution, solve_separable
-from identification.ring_down import AXIS_PRIOR_STD, Curve, clock_rate_std
+from identification.ring_down import AXIS_PRIOR_STD, clock_rate_std
 from identification.run_up_model import ANGLE, DELAYS, DRIFTS, PARAMETERS, RunUpRecord, run_up_blocks
 from identification.run_up_start import half_power, transfer_function_start
 from identification.samples import block_averages, clipped, correlation_inflation, white_noise

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as f_distribution
 
+from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Block, solve_separable
-from identification.ring_down import Curve
 from identification.samples import Averages, block_averages, correlation_inflation, encoder_noise
 
 BLOCK_S = 0.008

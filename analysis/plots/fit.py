@@ -43,7 +43,7 @@ def draw_fit(curve: FitCurve, name: str) -> str:
     rest = curve.measured - curve.fitted
     with drawing(8.6, 3.4) as figure:
         grid = figure.subplots(2, 2, sharex="col", height_ratios=(3, 1), width_ratios=(1.7, 1))
-        figure.subplots_adjust(left=0.085, right=0.975, top=0.92, bottom=0.14, wspace=0.16, hspace=0.12)
+        figure.subplots_adjust(left=0.115, right=0.975, top=0.92, bottom=0.14, wspace=0.16, hspace=0.12)
         crossings = _crossings(np.asarray(curve.fitted, float))
         near = slice(0, _stretch(len(time), crossings))
         bins = bins_for(len(crossings) / 2)

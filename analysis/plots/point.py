@@ -62,7 +62,7 @@ def draw_point(
     close = end - 2 * np.pi * _TURNS_SHOWN / measured.speed_rad_s.value
     with drawing(8.6, 6.2) as figure:
         grid = figure.subplots(4, 2, width_ratios=(2.6, 1), sharex="col")
-        figure.subplots_adjust(left=0.085, right=0.975, top=0.9, bottom=0.075, wspace=0.16, hspace=0.14)
+        figure.subplots_adjust(left=0.1, right=0.975, top=0.9, bottom=0.075, wspace=0.16, hspace=0.14)
         bins = bins_for((end - zero) * measured.speed_rad_s.value / (2 * np.pi))
         for row, (time, values, model, text) in enumerate(_displacements(run, measured, simulated)):
             for axes, start in zip(grid[row], (zero - _BEFORE_S, close), strict=True):

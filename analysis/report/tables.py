@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ def run_rows(campaign: Campaign) -> list[dict[str, str]]:
     return [
         {
             "test": run.test,
-            "source": run.source,
+            "source": Path(run.source).name,
             "start": datetime.fromtimestamp(run.start_s, UTC).strftime("%Y-%m-%d %H:%M:%S"),
             "duration": f"{_duration(run):.1f}",
             "lasers": f"{len(run.x_time_s)} / {len(run.y_time_s)}",
@@ -52,12 +53,12 @@ def _duration(run: Run) -> float:
 
 
 def loss_table(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[str]]]]:
-    """Streams, and per log the counted losses of each."""
+    """Streams that lost anything, and per log the counted losses of each."""
     losses: Mapping[str, Mapping[str, int]] = (
         campaign.losses if campaign.losses is not None else {run.source: run.losses for run in campaign.runs}
     )
-    streams = sorted({stream for row in losses.values() for stream in row})
-    return streams, [(log, [str(row.get(s, "–")) for s in streams]) for log, row in losses.items()]
+    streams = sorted({stream for row in losses.values() for stream, lost in row.items() if lost})
+    return streams, [(Path(log).name, [str(row.get(s, "–")) for s in streams]) for log, row in losses.items()]
 
 
 def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:
@@ -104,7 +105,7 @@ def estimate_rows(campaign: Campaign) -> list[dict[str, str]]:
             rows.append(
                 {
                     "test": estimate.test,
-                    "source": estimate.source,
+                    "source": " + ".join(Path(s).name for s in estimate.source.split(" + ")),
                     "name": SYMBOLS.get(name, name),
                     "value": with_std(value, estimate.std.get(name, math.nan), unit),
                 }

@@ -93,7 +93,7 @@ def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dic
         figure = Markup(draw_point(run, point.measurement, point.prediction, simulated, f"point{index}"))
     return {
         **tables.summary_row(point, name, campaign),
-        "source": point.source,
+        "source": Path(point.source).name,
         "rows": tables.quantity_rows(point) if point.measurement else [],
         "figure": figure,
         "simulated": simulated is not None,
