@@ -60,9 +60,8 @@ def main() -> None:
         relative = {n: 100 * p["std"] / result["truth"][n] for n, p in result["parameters"].items()}
         verdicts = " ".join(f"{n}:{p['state']}:{p['verdict']}" for n, p in result["points"].items())
         radio = all(r["counted"] == r["dropped"] for r in result["radio"])
-        print(
-            f"{name:10} exit {result['exit']} {result['seconds']:4.0f} s  radio {'equal' if radio else 'DIFFERS'}  {verdicts}"
-        )
+        print(f"{name:10} exit {result['exit']} {result['seconds']:4.0f} s  radio {'equal' if radio else 'DIFFERS'}")
+        print(f"           {verdicts}")
         print("           z   " + "  ".join(f"{n.split('_')[0]} {v:+.2f}" for n, v in z.items()))
         print("           sd% " + "  ".join(f"{n.split('_')[0]} {v:.4f}" for n, v in relative.items()))
         for warning in result["warnings"]:
@@ -74,9 +73,8 @@ def main() -> None:
         rows[-1]["z"] = z
     every = np.array([v for row in rows for v in row.get("z", {}).values()])
     if len(every):
-        print(
-            f"{len(every)} values: {100 * np.mean(np.abs(every) < 1):.0f} % within 1 sd, largest |z| {np.max(np.abs(every)):.2f}"
-        )
+        inside = 100 * np.mean(np.abs(every) < 1)
+        print(f"{len(every)} values: {inside:.0f} % within 1 sd, largest |z| {np.max(np.abs(every)):.2f}")
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     print(f"largest process {peak:.0f} MiB")
     if arguments.out:

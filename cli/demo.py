@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass
 from json import loads
 from pathlib import Path
@@ -105,6 +106,7 @@ def _campaign(
 ) -> dict[str, Any]:
     progress.step("start")
     logs: list[Path] = []
+    refinements: list[Future[None]] = []
     with VirtualRigProcess(name, changes, time_scale, link) as simulated:
         truth = simulated.line.ask("truth")["truth"]
         plugged = load_rig(name, settings=[*changes, *simulated.port_settings()])
@@ -128,6 +130,7 @@ def _campaign(
             for point in rig.points:
                 begin(f"point-{point}")
                 logs.append(run_test(tests, identified, f"point-{point}").log)
+                refinements.append(workbench.refine(plugged, logs[-1]))
         radio = simulated.line.ask("radio")
     progress.step("report")
     assert rig.virtual is not None
@@ -137,7 +140,9 @@ def _campaign(
         "notes": [f"Before {f.step} the simulated rig's {f.key} was changed to {f.value}." for f in faults],
     }
     report = folder / "report.html"
-    result = workbench.conclude(plugged, logs, folder / "parameters.toml", report, facts).result()
+    for refinement in refinements:
+        refinement.result()
+    result = workbench.conclude(plugged, folder / "parameters.toml", report, facts).result()
     result["truth"] = truth
     result["radio"] = [_radio_check(path, radio) for path in logs]
     result["logs"] = [str(path) for path in logs]

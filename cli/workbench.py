@@ -33,24 +33,31 @@ def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
     from cli import results  # noqa: PLC0415
     from identification import identify  # noqa: PLC0415
 
-    found = identify(results.load_runs(logs), rig)
+    runs = results.load_runs(logs)
+    found = identify(runs, rig)
     results.with_version(found.parameters).save(out)
-    _found["identification"] = found
+    _found.update(runs=runs, before=found, joint=found)
     return results.identification_json(found)
 
 
-def _conclude(rig: Rig, logs: list[Path], out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
-    """Validate the points with what was identified before them, refine with the releases, write the report."""
+def _refine(rig: Rig, log: Path) -> None:
+    """Add one point's release to the joint estimate."""
+    from cli import results  # noqa: PLC0415
+    from identification import identify  # noqa: PLC0415
+
+    _found["runs"] += results.load_runs([log])
+    _found["joint"] = identify(_found["runs"], rig, earlier=_found["joint"])
+
+
+def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
+    """Validate the points with what was identified before them, write joint parameters and report."""
     from analysis.report.campaign import Campaign  # noqa: PLC0415
     from analysis.report.write import write_report  # noqa: PLC0415
     from analysis.validation import validate  # noqa: PLC0415
     from cli import results  # noqa: PLC0415
-    from identification import identify  # noqa: PLC0415
 
-    runs = results.load_runs(logs)
-    before = _found["identification"]
+    runs, before, joint = _found["runs"], _found["before"], _found["joint"]
     validation = validate(runs, rig, before.parameters, results.axis_angle(before))
-    joint = identify(runs, rig)
     results.with_version(joint.parameters).save(out)
     identities = runs[0].metadata.get("identities", {})
     devices = {name: {k: str(v) for k, v in identity.items()} for name, identity in identities.items()}
@@ -89,11 +96,13 @@ class Workbench:
         """Identify from the tests before the points; writes parameters.toml."""
         return self._pool.submit(_identify, rig, logs, out)
 
-    def conclude(
-        self, rig: Rig, logs: list[Path], out: Path, report: Path, facts: dict[str, Any]
-    ) -> Future[dict[str, Any]]:
+    def refine(self, rig: Rig, log: Path) -> Future[None]:
+        """Add a point's release to the joint estimate, while the next point is being recorded."""
+        return self._pool.submit(_refine, rig, log)
+
+    def conclude(self, rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> Future[dict[str, Any]]:
         """Validation, joint parameters, report."""
-        return self._pool.submit(_conclude, rig, logs, out, report, facts)
+        return self._pool.submit(_conclude, rig, out, report, facts)
 
     def close(self) -> None:
         """End the worker."""

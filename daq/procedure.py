@@ -24,6 +24,10 @@ _HUMAN_S = 120.0  # how long a person may take, wall seconds
 _LOOK_S = 0.5  # rig time between two looks at the signals
 _STOP_RAMP_RPM_S = 400.0
 _POINT_LIMIT_S = 90.0
+# Stricter than the analysis, which looks again at slightly other windows: what is called steady here must be so there.
+_STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2e-6}
+_FLICKED_RAD = 0.5
+_PLUCKED_M = 3e-4  # a displacement that is no longer vibration of the building
 _BEFORE_RELEASE_S = 4.0
 
 Progress = Callable[[str, float | None], None]
@@ -74,15 +78,17 @@ class Procedures:
         self._begin(test, {})
         self._clock.sleep(0.7)
         self._tell(f"{test}: pluck the column along {axis} by 2 to 3 mm and let go", None)
+        field, asked = f"laser/{axis}", self._clock.now_ns()
+        rest = float(np.nanmedian(self._newest(field, ("displacement_m",), 0.5)[1][0]))
         self._operator.pluck(axis)
-        field = f"laser/{axis}"
-        self._until(lambda: self._span(field, 0.3)[1] > 3e-4, _HUMAN_S, f"the column to be plucked along {axis}")
+        plucked = f"the column to be plucked along {axis}"
+        self._until(lambda: self._largest_since(field, asked, rest) > _PLUCKED_M, _HUMAN_S, plucked)
         self._clock.sleep(0.8)
         peak = 0.0
 
         def rung_down() -> bool:
             nonlocal peak
-            now, _ = self._span(field, 0.6)
+            now = self._peak_to_peak(field, 0.6)
             peak = max(peak, now)
             share = math.log(max(peak, 1e-9) / max(now, 1e-9)) / math.log(50)
             self._tell(f"{test}: {now * 1e3:.2f} mm peak to peak", min(1.0, share))
@@ -100,15 +106,16 @@ class Procedures:
         self._begin(test, {})
         self._clock.sleep(0.7)
         self._tell(f"{test}: flick both pendulums, slower than two turns a second", None)
+        asked = self._clock.now_ns()
         self._operator.flick()
-        self._until(lambda: bool(np.all(np.abs(self._rates()) > 3.0)), _HUMAN_S, "both pendulums to be flicked")
-        peak = np.abs(self._rates())
+        flicked = "both pendulums to be flicked"
+        self._until(lambda: bool(np.all(self._turned_since(asked)[0] > _FLICKED_RAD)), _HUMAN_S, flicked)
 
         def slowed() -> bool:
             rates = np.abs(self._rates())
+            _, peak = self._turned_since(asked)
             if not np.all(np.isfinite(rates)):
                 return False  # radio silence says nothing about the pendulums
-            np.maximum(peak, rates, out=peak)
             share = float(np.min(np.log(peak / np.maximum(rates, 1e-3)))) / 5.0
             self._tell(f"{test}: {rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
             return share >= 1.0
@@ -228,20 +235,41 @@ class Procedures:
     def _since(self, seconds: float) -> int:
         return self._clock.now_ns() - int(seconds * 1e9)
 
-    def _span(self, topic: str, seconds: float) -> tuple[float, float]:
-        """Peak to peak and largest deviation from the median of the last seconds of a laser, m."""
-        _, (x,) = self._s.recent.last(topic, ("displacement_m",), self._since(seconds))
+    def _newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[NDArray[np.int64], list[Any]]:
+        """The newest stretch of a channel, counted back from its newest sample: a late read is no silence."""
+        time_ns, columns = self._s.recent.last(topic, fields, self._since(20.0))
+        if len(time_ns) == 0:
+            return time_ns, columns
+        new = time_ns > time_ns[-1] - int(seconds * 1e9)
+        return time_ns[new], [column[new] for column in columns]
+
+    def _peak_to_peak(self, topic: str, seconds: float) -> float:
+        """Of a laser over its newest stretch, m."""
+        _, (x,) = self._newest(topic, ("displacement_m",), seconds)
         x = x[np.isfinite(x)]
-        return (float(np.ptp(x)), float(np.max(np.abs(x)))) if len(x) else (0.0, 0.0)
+        return float(np.ptp(x)) if len(x) else 0.0
+
+    def _largest_since(self, topic: str, since_ns: int, rest_m: float) -> float:
+        """Largest distance of a laser from its reading at rest since an instant, m."""
+        _, (x,) = self._s.recent.last(topic, ("displacement_m",), since_ns)
+        return float(np.nanmax(np.abs(x - rest_m), initial=0.0))
+
+    def _turned_since(self, since_ns: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """How far the pendulums have turned since an instant, rad, and their largest speeds, rad/s; shapes (2,)."""
+        time_ns, columns = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
+        step = 50
+        if len(time_ns) <= step:
+            return np.zeros(2), np.full(2, 1e-3)
+        angles = np.column_stack(columns)
+        rates = (angles[step:] - angles[:-step]) / ((time_ns[step:] - time_ns[:-step]) * 1e-9)[:, None]
+        return np.ptp(angles, axis=0), np.max(np.abs(rates), axis=0)
 
     def _rates(self) -> NDArray[np.floating]:
         """Pendulum speeds over the newest fifth of a second of samples, rad/s, shape (2,); NaN without samples."""
-        time_ns, (a, b) = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), self._since(3.0))
-        new = time_ns > (time_ns[-1] - 200_000_000 if len(time_ns) else 0)
-        if np.count_nonzero(new) < 10:
+        time_ns, (a, b) = self._newest("pendulums", ("theta3_rad", "theta4_rad"), 0.2)
+        if len(time_ns) < 10:
             return np.full(2, np.nan)
-        t, a, b = time_ns[new], a[new], b[new]
-        return np.array([a[-1] - a[0], b[-1] - b[0]]) / ((t[-1] - t[0]) * 1e-9)
+        return np.array([a[-1] - a[0], b[-1] - b[0]]) / ((time_ns[-1] - time_ns[0]) * 1e-9)
 
     def _signals(self, since_ns: int, lasers_since_ns: int | None = None) -> tuple[NDArray[np.floating], ...]:
         """Angle times and angles, marks and (perhaps later) lasers since an instant, times in s from it."""
@@ -268,7 +296,7 @@ class Procedures:
     def _steady(self, released_ns: int) -> Settling:
         since = released_ns - 1_500_000_000  # some of the time before, to know how the pendulums stood
         signals = self._signals(since, max(since, self._since(15.0)))
-        return settled(*signals, release_time_s=(released_ns - since) * 1e-9)
+        return settled(*signals, release_time_s=(released_ns - since) * 1e-9, **_STEADY)
 
     def _at_rest_and_locked(self) -> None:
         self._s.check()
@@ -290,7 +318,7 @@ class Procedures:
 
     def _wait_locks(self, closed: bool) -> None:
         def there() -> bool:
-            _, (flags,) = self._s.recent.last("pendulums", ("flags",), self._since(1.0))
+            _, (flags,) = self._newest("pendulums", ("flags",), 0.1)
             return len(flags) > 0 and bool(flags[-1] & 96) == closed and (flags[-1] & 96) in (0, 96)
 
         self._until(there, 10.0, f"both locks to {'close' if closed else 'open'}")

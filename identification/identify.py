@@ -83,18 +83,25 @@ class _Work:
         return replace(known, physics=known.physics.with_values(**damping))
 
 
-def identify(runs: Sequence[Run], rig: Rig, progress: Callable[[str], None] | None = None) -> Identification:
+def identify(
+    runs: Sequence[Run],
+    rig: Rig,
+    progress: Callable[[str], None] | None = None,
+    earlier: Identification | None = None,
+) -> Identification:
     """Find k1, k2, ζ1, ζ2, c3, c4, S_P from whatever runs there are.
 
     Args:
         runs: ring-downs, spin-downs, run-ups and points in any number and order.
         rig: masses, lengths, gains' and zeros' uncertainties; its k, ζ, c, S_P are start values at most.
         progress: told one line before each fit.
+        earlier: an identification of some of these runs with the same rig; their fits are taken from it.
     Raises:
         NotIdentifiable: no run gave any parameter; the message lists why.
     Source: docs/theory/identification.md.
     """
     work = _Work(rig, progress or (lambda _: None), [], [], [])
+    given, runs = runs, _take_over(runs, earlier, work)
     _ring_downs([r for r in runs if r.test.startswith("ring-down")], work)
     for run in runs:
         if run.test == "run-up":
@@ -108,7 +115,24 @@ def identify(runs: Sequence[Run], rig: Rig, progress: Callable[[str], None] | No
         _one(run, work, _release)
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
-    return _finished(runs, work)
+    return _finished(given, work)
+
+
+def _take_over(runs: Sequence[Run], earlier: Identification | None, work: _Work) -> list[Run]:
+    """Put what is known of some runs into the work; returns the others."""
+    if earlier is None:
+        return list(runs)
+    wanted = {run.source for run in runs}
+
+    def is_wanted(source: str) -> bool:
+        return set(source.split(" + ")) <= wanted
+
+    work.estimates += [e for e in earlier.estimates if is_wanted(e.source)]
+    work.fits += [f for f in earlier.fits if is_wanted(f.source)]
+    done = {part for e in work.estimates for part in e.source.split(" + ")}
+    names = {Path(source).name for source in done}
+    work.warnings += [w for w in earlier.warnings if w.partition(":")[0] in names]
+    return [run for run in runs if run.source not in done]
 
 
 def _one(run: Run, work: _Work, fit: Callable[[Run, _Work], tuple[Fit, Estimate]]) -> None:

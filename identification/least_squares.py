@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.errors import FitFailed
+
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -49,9 +51,13 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) ->
     Args:
         evaluate: θ to residual (n,) in standard deviations and Jacobian (n, p). Columns may differ in scale.
         start: shape (p,).
+    Raises:
+        FitFailed: the model gives no finite numbers at the start.
     """
     theta = np.array(start, float)
     residual, jacobian = evaluate(theta)
+    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
+        raise FitFailed(f"the model gives no finite numbers at its start values {np.array2string(theta, precision=4)}")
     damping, converged, used, idle = 1e-4, False, 1, 0
     while used < max_iterations and not converged:
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
@@ -60,7 +66,8 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) ->
         step = -np.linalg.solve(normal + damping * np.eye(len(theta)), gradient)
         trial_residual, trial_jacobian = evaluate(theta + step / scale)
         used += 1
-        better = np.all(np.isfinite(trial_residual)) and trial_residual @ trial_residual < residual @ residual
+        finite = np.all(np.isfinite(trial_residual)) and np.all(np.isfinite(trial_jacobian))
+        better = finite and trial_residual @ trial_residual < residual @ residual
         # length of the step in standard deviations, which grow with residuals above the noise
         unit = max(1.0, float(residual @ residual) / len(residual))
         converged = bool(step @ normal @ step < 1e-6 * unit and damping < 0.1)

@@ -148,10 +148,15 @@ def free_angles(
     step_s: float,
     output_s: float,
 ) -> np.ndarray:
-    """Both angles at the blocks' mean times from a state at start_s, both pendulums free; concatenated."""
+    """Both angles at the blocks' mean times from a state at start_s, both pendulums free; concatenated.
+
+    NaN where the motion cannot be integrated with this step (a trial far outside): the minimiser refuses such a trial.
+    """
     last = max(float(a.time_s[-1]) for a in angles)
     grid = start_s + output_s * np.arange(int(np.ceil((last - start_s) / output_s)) + 2)
     states = integrate(start, grid, step_s, knots, coefficients, physics.packed(), 1.0, 1.0)
+    if not np.all(np.isfinite(states)):
+        return np.full(sum(len(a.time_s) for a in angles), np.nan)
     out = []
     for i, channel in enumerate(angles):
         spline = CubicHermiteSpline(grid, states[:, 2 + i], states[:, 6 + i])

@@ -75,7 +75,7 @@ def _release_time(run: Run) -> float:
     times = {r.pendulum: r.time_s for r in run.releases}
     if set(times) != {0, 1}:
         raise NotIdentifiable(f"{run.source}: it holds no release of both pendulums")
-    if abs(times[0] - times[1]) > 2e-3:
+    if abs(times[0] - times[1]) > 2e-3 + 3 * max(r.time_std_s for r in run.releases):
         raise NotIdentifiable(f"{run.source}: pendulums released {abs(times[0] - times[1]):.3g} s apart")
     return 0.5 * (times[0] + times[1])
 
@@ -137,7 +137,8 @@ def _problem(
     omega = physics.natural_frequencies_rad_s[0]
     # start angles are the locked ones less the zeros; what the mean of quantised readings leaves open is small
     prior_std = np.r_[
-        1.0, 1.0, 0.25 * run.angle_step_rad, 0.25 * run.angle_step_rad, zero_std, zero_std, _SHIFT_STD_S,
+        1.0, 1.0, 0.25 * run.angle_step_rad, 0.25 * run.angle_step_rad, zero_std, zero_std,
+        max(_SHIFT_STD_S, *(r.time_std_s for r in run.releases)),
         _DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega, _DISK_STD_M * omega, knowledge.log_std,
     ]  # fmt: skip
     difference = np.r_[np.full(6, 1e-7), 1e-6, 1e-8, 1e-8, 1e-8 * omega, 1e-8 * omega, np.full(5, 1e-7)]
