@@ -10,7 +10,7 @@ from daq.virtual_rig.motion import Motion
 from rig_configs.schema import Drive
 
 _TPDO_S = 0.01
-_QUICK_STOP_RPM_S = 3000.0
+_QUICK_STOP_RPM_S = 4000.0
 _RAD_S = math.pi / 30
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
 _HEARTBEAT_ERROR = 0x8130
@@ -163,6 +163,7 @@ class SimulatedDrive:
         ramp = change / max(1, seconds) if enabled else _QUICK_STOP_RPM_S
         self._motion.target_rad_s = target * _RAD_S
         self._motion.ramp_rad_s2 = ramp * _RAD_S
+        self._motion.braking = self.state == cia402.QUICK_STOP_ACTIVE
         if self.state == cia402.QUICK_STOP_ACTIVE and abs(self._motion.speed_rad_s) < 0.01:
             self.state = cia402.SWITCH_ON_DISABLED
         self._cyclic(now_s)

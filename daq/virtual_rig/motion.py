@@ -17,6 +17,7 @@ from dynamics.kernels import rk4_step
 from dynamics.parameters import RotorParameters
 
 GRID_S = 250e-6
+_BRAKE_LAG_S = 0.01
 
 
 @njit(cache=True, error_model="numpy")
@@ -102,6 +103,7 @@ class Motion:
     Attributes:
         time_s: rig time reached.
         target_rad_s, ramp_rad_s2: what the drive wants.
+        braking: whether it brakes at its current limit, where the speed loop's lag plays no part.
     """
 
     def __init__(self, physics: RotorParameters, slip: float, lag_s: float) -> None:
@@ -109,6 +111,7 @@ class Motion:
         self.time_s = 0.0
         self.target_rad_s = 0.0
         self.ramp_rad_s2 = 1.0
+        self.braking = False
         self._slip, self._lag = slip, max(lag_s, 1e-3)
         self._steps = 0
         self._state = np.zeros(8)
@@ -168,10 +171,11 @@ class Motion:
             return None
         rows = np.empty((n + 1, 10))
         rows[0] = self._last
+        lag = min(self._lag, _BRAKE_LAG_S) if self.braking else self._lag
         rate = fastest_rate(self.physics, max(abs(self.speed_rad_s), abs(self.target_rad_s)))
         substeps = max(1, math.ceil(rate * GRID_S / 0.5))
         _advance(
-            self._state, self._rotor, self._phase, self.target_rad_s, self.ramp_rad_s2, self._slip, self._lag, n,
+            self._state, self._rotor, self._phase, self.target_rad_s, self.ramp_rad_s2, self._slip, lag, n,
             substeps, self.physics.packed(), self._free, self._held, self._held_at, self._angles, 2 * math.pi,
             rows[1:],
         )  # fmt: skip

@@ -14,32 +14,39 @@ from daq.transports import HostClock
 from rig_configs import load_rig
 
 
-def device_bytes() -> list[tuple[str, bytes]]:
-    """One read per device for each of ten steps of 10 ms."""
+def device_bytes(steps: int = 10, opened_at: int | None = None, told: tuple[int, ...] = ()) -> list[tuple[str, bytes]]:
+    """One read per device for each step of 10 ms; locks open at a step, the node tells of the pendulums in `told`."""
     reads: list[tuple[str, bytes]] = []
-    for step in range(10):
+    seq = 0
+    for step in range(steps):
         number = 40 * step + np.arange(40)
         ticks = 25 * number + 1000
         codes = optoncdt.code(0.0125 + 1e-3 * np.sin(0.05 * number), 0.025)
         words = np.column_stack([codes, number, ticks & 0xFFFF, ticks >> 16]).astype(np.uint32)
         counts = np.column_stack([10 * step + np.arange(10), np.full(10, 2048)]).astype(np.int32)
-        block = rotorlink.EncoderBlock(1, 2 * step, 10 * step, 10_000 * step, 1000, 96, counts)
-        mark = rotorlink.IndexMark(1, 2 * step + 1, 10_000 * step + 9_500, step)
+        is_open = opened_at is not None and step >= opened_at
+        block = rotorlink.EncoderBlock(1, seq, 10 * step, 10_000 * step, 1000, 0 if is_open else 96, counts)
+        mark = rotorlink.IndexMark(1, seq + 1, 10_000 * step + 9_500, step)
+        seq += 2
+        events = b""
+        for pendulum in told if step == opened_at else ():
+            event = rotorlink.LockEvent(1, seq, 10_000 * step + 3_000, pendulum, 1, 7)
+            events, seq = events + rotorlink.wire(event.pack()), seq + 1
         frame = slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
         reads += [("laser_x", optoncdt.encode_block(words)), ("laser_y", optoncdt.encode_block(words)),
-                  ("encoder", rotorlink.wire(block.pack()) + rotorlink.wire(mark.pack())),
+                  ("encoder", rotorlink.wire(block.pack()) + rotorlink.wire(mark.pack()) + events),
                   ("drive", slcan.encode(frame))]  # fmt: skip
     return reads
 
 
-def write_small_log(path: Path, falsify: bool = False) -> Path:
-    """Write it; with `falsify` one decoded sample is not what the raw bytes say."""
+def write_small_log(path: Path, falsify: bool = False, **what: Any) -> Path:
+    """Write it; with `falsify` one decoded sample is not what the raw bytes say; `what` goes to device_bytes."""
     rig = load_rig("virtual")
     pipelines = make_pipelines(rig.devices, {})
     attachments: dict[str, bytes] = {"rig.json": rig.snapshot_json(), "identities.json": b"{}"}
     recorder = Recorder(path, HostClock(), {"test": "small"}, attachments, tuple(pipelines))
     start = 1_700_000_000_000_000_000
-    for i, (device, data) in enumerate(device_bytes()):
+    for i, (device, data) in enumerate(device_bytes(**what)):
         host_ns = start + 10_000_000 * (i // 4 + 1)
         recorder.raw(device, RX, data, host_ns)
         for item in pipelines[device].feed(RX, data, host_ns):
