@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 _BIN_NS = 250_000_000
 _BINS = 120
-_SLEW = 0.01  # largest relative correction of the mapped clock's rate
-_SETTLE_NS = 1_000_000_000
+_SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that time never runs backwards
+_SETTLE_NS = 300_000_000  # time constant of a correction: a first read that came late is soon made good
 
 
 def lower_line(device: NDArray[np.floating], lag: NDArray[np.floating]) -> tuple[float, float]:

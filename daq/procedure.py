@@ -29,6 +29,7 @@ _STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2
 _FLICKED_RAD = 0.5
 _PLUCKED_M = 3e-4  # a displacement that is no longer vibration of the building
 _BEFORE_RELEASE_S = 4.0
+_AFTER_STEADY_S = 2.5  # so that the analysis, with its own windows and clock lines, sees the steady state as well
 
 Progress = Callable[[str, float | None], None]
 
@@ -180,6 +181,7 @@ class Procedures:
             return last.settled
 
         reached = self._look_until(all_steady, _POINT_LIMIT_S)
+        self._clock.sleep(_AFTER_STEADY_S)
         why = last.why if last else "no data"
         done = self._end(test, {"steady_before_release": steady, "settled": reached, "why": why})
         self._stop_rotor()
