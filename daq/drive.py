@@ -16,6 +16,7 @@ from daq.transports.host_clock import HostClock
 from rig_configs.schema import Drive
 
 _SETUP_WAIT_S = 0.3  # wall seconds to wait for an SDO answer
+_REST_WAIT_S = 5.0  # wall seconds a quick stop may take
 
 
 class _SendOnlyBus(can.BusABC):
@@ -55,6 +56,8 @@ class DriveControl:
         self._target_rpm = 0
         self.statusword: int | None = None
         self.actual_rpm = 0.0
+        self.dropped_out: str | None = None  # state it fell into by itself while it should have been running
+        self._armed = False
 
     def notice(self, frames: list[slcan.CanFrame]) -> None:
         """Frames the link's reader decoded."""
@@ -62,7 +65,9 @@ class DriveControl:
             if frame.arbitration_id == cia402.cob_tpdo(1, self._config.node_id) and len(frame.data) == 4:
                 self.statusword, rpm = cia402.unpack_tpdo1(frame.data)
                 self.actual_rpm = float(rpm)
-            else:
+                if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
+                    self.dropped_out = self.state
+            elif frame.arbitration_id == cia402.cob_sdo_answer(self._config.node_id) and len(frame.data) == 8:
                 self._network.notify(frame.arbitration_id, bytearray(frame.data), self._clock.now_s())
 
     @property
@@ -119,6 +124,7 @@ class DriveControl:
             DeviceError: it does not get there.
         """
         deadline = time.monotonic() + 3.0
+        self._armed, self.dropped_out = False, None
         while self.state != cia402.OPERATION_ENABLED:
             word = cia402.towards_operation(self.state)
             if word is not None:
@@ -128,6 +134,7 @@ class DriveControl:
                     f"drive: expected OPERATION ENABLED, it stays in {self.state}. Look at its display for a fault"
                 )
             time.sleep(0.005)
+        self._armed = True
 
     def set_speed(self, rpm: float) -> None:
         """Ramp to a speed (whole rpm on this drive's wire)."""
@@ -136,11 +143,13 @@ class DriveControl:
 
     def disable(self) -> None:
         """Take the torque away; the rotor must be at rest."""
+        self._armed = False
         self._target_rpm = 0
         self._pdo(cia402.SHUTDOWN, 0)
 
     def quick_stop(self) -> None:
         """Stop as fast as the drive can."""
+        self._armed = False
         self._target_rpm = 0
         self._pdo(cia402.QUICK_STOP, 0)
 
@@ -170,11 +179,24 @@ class DriveControl:
         return run
 
     def stop(self) -> None:
-        """End the heartbeat and the node's operation; the rotor must be at rest."""
-        self._beating.clear()
+        """Stop the rotor, then end the heartbeat and the node's operation.
+
+        Torque is taken away only at rest: a rotor left to run down would pass its resonances slowly.
+        """
         if self._beat is not None:
+            self._rest()
+            self._beating.clear()
             self._beat.join(timeout=2.0)
             self._pdo(cia402.DISABLE_VOLTAGE, 0)
             self._network.send_message(0, bytes([0x80, self._config.node_id]))
             self._send(b"C\r")
             self._beat = None
+
+    def _rest(self) -> None:
+        """Quick stop, and wait for the drive's own word that the rotor stands."""
+        if self.actual_rpm == 0 and self.state != cia402.OPERATION_ENABLED:
+            return
+        self.quick_stop()
+        deadline = time.monotonic() + _REST_WAIT_S
+        while self.actual_rpm != 0 and time.monotonic() < deadline:
+            time.sleep(0.01)

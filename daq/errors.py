@@ -5,6 +5,7 @@
     ├── DeviceError         a device answered wrongly, refused, or did not answer in time
     ├── LogError            a file is not a readable log, or holds what a log may not hold
     │   └── ChannelMissing  the log is fine but has no such channel (also a KeyError)
+    ├── RecordingError      a log cannot be written: disk full, disk gone
     └── ProcedureError      a guided test cannot go on
 
 Every text says what was expected, what came, where, and what to do next.
@@ -33,6 +34,10 @@ class ChannelMissing(LogError, KeyError):
     def __str__(self) -> str:
         """The plain text; a bare KeyError would show it quoted."""
         return str(self.args[0]) if self.args else ""
+
+
+class RecordingError(RigError):
+    """A log cannot be written any further; what was written until then stays readable in its .part file."""
 
 
 class ProcedureError(RigError):

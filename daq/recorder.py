@@ -12,14 +12,14 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from daq import channels
-from daq.errors import LogError
+from daq.errors import LogError, RecordingError
 from daq.mcap_writer import BlockWriter
 from daq.streams import Batch, Event
 from daq.transports.host_clock import HostClock
@@ -38,7 +38,8 @@ class Recorder:
         attachments: files that go in whole, by name (rig snapshot, identities).
         devices: names of the devices whose raw bytes are kept.
     Raises:
-        LogError: the file exists already or cannot be created.
+        LogError: the file or the rest of a cut one of its name exists already.
+        RecordingError: it cannot be created.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class Recorder:
     ) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
-        self.error: OSError | None = None
+        self.error: Exception | None = None
         self.stalled = 0  # times a reader had to wait for the disk
         self._clock = clock
         self._queue: queue.Queue[tuple[Any, ...] | None] = queue.Queue(_QUEUE_ITEMS)
@@ -59,14 +60,22 @@ class Recorder:
             raise LogError(f"{self.path}: exists already; a log is never written over. Give another name")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(self.part, "wb")  # noqa: SIM115 (lives as long as the recorder)
+            self._file = open(self.part, "xb")  # noqa: SIM115 (lives as long as the recorder)
             self._writer = BlockWriter(self._file)
             self._open(metadata, attachments, devices)
-        except OSError as error:
+        except FileExistsError as error:
             raise LogError(
+                f"{self.part}: exists already, the rest of a recording that was cut. Move it away or give another name"
+            ) from error
+        except OSError as error:
+            raise RecordingError(
                 f"{self.part}: cannot be created ({error}). Is the folder there and the disk not full?"
             ) from error
+        self._unsynced = threading.Event()
+        self._syncing = True
+        self._sync_thread = threading.Thread(target=self._sync, name="sync", daemon=True)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._sync_thread.start()
         self._thread.start()
 
     def _open(self, metadata: Mapping[str, str], attachments: Mapping[str, bytes], devices: tuple[str, ...]) -> None:
@@ -114,13 +123,13 @@ class Recorder:
         """Finish the file; the summary (losses, verdicts) goes in as metadata.
 
         Raises:
-            LogError: the disk failed; what was written until then stays readable in the .part file.
+            RecordingError: the disk failed; what was written until then stays readable in the .part file.
         """
         self._put(("metadata", "summary", {k: json.dumps(v) for k, v in summary.items()}))
         self._queue.put(None)
         self._thread.join()
         if self.error is not None:
-            raise LogError(
+            raise RecordingError(
                 f"{self.part}: writing failed ({self.error}). The file is readable up to the last flush; "
                 "make room on the disk and repeat the test"
             )
@@ -146,14 +155,12 @@ class Recorder:
                     self._write(item)
             except queue.Empty:
                 pass
-            except OSError as error:
+            except Exception as error:  # whatever it is: it must be seen, and the queue must go on being emptied
                 self.error = error
-            if time.monotonic() >= due and not finished and self.error is None:
-                try:
-                    self._flush()
-                except OSError as error:
-                    self.error = error
+            if time.monotonic() >= due:
                 due = time.monotonic() + _FLUSH_S
+                if not finished and self.error is None:
+                    self._flush()
         self._finish()
 
     def _write(self, item: tuple[Any, ...]) -> None:
@@ -170,24 +177,42 @@ class Recorder:
             self._writer.add_metadata(item[1], item[2])
 
     def _flush(self) -> None:
-        self._writer.flush()
+        """Hand everything to the system, which is enough if this process dies; the other thread sees to the disk."""
+        try:
+            self._writer.flush()
+            self._file.flush()
+        except Exception as error:
+            self.error = error
+        self._unsynced.set()
+
+    def _sync(self) -> None:
+        """Keep the disk up to date; a slow disk delays this thread and no other."""
         sync = getattr(os, "fdatasync", os.fsync)  # only POSIX has fdatasync
-        sync(self._file.fileno())
+        while self._syncing:
+            self._unsynced.wait()
+            self._unsynced.clear()
+            if self._syncing and self.error is None:
+                try:
+                    sync(self._file.fileno())
+                except OSError as error:
+                    self.error = error
 
     def _finish(self) -> None:
-        try:
+        self._syncing = False
+        self._unsynced.set()
+        self._sync_thread.join()
+        for step in (self._writer.finish, self._flush_file):
             if self.error is None:
-                self._writer.finish()
-                self._flush_file()
-        except OSError as error:
-            self.error = error
-        finally:
-            self._file.close()
+                self._attempt(step)
+        self._attempt(self._file.close)
         if self.error is None:
-            try:
-                os.replace(self.part, self.path)
-            except OSError as error:
-                self.error = error
+            self._attempt(lambda: os.replace(self.part, self.path))
+
+    def _attempt(self, step: Callable[[], object]) -> None:
+        try:
+            step()
+        except Exception as error:
+            self.error = self.error or error
 
     def _flush_file(self) -> None:
         self._file.flush()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
+import secrets
 import threading
 import time
 from collections import deque
@@ -18,8 +20,8 @@ from numpy.typing import NDArray
 
 from daq import channels, lasers
 from daq.drive import DriveControl
-from daq.errors import DeviceError, LinkLost, ProcedureError
-from daq.protocols import rotorlink
+from daq.errors import DeviceError, LinkLost, ProcedureError, RecordingError
+from daq.protocols import optoncdt, rotorlink
 from daq.recorder import Recorder
 from daq.streams import RX, TX, Batch, DrivePipeline, Event, Pipeline, make_pipelines
 from daq.transports import HostClock, Link, open_link
@@ -27,6 +29,9 @@ from rig_configs.schema import Rig
 
 _KEEP_S = 90.0
 _HEALTH_S = 1.0
+_WATCH_S = 0.25  # wall seconds between two looks for silent devices
+_SILENCE_S = 2.0  # wall seconds
+_OUT_OF_RANGE_SAMPLES = 5  # in one read; fewer may be a flash of light
 
 
 class Recent:
@@ -71,6 +76,7 @@ class _Device:
         self.lock = threading.Lock()  # rx and tx reach pipeline and log in one order
         self.replies: queue.Queue[str] = queue.Queue()
         self.bytes_in = 0
+        self.heard_s = time.monotonic()
         self.thread: threading.Thread | None = None
 
 
@@ -90,15 +96,15 @@ class Session:
         self.recent = Recent(_KEEP_S)
         self.identities: dict[str, dict[str, Any]] = {}
         self.trouble: Exception | None = None
-        self.drive: DriveControl
+        self._drive: DriveControl | None = None
         self._devices: dict[str, _Device] = {}
         self._recorder: Recorder | None = None
-        self._events: queue.Queue[Event] = queue.Queue()
+        self._acknowledges: queue.Queue[Event] = queue.Queue()
         self._watchers: list[Callable[[Batch], None]] = [self._guard_amplitude]
-        self._command_seq = 0
+        # The node remembers the seq of past commands, also those of an earlier session, and acts once on each.
+        self._command_seq = secrets.randbelow(0x8000)
         self._closing = False
         self._tripped = False
-        self._stack = ExitStack()
 
     def open(self) -> Session:
         """Open every link, identify the devices, start their streams."""
@@ -115,7 +121,7 @@ class Session:
                 link = open_link(port, baud, bitrate)
                 device = _Device(name, link, pipelines[name])
                 self._devices[name] = device
-            self.drive = DriveControl(d.drive, lambda data: self.send("drive", data), self.clock)
+            self._drive = DriveControl(d.drive, lambda data: self.send("drive", data), self.clock)
             for device in self._devices.values():
                 device.thread = threading.Thread(target=self._read, args=(device,), name=device.name, daemon=True)
                 device.thread.start()
@@ -141,20 +147,38 @@ class Session:
 
     def close(self) -> None:
         """Stop drive and streams, close every link."""
-        if self._recorder is not None:
-            self.stop_recording({"ended": "session closed"})
-        if not self._closing and hasattr(self, "drive"):
-            for step in (self.drive.stop, lambda: self.send("laser_x", b"OUTPUT NONE\n"),
-                         lambda: self.send("laser_y", b"OUTPUT NONE\n")):  # fmt: skip
-                try:
-                    step()
-                except (LinkLost, DeviceError):
-                    continue
-        self._closing = True
-        for device in self._devices.values():
-            if device.thread is not None:
-                device.thread.join(timeout=2.0)
-            device.link.close()
+        if self._closing:
+            return
+        try:
+            self._stop_devices()
+        finally:
+            try:
+                if self._recorder is not None:
+                    self.stop_recording({"ended": "session closed"})
+            finally:
+                self._closing = True
+                for device in self._devices.values():
+                    if device.thread is not None:
+                        device.thread.join(timeout=2.0)
+                    device.link.close()
+
+    def _stop_devices(self) -> None:
+        """Rotor to rest, streams off; a device that is gone does not keep the others from being stopped."""
+        if self._drive is None:
+            return
+        for step in (
+            self.drive.stop,
+            lambda: self.send("laser_x", b"OUTPUT NONE\n"),
+            lambda: self.send("laser_y", b"OUTPUT NONE\n"),
+        ):
+            with contextlib.suppress(LinkLost, DeviceError):
+                step()
+
+    @property
+    def drive(self) -> DriveControl:
+        """The motor drive of an open session."""
+        assert self._drive is not None, "the session is not open"
+        return self._drive
 
     def _all_alive(self) -> bool:
         return all(len(self.recent.last(t, ())[0]) for t in ("laser/x", "laser/y", "pendulums", "motor"))
@@ -162,22 +186,18 @@ class Session:
     # --- bytes -------------------------------------------------------------------------------------------------
 
     def _read(self, device: _Device) -> None:
-        while not self._closing:
-            try:
+        try:
+            while not self._closing:
                 data = device.link.read(0.1)
-            except LinkLost as error:
-                if not self._closing:
-                    self._fail(error)
-                return
-            if data:
-                host_ns = self.clock.now_ns()
-                try:
+                if data:
+                    host_ns = self.clock.now_ns()
                     with device.lock:
                         device.bytes_in += len(data)
+                        device.heard_s = time.monotonic()
                         self._take(device, RX, data, host_ns)
-                except Exception as error:  # a decoder's bug must stop the rig, not one thread
-                    self._fail(error)
-                    return
+        except Exception as error:  # the device is gone, or a decoder's bug: either must stop the rig, not one thread
+            if not self._closing:
+                self._fail(error)
 
     def send(self, name: str, data: bytes) -> None:
         """Write to a device; the bytes go into the log as they go out.
@@ -195,8 +215,6 @@ class Session:
         if recorder is not None:
             recorder.raw(device.name, direction, data, host_ns)
         found = device.pipeline.feed(direction, data, host_ns)
-        if direction == RX and isinstance(device.pipeline, DrivePipeline) and device.pipeline.frames:
-            self.drive.notice(device.pipeline.frames)
         for item in found:
             if isinstance(item, Batch):
                 if recorder is not None:
@@ -209,8 +227,12 @@ class Session:
                     recorder.event(item, host_ns)
                 if item.kind == "reply":
                     device.replies.put(item.text)
-                else:
-                    self._events.put(item)
+                elif item.kind == "acknowledge":
+                    self._acknowledges.put(item)
+                elif item.kind in ("fault", "restart") and self.trouble is None:
+                    self.trouble = DeviceError(f"{item.device}: {item.text}")
+        if direction == RX and isinstance(device.pipeline, DrivePipeline) and device.pipeline.frames:
+            self.drive.notice(device.pipeline.frames)
 
     def _fail(self, error: Exception) -> None:
         """Remember the first trouble and stop the rotor; whoever waits is told."""
@@ -225,25 +247,43 @@ class Session:
         if batch.channel.topic not in ("laser/x", "laser/y") or self._tripped:
             return
         largest = np.nanmax(np.abs(batch.columns["displacement_m"]), initial=0.0)
-        if largest > self.rig.limits.amplitude_m and self.drive.actual_rpm != 0:
+        beyond_range = np.count_nonzero(np.isin(batch.columns["code"], optoncdt.OUT_OF_RANGE)) >= _OUT_OF_RANGE_SAMPLES
+        if self._drive is None or self._drive.actual_rpm == 0:
+            return
+        if largest > self.rig.limits.amplitude_m or beyond_range:
             self._tripped = True
+            seen = "out of the sensor's range" if beyond_range else f"{largest * 1e3:.1f} mm"
             self._fail(
                 ProcedureError(
-                    f"{batch.channel.topic}: {largest * 1e3:.1f} mm is beyond limits.amplitude_m = "
+                    f"{batch.channel.topic}: {seen}, limits.amplitude_m is "
                     f"{self.rig.limits.amplitude_m * 1e3:g} mm; the rotor was stopped"
                 )
             )
 
     def _report_health(self) -> None:
+        due = time.monotonic()
+        silent: set[str] = set()
         while not self._closing:
-            time.sleep(_HEALTH_S / self.clock.rate)
+            time.sleep(_WATCH_S)
+            now = time.monotonic()
+            still = {n for n, d in self._devices.items() if now - d.heard_s > _SILENCE_S}
+            for name in still & silent:  # seen twice: not a host that has just been asleep
+                self._fail(
+                    DeviceError(
+                        f"{name}: silent for {_SILENCE_S:g} s. Look at its cable, its power and, for the node, its battery"
+                    )
+                )
+            silent = still
+            if now < due:
+                continue
+            due = now + _HEALTH_S / self.clock.rate
             recorder = self._recorder
             if recorder is not None:
                 recorder.health({"kind": "health", "device": "host", "text": "", "losses": self.losses(),
                                  "stalled": recorder.stalled,
                                  "bytes": {n: d.bytes_in for n, d in self._devices.items()}})  # fmt: skip
                 if recorder.error is not None:
-                    self._fail(recorder.error)
+                    self._fail(RecordingError(f"{recorder.part}: {recorder.error}"))
 
     # --- recording ---------------------------------------------------------------------------------------------
 
@@ -282,7 +322,8 @@ class Session:
             for device in self._devices.values():
                 stack.enter_context(device.lock)
             self._recorder = None
-        return recorder.close({"losses": self.losses(), "stalled": recorder.stalled, **summary})
+            losses = self.losses()
+        return recorder.close({"losses": losses, "stalled": recorder.stalled, **summary})
 
     # --- waiting and commands ----------------------------------------------------------------------------------
 
@@ -290,6 +331,11 @@ class Session:
         """Raise the first trouble a background thread met."""
         if self.trouble is not None:
             raise self.trouble
+        if self._drive is not None and self._drive.dropped_out is not None:
+            state, self._drive.dropped_out = self._drive.dropped_out, None
+            raise ProcedureError(
+                f"the drive went to {state} by itself. Look at the events in the log and at the drive, then repeat the test"
+            )
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
         """Wait until a condition holds, at most so long on the wall's clock.
@@ -319,10 +365,10 @@ class Session:
             while time.monotonic() < deadline:
                 self.check()
                 try:
-                    event = self._events.get(timeout=0.02)
+                    event = self._acknowledges.get(timeout=0.02)
                 except queue.Empty:
                     continue
-                if event.kind == "acknowledge" and event.facts["command_seq"] == seq:
+                if event.facts["command_seq"] == seq:
                     if event.facts["result"] in (0, 4):  # 4: it already is so
                         return
                     raise DeviceError(f"encoder node: {action!r} refused: {event.text}")

@@ -20,6 +20,7 @@ from daq.protocols import cia402, optoncdt, rotorlink, slcan
 from rig_configs.schema import Devices, Drive, EncoderNode, Laser
 
 RX, TX = 0, 1
+_AGREE = 3  # rows in a row that make a new beat
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 
 
@@ -83,7 +84,7 @@ class LaserPipeline:
     """optoNCDT bytes to displacement of the disk centre, with counted gaps."""
 
     def __init__(self, device: str, config: Laser, channel: channels.Channel, identity: Mapping[str, Any]) -> None:
-        self.losses = {"samples": 0, "bytes": 0, "invalid": 0}
+        self.losses = {"samples": 0, "bytes": 0, "damaged": 0, "invalid": 0}
         self._device, self._channel = device, channel
         self._range_m = float(identity.get("range_m", config.range_m))
         self._to_disk = 1.0 / config.lever_ratio
@@ -94,10 +95,10 @@ class LaserPipeline:
         self._restart()
 
     def _restart(self) -> None:
-        self._counter = Unwrap(optoncdt.COUNTER_WRAP)
         self._ticks = Unwrap(optoncdt.TIMESTAMP_WRAP)
         self._clock = ClockMap(self._tolerance_ppm)
-        self._last: tuple[int, int] | None = None
+        self._last_tick: int | None = None
+        self._last_raw: NDArray[np.int64] | None = None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
@@ -116,8 +117,59 @@ class LaserPipeline:
             )  # fmt: skip
         if len(found.values):
             self._joined = True
-            out += self._samples(found.values, host_ns)
+            for restarted, rows in self._stretches(found.values, out):
+                if restarted:
+                    text = "counter and timestamp do not continue: the sensor restarted"
+                    out.append(Event("restart", self._device, text))
+                    self._restart()
+                if len(rows):
+                    out += self._samples(rows, host_ns)
         return out
+
+    def _stretches(self, values: NDArray[np.uint32], out: list[Batch | Event]) -> list[tuple[bool, NDArray[np.uint32]]]:
+        """Rows that continue one another, each with whether it begins anew; lone rows that fit nowhere are dropped.
+
+        The line has no checksum. Counter and timestamp must advance together; a row that disagrees with what came
+        before it is damage, unless the rows after it agree with it: then the sensor has restarted.
+        """
+        words = self._decoder.words
+        counter = values[:, words.index("COUNTER")].astype(np.int64)
+        ticks = optoncdt.timestamp_ticks(
+            values[:, words.index("TIMESTAMP_LO")], values[:, words.index("TIMESTAMP_HI")]
+        ).astype(np.int64)
+        rows = np.column_stack([counter, ticks])
+        previous = rows[:1] - [[1, round(self._nominal_ticks)]] if self._last_raw is None else self._last_raw[None]
+        chain = np.concatenate([previous, rows])
+        if bool(np.all(self._continues(chain[:-1], chain[1:]))):
+            self._last_raw = rows[-1]
+            return [(False, values)]
+        stretches: list[tuple[bool, list[int]]] = [(False, [])]
+        last = previous[0]
+        for i in range(len(rows)):
+            ahead = rows[i : i + _AGREE]
+            if self._continues(last, rows[i]):
+                stretches[-1][1].append(i)
+            elif len(ahead) == _AGREE and bool(np.all(self._continues(ahead[:-1], ahead[1:]))):
+                stretches.append((True, [i]))
+            else:
+                self.losses["damaged"] += 1
+                out.append(
+                    Event("damage", self._device, "a sample whose counter and timestamp fit nowhere was dropped")
+                )
+                continue
+            last = rows[i]
+        self._last_raw = last
+        return [(restarted, values[kept]) for restarted, kept in stretches]
+
+    def _continues(self, before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether counter and ticks advance together, modulo their wraps; rows (…, 2)."""
+        counts = (after[..., 0] - before[..., 0]) % optoncdt.COUNTER_WRAP
+        passed = (after[..., 1] - before[..., 1]) % optoncdt.TIMESTAMP_WRAP
+        # the counter alone may have wrapped several times in a long gap
+        expected = counts * self._nominal_ticks
+        around = optoncdt.COUNTER_WRAP * self._nominal_ticks
+        off = np.abs((passed - expected + around / 2) % around - around / 2)
+        return (passed > 0) & (passed < optoncdt.TIMESTAMP_WRAP // 2) & (off <= 0.02 * passed + 2)
 
     def _samples(self, values: NDArray[np.uint32], host_ns: int) -> list[Batch | Event]:
         words = self._decoder.words
@@ -127,16 +179,11 @@ class LaserPipeline:
             values[:, words.index("TIMESTAMP_LO")], values[:, words.index("TIMESTAMP_HI")]
         )
         out: list[Batch | Event] = []
-        before = self._last
-        counter, ticks = self._counter.feed(counter_raw), self._ticks.feed(ticks_raw)
-        if before is not None and self._has_restarted(before, counter, ticks):
-            out.append(Event("restart", self._device, "counter and timestamp do not continue: the sensor restarted"))
-            self._restart()
-            before = None
-            counter, ticks = self._counter.feed(counter_raw), self._ticks.feed(ticks_raw)
-        self._last = (int(counter[-1]), int(ticks[-1]))
+        before = self._last_tick
+        ticks = self._ticks.feed(ticks_raw)
+        self._last_tick = int(ticks[-1])
         time_ns = self._clock.map(ticks * 10_000, host_ns)
-        out += self._gaps(before, counter, ticks)
+        out += self._gaps(before, ticks)
         displacement = (optoncdt.metres(code, self._range_m) - 0.5 * self._range_m) * self._to_disk
         self.losses["invalid"] += int(np.count_nonzero(np.isnan(displacement)))
         columns = {
@@ -148,15 +195,10 @@ class LaserPipeline:
         out.append(Batch(self._channel, time_ns, counter_raw.astype(np.uint32), columns))
         return out
 
-    def _has_restarted(self, before: tuple[int, int], counter: NDArray[np.int64], ticks: NDArray[np.int64]) -> bool:
-        counts, passed = int(counter[0]) - before[0], int(ticks[0]) - before[1]
-        return counts <= 0 or passed <= 0 or abs(passed - counts * self._nominal_ticks) > 0.05 * passed + 100
-
-    def _gaps(
-        self, before: tuple[int, int] | None, counter: NDArray[np.int64], ticks: NDArray[np.int64]
-    ) -> list[Batch | Event]:
-        first = counter[0] - 1 if before is None else before[0]
-        steps = np.diff(counter, prepend=first)
+    def _gaps(self, before: int | None, ticks: NDArray[np.int64]) -> list[Batch | Event]:
+        """Samples missing between rows; the timestamp tells, since the counter wraps within a minute."""
+        first = ticks[0] - self._nominal_ticks if before is None else before
+        steps = np.rint(np.diff(ticks, prepend=first) / self._nominal_ticks).astype(np.int64)
         out: list[Batch | Event] = []
         for i in np.flatnonzero(steps != 1):
             lost = int(steps[i]) - 1
@@ -173,6 +215,7 @@ class NodePipeline:
     def __init__(self, device: str, config: EncoderNode) -> None:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
         self._device = device
+        self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
         self._tolerance_ppm = config.clock_tolerance_ppm
         self._decoder = rotorlink.FrameDecoder()
@@ -185,6 +228,7 @@ class NodePipeline:
         self._time = Unwrap(2**32)
         self._clock = ClockMap(self._tolerance_ppm)
         self._next_index: int | None = None
+        self._last_us: int | None = None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
@@ -218,13 +262,15 @@ class NodePipeline:
     def _node_frame(self, frame: rotorlink.NodeFrame, host_ns: int) -> list[Batch | Event]:
         out: list[Batch | Event] = []
         restarts = self._air.restarts
-        lost, repeated = self._air.feed(frame.seq)
+        stepped_back = self._time_stepped_back(getattr(frame, "node_time_us", None))
+        lost, repeated = (0, False) if stepped_back else self._air.feed(frame.seq)
         if repeated:
             return out
-        if self._air.restarts > restarts:
+        if stepped_back or self._air.restarts > restarts:
             out.append(Event("restart", self._device, "the node started again: its counters begin anew"))
             self._restart()
             self._air.feed(frame.seq)
+            self._time_stepped_back(getattr(frame, "node_time_us", None))
         self._count("radio_frames", lost, out)
         match frame:
             case rotorlink.EncoderBlock():
@@ -245,6 +291,12 @@ class NodePipeline:
                 out.append(Event("acknowledge", self._device, f"command {frame.command_seq}: {result}",
                                  {"command_seq": frame.command_seq, "result": frame.result}))  # fmt: skip
             case rotorlink.Status():
+                if frame.counts_per_revolution != self._counts_per_revolution:
+                    text = (
+                        f"the node says {frame.counts_per_revolution} counts per revolution, the rig file "
+                        f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
+                    )
+                    out.append(Event("fault", self._device, text))
                 out.append(Event("status", self._device, f"battery {frame.battery_mv} mV",
                                  {"battery_mv": frame.battery_mv, "frames_sent": frame.frames_sent,
                                   "overruns": frame.overruns, "counts_per_revolution": frame.counts_per_revolution,
@@ -252,6 +304,16 @@ class NodePipeline:
             case _:
                 pass
         return out
+
+    def _time_stepped_back(self, node_time_us: int | None) -> bool:
+        """Whether a frame's node time lies well before the last one's (frames on air keep their order)."""
+        if node_time_us is None:
+            return False
+        back = 0 if self._last_us is None else (self._last_us - node_time_us) & 0xFFFFFFFF
+        stepped = 1_000_000 < back < 0x80000000
+        if not stepped and (self._last_us is None or back > 0x80000000):
+            self._last_us = node_time_us
+        return stepped
 
     def _encoder(self, block: rotorlink.EncoderBlock, host_ns: int) -> list[Batch | Event]:
         out: list[Batch | Event] = []

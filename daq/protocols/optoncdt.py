@@ -35,6 +35,9 @@ TICK_S = 1e-5
 CODE_MAX = 65520
 """Largest distance code; anything above is an error code."""
 
+OUT_OF_RANGE = (262077, 262078)
+"""Codes of a target before or behind the measuring range."""
+
 ERROR_CODES = {
     262073: "scaling underflow",
     262074: "scaling overflow",

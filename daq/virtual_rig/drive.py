@@ -11,6 +11,7 @@ from rig_configs.schema import Drive
 
 _TPDO_S = 0.01
 _QUICK_STOP_RPM_S = 4000.0
+_COAST_RPM_S = 30.0  # bearings and windage, when there is no torque
 _RAD_S = math.pi / 30
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
 _HEARTBEAT_ERROR = 0x8130
@@ -160,10 +161,11 @@ class SimulatedDrive:
         target = self._target_rpm if enabled and in_mode else 0
         sub = 0x6048 if abs(target) * _RAD_S >= abs(self._motion.speed_rad_s) else 0x6049
         change, seconds = self._objects[sub, 1][0], self._objects[sub, 2][0]
-        ramp = change / max(1, seconds) if enabled else _QUICK_STOP_RPM_S
+        stopping = self.state == cia402.QUICK_STOP_ACTIVE
+        ramp = change / max(1, seconds) if enabled else _QUICK_STOP_RPM_S if stopping else _COAST_RPM_S
         self._motion.target_rad_s = target * _RAD_S
         self._motion.ramp_rad_s2 = ramp * _RAD_S
-        self._motion.braking = self.state == cia402.QUICK_STOP_ACTIVE
+        self._motion.braking = stopping
         if self.state == cia402.QUICK_STOP_ACTIVE and abs(self._motion.speed_rad_s) < 0.01:
             self.state = cia402.SWITCH_ON_DISABLED
         self._cyclic(now_s)
