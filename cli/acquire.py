@@ -38,11 +38,12 @@ def virtual(
     time_scale: TimeScale = 1.0,
     link: Literal["auto", "pty", "tcp"] = "auto",
     settings: Settings = None,
+    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False,
 ) -> None:
     """Start a virtual rig and print its ports as one JSON line; Ctrl-C ends it."""
     from daq.virtual_rig.run import serve  # noqa: PLC0415 (only this command simulates)
 
-    serve(load_rig(rig, settings=settings or []), time_scale, link)
+    serve(load_rig(rig, settings=settings or []), time_scale, link, while_stdin_open)
 
 
 def check(

@@ -25,18 +25,27 @@ class VirtualRigProcess:
 
     def __init__(self, rig: str, settings: list[str], time_scale: float, link: str = "auto") -> None:
         command = [sys.executable, "-m", "cli.main", "virtual", rig, "--time-scale", str(time_scale), "--link", link]
+        command += ["--while-stdin-open"]  # it ends with us, however we end
         for setting in settings:
             command += ["--set", setting]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        # a session of its own: Ctrl-C is ours to handle, the wires must stay until the rotor has been stopped
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=sys.platform != "win32"
+        )
+        try:
+            self.ports, self.line = self._connect()
+        except BaseException:
+            self._end()
+            raise
+
+    def _connect(self) -> tuple[dict[str, str], OperatorLine]:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         try:
             ready = json.loads(line)
         except ValueError:
-            self._process.wait(timeout=10)
-            raise DeviceError(f"the virtual rig did not start (exit {self._process.returncode}): {line!r}") from None
-        self.ports: dict[str, str] = ready["ports"]
-        self.line = OperatorLine(ready["control_port"], ready["token"])
+            raise DeviceError(f"the virtual rig did not start, it said {line!r}; its reason stands above") from None
+        return ready["ports"], OperatorLine(ready["control_port"], ready["token"])
 
     def port_settings(self) -> list[str]:
         """Settings that point a rig file's devices at this process."""
@@ -50,14 +59,20 @@ class VirtualRigProcess:
     ) -> None:
         with contextlib.suppress(OSError, ValueError):
             self.line.ask("quit")
-        self.line.close()
+        with contextlib.suppress(OSError, ValueError):
+            self.line.close()
+        self._end()
+
+    def _end(self) -> None:
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
         try:
             self._process.wait(timeout=5)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
 
 
 class SimulatedOperator:

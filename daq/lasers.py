@@ -12,6 +12,7 @@ from daq.protocols import optoncdt
 from rig_configs.schema import Laser
 
 _ANSWER_S = 1.0  # wall seconds
+_QUIET_S = 0.1
 
 
 def configure(device: str, config: Laser, send: Callable[[bytes], None], replies: queue.Queue[str]) -> dict[str, Any]:
@@ -48,8 +49,8 @@ def configure(device: str, config: Laser, send: Callable[[bytes], None], replies
             f"Is the baud rate {config.baud} and the sensor powered?"
         )
 
-    send(b"OUTPUT NONE\n")  # while it streams, its answer drowns: ask again once it is quiet
-    time.sleep(0.03)
+    send(b"OUTPUT NONE\n")  # while it streams, its answer may drown: ask again once it is quiet
+    _quiet(replies)
     command("OUTPUT NONE")
     command("ECHO ON")
     info = optoncdt.parse_info(command("GETINFO"))
@@ -65,3 +66,13 @@ def configure(device: str, config: Laser, send: Callable[[bytes], None], replies
     words = optoncdt.parse_outinfo(answer)
     command("OUTPUT RS422")
     return {**info, "words": list(words)}
+
+
+def _quiet(replies: queue.Queue[str]) -> None:
+    """Wait until no answer has come for a while, so that a late one is not taken for the next command's."""
+    deadline = time.monotonic() + _ANSWER_S
+    while time.monotonic() < deadline:
+        try:
+            replies.get(timeout=_QUIET_S)
+        except queue.Empty:
+            return

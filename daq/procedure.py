@@ -21,6 +21,8 @@ from daq.settling import Settling, locked_settled, settled
 
 _RPM = math.pi / 30
 _HUMAN_S = 120.0  # how long a person may take, wall seconds
+_ANSWER_S = 5.0  # how long a device may take, wall seconds
+_LOCKS = 0x60  # lock flags of an encoder block
 _LOOK_S = 0.5  # rig time between two looks at the signals
 _STOP_RAMP_RPM_S = 400.0
 _POINT_LIMIT_S = 90.0
@@ -79,8 +81,10 @@ class Procedures:
         self._begin(test, {})
         self._clock.sleep(0.7)
         self._tell(f"{test}: pluck the column along {axis} by 2 to 3 mm and let go", None)
-        field, asked = f"laser/{axis}", self._clock.now_ns()
+        field = f"laser/{axis}"
+        self._until(lambda: self._valid(field, 0.5) > 0.4, _ANSWER_S, f"half a second of valid samples of {field}")
         rest = float(np.nanmedian(self._newest(field, ("displacement_m",), 0.5)[1][0]))
+        asked = self._clock.now_ns()
         self._operator.pluck(axis)
         plucked = f"the column to be plucked along {axis}"
         self._until(lambda: self._largest_since(field, asked, rest) > _PLUCKED_M, _HUMAN_S, plucked)
@@ -90,6 +94,8 @@ class Procedures:
         def rung_down() -> bool:
             nonlocal peak
             now = self._peak_to_peak(field, 0.6)
+            if not math.isfinite(now):
+                return False  # a blocked sensor says nothing about the column
             peak = max(peak, now)
             share = math.log(max(peak, 1e-9) / max(now, 1e-9)) / math.log(50)
             self._tell(f"{test}: {now * 1e3:.2f} mm peak to peak", min(1.0, share))
@@ -168,7 +174,8 @@ class Procedures:
         self._clock.sleep(_BEFORE_RELEASE_S)
         self._tell(f"{test}: releasing the pendulums", None)
         self._s.command_node("release both")
-        released_ns = self._clock.now_ns()
+        self._wait_locks(closed=False)
+        released_ns = self._opened_ns()
         last: Settling | None = None
 
         def all_steady() -> bool:
@@ -205,12 +212,14 @@ class Procedures:
 
     def _begin(self, test: str, facts: Mapping[str, str]) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
-        number = 1 + sum(1 for _ in self._folder.glob("*.mcap*"))
+        numbers = [int(p.name[:2]) for p in self._folder.glob("[0-9][0-9]-*.mcap*")]
+        number = 1 + max(numbers, default=0)
         path = self._folder / f"{number:02d}-{test}.mcap"
         self._s.start_recording(path, {"test": test, "note": self._note, **facts})
 
     def _end(self, test: str, summary: Mapping[str, Any]) -> TestDone:
         log = self._s.stop_recording(summary)
+        self._s.check()  # what went wrong in the last stretch must not look like a finished test
         return TestDone(test, log, summary)
 
     def _until(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
@@ -219,20 +228,13 @@ class Procedures:
     def _look_until(self, condition: Callable[[], bool], limit_s: float) -> bool:
         """Look every half second of rig time; False when the limit (rig time) is reached first."""
         end = self._clock.now_ns() + int(limit_s * 1e9)
-        while not condition():
+        while True:
             self._s.check()
-            self._watch_drive()
+            if condition():
+                return True
             if self._clock.now_ns() > end:
                 return False
             self._clock.sleep(_LOOK_S)
-        return True
-
-    def _watch_drive(self) -> None:
-        state = self._s.drive.state
-        if state in (cia402.QUICK_STOP_ACTIVE, cia402.FAULT, cia402.FAULT_REACTION):
-            raise ProcedureError(
-                f"the drive went to {state} by itself. Look at events in the log and at the drive, then repeat the test"
-            )
 
     def _since(self, seconds: float) -> int:
         return self._clock.now_ns() - int(seconds * 1e9)
@@ -246,10 +248,17 @@ class Procedures:
         return time_ns[new], [column[new] for column in columns]
 
     def _peak_to_peak(self, topic: str, seconds: float) -> float:
-        """Of a laser over its newest stretch, m."""
+        """Of a laser over its newest stretch, m; NaN where much of it is missing or invalid."""
+        if self._valid(topic, seconds) < 0.8 * seconds:
+            return math.nan
         _, (x,) = self._newest(topic, ("displacement_m",), seconds)
-        x = x[np.isfinite(x)]
-        return float(np.ptp(x)) if len(x) else 0.0
+        return float(np.ptp(x[np.isfinite(x)]))
+
+    def _valid(self, topic: str, seconds: float) -> float:
+        """How many seconds of valid samples a laser's newest stretch holds."""
+        rates = {"laser/x": self._s.rig.devices.laser_x.rate_Hz, "laser/y": self._s.rig.devices.laser_y.rate_Hz}
+        _, (x,) = self._newest(topic, ("displacement_m",), seconds)
+        return float(np.count_nonzero(np.isfinite(x))) / rates[topic]
 
     def _largest_since(self, topic: str, since_ns: int, rest_m: float) -> float:
         """Largest distance of a laser from its reading at rest since an instant, m."""
@@ -318,9 +327,15 @@ class Procedures:
         self._s.command_node("lock both")
         self._wait_locks(closed=True)
 
+    def _opened_ns(self) -> int:
+        """Time of the first sample with both locks open, after the last one with a lock closed."""
+        time_ns, (flags,) = self._newest("pendulums", ("flags",), 19.0)
+        closed = np.flatnonzero((flags & _LOCKS) != 0)
+        return int(time_ns[min(closed[-1] + 1, len(time_ns) - 1)]) if len(closed) else int(time_ns[0])
+
     def _wait_locks(self, closed: bool) -> None:
         def there() -> bool:
             _, (flags,) = self._newest("pendulums", ("flags",), 0.1)
-            return len(flags) > 0 and bool(flags[-1] & 96) == closed and (flags[-1] & 96) in (0, 96)
+            return len(flags) > 0 and flags[-1] & _LOCKS == (_LOCKS if closed else 0)
 
         self._until(there, 10.0, f"both locks to {'close' if closed else 'open'}")

@@ -269,9 +269,7 @@ class Session:
             still = {n for n, d in self._devices.items() if now - d.heard_s > _SILENCE_S}
             for name in still & silent:  # seen twice: not a host that has just been asleep
                 self._fail(
-                    DeviceError(
-                        f"{name}: silent for {_SILENCE_S:g} s. Look at its cable, its power and, for the node, its battery"
-                    )
+                    DeviceError(f"{name}: silent for {_SILENCE_S:g} s. Look at its cable, its power, its battery")
                 )
             silent = still
             if now < due:
@@ -334,7 +332,7 @@ class Session:
         if self._drive is not None and self._drive.dropped_out is not None:
             state, self._drive.dropped_out = self._drive.dropped_out, None
             raise ProcedureError(
-                f"the drive went to {state} by itself. Look at the events in the log and at the drive, then repeat the test"
+                f"the drive went to {state} by itself. Look at the log's events and at the drive, then repeat the test"
             )
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:

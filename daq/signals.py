@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.clock import ClockLine, fit_line
+from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.protocols import optoncdt
 from rig_configs.schema import Rig
@@ -84,6 +85,12 @@ def load_run(path: str | Path) -> Run:
     """
     with open_log(path) as log:
         rig = Rig.model_validate_json(log.attachments["rig.json"])
+        restarted = sorted({e["device"] for e in log.events if e["kind"] == "restart"})
+        if restarted:
+            raise LogError(
+                f"{path}: {', '.join(restarted)} restarted during this log, so its clock does not run through. "
+                "Repeat the test; the samples themselves can be read with open_log"
+            )
         start_s = _start(log)
         lasers = {
             axis: _laser(log, axis, config.clock_tolerance_ppm, start_s)

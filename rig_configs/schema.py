@@ -107,7 +107,7 @@ class Drive(Table):
     node_id: Annotated[int, Field(ge=1, le=127)] = 5
     host_node_id: Annotated[int, Field(ge=1, le=127)] = 1
     heartbeat_ms: Annotated[int, Field(ge=10, le=1000)] = 100
-    heartbeat_timeout_ms: Annotated[int, Field(ge=50, le=2000)] = 500
+    heartbeat_timeout_ms: Annotated[int, Field(ge=50, le=800)] = 500
     ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
 
     @model_validator(mode="after")
@@ -249,6 +249,16 @@ class Rig(Table):
     def physics(self) -> RotorParameters:
         """The physical part as dynamics takes it."""
         return _physics(self.rotor, self.imbalance, self.pendulums, self.suspension)
+
+    @model_validator(mode="after")
+    def _sensors_see_the_limit(self) -> Rig:
+        for name, laser in (("laser_x", self.devices.laser_x), ("laser_y", self.devices.laser_y)):
+            seen = 0.5 * laser.range_m / laser.lever_ratio
+            if self.limits.amplitude_m >= seen:
+                raise ValueError(
+                    f"limits.amplitude_m = {self.limits.amplitude_m:g} can never be seen: {name} reaches ± {seen:g} m"
+                )
+        return self
 
     def snapshot_json(self) -> bytes:
         """The rig file as it goes into a log: all a reader of the log needs, nothing only a simulation knows."""

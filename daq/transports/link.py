@@ -17,6 +17,7 @@ from daq.errors import LinkLost
 from daq.protocols import slcan
 
 _READ_BYTES = 65536
+_POLL_S = 0.1
 
 
 class Link(Protocol):
@@ -76,7 +77,9 @@ class SerialLink:
 
     def __init__(self, port: str, baud: int) -> None:
         self.name = port
-        self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=0, exclusive=True, do_not_open=True)
+        self._port: Any = serial.serial_for_url(
+            port, baudrate=baud, timeout=_POLL_S, write_timeout=1.0, exclusive=True, do_not_open=True
+        )
         self._port.open()
         with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
@@ -89,8 +92,7 @@ class SerialLink:
     def read(self, timeout_s: float) -> bytes:
         """See Link."""
         try:
-            if self._descriptor is None:
-                self._port.timeout = timeout_s
+            if self._descriptor is None:  # no descriptor to wait on: the port's own time-out, set once, does
                 first = self._port.read(1)
                 return first + self._port.read(self._port.in_waiting) if first else b""
             ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
@@ -107,7 +109,6 @@ class SerialLink:
         """See Link."""
         with self._lock:
             try:
-                self._port.write_timeout = 1.0
                 self._port.write(data)
             except (OSError, ValueError, TypeError, serial.SerialException) as error:
                 raise LinkLost(f"{self.name}: lost while writing ({error}). Look at cable and power") from error
@@ -170,6 +171,9 @@ class CanLink:
         try:
             message = self._bus.recv(timeout_s)
             while message is not None and len(lines) < 1000:
+                if message.is_error_frame:  # the adapter's own report, no frame of the bus
+                    message = self._bus.recv(0)
+                    continue
                 lines.append(
                     slcan.encode(
                         slcan.CanFrame(

@@ -9,6 +9,7 @@ import queue
 import secrets
 import select
 import sys
+import threading
 import time
 import zlib
 from typing import Any
@@ -89,6 +90,11 @@ class VirtualRig:
     def ports(self) -> dict[str, str]:
         """Port of each device, by its name in the rig file."""
         return {name: wire.port for name, wire in self.wires.items()}
+
+    def quit_at_end_of_input(self) -> None:
+        """Wait for standard input to close, then end."""
+        sys.stdin.read()
+        self._running = False
 
     def run(self) -> None:
         """Until told to quit."""
@@ -196,12 +202,18 @@ class VirtualRig:
         self.motion.physics = self._rig.true_physics
 
 
-def serve(rig: Rig, time_scale: float, link: str) -> None:
-    """Run a virtual rig until it is told to quit; prints one JSON line with its ports when it is ready."""
+def serve(rig: Rig, time_scale: float, link: str, while_stdin_open: bool = False) -> None:
+    """Run a virtual rig until it is told to quit; prints one JSON line with its ports when it is ready.
+
+    Args:
+        while_stdin_open: end, too, when standard input closes: whoever started it is gone.
+    """
     virtual = VirtualRig(rig, time_scale, link)
     virtual.motion.advance(0.001)  # compile before anyone connects
     ready = {"ports": virtual.ports(), "control_port": virtual.control.port, "token": virtual.token,
              "time_scale": time_scale}  # fmt: skip
     print(json.dumps(ready), flush=True)
+    if while_stdin_open:
+        threading.Thread(target=virtual.quit_at_end_of_input, daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
         virtual.run()

@@ -9,7 +9,7 @@ import sys
 from collections import deque
 from typing import Protocol
 
-_BUFFER_BYTES = 4 * 1024 * 1024  # a USB adapter's driver queue, generous: a host may stall
+_BUFFER_BYTES = 1024 * 1024  # an adapter's driver queue, generous: a host may stall
 
 
 class Wire(Protocol):
@@ -44,11 +44,14 @@ class _Outbox:
         self._size = 0
 
     def _queue(self, data: bytes) -> None:
-        if self._size + len(data) > _BUFFER_BYTES:
-            self.overrun_bytes += len(data)
-        elif data:
-            self._parts.append(data)
-            self._size += len(data)
+        if not data:
+            return
+        self._parts.append(data)
+        self._size += len(data)
+        while self._size > _BUFFER_BYTES and len(self._parts) > 1:  # the oldest goes: whoever connects wants now
+            dropped = len(self._parts.popleft())
+            self._size -= dropped
+            self.overrun_bytes += dropped
 
     def _drain(self, write_to: int) -> None:
         while self._parts:
