@@ -21,6 +21,7 @@ from rig_configs.schema import Devices, Drive, EncoderNode, Laser
 
 RX, TX = 0, 1
 _AGREE = 3  # rows in a row that make a new beat
+_LONG_JUMP_TICKS = 100_000  # 1 s
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 
 
@@ -147,9 +148,9 @@ class LaserPipeline:
         last = previous[0]
         for i in range(len(rows)):
             ahead = rows[i : i + _AGREE]
-            if self._continues(last, rows[i]):
+            if self._continues(last, rows[i]) and self._leads_on(last, rows, i):
                 stretches[-1][1].append(i)
-            elif len(ahead) == _AGREE and bool(np.all(self._continues(ahead[:-1], ahead[1:]))):
+            elif self._is_new_beat(last, ahead):
                 stretches.append((True, [i]))
             else:
                 self.losses["damaged"] += 1
@@ -161,6 +162,20 @@ class LaserPipeline:
         self._last_raw = last
         return [(restarted, values[kept]) for restarted, kept in stretches]
 
+    def _is_new_beat(self, last: NDArray[np.int64], ahead: NDArray[np.int64]) -> bool:
+        """Whether rows agree with one another and none of them with what came before."""
+        return (
+            len(ahead) == _AGREE
+            and bool(np.all(self._continues(ahead[:-1], ahead[1:])))
+            and not bool(np.any(self._continues(last, ahead[1:])))
+        )
+
+    def _leads_on(self, last: NDArray[np.int64], rows: NDArray[np.int64], i: int) -> bool:
+        """Whether the next row confirms row i; without a next row, whether it is no long jump."""
+        if i + 1 < len(rows):
+            return bool(self._continues(rows[i], rows[i + 1])) or not bool(self._continues(last, rows[i + 1]))
+        return int(rows[i, 1] - last[1]) % optoncdt.TIMESTAMP_WRAP < _LONG_JUMP_TICKS
+
     def _continues(self, before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether counter and ticks advance together, modulo their wraps; rows (…, 2)."""
         counts = (after[..., 0] - before[..., 0]) % optoncdt.COUNTER_WRAP
@@ -169,7 +184,7 @@ class LaserPipeline:
         expected = counts * self._nominal_ticks
         around = optoncdt.COUNTER_WRAP * self._nominal_ticks
         off = np.abs((passed - expected + around / 2) % around - around / 2)
-        return (passed > 0) & (passed < optoncdt.TIMESTAMP_WRAP // 2) & (off <= 0.02 * passed + 2)
+        return (passed > 0) & (passed < optoncdt.TIMESTAMP_WRAP // 2) & (off <= 1e-3 * passed + 2)
 
     def _samples(self, values: NDArray[np.uint32], host_ns: int) -> list[Batch | Event]:
         words = self._decoder.words

@@ -14,10 +14,11 @@ from mcap.reader import make_reader
 
 from cli.demo import _radio_check
 from cli.simulated import SimulatedOperator, VirtualRigProcess
-from daq.errors import DeviceError, LinkLost
+from daq.errors import DeviceError, LinkLost, LogError, ProcedureError
 from daq.log import open_log
 from daq.procedure import Procedures
 from daq.protocols import cia402
+from daq.recorder import Recorder
 from daq.replay import check
 from daq.session import Session
 from daq.transports import HostClock
@@ -197,3 +198,70 @@ def test_the_drive_reports_its_states_on_the_way_to_operation(plugged: Rig) -> N
         assert session.drive.state == cia402.OPERATION_ENABLED
         session.drive.disable()
         session.wait_for(lambda: session.drive.state != cia402.OPERATION_ENABLED, 2.0, "the drive to be disabled")
+
+
+def test_a_drive_that_stops_by_itself_ends_the_test(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        session.drive.enable()
+        session.drive.set_speed(300)
+        session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
+        session.drive._beating.clear()  # the host's heartbeat falls silent
+        with pytest.raises(ProcedureError, match="by itself"):
+            session.wait_for(lambda: False, 5.0, "nothing")
+        assert virtual_rig.line.ask("state")["drive"] != cia402.OPERATION_ENABLED
+
+
+@needs_posix
+def test_a_device_that_falls_silent_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        session.drive.enable()
+        session.drive.set_speed(300)
+        session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
+        session.send("laser_x", b"OUTPUT NONE\n")  # the link stays, the samples end
+        with pytest.raises(DeviceError, match="laser_x: silent"):
+            session.wait_for(lambda: False, 10.0, "nothing")
+    assert virtual_rig.line.ask("state")["speed_rpm"] < 0.5
+
+
+def test_closing_a_session_at_speed_stops_the_rotor_first(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        session.drive.enable()
+        session.drive.set_speed(400)
+        session.wait_for(lambda: session.drive.actual_rpm > 300, 5.0, "the rotor to turn")
+    assert virtual_rig.line.ask("state")["speed_rpm"] < 1
+
+
+def test_too_much_displacement_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        session.drive.enable()
+        session.drive.set_speed(60)
+        session.wait_for(lambda: session.drive.actual_rpm > 50, 5.0, "the rotor to turn")
+        virtual_rig.line.ask("pluck", x_mm=12.2, y_mm=0, hold_s=1.0)
+        with pytest.raises(ProcedureError, match=r"laser/x: .* mm, limits\.amplitude_m is 11 mm"):
+            session.wait_for(lambda: False, 5.0, "nothing")
+
+
+def test_the_rest_of_a_cut_recording_is_never_written_over(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap.part").write_bytes(b"precious")
+    with pytest.raises(LogError, match="rest of a recording"):
+        Recorder(tmp_path / "a.mcap", HostClock(), {}, {}, ("laser_x",))
+    assert (tmp_path / "a.mcap.part").read_bytes() == b"precious"
+
+
+@needs_posix
+def test_the_virtual_rig_ends_with_whoever_started_it() -> None:
+    script = (
+        "import sys, time\nfrom cli.simulated import VirtualRigProcess\n"
+        "rig = VirtualRigProcess('virtual', [], 1.0)\nprint(rig._process.pid, flush=True)\ntime.sleep(60)"
+    )
+    starter = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert starter.stdout is not None
+    child = int(starter.stdout.readline())
+    starter.kill()
+    starter.communicate()
+    deadline = time.monotonic() + 5
+    while Path(f"/proc/{child}").exists() and time.monotonic() < deadline:
+        if Path(f"/proc/{child}/stat").read_text().split()[2] == "Z":
+            break
+        time.sleep(0.05)
+    assert not Path(f"/proc/{child}").exists() or Path(f"/proc/{child}/stat").read_text().split()[2] == "Z"

@@ -121,3 +121,49 @@ def test_the_split_into_reads_changes_no_value(cut: int) -> None:
     parts, _ = feed(laser(), [data[i : i + cut] for i in range(0, len(data), cut)])
     for name in ("displacement_m", "counter", "device_ticks"):
         assert np.array_equal(np.concatenate([b.columns[name] for b in parts]), whole[0].columns[name])
+
+
+def test_a_rebooted_node_is_an_event_and_its_samples_are_kept() -> None:
+    before = node_frames(30, first_seq=40_000)
+    after = node_frames(30, first_seq=0)
+    pipeline = NodePipeline("encoder", DEVICES.encoder)
+    # half an hour of node time before the reboot
+    old = rotorlink.EncoderBlock(1, 40_030, 1_800_000, 1_800_000_000, 1000, 96, np.zeros((20, 2), np.int32))
+    batches, events = feed(pipeline, [before[0], rotorlink.wire(old.pack()), *after])
+    assert [e.kind for e in events if e.kind == "restart"] == ["restart"]
+    assert sum(len(b.time_ns) for b in batches) == 20 + 20 + 600
+    assert pipeline.losses["radio_frames"] == 29
+
+
+@given(st.integers(1, 38), st.integers(0, 3), st.integers(1, 0x3FFFF))
+def test_one_damaged_row_is_dropped_and_nothing_else(row: int, column: int, flip: int) -> None:
+    words = blocks(np.arange(5000, 5040), np.zeros(40))
+    damaged = words.copy()
+    damaged[row, column] ^= flip & (0x3FFFF if column < 2 else 0xFFFF)
+    pipeline = laser()
+    batches, events = feed(
+        pipeline, [optoncdt.encode_block(damaged), optoncdt.encode_block(blocks(np.arange(5040, 5080), np.zeros(40)))]
+    )
+    kept = np.concatenate([b.columns["device_ticks"] for b in batches])
+    assert np.all(np.diff(kept.astype(np.int64)) > 0)
+    assert "restart" not in [e.kind for e in events]
+    if column == 0 or np.array_equal(damaged[:, 1:], words[:, 1:]):
+        assert len(kept) == 80
+    else:
+        assert len(kept) >= 79
+        assert pipeline.losses["samples"] == pipeline.losses["damaged"] == 80 - len(kept)
+
+
+def test_a_gap_longer_than_the_counter_is_counted_by_the_timestamp() -> None:
+    pipeline = laser()
+    far = 100 + 2**18 + 5
+    feed(pipeline, [optoncdt.encode_block(blocks(np.arange(0, 100), np.zeros(100))),
+                    optoncdt.encode_block(blocks(np.arange(far, far + 50), np.zeros(50)))])  # fmt: skip
+    assert pipeline.losses["samples"] == 2**18 + 5
+
+
+def test_a_node_with_other_encoders_than_the_rig_file_says_is_a_fault() -> None:
+    pipeline = NodePipeline("encoder", DEVICES.encoder)
+    status = rotorlink.Status(1, 0, 1000, 3700, 250, 10, 0, 1, 4, 1024)
+    _, events = feed(pipeline, [rotorlink.wire(status.pack())])
+    assert "1024" in next(e.text for e in events if e.kind == "fault")
