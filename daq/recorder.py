@@ -21,7 +21,7 @@ import numpy as np
 from daq import channels
 from daq.errors import LogError, RecordingError
 from daq.mcap_writer import BlockWriter
-from daq.streams import Batch, Event
+from daq.stream_items import Batch, Event
 from daq.transports.host_clock import HostClock
 
 _FLUSH_S = 0.05

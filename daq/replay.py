@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from daq.channels import CHANNELS
 from daq.log import Log, open_log
-from daq.streams import Batch, Event, make_pipelines
+from daq.stream_items import Batch, Event
+from daq.streams import make_pipelines
 from rig_configs.schema import Rig
 
 

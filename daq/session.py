@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 
 from daq import channels, lasers
 from daq.drive import DriveControl
+from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError, RecordingError
 from daq.protocols import optoncdt, rotorlink
 from daq.recorder import Recorder
-from daq.streams import RX, TX, Batch, DrivePipeline, Event, Pipeline, make_pipelines
+from daq.stream_items import RX, TX, Batch, Event
+from daq.streams import Pipeline, make_pipelines
 from daq.transports import HostClock, Link, open_link
 from rig_configs.schema import Rig
 

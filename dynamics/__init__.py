@@ -1,8 +1,9 @@
 """The rig's motion: parameters, compiled equations, steady states, stability. Knows no files and no devices."""
 
-from dynamics.integrate import Motion, SpeedHistory, locked_orbit, simulate
+from dynamics.integrate import Motion, locked_orbit, simulate
 from dynamics.parameters import Pendulum, RotorParameters
 from dynamics.scene import Scene
+from dynamics.speed_history import SpeedHistory
 from dynamics.steady_states import SteadyState, multipliers, steady_states
 
 __all__ = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.integrate import SpeedHistory
+from dynamics.speed_history import SpeedHistory
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from dynamics.integrate import SpeedHistory
+from dynamics.speed_history import SpeedHistory
 
 STEP_S = 1e-3
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from daq.signals import Run
 from dynamics.errors import OutsideDomain
-from dynamics.integrate import SpeedHistory, integrate, locked_state
+from dynamics.integrate import integrate, locked_state
+from dynamics.speed_history import SpeedHistory
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Minimum
 from identification.pendulum_transient import (

@@ -12,8 +12,8 @@ import numpy as np
 
 from daq.signals import Run
 from dynamics.errors import OutsideDomain
-from dynamics.integrate import SpeedHistory
 from dynamics.parameters import RotorParameters
+from dynamics.speed_history import SpeedHistory
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from dynamics.integrate import SpeedHistory
+from dynamics.speed_history import SpeedHistory
 from identification.errors import NotIdentifiable
 from identification.forced_oscillator import STEP_S, Drive
 from identification.samples import Averages

@@ -9,7 +9,8 @@ import numpy as np
 
 from daq.protocols import cia402, optoncdt, rotorlink, slcan
 from daq.recorder import Recorder
-from daq.streams import RX, Batch, make_pipelines
+from daq.stream_items import RX, Batch
+from daq.streams import make_pipelines
 from daq.transports import HostClock
 from rig_configs import load_rig
 

@@ -8,8 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq import channels
+from daq.laser_stream import LaserPipeline
+from daq.node_stream import NodePipeline
 from daq.protocols import optoncdt, rotorlink
-from daq.streams import RX, Batch, Event, LaserPipeline, NodePipeline, make_pipelines
+from daq.stream_items import RX, Batch, Event
+from daq.streams import make_pipelines
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices

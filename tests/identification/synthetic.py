@@ -12,8 +12,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from daq.signals import Release, Run
-from dynamics.integrate import SpeedHistory, integrate, locked_state
+from dynamics.integrate import integrate, locked_state
 from dynamics.parameters import RotorParameters
+from dynamics.speed_history import SpeedHistory
 from rig_configs.load import load_rig
 from rig_configs.schema import Rig
 

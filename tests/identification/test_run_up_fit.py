@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import Campaign
 
-from dynamics.integrate import SpeedHistory
+from dynamics.speed_history import SpeedHistory
 from identification import IdentificationError, fit_run_up, fit_run_up_run
 from identification.run_up import run_up_estimate
 

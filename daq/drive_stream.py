@@ -1,0 +1,67 @@
+"""slcan text to the drive's speed word, its state and its emergencies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import channels
+from daq.protocols import cia402, slcan
+from daq.stream_items import TX, Batch, Event
+from rig_configs.schema import Drive
+
+
+class DrivePipeline:
+    """slcan text to the drive's speed word, its state and its emergencies. A drive has no clock: host time counts."""
+
+    def __init__(self, device: str, config: Drive) -> None:
+        self.losses = {"damaged_lines": 0}
+        self.frames: list[slcan.CanFrame] = []  # what the last feed found, for the host's own CANopen client
+        self._device, self._node = device, config.node_id
+        self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder()
+        self._joined = False
+        self._target_rpm = 0.0
+        self._status: int | None = None
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+        """See Pipeline."""
+        if direction == TX:
+            for frame in self._tx.feed(data).frames:
+                if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
+                    self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
+            self.frames = []
+            return []
+        found = self._rx.feed(data)
+        self.frames = found.frames
+        out: list[Batch | Event] = []
+        damaged = found.damaged if self._joined else max(0, found.damaged - 1)
+        self._joined = True
+        if damaged:
+            self.losses["damaged_lines"] += damaged
+            out.append(Event("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
+        rows: list[tuple[int, int]] = []
+        for frame in found.frames:
+            if frame.arbitration_id == cia402.cob_tpdo(1, self._node) and len(frame.data) == 4:
+                rows.append(cia402.unpack_tpdo1(frame.data))
+            elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
+                emergency = cia402.unpack_emergency(frame.data)
+                facts = {"error_code": emergency.error_code, "register": emergency.error_register}
+                out.append(Event("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
+        if rows:
+            out += self._speed(rows, host_ns)
+        return out
+
+    def _speed(self, rows: list[tuple[int, int]], host_ns: int) -> list[Batch | Event]:
+        out: list[Batch | Event] = []
+        status = np.array([r[0] for r in rows], np.uint32)
+        for word in status:
+            if self._status is None or cia402.state(int(word)) != cia402.state(self._status):
+                out.append(Event("drive", self._device, cia402.state(int(word)), {"statusword": int(word)}))
+            self._status = int(word)
+        columns = {
+            "speed_rpm": np.array([r[1] for r in rows], float),
+            "target_rpm": np.full(len(rows), self._target_rpm),
+            "statusword": status,
+        }
+        time_ns = np.full(len(rows), host_ns, np.int64)
+        out.append(Batch(channels.MOTOR, time_ns, np.zeros(len(rows), np.uint32), columns))
+        return out

@@ -1,0 +1,149 @@
+"""RotorLink bytes to pendulum angles, tachometer marks and lock events."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from daq import channels
+from daq.clock import ClockMap, Unwrap
+from daq.protocols import rotorlink
+from daq.stream_items import TX, Batch, Event
+from rig_configs.schema import EncoderNode
+
+
+class NodePipeline:
+    """RotorLink bytes to pendulum angles, tachometer marks and lock events; losses on air and cable counted apart."""
+
+    def __init__(self, device: str, config: EncoderNode) -> None:
+        self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
+        self._device = device
+        self._counts_per_revolution = config.counts_per_revolution
+        self._radian = 2 * math.pi / config.counts_per_revolution
+        self._tolerance_ppm = config.clock_tolerance_ppm
+        self._decoder = rotorlink.FrameDecoder()
+        self._cable = rotorlink.SequenceCounter()
+        self._joined = False
+        self._restart()
+
+    def _restart(self) -> None:
+        self._air = rotorlink.SequenceCounter()
+        self._time = Unwrap(2**32)
+        self._clock = ClockMap(self._tolerance_ppm)
+        self._next_index: int | None = None
+        self._last_us: int | None = None
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+        """See Pipeline."""
+        if direction == TX:
+            return []
+        found = self._decoder.feed(data)
+        out: list[Batch | Event] = []
+        bad = found.bad if self._joined else found.bad[1:]  # a log may begin in the middle of a frame
+        self._joined |= bool(found.frames or found.bad)
+        for reason, _ in bad:
+            self.losses["damaged_frames"] += 1
+            out.append(Event("damage", self._device, f"frame dropped: {reason}", {"reason": reason}))
+        for frame in found.frames:
+            if isinstance(frame, rotorlink.Wrapped):
+                lost, repeated = self._cable.feed(frame.seq)
+                self._count("cable_frames", lost, out)
+                if frame.inner is not None and not repeated:
+                    out += self._node_frame(frame.inner, host_ns)
+            elif isinstance(frame, rotorlink.DongleStatus):
+                lost, _ = self._cable.feed(frame.seq)
+                self._count("cable_frames", lost, out)
+            elif not isinstance(frame, rotorlink.Command | rotorlink.Ping):
+                out += self._node_frame(frame, host_ns)
+        return out
+
+    def _count(self, what: str, lost: int, out: list[Batch | Event]) -> None:
+        if lost:
+            self.losses[what] += lost
+            out.append(Event("gap", self._device, f"{lost} {what.replace('_', ' ')} lost", {what: lost}))
+
+    def _node_frame(self, frame: rotorlink.NodeFrame, host_ns: int) -> list[Batch | Event]:
+        out: list[Batch | Event] = []
+        restarts = self._air.restarts
+        stepped_back = self._time_stepped_back(getattr(frame, "node_time_us", None))
+        lost, repeated = (0, False) if stepped_back else self._air.feed(frame.seq)
+        if repeated:
+            return out
+        if stepped_back or self._air.restarts > restarts:
+            out.append(Event("restart", self._device, "the node started again: its counters begin anew"))
+            self._restart()
+            self._air.feed(frame.seq)
+            self._time_stepped_back(getattr(frame, "node_time_us", None))
+        self._count("radio_frames", lost, out)
+        match frame:
+            case rotorlink.EncoderBlock():
+                out += self._encoder(frame, host_ns)
+            case rotorlink.IndexMark():
+                node_us = self._time.feed(np.array([frame.node_time_us]))
+                time_ns = self._clock.map(node_us * 1000, host_ns)
+                columns = {"revolutions": np.array([frame.revolutions]), "node_time_us": node_us.astype(np.uint64)}
+                out.append(Batch(channels.TACHO, time_ns, np.array([frame.seq], np.uint32), columns))
+            case rotorlink.LockEvent():
+                node_us = self._time.feed(np.array([frame.node_time_us]))
+                name, state = "AB"[frame.pendulum & 1], rotorlink.LOCK_STATES[min(frame.state, 3)]
+                out.append(Event("lock", self._device, f"pendulum {name} {state}",
+                                 {"pendulum": frame.pendulum, "state": state, "node_time_us": int(node_us[0]),
+                                  "time_ns": int(self._clock.map(node_us * 1000, host_ns)[0])}))  # fmt: skip
+            case rotorlink.Acknowledge():
+                result = rotorlink.RESULTS[min(frame.result, len(rotorlink.RESULTS) - 1)]
+                out.append(Event("acknowledge", self._device, f"command {frame.command_seq}: {result}",
+                                 {"command_seq": frame.command_seq, "result": frame.result}))  # fmt: skip
+            case rotorlink.Status():
+                if frame.counts_per_revolution != self._counts_per_revolution:
+                    text = (
+                        f"the node says {frame.counts_per_revolution} counts per revolution, the rig file "
+                        f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
+                    )
+                    out.append(Event("fault", self._device, text))
+                out.append(Event("status", self._device, f"battery {frame.battery_mv} mV",
+                                 {"battery_mv": frame.battery_mv, "frames_sent": frame.frames_sent,
+                                  "overruns": frame.overruns, "counts_per_revolution": frame.counts_per_revolution,
+                                  "temperature_degC": frame.temperature_decidegc / 10}))  # fmt: skip
+            case _:
+                pass
+        return out
+
+    def _time_stepped_back(self, node_time_us: int | None) -> bool:
+        """Whether a frame's node time lies well before the last one's (frames on air keep their order)."""
+        if node_time_us is None:
+            return False
+        back = 0 if self._last_us is None else (self._last_us - node_time_us) & 0xFFFFFFFF
+        stepped = 1_000_000 < back < 0x80000000
+        if not stepped and (self._last_us is None or back > 0x80000000):
+            self._last_us = node_time_us
+        return stepped
+
+    def _encoder(self, block: rotorlink.EncoderBlock, host_ns: int) -> list[Batch | Event]:
+        out: list[Batch | Event] = []
+        n = len(block.counts)
+        index = block.first_index + np.arange(n, dtype=np.int64)
+        first_us = self._time.feed(np.array([block.node_time_us]))[0]
+        node_us = first_us + block.period_us * np.arange(n, dtype=np.int64)
+        fresh = 0 if self._next_index is None else max(0, self._next_index - block.first_index)
+        if self._next_index is not None and block.first_index > self._next_index:
+            missing = block.first_index - self._next_index
+            self.losses["samples"] += missing
+            out.append(Event("gap", self._device, f"{missing} encoder samples lost",
+                             {"samples": missing, "span_s": missing * block.period_us * 1e-6}))  # fmt: skip
+        self._next_index = int(index[-1]) + 1 if self._next_index is None else max(self._next_index, int(index[-1]) + 1)
+        if fresh >= n:
+            return out
+        counts = block.counts[fresh:]
+        columns = {
+            "theta3_rad": counts[:, 0] * self._radian,
+            "theta4_rad": counts[:, 1] * self._radian,
+            "count_a": counts[:, 0],
+            "count_b": counts[:, 1],
+            "index": index[fresh:].astype(np.uint32),
+            "node_time_us": node_us[fresh:].astype(np.uint64),
+            "flags": np.full(n - fresh, block.flags, np.uint32),
+        }
+        time_ns = self._clock.map(node_us[fresh:] * 1000, host_ns)
+        out.append(Batch(channels.PENDULUMS, time_ns, columns["index"], columns))
+        return out

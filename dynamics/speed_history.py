@@ -1,0 +1,87 @@
+"""The rotor's phase over time, given: constant speed, a ramp, or a measured history."""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.interpolate import CubicSpline
+
+from dynamics.errors import OutsideDomain
+
+
+@dataclass(frozen=True)
+class SpeedHistory:
+    """The rotor's phase as a piecewise cubic of time; constant speed outside its range.
+
+    Attributes:
+        knots_s: shape (m + 1,), ascending, s.
+        coefficients: shape (m, 4): ψ = c0 + c1 s + c2 s² + c3 s³ with s = t − knot, rad.
+    """
+
+    knots_s: np.ndarray
+    coefficients: np.ndarray
+
+    @classmethod
+    def constant(cls, speed_rad_s: float, phase_rad: float = 0.0, at_s: float = 0.0) -> SpeedHistory:
+        """Constant speed with a given phase at one instant."""
+        return cls(np.array([at_s, at_s + 1.0]), np.array([[phase_rad, speed_rad_s, 0.0, 0.0]]))
+
+    @classmethod
+    def ramp(cls, from_rad_s: float, to_rad_s: float, duration_s: float, phase_rad: float = 0.0) -> SpeedHistory:
+        """A linear ramp from t = 0 on, then constant speed."""
+        slope = (to_rad_s - from_rad_s) / duration_s
+        return cls(np.array([0.0, duration_s]), np.array([[phase_rad, from_rad_s, slope / 2, 0.0]]))
+
+    @classmethod
+    def from_phases(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> SpeedHistory:
+        """Twice differentiable interpolation of measured phases (tachometer marks).
+
+        Args:
+            time_s, phase_rad: shape (n,), n ≥ 4, time strictly ascending.
+        Raises:
+            OutsideDomain: fewer than four marks or time not ascending.
+        """
+        if len(time_s) < 4 or np.any(np.diff(time_s) <= 0):
+            raise OutsideDomain(f"a speed history needs at least 4 ascending marks, got {len(time_s)}")
+        spline = CubicSpline(time_s, phase_rad)
+        return cls(np.asarray(time_s, float), np.ascontiguousarray(spline.c[::-1].T))
+
+    def phase(self, time_s: np.ndarray | float) -> np.ndarray:
+        """ψ in rad at the given times; shape (n, 3): phase, speed (rad/s), acceleration (rad/s²)."""
+        return _phases(np.atleast_1d(np.asarray(time_s, float)), self.knots_s, self.coefficients)
+
+
+@njit(cache=True, error_model="numpy")
+def phase_at(t, segment, knots, coefficients, out):
+    """(ψ, ω, α) at t into out; returns the segment found (a hint for the next call)."""
+    last = len(knots) - 2
+    while segment < last and t >= knots[segment + 1]:
+        segment += 1
+    while segment > 0 and t < knots[segment]:
+        segment -= 1
+    c = coefficients[segment]
+    s = t - knots[segment]
+    if t < knots[0] or t > knots[last + 1]:  # constant speed outside
+        edge = 0.0 if t < knots[0] else knots[last + 1] - knots[segment]
+        speed = c[1] + edge * (2 * c[2] + edge * 3 * c[3])
+        out[0] = c[0] + edge * (c[1] + edge * (c[2] + edge * c[3])) + speed * (s - edge)
+        out[1], out[2] = speed, 0.0
+        return segment
+    out[0] = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+    out[1] = c[1] + s * (2 * c[2] + s * 3 * c[3])
+    out[2] = 2 * c[2] + 6 * c[3] * s
+    return segment
+
+
+@njit(cache=True, error_model="numpy")
+def _phases(times, knots, coefficients):
+    out = np.empty((len(times), 3))
+    segment = 0
+    for i in range(len(times)):
+        segment = phase_at(times[i], segment, knots, coefficients, out[i])
+    return out
