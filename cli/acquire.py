@@ -85,7 +85,7 @@ def record(
     clock = HostClock(time_scale)
     with Session(loaded, clock) as session:
         session.start_recording(output, {"test": "record", "note": note})
-        end = clock.now_ns() + int((duration or math.inf if duration else 1e9) * 1e9)
+        end = math.inf if duration is None else clock.now_ns() + int(duration * 1e9)
         try:
             while clock.now_ns() < end:
                 session.check()

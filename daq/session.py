@@ -135,6 +135,8 @@ class Session:
             self.drive.start()
             self.identities["drive"] = {"driver": d.drive.driver, "node_id": d.drive.node_id}
             self.wait_for(self._all_alive, 3.0, "every device to send samples")
+            self._begin_anew(None)  # what waited in the ports' buffers was late and would mislead the clock maps
+            self.wait_for(self._all_alive, 3.0, "every device to go on sending samples")
             threading.Thread(target=self._report_health, name="health", daemon=True).start()
         except BaseException:
             self.close()
@@ -305,6 +307,10 @@ class Session:
             "identities.json": json.dumps(self.identities).encode(),
         }
         recorder = Recorder(path, self.clock, facts, attachments, tuple(self._devices))
+        self._begin_anew(recorder)
+
+    def _begin_anew(self, recorder: Recorder | None) -> None:
+        """Give every device a fresh pipeline, at a boundary between two reads."""
         pipelines = make_pipelines(self.rig.devices, self.identities)
         with ExitStack() as stack:
             for device in self._devices.values():

@@ -215,5 +215,8 @@ def serve(rig: Rig, time_scale: float, link: str, while_stdin_open: bool = False
     print(json.dumps(ready), flush=True)
     if while_stdin_open:
         threading.Thread(target=virtual.quit_at_end_of_input, daemon=True).start()
+    else:
+        ports = " ".join(f"--set devices.{name}.port={port}" for name, port in virtual.ports().items())
+        print(f"for example: rig check {rig.name} --time-scale {time_scale:g} {ports}", file=sys.stderr, flush=True)
     with contextlib.suppress(KeyboardInterrupt):
         virtual.run()

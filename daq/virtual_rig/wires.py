@@ -6,10 +6,13 @@ import contextlib
 import os
 import socket
 import sys
+import time
 from collections import deque
+from collections.abc import Callable
 from typing import Protocol
 
-_BUFFER_BYTES = 1024 * 1024  # an adapter's driver queue, generous: a host may stall
+_BUFFER_BYTES = 4 * 1024 * 1024  # an adapter's driver queue, generous: a host may stall …
+_OLD_S = 1.5  # … this long, on the wall's clock
 
 
 class Wire(Protocol):
@@ -36,32 +39,36 @@ class Wire(Protocol):
 
 
 class _Outbox:
-    """A bounded queue of bytes that could not be sent yet."""
+    """A bounded queue of bytes that could not be sent yet; what is old or too much is dropped and counted.
+
+    The oldest goes first: whoever connects to a port that nobody read wants to see now, not some minutes ago.
+    """
 
     def __init__(self) -> None:
         self.overrun_bytes = 0
-        self._parts: deque[bytes] = deque()
+        self._parts: deque[tuple[float, bytes]] = deque()
         self._size = 0
 
     def _queue(self, data: bytes) -> None:
-        if not data:
-            return
-        self._parts.append(data)
-        self._size += len(data)
-        while self._size > _BUFFER_BYTES and len(self._parts) > 1:  # the oldest goes: whoever connects wants now
-            dropped = len(self._parts.popleft())
+        now = time.monotonic()
+        if data:
+            self._parts.append((now, data))
+            self._size += len(data)
+        while self._parts and (self._size > _BUFFER_BYTES or now - self._parts[0][0] > _OLD_S):
+            dropped = len(self._parts.popleft()[1])
             self._size -= dropped
             self.overrun_bytes += dropped
 
-    def _drain(self, write_to: int) -> None:
+    def _drain(self, write: Callable[[bytes], int]) -> None:
         while self._parts:
+            queued, data = self._parts[0]
             try:
-                written = os.write(write_to, self._parts[0])
+                written = write(data)
             except BlockingIOError:
                 return
             self._size -= written
-            if written < len(self._parts[0]):
-                self._parts[0] = self._parts[0][written:]
+            if written < len(data):
+                self._parts[0] = (queued, data[written:])
                 return
             self._parts.popleft()
 
@@ -92,7 +99,7 @@ class PtyWire(_Outbox):
         """See Wire."""
         self._queue(data)
         with contextlib.suppress(OSError):
-            self._drain(self._master)
+            self._drain(lambda data: os.write(self._master, data))
 
     def close(self) -> None:
         """See Wire."""
@@ -151,15 +158,7 @@ class TcpWire(_Outbox):
             return
         self._queue(data)
         try:
-            while self._parts:
-                sent = self._peer.send(self._parts[0])
-                self._size -= sent
-                if sent < len(self._parts[0]):
-                    self._parts[0] = self._parts[0][sent:]
-                    return
-                self._parts.popleft()
-        except BlockingIOError:
-            return
+            self._drain(self._peer.send)
         except OSError:
             self._peer.close()
             self._peer = None

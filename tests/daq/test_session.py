@@ -265,3 +265,23 @@ def test_the_virtual_rig_ends_with_whoever_started_it() -> None:
             break
         time.sleep(0.05)
     assert not Path(f"/proc/{child}").exists() or Path(f"/proc/{child}/stat").read_text().split()[2] == "Z"
+
+
+@needs_posix
+def test_ctrl_c_ends_a_recording_with_a_whole_log(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    command = [sys.executable, "-m", "cli.main", "record", "virtual", "-o", str(log), "--time-scale", str(TIME_SCALE)]
+    for setting in virtual_rig.port_settings():
+        command += ["--set", setting]
+    host = subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True)
+    part, deadline = log.with_name("run.mcap.part"), time.monotonic() + 30
+    while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    host.send_signal(signal.SIGINT)
+    out, _ = host.communicate(timeout=30)
+    assert host.returncode == 0
+    assert json.loads(out)["log"] == str(log)
+    with open_log(log) as opened:
+        assert opened.complete
+        assert opened.missing == []
+        assert len(opened["laser/x"]) > 1000
