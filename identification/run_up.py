@@ -30,10 +30,6 @@ _DELAY_STD_S = 10e-3
 _PAD_S = 0.05
 _LEFT_OVER = 0.1  # share of the signal that marks a model that is none
 
-# Over whole campaigns through real bytes the damping ratios scatter this much more than the fit's own covariance says
-# (docs/benchmarks.md); the speed between two tachometer marks is interpolated, and the covariance does not know that.
-_DAMPING_STRETCH = 1.3
-
 
 @dataclass(frozen=True)
 class RunUpFit:
@@ -129,7 +125,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     stiffness = mass * (2 * np.pi * raw[:2]) ** 2
     jacobian = np.zeros((5, 6))
     jacobian[[0, 1], [0, 1]] = 2 * stiffness / raw[:2]
-    jacobian[[2, 3], [2, 3]] = _DAMPING_STRETCH
+    jacobian[[2, 3], [2, 3]] = 1.0
     jacobian[4, 4:] = slope * mass * weights
     names = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
     values = np.array([*stiffness, *raw[2:4], unbalance])
