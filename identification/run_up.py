@@ -30,6 +30,10 @@ _DELAY_STD_S = 10e-3
 _PAD_S = 0.05
 _LEFT_OVER = 0.1  # share of the signal that marks a model that is none
 
+# Over whole campaigns through real bytes ζ1 scattered 1.07 times as much as the fit's covariance says, with two of 34
+# values near 2.8 (docs/benchmarks.md). Why is not known yet; until it is, the intervals are this much wider.
+_DAMPING_STRETCH = 1.15
+
 
 @dataclass(frozen=True)
 class RunUpFit:
@@ -125,7 +129,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     stiffness = mass * (2 * np.pi * raw[:2]) ** 2
     jacobian = np.zeros((5, 6))
     jacobian[[0, 1], [0, 1]] = 2 * stiffness / raw[:2]
-    jacobian[[2, 3], [2, 3]] = 1.0
+    jacobian[[2, 3], [2, 3]] = _DAMPING_STRETCH
     jacobian[4, 4:] = slope * mass * weights
     names = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
     values = np.array([*stiffness, *raw[2:4], unbalance])
