@@ -8,7 +8,6 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
 _found: dict[str, Any] = {}  # the worker's own memory between two jobs of one campaign
@@ -107,8 +106,3 @@ class Workbench:
     def close(self) -> None:
         """End the worker."""
         self._pool.shutdown(wait=True, cancel_futures=True)
-
-
-def applied(path: Path) -> IdentifiedParameters:
-    """Parameters a job wrote."""
-    return IdentifiedParameters.load(path)

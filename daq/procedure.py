@@ -23,6 +23,7 @@ _RPM = math.pi / 30
 _HUMAN_S = 120.0  # how long a person may take, wall seconds
 _ANSWER_S = 5.0  # how long a device may take, wall seconds
 _LOCKS = 0x60  # lock flags of an encoder block
+_SEEN_S = 10.0  # how far back to look for what a person did; a person may take minutes, the signals must stay few
 _LOOK_S = 0.5  # rig time between two looks at the signals
 _STOP_RAMP_RPM_S = 400.0
 _POINT_LIMIT_S = 90.0
@@ -87,7 +88,9 @@ class Procedures:
         asked = self._clock.now_ns()
         self._operator.pluck(axis)
         plucked = f"the column to be plucked along {axis}"
-        self._until(lambda: self._largest_since(field, asked, rest) > _PLUCKED_M, _HUMAN_S, plucked)
+        self._until(
+            lambda: self._largest_since(field, max(asked, self._since(_SEEN_S)), rest) > _PLUCKED_M, _HUMAN_S, plucked
+        )
         self._clock.sleep(0.8)
         peak = 0.0
 
@@ -116,7 +119,11 @@ class Procedures:
         asked = self._clock.now_ns()
         self._operator.flick()
         flicked = "both pendulums to be flicked"
-        self._until(lambda: bool(np.all(self._turned_since(asked)[0] > _FLICKED_RAD)), _HUMAN_S, flicked)
+        self._until(
+            lambda: bool(np.all(self._turned_since(max(asked, self._since(_SEEN_S)))[0] > _FLICKED_RAD)),
+            _HUMAN_S,
+            flicked,
+        )
 
         def slowed() -> bool:
             rates = np.abs(self._rates())

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from importlib.metadata import PackageNotFoundError, version
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -56,9 +57,10 @@ class Recent:
     def last(self, topic: str, fields: tuple[str, ...], since_ns: int = 0) -> tuple[NDArray[np.int64], list[Any]]:
         """Times (ns) and columns of a channel since an instant; empty arrays when there is nothing."""
         with self._lock:
-            kept = [b for b in self._batches[topic] if int(b.time_ns[-1]) >= since_ns]
+            kept = list(takewhile(lambda b: int(b.time_ns[-1]) >= since_ns, reversed(self._batches[topic])))
         if not kept:
             return np.empty(0, np.int64), [np.empty(0) for _ in fields]
+        kept.reverse()
         time_ns = np.concatenate([b.time_ns for b in kept])
         take = time_ns >= since_ns
         return time_ns[take], [np.concatenate([b.columns[f] for b in kept])[take] for f in fields]
