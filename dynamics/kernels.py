@@ -3,11 +3,14 @@
 State y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4): disk centre in the space-fixed frame, pendulum angles relative to the
 rotor. The rotor's phase ψ and its rates ω, α are given functions of time.
 
-With e_i = (cos φ_i, sin φ_i), n_i = (sin φ_i, −cos φ_i), φ_i = ψ + θ_i, a free pendulum obeys
-    J_i φ̈_i = S_i n_i·p̈ − c_i θ̇_i,        p̈ = q̈ + R_C (α (−sin ψ, cos ψ) − ω² (cos ψ, sin ψ)),
-and pushes the rotor with S_i (φ̇_i² e_i + φ̈_i n_i). Putting the first into the second leaves two equations
+With e_i = (cos φ_i, sin φ_i), n_i = (sin φ_i, −cos φ_i), φ_i = ψ + θ_i, a free pendulum or ball obeys
+    J_i θ̈_i = S_i n_i·(p̈ + g ŷ) − D_i α − c_i θ̇_i − F_i φ̇_i²,
+    p̈ = q̈ + R_C (α (−sin ψ, cos ψ) − ω² (cos ψ, sin ψ)),
+and pushes the rotor with S_i (φ̇_i² e_i + φ̈_i n_i). D_i is J_i for a pendulum; F_i is the signed coefficient of dry
+friction while it slides forward (an integrator that follows friction turns its sign or locks the pendulum). Putting
+the first into the second leaves two equations
     (M_S 1 − Σ_free S_i²/J_i n_i n_iᵀ) q̈ = forces without q̈,
-whose matrix is positive definite because S_i²/J_i = M_i < M_S. A locked pendulum has φ̇ = ω, φ̈ = α.
+whose matrix is positive definite because S_i²/J_i ≤ M_i < M_S. A locked pendulum has θ̇ = 0, θ̈ = 0.
 The rates may be complex: a complex step gives exact derivatives of everything built on this function.
 """
 
@@ -20,19 +23,21 @@ import numpy as np
 from numba import njit
 
 # Order of the packed parameters (RotorParameters.packed)
-MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC = range(13)
+MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC, DA, DB, FA, FB, GRAVITY = range(18)
+DIMENSION = 8
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c):
-    """Direction n, reduced mass, and the pendulum's push on the rotor without its q̈ part."""
+def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f):
+    """Direction n, reduced mass, the push on the rotor and θ̈, both without what p̈ and gravity add."""
     phi = psi + theta
     cos_phi, sin_phi = np.cos(phi), np.sin(phi)
     speed = omega + rate * free
-    turn = alpha * (1 - free) - free * c / j * rate
+    bare = -free * (d * alpha + c * rate + f * speed * speed) / j
+    turn = alpha + bare
     fx = s * (speed * speed * cos_phi + turn * sin_phi)
     fy = s * (speed * speed * sin_phi - turn * cos_phi)
-    return sin_phi, -cos_phi, free * s * s / j, fx, fy
+    return sin_phi, -cos_phi, free * s * s / j, fx, fy, bare
 
 
 @njit(cache=True, error_model="numpy")
@@ -42,16 +47,20 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     Args:
         y, out: shape (8,), float or complex.
         psi, omega, alpha: rotor phase (rad), speed (rad/s), acceleration (rad/s²).
-        p: packed parameters, shape (13,).
+        p: packed parameters, shape (18,), float or complex.
         free_a, free_b: 1.0 for a released pendulum, 0.0 for a locked one.
     """
-    nax, nay, ma, fax, fay = _pendulum(y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA])
-    nbx, nby, mb, fbx, fby = _pendulum(y[3], y[7], psi, omega, alpha, free_b, p[SB], p[JB], p[CB])
+    nax, nay, ma, fax, fay, bare_a = _pendulum(
+        y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA], p[DA], p[FA]
+    )
+    nbx, nby, mb, fbx, fby, bare_b = _pendulum(
+        y[3], y[7], psi, omega, alpha, free_b, p[SB], p[JB], p[CB], p[DB], p[FB]
+    )
     cos_psi, sin_psi = np.cos(psi), np.sin(psi)
     w2 = omega * omega
-    # acceleration of the pivot relative to the disk centre
+    # acceleration of the pivot relative to the disk centre, gravity as an upward acceleration
     rx = -p[RC] * (alpha * sin_psi + w2 * cos_psi)
-    ry = p[RC] * (alpha * cos_psi - w2 * sin_psi)
+    ry = p[RC] * (alpha * cos_psi - w2 * sin_psi) + p[GRAVITY]
     dot_a = nax * rx + nay * ry
     dot_b = nbx * rx + nby * ry
     fx = (
@@ -71,6 +80,7 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
         + p[SP] * (w2 * sin_psi - alpha * cos_psi)
         + ma * dot_a * nay
         + mb * dot_b * nby
+        - p[MASS] * p[GRAVITY]
     )
     mxx = p[MASS] - ma * nax * nax - mb * nbx * nbx
     myy = p[MASS] - ma * nay * nay - mb * nby * nby
@@ -80,8 +90,21 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     ay = (mxx * fy - mxy * fx) / det
     out[0], out[1], out[2], out[3] = y[4], y[5], y[6] * free_a, y[7] * free_b
     out[4], out[5] = ax, ay
-    out[6] = free_a * ((p[SA] * (nax * ax + nay * ay + dot_a) - p[CA] * y[6]) / p[JA] - alpha)
-    out[7] = free_b * ((p[SB] * (nbx * ax + nby * ay + dot_b) - p[CB] * y[7]) / p[JB] - alpha)
+    out[6] = free_a * (p[SA] * (nax * ax + nay * ay + dot_a) / p[JA] + bare_a)
+    out[7] = free_b * (p[SB] * (nbx * ax + nby * ay + dot_b) / p[JB] + bare_b)
+
+
+@njit(cache=True, error_model="numpy")
+def jacobian(y, psi, omega, alpha, p, free_a, free_b, out):
+    """∂(dy/dt)/∂y by complex steps (exact to rounding) into out, shape (8, 8)."""
+    z = y.astype(np.complex128)
+    f = np.empty(8, dtype=np.complex128)
+    for j in range(8):
+        z[j] = y[j] + 1e-100j
+        rates(z, psi, omega, alpha, p, free_a, free_b, f)
+        for i in range(8):
+            out[i, j] = f[i].imag * 1e100
+        z[j] = y[j]
 
 
 @njit(cache=True, error_model="numpy")

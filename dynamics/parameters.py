@@ -13,17 +13,38 @@ from dynamics.errors import OutsideDomain
 
 @dataclass(frozen=True)
 class Pendulum:
-    """A point mass on a massless arm about the rotor axis.
+    """A point mass on a massless arm about the rotor axis, or a ball that rolls in a channel of the rotor.
+
+    A ball of radius r whose centre runs on a circle of radius R rolls on the channel's outer wall without slipping:
+    it turns at ω − θ̇ R/r, so its own inertia κ m r² adds κ m R² to the inertia against θ̈ and takes κ m r R from
+    the one against ω̇ (dynamics.derivation).
 
     Attributes:
-        mass_kg: mass, kg.
-        length_m: distance of the mass from its pivot, m.
+        mass_kg: mass, kg; 0 for a pendulum that is not there.
+        length_m: distance of the mass from its pivot, for a ball of its centre from the channel's, m.
         damping_Nms_per_rad: viscous torque per speed relative to the rotor (c3 or c4), N m s/rad.
+        friction_arm_m: dry friction torque per contact force M R φ̇², m: μ times the pivot pin's radius, or a ball's
+            coefficient of rolling resistance (a length) times R/r.
+        ball_radius_m: radius r of a rolling ball; 0 for a pendulum.
+        ball_inertia_ratio: κ = I/(m r²): 0.4 for a sphere, 0.5 for a cylinder.
     """
 
     mass_kg: float
     length_m: float
     damping_Nms_per_rad: float
+    friction_arm_m: float = 0.0
+    ball_radius_m: float = 0.0
+    ball_inertia_ratio: float = 0.4
+
+    @classmethod
+    def absent(cls) -> Pendulum:
+        """No pendulum in this place."""
+        return cls(0.0, 1.0, 0.0)
+
+    @property
+    def present(self) -> bool:
+        """Whether there is anything in this place."""
+        return self.mass_kg > 0
 
     @property
     def first_moment_kg_m(self) -> float:
@@ -32,8 +53,14 @@ class Pendulum:
 
     @property
     def inertia_kg_m2(self) -> float:
-        """J = M R², kg m²."""
-        return self.mass_kg * self.length_m**2
+        """J against θ̈: M R², for a ball M R² (1 + κ), kg m²."""
+        rolling = self.ball_inertia_ratio if self.ball_radius_m > 0 else 0.0
+        return self.mass_kg * self.length_m**2 * (1.0 + rolling)
+
+    @property
+    def drive_inertia_kg_m2(self) -> float:
+        """Inertia against ω̇: M R², for a ball M R² (1 − κ r/R), kg m²."""
+        return self.mass_kg * self.length_m * (self.length_m - self.ball_inertia_ratio * self.ball_radius_m)
 
 
 @dataclass(frozen=True)
@@ -46,9 +73,13 @@ class RotorParameters:
         a, b: the two pendulums.
         k1_N_per_m, k2_N_per_m: stiffness along x and y.
         zeta1, zeta2: damping ratios along x and y, c / (2 sqrt(k M_S)).
-        pivot_shift_m: shift R_C of the pendulums' pivot along the imbalance direction, its static part balanced.
+        pivot_shift_m: shift R_C of the pendulums' pivot along the imbalance direction.
+        pivot_shift_compensated: whether brass weights balance the imbalance (M_A + M_B) R_C that the shift brings,
+            as the rig's procedure has it.
+        gravity_m_per_s2: gravity within the disk plane, along −y (a horizontal shaft); 0 for a vertical one.
     Raises:
-        OutsideDomain: a value that is not finite, or a mass, length or stiffness that is not positive.
+        OutsideDomain: a value that is not finite, a length or stiffness or the rotor's mass not positive, or a
+            mass, damping or friction that is negative.
     """
 
     rotor_mass_kg: float
@@ -61,18 +92,27 @@ class RotorParameters:
     zeta1: float
     zeta2: float
     pivot_shift_m: float = 0.0
+    pivot_shift_compensated: bool = True
+    gravity_m_per_s2: float = 0.0
 
     def __post_init__(self) -> None:
         positive = {
             "rotor_mass_kg": self.rotor_mass_kg,
             "k1_N_per_m": self.k1_N_per_m,
             "k2_N_per_m": self.k2_N_per_m,
-            "a.mass_kg": self.a.mass_kg,
-            "b.mass_kg": self.b.mass_kg,
             "a.length_m": self.a.length_m,
             "b.length_m": self.b.length_m,
         }
         not_negative = {
+            "a.mass_kg": self.a.mass_kg,
+            "b.mass_kg": self.b.mass_kg,
+            "a.friction_arm_m": self.a.friction_arm_m,
+            "b.friction_arm_m": self.b.friction_arm_m,
+            "a.ball_radius_m": self.a.ball_radius_m,
+            "b.ball_radius_m": self.b.ball_radius_m,
+            "a.ball_inertia_ratio": self.a.ball_inertia_ratio,
+            "b.ball_inertia_ratio": self.b.ball_inertia_ratio,
+            "gravity_m_per_s2": self.gravity_m_per_s2,
             "imbalance_mass_kg": self.imbalance_mass_kg,
             "imbalance_radius_m": self.imbalance_radius_m,
             "zeta1": self.zeta1,
@@ -156,23 +196,33 @@ class RotorParameters:
             "SP_kg_m": self.imbalance_moment_kg_m,
         }
 
+    @property
+    def forcing_moment_kg_m(self) -> float:
+        """S_P with what an uncompensated pivot shift adds to it, kg m."""
+        shift = 0.0 if self.pivot_shift_compensated else (self.a.mass_kg + self.b.mass_kg) * self.pivot_shift_m
+        return self.imbalance_moment_kg_m + shift
+
     def packed(self) -> np.ndarray:
-        """The numbers in the order of the compiled kernels (see dynamics.kernels)."""
-        c1, c2 = self.damping_Ns_per_m
+        """The numbers in the order of the compiled kernels (see dynamics.kernels), shape (18,)."""
+        a, b = self.a, self.b
         return np.array(
             [
                 self.total_mass_kg,
                 self.k1_N_per_m,
                 self.k2_N_per_m,
-                c1,
-                c2,
-                self.a.first_moment_kg_m,
-                self.b.first_moment_kg_m,
-                self.imbalance_moment_kg_m,
-                self.a.inertia_kg_m2,
-                self.b.inertia_kg_m2,
-                self.a.damping_Nms_per_rad,
-                self.b.damping_Nms_per_rad,
+                *self.damping_Ns_per_m,
+                a.first_moment_kg_m,
+                b.first_moment_kg_m,
+                self.forcing_moment_kg_m,
+                a.inertia_kg_m2 if a.present else 1.0,
+                b.inertia_kg_m2 if b.present else 1.0,
+                a.damping_Nms_per_rad,
+                b.damping_Nms_per_rad,
                 self.pivot_shift_m,
+                a.drive_inertia_kg_m2,
+                b.drive_inertia_kg_m2,
+                a.friction_arm_m * a.first_moment_kg_m,
+                b.friction_arm_m * b.first_moment_kg_m,
+                self.gravity_m_per_s2,
             ]
         )
