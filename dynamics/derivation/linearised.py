@@ -1,0 +1,82 @@
+"""Small motions about a state, and the states at rest in the turning frame.
+
+    [M] ÿ + [D + G] ẏ + [K + N] y = 0
+holds the equations' derivatives by accelerations, rates and coordinates. On an isotropic suspension the matrices
+of the turning frame are constant; otherwise they hold cos 2ψ and sin 2ψ and have period half a revolution.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import sympy as sp
+
+from dynamics.derivation import symbols as s
+from dynamics.derivation.lagrange import Equations, rotating_frame_equations
+
+ISOTROPIC: dict[sp.Expr, sp.Expr] = {s.k2: s.k1, s.c2: s.c1}
+
+
+@dataclass(frozen=True)
+class LinearMotion:
+    """Matrices of the motion about a state, shape (4, 4) each.
+
+    Attributes:
+        inertia: [M].
+        damping: [D + G], damping and gyroscopic terms.
+        stiffness: [K + N], elastic and non-conservative (circulatory) terms.
+    """
+
+    inertia: sp.Matrix
+    damping: sp.Matrix
+    stiffness: sp.Matrix
+
+    def subs(self, values: dict) -> LinearMotion:
+        """The same with values put in, in normal form."""
+        return LinearMotion(
+            *(m.subs(values).applyfunc(s.normal_form) for m in (self.inertia, self.damping, self.stiffness))
+        )
+
+    def in_moments(self) -> LinearMotion:
+        """The same written with M_S, S_A, S_B, S_P."""
+        return LinearMotion(*(m.applyfunc(s.in_moments) for m in (self.inertia, self.damping, self.stiffness)))
+
+
+def linearised(residual: sp.Matrix, equations: Equations) -> LinearMotion:
+    """Derivatives of four equations of motion at a general state (coordinates, rates, accelerations stay symbols).
+
+    Args:
+        residual: shape (4, 1), zero along a motion.
+        equations: whose coordinates, rates and accelerations the residual is written in.
+    """
+    return LinearMotion(
+        residual.jacobian(list(equations.accelerations)),
+        residual.jacobian(list(equations.rates)),
+        residual.jacobian(list(equations.coordinates)),
+    )
+
+
+def at_rest(equations: Equations) -> dict[sp.Expr, int]:
+    """Rates and accelerations zero: a state at rest in the equations' frame."""
+    return dict.fromkeys((*equations.rates, *equations.accelerations), 0)
+
+
+@functools.cache
+def singular_point_matrices() -> LinearMotion:
+    """Motion about a state (Y1, Y2, θ3, θ4) at rest in the turning frame, plain rig, constant speed, k1 ≠ k2.
+
+    Type I is Y1 = Y2 = 0. With `ISOTROPIC` put in, the matrices hold for all three types and ψ drops out.
+    """
+    equations = rotating_frame_equations()
+    return linearised(equations.residual, equations).subs(at_rest(equations) | s.PLAIN).in_moments()
+
+
+@functools.cache
+def singular_point_equations() -> sp.Matrix:
+    """What a state at rest in the turning frame must satisfy, shape (4, 1), = 0; plain rig, constant speed.
+
+    With different springs or dampers the first two hold ψ, so only Y1 = Y2 = 0 satisfies them at all times.
+    """
+    equations = rotating_frame_equations()
+    return equations.residual.subs(at_rest(equations) | s.PLAIN).applyfunc(s.in_moments)
