@@ -1,10 +1,32 @@
 """Measured steady states against the model: order tracking, validation, report (`analysis.report`)."""
 
-from analysis.errors import AnalysisError, NoStableState, NotEnoughData
-from analysis.order_tracking import OrderTrack, order_track
-from analysis.prediction import Prediction, predict_point
-from analysis.steady_state import SteadyMeasurement, measure
-from analysis.validation import PointResult, Validation, validate, validate_point
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from analysis.errors import AnalysisError, NoStableState, NotEnoughData
+    from analysis.order_tracking import OrderTrack, order_track
+    from analysis.prediction import Prediction, predict_point
+    from analysis.steady_state import SteadyMeasurement, measure
+    from analysis.validation import PointResult, Validation, validate, validate_point
+
+_HOME = {  # loaded when first used: an error class or one figure need not wait for the drivers and fits
+    "AnalysisError": "analysis.errors",
+    "NoStableState": "analysis.errors",
+    "NotEnoughData": "analysis.errors",
+    "OrderTrack": "analysis.order_tracking",
+    "PointResult": "analysis.validation",
+    "Prediction": "analysis.prediction",
+    "SteadyMeasurement": "analysis.steady_state",
+    "Validation": "analysis.validation",
+    "measure": "analysis.steady_state",
+    "order_track": "analysis.order_tracking",
+    "predict_point": "analysis.prediction",
+    "validate": "analysis.validation",
+    "validate_point": "analysis.validation",
+}
 
 __all__ = [
     "AnalysisError",
@@ -21,3 +43,10 @@ __all__ = [
     "validate",
     "validate_point",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """A public name from its room."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME[name]), name)

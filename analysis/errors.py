@@ -2,6 +2,7 @@
 
 AnalysisError
 ├── NotEnoughData     a run is too short, or too much of it is missing, to say anything
+├── BadFigureName     a figure is to be written in a format not on offer (also a ValueError)
 └── NoStableState     the model has no stable steady state at the speed, or the search for one failed
 """
 
@@ -12,6 +13,10 @@ class AnalysisError(Exception):
 
 class NotEnoughData(AnalysisError):
     """A run is too short, or too much of it is missing; the text says what, and how much is needed."""
+
+
+class BadFigureName(AnalysisError, ValueError):
+    """A figure's file name ends in none of the formats on offer; the text lists them."""
 
 
 class NoStableState(AnalysisError):

@@ -6,7 +6,8 @@ import json
 import math
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
@@ -83,3 +84,49 @@ class StepProgress:
 def say(text: str) -> None:
     """A line on standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def wait_for_compilation(what: str) -> Iterator[None]:
+    """Say what is being waited for when code is compiled for this machine, which happens once."""
+    from numba.core import event  # noqa: PLC0415 (numba takes a third of a second to import)
+
+    class FirstCompilation(event.Listener):
+        def __init__(self) -> None:
+            self.at: float | None = None
+
+        def on_start(self, event: Any) -> None:
+            if self.at is None:
+                self.at = time.monotonic()
+                say(f"compiling the {what} code for this machine, once: about ten seconds …")
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    listener = FirstCompilation()
+    with event.install_listener("numba:compile", listener):
+        yield
+    if listener.at is not None:
+        say(f"compiled in {time.monotonic() - listener.at:.0f} s; the next run finds it ready")
+
+
+@contextmanager
+def share_progress(text: str) -> Iterator[Callable[[float], None]]:
+    """A bar on a terminal for work that tells its share done, 0 … 1; elsewhere a line every ten seconds."""
+    live = STDERR.is_terminal
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=32),
+        TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn(), console=STDERR, disable=not live, transient=True,
+    )  # fmt: skip
+    last = time.monotonic()
+
+    def told(share: float) -> None:
+        nonlocal last
+        bar.update(task, completed=share)
+        if not live and time.monotonic() - last > 10:
+            last = time.monotonic()
+            say(f"{text}: {100 * share:.0f} %")
+
+    with bar:
+        task = bar.add_task(text, total=1.0)
+        yield told

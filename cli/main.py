@@ -9,16 +9,23 @@ import sys
 
 from cyclopts import App, CycloptsError
 
-from cli import acquire, demo, offline
+from analysis.errors import AnalysisError
 from cli.console import say
 from daq.errors import LogError, RigError
 from dynamics.errors import DynamicsError
 from rig_configs.errors import RigConfigError
 
 app = App(name="rig", help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.")
-for verb in (demo.demo, acquire.virtual, acquire.check, acquire.record, acquire.test,
-             offline.identify, offline.validate, offline.predict, offline.replay, offline.log):  # fmt: skip
-    app.command(verb)
+_VERBS = {  # imported when called: `rig predict` need not wait for the drivers
+    "cli.demo": ("demo",),
+    "cli.acquire": ("virtual", "check", "record", "test"),
+    "cli.offline": ("identify", "validate", "replay", "log"),
+    "cli.model": ("predict", "map"),
+    "cli.bench": ("bench",),
+}
+for module, verbs in _VERBS.items():
+    for verb in verbs:
+        app.command(f"{module}:{verb}", name=verb)
 
 
 def run(arguments: list[str]) -> int:
@@ -28,7 +35,7 @@ def run(arguments: list[str]) -> int:
         return result if isinstance(result, int) else 0
     except CycloptsError:
         return 2  # cyclopts has said what is wrong
-    except (RigConfigError, DynamicsError, LogError) as error:
+    except (RigConfigError, DynamicsError, LogError, AnalysisError) as error:
         say(f"rig: {error}")
         return 2
     except RigError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -78,63 +77,6 @@ def print_points(points: dict[str, Any]) -> None:
     """A line per point with its verdict and reason."""
     for name, point in points.items():
         print(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
-
-
-def predict(
-    rig: str,
-    *,
-    point: str | None = None,
-    speed_rpm: float | None = None,
-    speed_ratio: float | None = None,
-    accuracy: float = 1e-8,
-    parameters: ParametersPath = None,
-    settings: Settings = None,
-    json: Json = False,
-) -> int:
-    """Steady states, stability and amplitudes at a point or a speed."""
-    loaded = load_rig(rig, parameters, settings or [])
-    from dynamics import steady_states  # noqa: PLC0415
-
-    physics = loaded.physics
-    given = [x is not None for x in (point, speed_rpm, speed_ratio)]
-    if sum(given) != 1:
-        raise RigFileError("rig predict: give one of --point, --speed-rpm, --speed-ratio")
-    if point is not None:
-        if point not in loaded.points:
-            raise RigFileError(f"rig predict: no point {point!r} in {loaded.name}; known: {', '.join(loaded.points)}")
-        speed = physics.speed_rad_s(loaded.points[point].speed_ratio)
-    else:
-        speed = speed_rpm * math.pi / 30 if speed_rpm is not None else physics.speed_rad_s(speed_ratio or 0.0)
-    if not 0 < speed < math.inf:
-        raise RigFileError(f"rig predict: expected a speed above 0, got {speed:g} rad/s")
-    found = steady_states(physics, speed, accuracy)
-    result = {
-        "model": "isotropic suspension" if physics.is_isotropic else "anisotropic suspension, periodic orbits",
-        "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
-        "speed_rpm": speed * 30 / math.pi,
-        "steady_states": [
-            {
-                "type": s.type,
-                "theta3_deg": math.degrees(s.theta_rad[0]),
-                "theta4_deg": math.degrees(s.theta_rad[1]),
-                "amplitude_mm": 1e3 * s.amplitude_m,
-                "stable": s.stable,
-                "multiplier_max": s.multiplier_max,
-                "error_estimate": s.error_estimate,
-            }
-            for s in found
-        ],
-    }
-    if json:
-        print_json(result)
-        return 0
-    print(f"{result['speed_rpm']:.2f} rpm, speed ratio {result['speed_ratio']:.4f}: {result['model']}")
-    for s in result["steady_states"]:
-        print(
-            f"  {s['type']:3} {'stable  ' if s['stable'] else 'unstable'} θ3 {s['theta3_deg']:8.3f}° "
-            f"θ4 {s['theta4_deg']:8.3f}°  amplitude {s['amplitude_mm']:.4f} mm  multiplier {s['multiplier_max']:.6f}"
-        )
-    return 0
 
 
 def replay(log: Path, *, check: bool = False, json: Json = False) -> int:

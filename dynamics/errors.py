@@ -2,6 +2,7 @@
 
 DynamicsError
 ├── OutsideDomain      a parameter lies where the model is not valid (also a ValueError)
+├── NoBalancedState    the pendulums can't balance this imbalance, so there is no Type I
 └── NotConverged       an iteration or a step-size search did not reach its target
 """
 
@@ -12,6 +13,10 @@ class DynamicsError(Exception):
 
 class OutsideDomain(DynamicsError, ValueError):
     """A parameter lies outside the model's domain; the message names it, its value and the allowed range."""
+
+
+class NoBalancedState(DynamicsError):
+    """|S_A − S_B| ≤ S_P ≤ S_A + S_B does not hold; the message gives the three moments and the region."""
 
 
 class NotConverged(DynamicsError):

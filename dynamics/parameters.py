@@ -226,3 +226,15 @@ class RotorParameters:
                 self.gravity_m_per_s2,
             ]
         )
+
+
+def physics_of(rig: object) -> RotorParameters:
+    """The rotor parameters of a rig file, or the argument itself when it is that already.
+
+    Raises:
+        OutsideDomain: neither RotorParameters nor something whose `.physics` is.
+    """
+    found = getattr(rig, "physics", rig)
+    if not isinstance(found, RotorParameters):
+        raise OutsideDomain(f"expected RotorParameters or a rig with .physics, got {type(rig).__name__}")
+    return found

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.interpolate import CubicSpline
 
 from dynamics.errors import OutsideDomain
 
@@ -48,6 +47,8 @@ class SpeedHistory:
         """
         if len(time_s) < 4 or np.any(np.diff(time_s) <= 0):
             raise OutsideDomain(f"a speed history needs at least 4 ascending marks, got {len(time_s)}")
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 (half a second to import, and only measured speeds need it)
+
         spline = CubicSpline(time_s, phase_rad)
         return cls(np.asarray(time_s, float), np.ascontiguousarray(spline.c[::-1].T))
 

@@ -1,30 +1,33 @@
 """Steady motions at constant speed and their stability.
 
-In the rotating frame q = z e^{iψ} the equations have period half a revolution. Over that time e^{iψ} changes sign,
-so a steady motion is a fixed point of the map
-    H: state at ψ = 0  →  state at ψ = π with the signs of x, y, ẋ, ẏ turned.
-The multipliers over one revolution are the squares of the eigenvalues of H's derivative. Type I is a fixed point
-known in closed form, whatever the suspension; Types II and III are found by Newton's method on H, starting from the
-isotropic closed form. The derivative of H is exact: a complex step of 1e-30 through the integrator.
+Type I (balanced), II (pendulums opposed), III (together). On an isotropic suspension they are rest points of the
+rotating frame in closed form (dynamics.singular_points); otherwise Types II and III are periodic orbits
+(dynamics.orbits) found from the mean torque's singular points. Every one is judged by the multipliers of its own
+linearised equations (dynamics.linearised, dynamics.floquet).
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
-from dynamics.errors import NotConverged
-from dynamics.integrate import fastest_rate, integrate, locked_state
-from dynamics.kernels import rk4_step
-from dynamics.parameters import RotorParameters
+from dynamics.balancing import balanced_angles, balancing_region
+from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
+from dynamics.floquet import Multipliers, floquet_multipliers
+from dynamics.linearised import along, rotating_frame, type_one
+from dynamics.model import AUTONOMOUS, CLOSED_FORM, Model, choose_model
+from dynamics.orbits import Orbit, coarse_orbit, periodic_orbit
+from dynamics.parameters import RotorParameters, physics_of
+from dynamics.singular_points import SingularPoint, singular_points
+from dynamics.stick_band import stick_half_width
+from dynamics.whirl import PHASES, circular_whirl, locked_whirl
 
-_TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
+_SAME_RAD = 1e-4  # orbits whose mean angles lie closer are one
+_FURTHER_ANGLES = np.arange(8) * math.pi / 4  # extra starts where the mean torque is no good guide
 
 
 @dataclass(frozen=True)
@@ -32,23 +35,35 @@ class SteadyState:
     """One steady motion.
 
     Attributes:
-        type: "I" balanced, "II" pendulums opposed, "III" pendulums together.
+        type: "I" balanced, "II" pendulums opposed, "III" pendulums together; "one" with a single free pendulum,
+            "none" with no free pendulum.
         theta_rad: mean θ3, θ4 over a revolution, in [0, 2π).
         start: state at ψ = 0, shape (8,).
-        amplitude_m: rms radius of the disk centre's orbit; for a circle its radius.
+        states: the motion at equally spaced phases of one revolution, shape (n, 8).
+        amplitude_m: rms distance of the disk centre from the orbit's middle; for a circle its radius.
         x_m, y_m: complex order-1 amplitudes, x = Re(x_m e^{iψ}), y = Im(y_m e^{iψ}).
-        multipliers: complex multipliers over one revolution, shape (8,), largest first.
-        error_estimate: change of the largest multiplier when the step is halved.
+        multipliers: complex multipliers over one revolution, largest first; shape (8,), fewer when something is locked.
+        error_estimate: bound on the error of the largest modulus.
+        angle_error_rad, amplitude_error_m: bounds on the errors of theta_rad and amplitude_m.
+        model: the model taken, and why.
+        method: how the multipliers were found, and why so.
+        stick_half_width_rad: with dry friction, how far either side of θ3, θ4 a pendulum may rest (0, 0 without).
     """
 
     type: str
     theta_rad: tuple[float, float]
-    start: np.ndarray
+    start: NDArray[np.floating]
+    states: NDArray[np.floating]
     amplitude_m: float
     x_m: complex
     y_m: complex
-    multipliers: np.ndarray
+    multipliers: NDArray[np.complexfloating]
     error_estimate: float
+    angle_error_rad: float
+    amplitude_error_m: float
+    model: Model
+    method: str
+    stick_half_width_rad: tuple[float, float] = (0.0, 0.0)
 
     @property
     def multiplier_max(self) -> float:
@@ -56,195 +71,231 @@ class SteadyState:
         return float(np.abs(self.multipliers[0]))
 
     @property
+    def stability(self) -> str:
+        """ "stable", "unstable", or "undecided" when the largest modulus is 1 within its error."""
+        if self.multiplier_max + self.error_estimate < 1.0:
+            return "stable"
+        return "unstable" if self.multiplier_max - self.error_estimate > 1.0 else "undecided"
+
+    @property
     def stable(self) -> bool:
         """Whether every multiplier lies inside the unit circle by more than the error estimate."""
-        return self.multiplier_max + self.error_estimate < 1.0
+        return self.stability == "stable"
 
 
-@njit(cache=True, error_model="numpy")
-def _half_turn(y0, omega, steps, p, tangent):
-    """H and, if asked for, its derivative by complex steps."""
-    h = math.pi / omega / steps
-    scratch = np.empty((5, 8))
-    ph = np.zeros((3, 3))
-    ph[:, 1] = omega
-    y = y0.copy()
-    for i in range(steps):
-        ph[0, 0], ph[1, 0], ph[2, 0] = omega * h * i, omega * h * (i + 0.5), omega * h * (i + 1)
-        rk4_step(y, h, ph[0], ph[1], ph[2], p, 1.0, 1.0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4])
-    jacobian = np.zeros((8, 8))
-    if tangent:
-        complex_scratch = np.empty((5, 8), dtype=np.complex128)
-        z = np.empty(8, dtype=np.complex128)
-        for j in range(8):
-            for i in range(8):
-                z[i] = y0[i]
-            z[j] += 1e-30j
-            for i in range(steps):
-                ph[0, 0], ph[1, 0], ph[2, 0] = omega * h * i, omega * h * (i + 0.5), omega * h * (i + 1)
-                rk4_step(
-                    z,
-                    h,
-                    ph[0],
-                    ph[1],
-                    ph[2],
-                    p,
-                    1.0,
-                    1.0,
-                    complex_scratch[0],
-                    complex_scratch[1],
-                    complex_scratch[2],
-                    complex_scratch[3],
-                    complex_scratch[4],
-                )
-            jacobian[:, j] = z.imag / 1e-30
-    return y, jacobian
+class SteadyStates(list[SteadyState]):
+    """Steady motions found at one speed, stable ones first.
+
+    Attributes:
+        unresolved: types of singular points of the mean torque near which the search for an orbit did not converge:
+            such a motion may exist or not (the imbalance may be too small to choose an angle).
+    """
+
+    def __init__(self, states: Iterable[SteadyState] = (), unresolved: Sequence[str] = ()) -> None:
+        super().__init__(sorted(states, key=lambda s: (not s.stable, s.type)))
+        self.unresolved = tuple(unresolved)
 
 
-def _steps(parameters: RotorParameters, speed: float, accuracy: float) -> int:
-    """Runge–Kutta steps in half a revolution for a wanted error of the multipliers."""
-    turn = math.pi / speed * fastest_rate(parameters, speed)
-    return max(16, math.ceil(turn * (turn / 120 / accuracy) ** 0.25))
-
-
-def _multipliers(parameters: RotorParameters, speed: float, start: np.ndarray, steps: int) -> np.ndarray:
-    _, jacobian = _half_turn(start, speed, steps, parameters.packed(), True)
-    values = np.linalg.eigvals(_TURN[:, None] * jacobian) ** 2
-    return values[np.argsort(-np.abs(values))]
-
-
-def balanced_angles(parameters: RotorParameters) -> list[tuple[float, float]]:
-    """Type I: the angles (θ3, θ4) with S_A e^{iθ3} + S_B e^{iθ4} = −S_P; two mirror images or none."""
-    a, b, s = (
-        parameters.a.first_moment_kg_m,
-        parameters.b.first_moment_kg_m,
-        parameters.imbalance_moment_kg_m,
-    )
-    if s <= 0 or not abs(a - b) <= s <= a + b:
-        return []
-    theta3 = math.acos(max(-1.0, min(1.0, (b * b - a * a - s * s) / (2 * a * s))))
-    theta4 = math.atan2(-a * math.sin(theta3), -s - a * math.cos(theta3))
-    return [
-        (theta3 % (2 * math.pi), theta4 % (2 * math.pi)),
-        (-theta3 % (2 * math.pi), -theta4 % (2 * math.pi)),
-    ]
-
-
-def singular_points(parameters: RotorParameters, speed: float, total_moment: float) -> list[tuple[float, complex]]:
-    """Types II and III on an isotropic suspension in closed form.
+def steady_states(
+    rig: RotorParameters | object,
+    speed_rad_s: float,
+    accuracy: float = 1e-8,
+    released: tuple[bool, bool] = (True, True),
+    locked_at_rad: tuple[float, float] = (0.0, math.pi),
+    *,
+    at_least: str | None = None,
+) -> SteadyStates:
+    """Every steady motion of Types I, II, III at a constant speed, stable ones first.
 
     Args:
-        total_moment: S_T = S_A − S_B (opposed) or S_A + S_B (together), kg m.
-    Returns:
-        Pairs of the angle θ of pendulum A (rad) and z (m); empty where the singular points are lost.
+        rig: RotorParameters, or anything whose `.physics` is.
+        speed_rad_s: running speed, rad/s, above 0.
+        accuracy: wanted error of the largest multiplier (relative to max(1, its modulus)), of the angles (rad) and of
+            the amplitude (relative to the orbit's size).
+        released, locked_at_rad: which pendulums are free, and where the others are held.
+        at_least: name of a bigger model to use (dynamics.model), for comparison.
+    Raises:
+        OutsideDomain: a speed or accuracy outside the domain.
+        NotConverged: the accuracy can't be guaranteed for a state that exists.
+    Source: docs/theory/steady_states.md.
     """
-    p = parameters
-    k = 0.5 * (p.k1_N_per_m + p.k2_N_per_m)
-    c = 0.5 * sum(p.damping_Ns_per_m)
-    response = 1.0 / (k - p.total_mass_kg * speed**2 + 1j * speed * c)
-    lag = -np.angle(response)
-    sine = -total_moment / p.imbalance_moment_kg_m * math.sin(lag) if p.imbalance_moment_kg_m else math.inf
-    if abs(sine) > 1:
-        return []
-    angles = (math.asin(sine) - lag, math.pi - math.asin(sine) - lag)
-    return [
-        (a % (2 * math.pi), speed**2 * response * (p.imbalance_moment_kg_m + total_moment * np.exp(1j * a)))
-        for a in angles
-    ]
+    parameters = physics_of(rig)
+    check_request(speed_rad_s, accuracy)
+    model = choose_model(parameters, released, at_least=at_least)
+    points = singular_points(parameters, speed_rad_s, released, locked_at_rad)
+    if model.name in (CLOSED_FORM, AUTONOMOUS):
+        return SteadyStates(_from_point(parameters, speed_rad_s, point, accuracy, released, model) for point in points)
+    return _searched(parameters, speed_rad_s, points, accuracy, released, model)
 
 
-def _orbit(parameters: RotorParameters, speed: float, guess: np.ndarray, accuracy: float) -> np.ndarray | None:
-    """Newton's method on H; None when it does not converge."""
-    packed = parameters.packed()
-    steps = _steps(parameters, speed, accuracy)
-    y = guess.copy()
-    for _ in range(30):
-        end, jacobian = _half_turn(y, speed, steps, packed, True)
-        residual = _TURN * end - y
-        try:
-            move = np.linalg.solve(_TURN[:, None] * jacobian - np.eye(8), -residual)
-        except np.linalg.LinAlgError:
-            return None
-        largest = np.max(np.abs(move[2:4]))
-        if not np.isfinite(largest):
-            return None
-        y += move * min(1.0, 0.3 / largest)
-        if largest < 1e-11:
-            return y
-    return None
+def _searched(
+    p: RotorParameters, speed: float, points: list[SingularPoint], accuracy: float, released: tuple[bool, bool],
+    model: Model,
+) -> SteadyStates:  # fmt: skip
+    """Orbits near the singular points of the mean torque, and from further angles."""
+    further = []
+    if all(released) and p.a.present and p.b.present:
+        for angle in _FURTHER_ANGLES:
+            further += [SingularPoint("II", (angle, angle + math.pi), 0j), SingularPoint("III", (angle, angle), 0j)]
+    found: list[SteadyState] = []
+    unresolved: list[str] = []
+    for point in points + further:
+        twin = _changed_over(p, found, point.theta_rad)
+        if twin is not None:
+            found.append(twin)
+        elif point.type == "I" and _rests(p):
+            found.append(_balanced(p, speed, point.theta_rad, accuracy, model))
+        else:
+            coarse = coarse_orbit(p, speed, locked_whirl(p, speed, point.theta_rad)[:, :4], released)
+            if coarse is not None and _known(found, coarse, _SAME_RAD):
+                continue
+            orbit = None if coarse is None else periodic_orbit(p, speed, coarse[:, :4], 0.01 * accuracy, released)
+            if orbit is None:
+                unresolved += [point.type] if point in points else []
+            elif not _known(found, orbit.states, _SAME_RAD):
+                kind = point.type if point.type in ("one", "none") else _kind(orbit, points)
+                found.append(_from_orbit(p, speed, kind, orbit, accuracy, released, model))
+    return SteadyStates(found, unresolved)
 
 
-def _describe(parameters: RotorParameters, speed: float, kind: str, start: np.ndarray, accuracy: float) -> SteadyState:
-    steps = _steps(parameters, speed, accuracy)
-    coarse = _multipliers(parameters, speed, start, steps)
-    fine = _multipliers(parameters, speed, start, 2 * steps)
-    per_turn = 64
-    times = np.linspace(0, 2 * np.pi / speed, per_turn + 1)
-    states = integrate(
-        start, times, np.pi / speed / steps, np.array([0.0, 1.0]), np.array([[0.0, speed, 0.0, 0.0]]),
-        parameters.packed(), 1.0, 1.0,
-    )[:-1]  # fmt: skip
-    turn = np.exp(-1j * speed * times[:-1])
-    theta = states[:, 2:4].mean(axis=0) % (2 * np.pi)
+def multipliers(rig: RotorParameters | object, speed_rad_s: float, accuracy: float = 1e-8) -> SteadyState:
+    """The balanced state (Type I) at a speed with its multipliers over one revolution.
+
+    Args:
+        rig, speed_rad_s, accuracy: as for steady_states.
+    Raises:
+        NoBalancedState: the pendulums can't balance this imbalance, or a pivot shift or gravity leaves no rest.
+    """
+    parameters = physics_of(rig)
+    check_request(speed_rad_s, accuracy)
+    if not _rests(parameters):
+        raise NoBalancedState("a pivot shift or gravity moves the disk in every state; ask steady_states for them")
+    angles = balanced_angles(parameters)
+    if not angles:
+        a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
+        s = parameters.imbalance_moment_kg_m
+        raise NoBalancedState(
+            f"no balanced state: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B; S_A = {a:.6g}, S_B = {b:.6g}, "
+            f"S_P = {s:.6g} kg m: {balancing_region(a, b, s)}"
+        )
+    return _balanced(parameters, speed_rad_s, angles[0], accuracy, choose_model(parameters))
+
+
+def check_request(speed_rad_s: float, accuracy: float) -> None:
+    """Refuse a speed or an accuracy no service can take.
+
+    Raises:
+        OutsideDomain: speed not above 0 and finite, accuracy not within 1e-12 … 0.1.
+    """
+    if not 0 < speed_rad_s < math.inf:
+        raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+    if not 1e-12 <= accuracy <= 0.1:
+        raise OutsideDomain(f"accuracy: expected 1e-12 to 0.1, got {accuracy!r}")
+
+
+def _rests(parameters: RotorParameters) -> bool:
+    """Whether the balanced state leaves the disk at rest."""
+    return parameters.pivot_shift_m == 0 and parameters.gravity_m_per_s2 == 0
+
+
+def _balanced(
+    p: RotorParameters, speed: float, theta: tuple[float, float], accuracy: float, model: Model
+) -> SteadyState:
+    states = np.zeros((PHASES, 8))
+    states[:, 2:4] = theta
+    judged = floquet_multipliers(type_one(p, *theta, speed), accuracy)
+    return _described(p, speed, "I", states, judged, (2e-15, 0.0), model)
+
+
+def _from_point(
+    p: RotorParameters, speed: float, point: SingularPoint, accuracy: float, released: tuple[bool, bool], model: Model
+) -> SteadyState:
+    """A rest point of the rotating frame, or the linear orbit of a rotor with nothing free."""
+    states = circular_whirl(speed, point) if model.name == AUTONOMOUS else locked_whirl(p, speed, point.theta_rad)
+    if model.name == AUTONOMOUS:
+        matrix = rotating_frame(p, states[0], speed, released)
+    else:
+        matrix = along(p, states, speed, (False, False))
+    judged = floquet_multipliers(matrix, accuracy)
+    size = float(np.max(np.abs(states[:, :2])))
+    return _described(p, speed, point.type, states, judged, (1e-14, 1e-14 * size), model)
+
+
+def _from_orbit(
+    p: RotorParameters, speed: float, kind: str, orbit: Orbit, accuracy: float, released: tuple[bool, bool],
+    model: Model,
+) -> SteadyState:  # fmt: skip
+    fine = floquet_multipliers(along(p, orbit.states, speed, released), 0.5 * accuracy)
+    coarse = floquet_multipliers(along(p, orbit.coarse_states, speed, released), 0.5 * accuracy)
+    moved = abs(abs(fine.values[0]) - abs(coarse.values[0]))
+    errors = (orbit.angle_error_rad, orbit.position_error_m)
+    state = _described(p, speed, kind, orbit.states, fine, errors, model, moved)
+    if state.error_estimate > accuracy * max(1.0, state.multiplier_max):
+        raise NotConverged(
+            f"Type {kind} at {speed:.6g} rad/s: multiplier {state.multiplier_max:.6g} known to "
+            f"{state.error_estimate:.2g}, wanted {accuracy:.2g}; ask for less"
+        )
+    return state
+
+
+def _described(
+    p: RotorParameters, speed: float, kind: str, states: NDArray[np.floating], judged: Multipliers,
+    errors: tuple[float, float], model: Model, moved: float = 0.0,
+) -> SteadyState:  # fmt: skip
+    turn = np.exp(-2j * np.pi * np.arange(len(states)) / len(states))
+    theta = np.mean(states[:, 2:4], axis=0) % (2 * np.pi)
     return SteadyState(
         type=kind,
         theta_rad=(float(theta[0]), float(theta[1])),
-        start=start,
-        amplitude_m=float(np.sqrt(np.mean(states[:, 0] ** 2 + states[:, 1] ** 2))),
+        start=states[0].copy(),
+        states=states,
+        amplitude_m=float(np.sqrt(np.sum(np.var(states[:, :2], axis=0)))),
         x_m=complex(2 * np.mean(states[:, 0] * turn)),
         y_m=complex(2j * np.mean(states[:, 1] * turn)),
-        multipliers=fine,
-        error_estimate=float(abs(abs(fine[0]) - abs(coarse[0]))) + 1e-12,
+        multipliers=judged.values,
+        error_estimate=judged.error_estimate + moved,
+        angle_error_rad=errors[0],
+        amplitude_error_m=2 * errors[1],
+        model=model,
+        method=judged.why,
+        stick_half_width_rad=stick_half_width(p, speed, (float(theta[0]), float(theta[1]))),
     )
 
 
-def multipliers(parameters: RotorParameters, speed_rad_s: float, accuracy: float = 1e-8) -> SteadyState:
-    """The balanced state (Type I) at a speed with its multipliers over one revolution.
-
-    Raises:
-        NotConverged: no balanced state exists for these first mass moments.
-    """
-    angles = balanced_angles(parameters)
-    if not angles:
-        raise NotConverged("no balanced state: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")
-    start = np.zeros(8)
-    start[2:4] = angles[0]
-    return _describe(parameters, speed_rad_s, "I", start, accuracy)
-
-
-def steady_states(parameters: RotorParameters, speed_rad_s: float, accuracy: float = 1e-8) -> list[SteadyState]:
-    """Every steady motion of Types I, II, III found at a constant speed, stable ones first.
-
-    Args:
-        parameters: the rig (pivot shift zero).
-        speed_rad_s: running speed, rad/s, above 0.
-        accuracy: wanted absolute error of the multipliers and of the angles (rad).
-    Source: docs/theory/steady_states.md.
-    """
-    found: list[SteadyState] = []
-    for theta3, theta4 in balanced_angles(parameters):
-        start = np.zeros(8)
-        start[2:4] = theta3, theta4
-        found.append(_describe(parameters, speed_rad_s, "I", start, accuracy))
-    for kind, gap in (("II", math.pi), ("III", 0.0)):
-        for angle in np.arange(8) * math.pi / 4:
-            guess = _guess(parameters, speed_rad_s, angle, gap)
-            start = _orbit(parameters, speed_rad_s, guess, accuracy)
-            if start is None or _known(found, start) or _kind(start) != kind:
-                continue
-            found.append(_describe(parameters, speed_rad_s, kind, start, accuracy))
-    return sorted(found, key=lambda s: (not s.stable, s.type))
+def _kind(orbit: Orbit, points: list[SingularPoint]) -> str:
+    """Type of an orbit: balanced when nearest to such a point, else by the angle between the pendulums."""
+    mean = np.mean(orbit.states[:, 2:4], axis=0)
+    gap = abs((mean[0] - mean[1] + math.pi) % (2 * math.pi) - math.pi)
+    aligned = {"III": gap, "II": math.pi - gap}
+    balanced = [
+        float(np.max(np.abs(np.exp(1j * mean) - np.exp(1j * np.array(p.theta_rad))))) for p in points if p.type == "I"
+    ]
+    if balanced and min(balanced) < min(aligned.values()):
+        return "I"
+    return min(aligned, key=lambda k: aligned[k])
 
 
-def _guess(parameters: RotorParameters, speed: float, angle: float, gap: float) -> np.ndarray:
-    return locked_state(parameters, speed, 0.0, angle, angle + gap)
+def _changed_over(p: RotorParameters, found: list[SteadyState], theta: tuple[float, float]) -> SteadyState | None:
+    """A motion found with A and B changed over, when they are alike: the motion near the angles asked for."""
+    if p.a != p.b:
+        return None
+    over = [0, 1, 3, 2, 4, 5, 7, 6]
+    for s in found:
+        states = s.states[:, over]
+        asked = _apart(states, np.array(theta)) < 0.05
+        if asked and _apart(states, s.states[:, 2:4].mean(axis=0)) > 0.2 and not _known(found, states, _SAME_RAD):
+            widths = s.stick_half_width_rad[::-1]
+            return replace(
+                s, theta_rad=s.theta_rad[::-1], states=states, start=states[0].copy(), stick_half_width_rad=widths
+            )
+    return None
 
 
-def _kind(start: np.ndarray) -> str:
-    """Type by the angle between the pendulums."""
-    apart = abs((start[2] - start[3] + math.pi) % (2 * math.pi) - math.pi)
-    return "III" if apart < math.radians(30) else "II" if apart > math.radians(165) else "I"
+def _known(found: list[SteadyState], states: NDArray[np.floating], near: float) -> bool:
+    """Whether a motion with these mean angles is among those found."""
+    return any(_apart(states, np.array(s.theta_rad)) < near for s in found)
 
 
-def _known(found: list[SteadyState], start: np.ndarray) -> bool:
-    return any(np.max(np.abs(np.exp(1j * s.start[2:4]) - np.exp(1j * start[2:4]))) < 1e-6 for s in found)
+def _apart(states: NDArray[np.floating], theta: NDArray[np.floating]) -> float:
+    """Largest distance |e^{iθ} − e^{iθ'}| between the mean angles of a motion and given ones."""
+    return float(np.max(np.abs(np.exp(1j * states[:, 2:4].mean(axis=0)) - np.exp(1j * theta))))

@@ -7,6 +7,7 @@ are like and, under `virtual.truth`, where its true numbers differ from the file
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -39,11 +40,23 @@ class Imbalance(Table):
 
 
 class PendulumTable(Table):
-    """One pendulum with its magnet pack."""
+    """One pendulum with its magnet pack, or a ball in a channel; mass 0 for none.
 
-    mass_kg: Annotated[float, Field(gt=0, le=100)]
+    friction_arm_m is the dry friction torque per contact force; ball_radius_m > 0 makes it a ball whose centre runs
+    at length_m, with ball_inertia_ratio = I/(m r²) (0.4 for a sphere).
+    """
+
+    mass_kg: Annotated[float, Field(ge=0, le=100)]
     length_m: Annotated[float, Field(gt=0, le=1)]
     damping_Nms_per_rad: Annotated[float, Field(ge=0, le=50)]
+    friction_arm_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    ball_radius_m: Annotated[float, Field(ge=0, le=1)] = 0.0
+    ball_inertia_ratio: Annotated[float, Field(ge=0, le=1)] = 0.4
+
+    @property
+    def physics(self) -> Pendulum:
+        """As dynamics takes it."""
+        return Pendulum(**self.model_dump())
 
 
 class Pendulums(Table):
@@ -52,15 +65,17 @@ class Pendulums(Table):
     a: PendulumTable
     b: PendulumTable
     pivot_shift_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    pivot_shift_compensated: bool = True
 
 
 class Suspension(Table):
-    """Springs and eddy-current dampers, k1 and ζ1 along x, k2 and ζ2 along y."""
+    """Springs and eddy-current dampers, k1 and ζ1 along x, k2 and ζ2 along y; gravity along −y for a lying shaft."""
 
     k1_N_per_m: Annotated[float, Field(gt=0, le=1e9)]
     k2_N_per_m: Annotated[float, Field(gt=0, le=1e9)]
     zeta1: Annotated[float, Field(ge=0, le=2)]
     zeta2: Annotated[float, Field(ge=0, le=2)]
+    gravity_m_per_s2: Annotated[float, Field(ge=0, le=30)] = 0.0
 
 
 class Laser(Table):
@@ -273,39 +288,31 @@ class Rig(Table):
 
 
 def _physics(rotor: Rotor, imbalance: Imbalance, pendulums: Pendulums, suspension: Suspension) -> RotorParameters:
-    a, b = pendulums.a, pendulums.b
     return RotorParameters(
         rotor_mass_kg=rotor.mass_kg,
         imbalance_mass_kg=imbalance.mass_kg,
         imbalance_radius_m=imbalance.radius_m,
-        a=Pendulum(a.mass_kg, a.length_m, a.damping_Nms_per_rad),
-        b=Pendulum(b.mass_kg, b.length_m, b.damping_Nms_per_rad),
+        a=pendulums.a.physics,
+        b=pendulums.b.physics,
         pivot_shift_m=pendulums.pivot_shift_m,
+        pivot_shift_compensated=pendulums.pivot_shift_compensated,
         **suspension.model_dump(),
     )
 
 
 def _laid_over(physics: RotorParameters, truth: Truth) -> RotorParameters:
-    def pick(value: float | None, otherwise: float) -> float:
-        return otherwise if value is None else value
+    """The physics with every number the truth gives in its place."""
 
-    def pendulum(own: Pendulum, true: TruthPendulum) -> Pendulum:
-        return Pendulum(
-            pick(true.mass_kg, own.mass_kg),
-            pick(true.length_m, own.length_m),
-            pick(true.damping_Nms_per_rad, own.damping_Nms_per_rad),
-        )
+    def given(table: Table) -> dict[str, float]:
+        return {k: v for k, v in table if isinstance(v, float)}
 
-    s = truth.suspension
-    return RotorParameters(
-        rotor_mass_kg=pick(truth.rotor.mass_kg, physics.rotor_mass_kg),
-        imbalance_mass_kg=pick(truth.imbalance.mass_kg, physics.imbalance_mass_kg),
-        imbalance_radius_m=pick(truth.imbalance.radius_m, physics.imbalance_radius_m),
-        a=pendulum(physics.a, truth.pendulums.a),
-        b=pendulum(physics.b, truth.pendulums.b),
-        k1_N_per_m=pick(s.k1_N_per_m, physics.k1_N_per_m),
-        k2_N_per_m=pick(s.k2_N_per_m, physics.k2_N_per_m),
-        zeta1=pick(s.zeta1, physics.zeta1),
-        zeta2=pick(s.zeta2, physics.zeta2),
-        pivot_shift_m=pick(truth.pendulums.pivot_shift_m, physics.pivot_shift_m),
+    shift = truth.pendulums.pivot_shift_m
+    return replace(
+        physics,
+        rotor_mass_kg=physics.rotor_mass_kg if truth.rotor.mass_kg is None else truth.rotor.mass_kg,
+        **{f"imbalance_{k}": v for k, v in given(truth.imbalance).items()},
+        a=replace(physics.a, **given(truth.pendulums.a)),
+        b=replace(physics.b, **given(truth.pendulums.b)),
+        **given(truth.suspension),
+        pivot_shift_m=physics.pivot_shift_m if shift is None else shift,
     )

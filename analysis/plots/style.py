@@ -6,12 +6,15 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from analysis.errors import BadFigureName
 
 MEASURED = "#0072B2"
 MODEL = "#D55E00"
@@ -48,6 +51,19 @@ def drawing(width_in: float, height_in: float) -> Iterator[Figure]:
     """A figure in the report's style; no window, no global state left behind."""
     with mpl.rc_context(_SETTINGS):
         yield Figure(figsize=(width_in, height_in))
+
+
+def save(path: Path, figure: Figure) -> None:
+    """Write a figure in the format of the file's suffix.
+
+    Raises:
+        BadFigureName: a suffix that is none of .svg, .png, .pdf.
+    """
+    if path.suffix.lower() not in (".svg", ".png", ".pdf"):
+        raise BadFigureName(f"figure {path}: expected a name ending in .svg, .png or .pdf")
+    metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
+    with mpl.rc_context(_SETTINGS):
+        figure.savefig(path, dpi=160, metadata=metadata)
 
 
 def to_svg(figure: Figure, name: str, description: str) -> str:

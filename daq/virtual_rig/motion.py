@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from daq.errors import ProcedureError
 from dynamics.integrate import fastest_rate
 from dynamics.kernels import rk4_step
 from dynamics.parameters import RotorParameters
@@ -107,6 +108,8 @@ class Motion:
     """
 
     def __init__(self, physics: RotorParameters, slip: float, lag_s: float) -> None:
+        if physics.a.friction_arm_m or physics.b.friction_arm_m:
+            raise ProcedureError("the virtual rig's fixed steps can't follow dry friction: set friction_arm_m to 0")
         self.physics = physics
         self.time_s = 0.0
         self.target_rad_s = 0.0

@@ -1,0 +1,230 @@
+"""Commands that ask the model alone: predict, map."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+from cli.console import print_json, say, share_progress, wait_for_compilation
+from cli.options import Json, ParametersPath, Settings
+from rig_configs import Rig, RigFileError, load_rig
+
+if TYPE_CHECKING:
+    from dynamics.outcome import ReleaseOutcome
+    from dynamics.steady_motions import SteadyState
+
+Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
+Accuracy = Annotated[
+    float, Parameter(help="wanted error of the largest multiplier, of angles (rad), of amplitudes (relative)")
+]
+
+
+def predict(
+    rig: str,
+    *,
+    point: str | None = None,
+    speed_rpm: float | None = None,
+    speed_ratio: float | None = None,
+    accuracy: Accuracy = 1e-8,
+    at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None,
+    release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True,
+    parameters: ParametersPath = None,
+    settings: Settings = None,
+    plot: Plot = None,
+    json: Json = False,
+) -> int:
+    """Steady states, stability and amplitudes at a point or a speed, and where a release ends."""
+    loaded = load_rig(rig, parameters, settings or [])
+    speed = _speed(loaded, point, speed_rpm, speed_ratio)
+    with wait_for_compilation("dynamics"):
+        from dynamics import balancing, choose_model, release_outcome, steady_states  # noqa: PLC0415
+
+        physics = loaded.physics
+        found = steady_states(physics, speed, accuracy, at_least=at_least)
+        outcome = release_outcome(physics, speed, states=found) if release else None
+    a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
+    region = balancing.balancing_region(a, b, physics.imbalance_moment_kg_m)
+    model = found[0].model if found else choose_model(physics, at_least=at_least)
+    if plot is not None:
+        from analysis.plots.steady_states import draw_steady_states  # noqa: PLC0415
+        from analysis.plots.style import save  # noqa: PLC0415
+
+        title = (
+            f"{loaded.name}, Ω = {speed / physics.natural_frequencies_rad_s[0]:.4g} ({speed * 30 / math.pi:.1f} rpm)"
+        )
+        save(plot, draw_steady_states(physics, found, title, outcome))
+    result = {
+        "model": model.name,
+        "why": model.why,
+        "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
+        "speed_rpm": speed * 30 / math.pi,
+        "balancing_region": region,
+        "steady_states": [_state_json(s) for s in found],
+        "unresolved": list(found.unresolved),
+        "release": None if outcome is None else _outcome_json(outcome),
+        "plot": None if plot is None else str(plot),
+    }
+    if json:
+        print_json(result)
+        return 0
+    _print(result, found)
+    return 0
+
+
+def _speed(rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None) -> float:
+    """The speed asked for, rad/s."""
+    if sum(x is not None for x in (point, speed_rpm, speed_ratio)) != 1:
+        raise RigFileError("rig predict: give one of --point, --speed-rpm, --speed-ratio")
+    if point is not None:
+        if point not in rig.points:
+            raise RigFileError(f"rig predict: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
+        return rig.physics.speed_rad_s(rig.points[point].speed_ratio)
+    speed = speed_rpm * math.pi / 30 if speed_rpm is not None else rig.physics.speed_rad_s(speed_ratio or 0.0)
+    if not 0 < speed < math.inf:
+        raise RigFileError(f"rig predict: expected a speed above 0, got {speed:g} rad/s")
+    return speed
+
+
+def _state_json(s: SteadyState) -> dict[str, Any]:
+    out = {
+        "type": s.type,
+        "theta3_deg": math.degrees(s.theta_rad[0]),
+        "theta4_deg": math.degrees(s.theta_rad[1]),
+        "amplitude_mm": 1e3 * s.amplitude_m,
+        "stable": s.stable,
+        "stability": s.stability,
+        "multiplier_max": s.multiplier_max,
+        "error_estimate": s.error_estimate,
+        "angle_error_deg": math.degrees(s.angle_error_rad),
+        "amplitude_error_mm": 1e3 * s.amplitude_error_m,
+        "method": s.method,
+    }
+    if any(s.stick_half_width_rad):
+        out["stick_half_width_deg"] = [math.degrees(w) for w in s.stick_half_width_rad]
+    return out
+
+
+def _outcome_json(o: ReleaseOutcome) -> dict[str, Any]:
+    return {
+        "reaches": o.state,
+        "theta3_deg": math.degrees(o.theta_rad[0]),
+        "theta4_deg": math.degrees(o.theta_rad[1]),
+        "after_s": o.after_s,
+        "revolutions": o.revolutions,
+        "slip_turns": list(o.slip_turns),
+    }
+
+
+def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
+    print(
+        f"{result['speed_rpm']:.2f} rpm, speed ratio {result['speed_ratio']:.4f}; "
+        f"pendulums {result['balancing_region']}"
+    )
+    print(f"model: {result['model']}: {result['why']}")
+    for s in result["steady_states"]:
+        print(
+            f"  {s['type']:4} {s['stability']:9} θ3 {s['theta3_deg']:8.3f}° θ4 {s['theta4_deg']:8.3f}°  "
+            f"amplitude {s['amplitude_mm']:.4f} mm  multiplier {s['multiplier_max']:.6f} ± {s['error_estimate']:.1g}"
+        )
+        if "stick_half_width_deg" in s:
+            print(
+                "       dry friction holds the pendulums within ± "
+                + "°, ".join(f"{w:.3g}" for w in s["stick_half_width_deg"])
+                + "°"
+            )
+    if not found:
+        print("  no steady motion: the singular points are lost at this speed")
+    for kind in result["unresolved"]:
+        print(f"  {kind}: the search for this motion did not end; it may not exist")
+    for method in dict.fromkeys(s.method for s in found):
+        print(f"stability: {method}")
+    release = result["release"]
+    if release is None:
+        return
+    if release["reaches"] in ("slipping", "not settled"):
+        print(f"a release from 0° and 180°: {release['reaches']}; followed for {release['revolutions']} revolutions")
+    else:
+        print(
+            f"a release from 0° and 180° (± 0.2° of play) reaches {release['reaches']} "
+            f"at θ3 {release['theta3_deg']:.2f}°, θ4 {release['theta4_deg']:.2f}° after {release['after_s']:.1f} s"
+        )
+
+
+def map(
+    rig: str,
+    *,
+    speed_ratio: Annotated[str, Parameter(help="A:B:N, N values from A to B")],
+    stiffness_ratio: Annotated[str, Parameter(help="A:B:N, N values from A to B")],
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
+    plot: Plot = None,
+    accuracy: Accuracy = 1e-8,
+    parameters: ParametersPath = None,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Largest multiplier of the balanced state over speed ratio and stiffness ratio."""
+    omega = _axis("--speed-ratio", speed_ratio)
+    stiffness = _axis("--stiffness-ratio", stiffness_ratio)
+    loaded = load_rig(rig, parameters, settings or [])
+    with wait_for_compilation("stability map"):
+        from dynamics.stability_map import stability_map  # noqa: PLC0415
+
+        stability_map(loaded.physics, omega[:1], stiffness[:1], accuracy)
+    started = time.perf_counter()
+    with share_progress(f"{len(omega) * len(stiffness)} points") as progress:
+        found = stability_map(loaded.physics, omega, stiffness, accuracy, progress)
+    seconds = time.perf_counter() - started
+    if output is not None:
+        np.savez_compressed(
+            output,
+            speed_ratio=found.speed_ratio,
+            stiffness_ratio=found.stiffness_ratio,
+            multiplier_max=found.multiplier_max,
+            error_estimate=found.error_estimate,
+        )
+    if plot is not None:
+        from analysis.plots.stability_map import MapPoint, draw_stability_map  # noqa: PLC0415
+        from analysis.plots.style import save  # noqa: PLC0415
+
+        points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in loaded.points.items()]
+        save(plot, draw_stability_map(loaded.physics, found, points))
+    stable = float(np.mean(found.multiplier_max + found.error_estimate < 1.0))
+    result = {
+        "points": int(found.multiplier_max.size),
+        "seconds": seconds,
+        "microseconds_per_point": 1e6 * seconds / found.multiplier_max.size,
+        "method": found.method,
+        "accuracy": accuracy,
+        "largest_error_estimate": float(np.max(found.error_estimate)),
+        "stable_share": stable,
+        "file": None if output is None else str(output),
+        "plot": None if plot is None else str(plot),
+    }
+    if json:
+        print_json(result)
+        return 0
+    print(
+        f"{result['points']} points in {seconds:.3g} s ({result['microseconds_per_point']:.3g} µs a point), "
+        f"balanced state stable on {100 * stable:.1f} %, largest error estimate {result['largest_error_estimate']:.1g}"
+    )
+    print(f"method: {found.method}")
+    if output is None and plot is None:
+        say("nothing kept: give -o FILE.npz for the arrays, --plot FILE for the figure")
+    return 0
+
+
+def _axis(option: str, text: str) -> np.ndarray:
+    """A:B:N as N evenly spaced values."""
+    try:
+        first, last, count = text.split(":")
+        low, high, n = float(first), float(last), int(count)
+    except ValueError:
+        raise RigFileError(f"rig map: {option} expected A:B:N, for example 0.4:6:400, got {text!r}") from None
+    if not (0 < low <= high < math.inf) or n < 1 or (n > 1 and low == high):
+        raise RigFileError(f"rig map: {option} expected 0 < A < B and N above 0, got {text!r}")
+    return np.linspace(low, high, n)

@@ -1,0 +1,91 @@
+"""The same equations in heyoka, a Taylor integrator: the reference and the peer of the benchmarks and tests.
+
+heyoka has wheels for Linux only and is no dependency of the project; it is imported when asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.parameters import RotorParameters
+
+_TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
+DOUBLE_TOLERANCE = 2.2e-16
+
+
+def heyoka() -> Any | None:
+    """The heyoka module, or None where it is not installed."""
+    try:
+        import heyoka as module  # noqa: PLC0415 # pyright: ignore[reportMissingImports]
+    except ImportError:
+        return None
+    return module
+
+
+def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_s2: float = 0.0) -> list[Any]:
+    """Both pendulums free, ψ = ω t + α t²/2; pairs of a variable and its rate.
+
+    Written from the second-order form with a 4 × 4 mass matrix eliminated by hand, not from dynamics.kernels.
+    """
+    hy = heyoka()
+    if hy is None:
+        raise ImportError("heyoka is not installed; it has wheels for Linux: pip install heyoka")
+    p = parameters
+    x, y, a, b, vx, vy, va, vb = hy.make_vars("x", "y", "a", "b", "vx", "vy", "va", "vb")
+    t, w, al = hy.time, speed_rad_s, acceleration_rad_s2
+    psi, omega = w * t + 0.5 * al * t * t, w + al * t
+    c1, c2 = p.damping_Ns_per_m
+    mass, shift, g = p.total_mass_kg, p.pivot_shift_m, p.gravity_m_per_s2
+    cp, sp = hy.cos(psi), hy.sin(psi)
+    fx = -c1 * vx - p.k1_N_per_m * x + p.forcing_moment_kg_m * (omega * omega * cp + al * sp)
+    fy = -c2 * vy - p.k2_N_per_m * y + p.forcing_moment_kg_m * (omega * omega * sp - al * cp) - mass * g
+    mxx, mxy, myy = mass, 0.0, mass
+    torques = []
+    for angle, rate, pendulum in ((a, va, p.a), (b, vb, p.b)):
+        s, j, d = pendulum.first_moment_kg_m, pendulum.inertia_kg_m2, pendulum.drive_inertia_kg_m2
+        cos, sin = hy.cos(psi + angle), hy.sin(psi + angle)
+        around = omega + rate
+        pivot = s * (sin * (-shift * (al * sp + omega * omega * cp)) - cos * (shift * (al * cp - omega * omega * sp) + g))
+        own = (pivot - pendulum.damping_Nms_per_rad * rate - d * al) / j  # θ̈ without the disk's acceleration
+        fx += s * (around * around * cos + (own + al) * sin)
+        fy += s * (around * around * sin - (own + al) * cos)
+        mxx, myy, mxy = mxx - s * s / j * sin * sin, myy - s * s / j * cos * cos, mxy + s * s / j * sin * cos
+        torques.append((own, s / j, sin, cos))
+    det = mxx * myy - mxy * mxy
+    ax, ay = (myy * fx - mxy * fy) / det, (mxx * fy - mxy * fx) / det
+    aa, ab = (own + ratio * (ax * sin - ay * cos) for own, ratio, sin, cos in torques)
+    return [(x, vx), (y, vy), (a, va), (b, vb), (vx, ax), (vy, ay), (va, aa), (vb, ab)]
+
+
+def integrator(
+    parameters: RotorParameters, speed_rad_s: float, start: NDArray[np.floating], tolerance: float = DOUBLE_TOLERANCE
+) -> Any:
+    """A heyoka integrator of the motion, compiled."""
+    hy = heyoka()
+    assert hy is not None
+    return hy.taylor_adaptive(equations(parameters, speed_rad_s), start, tol=tolerance, compact_mode=True)
+
+
+def half_turn_integrator(parameters: RotorParameters, speed_rad_s: float) -> Any:
+    """A heyoka integrator of motion and all 64 variational states, compiled."""
+    hy = heyoka()
+    assert hy is not None
+    system = hy.var_ode_sys(equations(parameters, speed_rad_s), hy.var_args.vars, order=1)
+    return hy.taylor_adaptive(system, np.zeros(8), tol=DOUBLE_TOLERANCE, compact_mode=True)
+
+
+def multipliers(
+    parameters: RotorParameters, speed_rad_s: float, start: NDArray[np.floating], compiled: Any | None = None
+) -> NDArray[np.complexfloating]:
+    """Multipliers over one revolution of the motion from a state at ψ = 0; no gravity. Shape (8,), largest first."""
+    ta = half_turn_integrator(parameters, speed_rad_s) if compiled is None else compiled
+    ta.time = 0.0
+    ta.state[:8] = start
+    ta.state[8:] = np.eye(8).ravel()
+    ta.propagate_until(math.pi / speed_rad_s)
+    values = np.linalg.eigvals(_TURN[:, None] * ta.state[8:].reshape(8, 8)) ** 2
+    return values[np.argsort(-np.abs(values))]
