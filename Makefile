@@ -24,7 +24,7 @@ lint: setup
 	$(UV) run --no-sync lint-imports
 
 setup: | $(UV)
-	$(UV) sync --frozen --quiet
+	$(UV) sync --frozen --quiet --compile-bytecode
 
 .tools/bin/uv:
 	$(PYTHON) -m venv .tools

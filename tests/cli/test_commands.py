@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cli.main import run
@@ -25,12 +26,48 @@ def test_predict_gives_the_contract_keys_and_the_expected_states(capsys: pytest.
         code, out, _ = said(capsys, "predict", "virtual", "--point", point, "--json")
         result = json.loads(out)
         assert code == 0
-        assert set(result) == {"model", "speed_ratio", "speed_rpm", "steady_states"}
+        assert set(result) >= {"model", "why", "speed_ratio", "speed_rpm", "steady_states", "release"}
         first = result["steady_states"][0]
-        assert set(first) == {
+        assert set(first) >= {
             "type", "theta3_deg", "theta4_deg", "amplitude_mm", "stable", "multiplier_max", "error_estimate",
         }  # fmt: skip
         assert (first["type"], first["stable"]) == (kind, True)
+        assert result["release"]["reaches"] == kind
+
+
+def test_predict_says_which_model_and_why(capsys: pytest.CaptureFixture[str]) -> None:
+    for rig, words in (("virtual", "k1 ≠ k2"), ("isotropic", "isotropic suspension")):
+        code, out, _ = said(capsys, "predict", rig, "--speed-ratio", "1.6")
+        assert code == 0
+        assert f"why: {words}" in out or words in out.splitlines()[1]
+    code, out, _ = said(capsys, "predict", "virtual", "--point", "B", "--set", "suspension.gravity_m_per_s2=9.81")
+    assert "gravity" in out.splitlines()[1]
+
+
+@pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
+def test_predict_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path, suffix: str) -> None:
+    figure = tmp_path / f"b.{suffix}"
+    assert said(capsys, "predict", "virtual", "--point", "B", "--plot", str(figure))[0] == 0
+    assert figure.stat().st_size > 5000
+    code, _, err = said(capsys, "predict", "virtual", "--point", "B", "--plot", str(tmp_path / "b.doc"))
+    assert code == 2
+    assert ".svg, .png or .pdf" in err
+
+
+def test_map_writes_arrays_and_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    arrays, figure = tmp_path / "map.npz", tmp_path / "map.png"
+    code, out, _ = said(
+        capsys, "map", "virtual", "--speed-ratio", "0.5:6:23", "--stiffness-ratio", "1:15:8",
+        "-o", str(arrays), "--plot", str(figure), "--json",
+    )  # fmt: skip
+    result = json.loads(out)
+    assert code == 0
+    assert result["points"] == 184
+    with np.load(arrays) as found:
+        assert set(found) == {"speed_ratio", "stiffness_ratio", "multiplier_max", "error_estimate"}
+        assert found["multiplier_max"].shape == found["error_estimate"].shape == (8, 23)
+        assert np.all(found["error_estimate"] <= 1e-8 * np.maximum(1, found["multiplier_max"]))
+    assert figure.stat().st_size > 5000
 
 
 def test_set_changes_the_prediction(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,6 +82,8 @@ def test_set_changes_the_prediction(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["predict", "virtual", "--point", "Z"], 2, "no point 'Z'"),
         (["predict", "virtual"], 2, "give one of --point"),
+        (["map", "virtual", "--speed-ratio", "1:2", "--stiffness-ratio", "1:15:8"], 2, "expected A:B:N"),
+        (["map", "virtual", "--speed-ratio", "2:1:5", "--stiffness-ratio", "1:15:8"], 2, "0 < A < B"),
         (["predict", "virtual", "--point", "A", "--set", "rotor.mass=3"], 2, "did you mean rotor.mass_kg"),
         (["predict", "nosuch", "--point", "A"], 2, "no such rig file"),
         (["nosuchverb"], 2, "nosuchverb"),
