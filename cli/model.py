@@ -188,11 +188,11 @@ def map(
             error_estimate=found.error_estimate,
         )
     if plot is not None:
-        from analysis.plots.stability_map import MapPoint, draw_stability_map  # noqa: PLC0415
+        from analysis.plots.stability_map import MapPoint, stability_map_figure  # noqa: PLC0415
         from analysis.plots.style import save  # noqa: PLC0415
 
         points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in loaded.points.items()]
-        save(plot, draw_stability_map(loaded.physics, found, points))
+        save(plot, stability_map_figure(loaded.physics, found, points))
     stable = float(np.mean(found.multiplier_max + found.error_estimate < 1.0))
     result = {
         "points": int(found.multiplier_max.size),

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
 
 from analysis.plots.style import drawing, label, to_svg
 from dynamics import RotorParameters
-from dynamics.stability_map import stability_map
+from dynamics.stability_map import StabilityMap, stability_map
 
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
 _MARKS = {"I": "o", "II": "s", "III": "^", "slipping": "X", "not settled": "P"}
@@ -26,42 +28,64 @@ class MapPoint:
 
 
 def draw_stability_map(physics: RotorParameters, points: Sequence[MapPoint], name: str = "map") -> str:
-    """SVG of the largest Type I multiplier over Ω × K around the line of the points.
+    """SVG of the largest Type I multiplier over Ω × K around the line of the points, for a report.
 
     Raises:
         NotConverged: the rig has no balanced state.
     """
     own = physics.k2_N_per_m / physics.k1_N_per_m
     top = max([p.speed_ratio for p in points], default=4.0) * 1.15
-    omega = np.linspace(0.35, max(top, 3.0), 80)
-    ratio = np.linspace(min(1.0, 0.5 * own), max(3.0, 1.7 * own), 60)
-    largest = stability_map(physics, omega, ratio)
+    omega = np.linspace(0.35, max(top, 3.0), 160)
+    ratio = np.linspace(min(1.0, 0.5 * own), max(3.0, 1.7 * own), 120)
+    figure = stability_map_figure(physics, stability_map(physics, omega, ratio, 1e-4), points)
+    return to_svg(figure, name, "Stability map of the balanced state over speed ratio and stiffness ratio")
+
+
+def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: Sequence[MapPoint]) -> Figure:
+    """The largest Type I multiplier as filled contours, with both resonance lines and the points on the rig's line."""
+    own = physics.k2_N_per_m / physics.k1_N_per_m
+    omega, ratio = found.speed_ratio, found.stiffness_ratio
     with drawing(8.6, 4.4) as figure:
         axes = figure.add_subplot()
         figure.subplots_adjust(left=0.075, right=1.04, top=0.97, bottom=0.12)
         axes.grid(False)
+        if min(len(omega), len(ratio)) < 2:
+            axes.text(0.5, 0.5, "a map needs at least two values each way", ha="center", transform=axes.transAxes)
+            return figure
         filled = axes.contourf(
-            omega, ratio, largest, levels=_LEVELS, extend="both", cmap="PuOr_r", norm=TwoSlopeNorm(1.0, 0.6, 2.5)
-        )
-        axes.contour(omega, ratio, largest, levels=[1.0], colors="black", linewidths=1.6)
-        axes.plot([1, 1], [ratio[0], ratio[-1]], color="#333333", ls="--", lw=1)
-        second = ratio[(np.sqrt(ratio) >= omega[0]) & (np.sqrt(ratio) <= omega[-1])]
-        axes.plot(np.sqrt(second), second, color="#333333", ls="--", lw=1)
-        axes.annotate("Ω = 1", (1.0, ratio[-1]), xytext=(3, -11), textcoords="offset points", fontsize=8)
-        if len(second):
-            axes.annotate(
-                "Ω = √K", (np.sqrt(second[-1]), second[-1]), xytext=(5, -11), textcoords="offset points", fontsize=8
-            )
-        axes.axhline(own, color="#333333", lw=0.6, ls=":")
-        for i, point in enumerate(points):
-            axes.plot(
-                point.speed_ratio, own, marker=_MARKS.get(point.state, "D"), ms=9, mfc="white", mec="black", ls=""
-            )
-            axes.annotate(
-                f"{point.name} · {point.state}", (point.speed_ratio, own), xytext=(0, 9 if i % 2 == 0 else -17),
-                ha="center", textcoords="offset points", fontsize=9, fontweight="bold", parse_math=False,
-            )  # fmt: skip
+            omega, ratio, found.multiplier_max, levels=_LEVELS, extend="both", cmap="PuOr_r",
+            norm=TwoSlopeNorm(1.0, 0.6, 2.5),
+        )  # fmt: skip
+        axes.contour(omega, ratio, found.multiplier_max, levels=[1.0], colors="black", linewidths=1.6)
+        _resonances(axes, omega, ratio)
+        axes.set_xlim(omega[0], omega[-1])
+        axes.set_ylim(ratio[0], ratio[-1])
+        if ratio[0] <= own <= ratio[-1]:
+            axes.axhline(own, color="#333333", lw=0.6, ls=":")
+            _points(axes, [p for p in points if omega[0] <= p.speed_ratio <= omega[-1]], own)
         label(axes, "speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
         bar = figure.colorbar(filled, ax=axes, ticks=_LEVELS, pad=0.01)
         bar.set_label("largest |multiplier| over one revolution")
-        return to_svg(figure, name, "Stability map of the balanced state over speed ratio and stiffness ratio")
+        return figure
+
+
+def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:
+    """Ω = 1 and Ω = √K."""
+    if omega[0] <= 1 <= omega[-1]:
+        axes.plot([1, 1], [ratio[0], ratio[-1]], color="#333333", ls="--", lw=1)
+        axes.annotate("Ω = 1", (1.0, ratio[0]), xytext=(-30, 5), textcoords="offset points", fontsize=8)
+    second = ratio[(np.sqrt(ratio) >= omega[0]) & (np.sqrt(ratio) <= omega[-1])]
+    if len(second):
+        axes.plot(np.sqrt(second), second, color="#333333", ls="--", lw=1)
+        axes.annotate(
+            "Ω = √K", (np.sqrt(second[-1]), second[-1]), xytext=(5, -11), textcoords="offset points", fontsize=8
+        )
+
+
+def _points(axes: Axes, points: Sequence[MapPoint], own: float) -> None:
+    for i, point in enumerate(points):
+        axes.plot(point.speed_ratio, own, marker=_MARKS.get(point.state, "D"), ms=9, mfc="white", mec="black", ls="")
+        axes.annotate(
+            f"{point.name} · {point.state}", (point.speed_ratio, own), xytext=(0, 9 if i % 2 == 0 else -17),
+            ha="center", textcoords="offset points", fontsize=9, fontweight="bold", parse_math=False,
+        )  # fmt: skip
