@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynamics.balancing import GravityDisk, balanced_angles, balancing_region, gravity_disk
+    from dynamics.batch import BatchMotion, simulate_batch
     from dynamics.integrate import Motion, locked_orbit, simulate
     from dynamics.model import Model, choose_model
-    from dynamics.parameters import Pendulum, RotorParameters
     from dynamics.outcome import ReleaseOutcome, release_outcome
+    from dynamics.parameters import Pendulum, RotorParameters
     from dynamics.scene import Scene
     from dynamics.speed_history import SpeedHistory
     from dynamics.steady_motions import SteadyState, multipliers, steady_states
 
 _HOME = {  # loaded when first used: a rig file can be read without waiting for the compiler
+    "BatchMotion": "dynamics.batch",
     "GravityDisk": "dynamics.balancing",
     "Model": "dynamics.model",
     "Motion": "dynamics.integrate",
@@ -33,10 +35,12 @@ _HOME = {  # loaded when first used: a rig file can be read without waiting for 
     "multipliers": "dynamics.steady_motions",
     "release_outcome": "dynamics.outcome",
     "simulate": "dynamics.integrate",
+    "simulate_batch": "dynamics.batch",
     "steady_states": "dynamics.steady_motions",
 }
 
 __all__ = [
+    "BatchMotion",
     "GravityDisk",
     "Model",
     "Motion",
@@ -54,6 +58,7 @@ __all__ = [
     "multipliers",
     "release_outcome",
     "simulate",
+    "simulate_batch",
     "steady_states",
 ]
 

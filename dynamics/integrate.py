@@ -1,174 +1,165 @@
-"""The motion over time: prescribed rotor phase, state integrated inside compiled code."""
+"""The nonlinear motion of one run to a given accuracy, with a bound on its error.
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+The motion is computed twice, the second time to a thirty times tighter tolerance per step. The difference over all
+instants is the error of the first run to within the much smaller one of the second; it bounds the error of the second,
+which is returned. If that is not enough the tolerance goes on down. See docs/theory/integration.md.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
 
 import numpy as np
-from numba import njit
 
-from dynamics.errors import NotConverged
-from dynamics.kernels import rk4_step
-from dynamics.parameters import RotorParameters
+from dynamics.errors import NotConverged, OutsideDomain
+from dynamics.fixed_steps import integrate
+from dynamics.locked_motion import damping_rates, fastest_rate, locked_orbit, locked_state
+from dynamics.motion import Motion
+from dynamics.motion_problem import Setup, instants, motion_problem
+from dynamics.parameters import physics_of
 from dynamics.scene import Scene
-from dynamics.speed_history import phase_at
+from dynamics.trajectory import Trajectory, run
+
+__all__ = [
+    "Motion",
+    "damping_rates",
+    "fastest_rate",
+    "integrate",
+    "locked_orbit",
+    "locked_state",
+    "simulate",
+]
+
+WORK_LIMIT = 50_000_000
+"""Steps a call may take unless told otherwise: about a minute."""
+
+_RATIO = 30.0  # between the tolerances of the first two runs
+_HEADROOM = 120.0  # accuracy over the first run's tolerance at an accuracy of 1e-6; less below
+_FINEST = 1e-15  # a tolerance per step below this is rounding
+_MOST_RUNS = 6
+_ROUNDING_TOLERANCE = 1e-13  # below it both runs err by rounding alike
+_STRONG_GROWTH = 300.0  # error over tolerance above which one difference alone is not trusted
 
 
-@dataclass(frozen=True)
-class Motion:
-    """A computed motion.
-
-    Attributes:
-        time_s: shape (n,).
-        state: shape (n, 8): x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4 (SI).
-        error_estimate: largest difference at the last instant between the last two step sizes (scaled to the
-            finer one by the method's order), in the units of the state (m, rad).
-        step_s: the largest step used.
-    """
-
-    time_s: np.ndarray
-    state: np.ndarray
-    error_estimate: float
-    step_s: float
-
-    @property
-    def displacement_m(self) -> np.ndarray:
-        """Disk centre x, y; shape (n, 2)."""
-        return self.state[:, :2]
-
-    @property
-    def angles_rad(self) -> np.ndarray:
-        """θ3, θ4; shape (n, 2)."""
-        return self.state[:, 2:4]
-
-
-@njit(cache=True, error_model="numpy")
-def integrate(y0, times, step, knots, coefficients, p, free_a, free_b):
-    """States at the given times by classical Runge–Kutta steps no longer than `step`.
-
-    Args:
-        y0: shape (8,), state at times[0].
-        times: shape (n,), ascending.
-    Returns:
-        shape (n, 8).
-    """
-    out = np.empty((len(times), 8))
-    y = y0.copy()
-    out[0] = y
-    scratch = np.empty((5, 8))
-    ph = np.empty((3, 3))
-    segment = phase_at(times[0], 0, knots, coefficients, ph[0])
-    for i in range(1, len(times)):
-        t = times[i - 1]
-        n = max(1, int(np.ceil((times[i] - t) / step - 1e-9)))
-        h = (times[i] - t) / n
-        for j in range(n):
-            segment = phase_at(t + (j + 0.5) * h, segment, knots, coefficients, ph[1])
-            segment = phase_at(t + (j + 1) * h, segment, knots, coefficients, ph[2])
-            rk4_step(
-                y,
-                h,
-                ph[0],
-                ph[1],
-                ph[2],
-                p,
-                free_a,
-                free_b,
-                scratch[0],
-                scratch[1],
-                scratch[2],
-                scratch[3],
-                scratch[4],
-            )
-            ph[0] = ph[2]
-        out[i] = y
-    return out
-
-
-def locked_orbit(
-    parameters: RotorParameters, speed_rad_s: float, theta3_rad: float = 0.0, theta4_rad: float = np.pi
-) -> tuple[complex, complex]:
-    """Steady motion at constant speed with both pendulums locked.
-
-    Returns:
-        X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}).
-    Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}).
-    """
-    p = parameters
-    moment = (
-        p.imbalance_moment_kg_m
-        + p.a.first_moment_kg_m * np.exp(1j * theta3_rad)
-        + p.b.first_moment_kg_m * np.exp(1j * theta4_rad)
-    )
-    w, mass = speed_rad_s, p.total_mass_kg
-    c1, c2 = p.damping_Ns_per_m
-    force = moment * w * w
-    return force / (p.k1_N_per_m - mass * w * w + 1j * w * c1), force / (p.k2_N_per_m - mass * w * w + 1j * w * c2)
-
-
-def locked_state(
-    parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
-) -> np.ndarray:
-    """State (8,) on the locked orbit at one phase; the start of a release."""
-    x, y = locked_orbit(parameters, speed_rad_s, theta3_rad, theta4_rad)
-    turn = np.exp(1j * phase_rad)
-    rate = 1j * speed_rad_s
-    return np.array(
-        [
-            (x * turn).real, (y * turn).imag, theta3_rad, theta4_rad,
-            (rate * x * turn).real, (rate * y * turn).imag, 0.0, 0.0,
-        ]
-    )  # fmt: skip
-
-
-def fastest_rate(parameters: RotorParameters, speed_rad_s: float) -> float:
-    """A bound on how fast the state changes, 1/s: sets the first step of an explicit method."""
-    p = parameters
-    return max(
-        *p.natural_frequencies_rad_s,
-        2 * max(p.zeta1, p.zeta2) * max(p.natural_frequencies_rad_s),
-        abs(speed_rad_s),
-        p.a.damping_Nms_per_rad / p.a.inertia_kg_m2,
-        p.b.damping_Nms_per_rad / p.b.inertia_kg_m2,
-    )
-
-
-def simulate(parameters: RotorParameters, scene: Scene, time_s: np.ndarray, accuracy: float = 1e-6) -> Motion:
+def simulate(
+    parameters: object,
+    scene: Scene,
+    time_s: np.ndarray | float,
+    accuracy: float = 1e-6,
+    method: str | None = None,
+    *,
+    dense: bool = False,
+    work_limit: int = WORK_LIMIT,
+    resolved: bool = False,
+) -> Motion:
     """The nonlinear motion of one run.
 
     Args:
-        parameters: the rig.
-        scene: speed history, what is released, start state.
-        time_s: instants wanted, shape (n,), ascending; the start state belongs to the first.
-        accuracy: wanted absolute error of the state's positions at the last instant (m and rad).
+        parameters: the rig, or its rotor parameters.
+        scene: speed history, what is released and when, start state.
+        time_s: instants wanted, shape (n,), ascending (the start state belongs to the first), or a duration in s
+            from t = 0, which gives 200 samples a second.
+        accuracy: largest error allowed at any of the instants: of the angles in rad, of the displacements as a share
+            of the longest pendulum arm (so it also bounds them in m).
+        method: "explicit", "implicit", or None for the one that is expected to be cheaper.
+        dense: keep the polynomials between the instants (Motion.at, Motion.crossings).
+        work_limit: steps the call may take in all.
+        resolved: let explicit steps follow even oscillations too small to matter, as derivatives of the motion need.
     Raises:
-        NotConverged: the target is not reached (chaotic or too stiff a motion for the explicit method).
+        OutsideDomain: instants, start state, accuracy or method that mean nothing.
+        NotConverged: the accuracy cannot be reached (an unstable or chaotic motion over too long a time), or the work
+            exceeds work_limit; said at once when it can be foreseen.
+    Source: docs/theory/integration.md.
     """
-    times = np.ascontiguousarray(time_s, float)
-    history = scene.history
-    psi, speed, _ = history.phase(times[0])[0]
-    peak_speed = np.max(np.abs(history.phase(times)[:, 1]))
-    start = locked_state(parameters, speed, psi, 0.0, np.pi) if scene.start is None else scene.start
-    y0 = np.ascontiguousarray(start, float)
-    packed = parameters.packed()
-    free_a, free_b = (float(f) for f in scene.released)
-    step = 0.15 / fastest_rate(parameters, peak_speed)
-
-    def run(h: float) -> np.ndarray:
-        return integrate(y0, times, h, history.knots_s, history.coefficients, packed, free_a, free_b)
-
-    coarse, error = run(step), np.inf
-    for _ in range(8):
-        step /= 2
-        fine = run(step)
-        error = float(np.max(np.abs(fine[-1, :4] - coarse[-1, :4]))) / 15
-        if error <= accuracy:
-            return Motion(times, fine, error, step)
-        coarse = fine
-    raise NotConverged(
-        f"motion over {times[-1] - times[0]:.3g} s: error estimate {error:.2g} at step {step:.2g} s, "
-        f"wanted {accuracy:.2g}; ask for less or shorten the run"
+    physics = physics_of(parameters)
+    if not (np.isfinite(accuracy) and accuracy > 0):
+        raise OutsideDomain(f"accuracy must be a finite number above 0, got {accuracy!r}")
+    if method not in (None, "explicit", "implicit"):
+        raise OutsideDomain(f'method must be "explicit", "implicit" or None, got {method!r}')
+    times = instants(time_s)
+    setup = motion_problem(physics, scene, times, resolved)
+    tolerance = max(min(accuracy, 0.1) / _headroom(accuracy), _FINEST * _RATIO)
+    cheaper, why = setup.prefers_implicit(tolerance)
+    implicit = cheaper if method is None else method == "implicit"
+    if method is not None:
+        why = "as asked"
+    if setup.duration_s == 0.0:
+        state = np.tile(setup.problem.start, (len(times), 1))
+        return Motion(times, state, 0.0, 0.0, "none", "no time passes")
+    if implicit and resolved:  # its steps damp what they do not follow, in the derivatives too
+        setup = dataclasses.replace(setup, problem=dataclasses.replace(setup.problem, longest_step_s=np.inf))
+    _refuse_hopeless(setup, tolerance, implicit, work_limit)
+    last, bound, work = _converge(setup, accuracy, tolerance, implicit, work_limit, dense)
+    events = tuple(sorted([*last.events, *setup.stop], key=lambda e: e.time_s))
+    return Motion(
+        times,
+        last.states[setup.wanted],
+        bound,
+        setup.duration_s / max(1, last.steps),
+        "implicit" if implicit else "explicit",
+        why,
+        last.steps,
+        work,
+        events,
+        last.polynomials,
     )
+
+
+def _headroom(accuracy: float) -> float:
+    """How far the first run's tolerance per step lies below the accuracy.
+
+    A release multiplies the tolerance by 100 at 1e-8 and by 15 at 1e-12 (docs/theory/integration.md): the tighter, the
+    more of the embedded estimate is caution.
+    """
+    return _HEADROOM * min(1.0, (accuracy / 1e-6) ** (1 / 7))
+
+
+def _refuse_hopeless(setup: Setup, tolerance: float, implicit: bool, work_limit: int) -> None:
+    expected = setup.expected_steps(tolerance, implicit) + setup.expected_steps(tolerance / _RATIO, implicit)
+    if expected > 3 * work_limit:  # the forecast is good to a factor of a few
+        raise NotConverged(
+            f"{setup.duration_s:.3g} s of motion need about {expected:.2g} steps, the limit is {work_limit:.2g}; "
+            f"raise work_limit (a million take {6 if implicit else 1.3} s), ask for less accuracy or a shorter run"
+        )
+
+
+def _converge(
+    setup: Setup, accuracy: float, tolerance: float, implicit: bool, work_limit: int, dense: bool
+) -> tuple[Trajectory, float, int]:
+    """Runs to tighter and tighter tolerances until the bound holds; the last run, its bound, all steps."""
+    coarse = run(setup.problem, tolerance, implicit, work_limit)
+    work, ratio, bounds, growths = coarse.tried, _RATIO, [], []
+    for _ in range(_MOST_RUNS):
+        fine_tolerance = max(tolerance / ratio, _FINEST)
+        fine = run(setup.problem, fine_tolerance, implicit, work_limit - work, dense)
+        work += fine.tried
+        difference = _distance(setup, coarse.states, fine.states)
+        growths.append(difference / tolerance)
+        strong = max(growths) > _STRONG_GROWTH
+        margin = 3.0 if fine_tolerance < _ROUNDING_TOLERANCE else 1.0
+        bounds.append(max(margin * difference, 5 * max(growths) * fine_tolerance) + _rounding(setup, fine))
+        if bounds[-1] <= accuracy and not (strong and len(growths) == 1):
+            return fine, bounds[-1], work
+        left = difference * fine_tolerance / tolerance
+        ratio = float(np.clip(3 * left / accuracy, 10.0, 1e3))
+        spent = work + fine.tried * ratio ** (1 / 8) > work_limit
+        if spent or fine_tolerance <= _FINEST or (len(bounds) > 2 and bounds[-1] > 0.5 * bounds[-3]):
+            break
+        coarse, tolerance = fine, fine_tolerance
+    raise NotConverged(
+        f"motion over {setup.duration_s:.3g} s: error bound {min(bounds):.2g} at tolerance {tolerance:.2g} per step, "
+        f"wanted {accuracy:.2g} ({work:.2g} steps done, {work_limit:.2g} allowed): it separates from its neighbours "
+        "too fast; ask for less or shorten the run"
+    )
+
+
+def _rounding(setup: Setup, fine: Trajectory) -> float:
+    """Error that both runs share: the phase is a double, and so are the angles."""
+    phases = [setup.problem.segments.phase(float(t))[0] for t in setup.problem.times[[0, -1]]]
+    angles = np.max(np.abs(fine.states[:, 2:4]))
+    return 4 * np.finfo(float).eps * (1.0 + max(abs(p) for p in phases) + float(angles))
+
+
+def _distance(setup: Setup, one: np.ndarray, other: np.ndarray) -> float:
+    gap = np.abs(one[:, :4] - other[:, :4]) / setup.problem.weights[:4]
+    return float(np.max(gap)) if np.all(np.isfinite(gap)) else np.inf

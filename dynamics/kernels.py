@@ -50,12 +50,8 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
         p: packed parameters, shape (18,), float or complex.
         free_a, free_b: 1.0 for a released pendulum, 0.0 for a locked one.
     """
-    nax, nay, ma, fax, fay, bare_a = _pendulum(
-        y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA], p[DA], p[FA]
-    )
-    nbx, nby, mb, fbx, fby, bare_b = _pendulum(
-        y[3], y[7], psi, omega, alpha, free_b, p[SB], p[JB], p[CB], p[DB], p[FB]
-    )
+    nax, nay, ma, fax, fay, bare_a = _pendulum(y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA], p[DA], p[FA])
+    nbx, nby, mb, fbx, fby, bare_b = _pendulum(y[3], y[7], psi, omega, alpha, free_b, p[SB], p[JB], p[CB], p[DB], p[FB])
     cos_psi, sin_psi = np.cos(psi), np.sin(psi)
     w2 = omega * omega
     # acceleration of the pivot relative to the disk centre, gravity as an upward acceleration

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamics.errors import OutsideDomain
+from dynamics.phase_segments import PhaseSegments, speed_crossings
 from dynamics.speed_history import SpeedHistory
 
 
@@ -18,8 +20,27 @@ class Scene:
         released: whether pendulum A, B swings freely; a locked one is a fixed mass at its start angle.
         start: state at the first instant, shape (8,): x, y (m), θ3, θ4 (rad, relative to the rotor), and
             their rates (m/s, rad/s). None: locked orbit at the start speed with the pendulums at 0 and π.
+        release_time_s: instants at which the pendulums that `released` names are let go, until when they are locked;
+            None: they are free from the start.
     """
 
     history: SpeedHistory
     released: tuple[bool, bool] = (True, True)
     start: np.ndarray | None = None
+    release_time_s: tuple[float, float] | None = None
+
+
+def time_at_speed(history: SpeedHistory, speed_rad_s: float, from_s: float, to_s: float) -> float:
+    """First instant in [from_s, to_s] at which the rotor passes a speed, for a release at speed.
+
+    Raises:
+        OutsideDomain: the rotor does not pass that speed then.
+    """
+    found = speed_crossings(PhaseSegments.of(history), speed_rad_s, from_s, to_s)
+    if len(found) == 0:
+        first, last = history.phase(np.array([from_s, to_s]))[:, 1]
+        raise OutsideDomain(
+            f"the rotor does not pass {speed_rad_s:.6g} rad/s between {from_s:.6g} and {to_s:.6g} s "
+            f"(its speed is {first:.6g} and {last:.6g} rad/s there)"
+        )
+    return float(found[0])
