@@ -139,8 +139,8 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
             )
     if not found:
         print("  no steady motion: the singular points are lost at this speed")
-    for kind in result["unresolved"]:
-        print(f"  {kind}: the search for this motion did not end; it may not exist")
+    for line in result["unresolved"]:
+        print(f"  not in the list: {line}")
     for method in dict.fromkeys(s.method for s in found):
         print(f"stability: {method}")
     release = result["release"]

@@ -14,15 +14,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dynamics.dormand_prince import DENSE_STAGES, ERROR_3, ERROR_5, INTERPOLANT, NODES, STEPS
+from dynamics.dormand_prince import DENSE_NODES, DENSE_STAGES, DENSE_STEPS, ERROR_3, ERROR_5, INTERPOLANT
 from dynamics.phase_segments import phase_within
 from dynamics.quick_rates import quick_rates
 
 # The tableau row by row without its zeros: stages 0–11, the end of the step (12), three stages for the interpolant.
-_BEGIN = np.concatenate((np.zeros(1, np.int64), np.cumsum(np.count_nonzero(STEPS, axis=1))))
-_COLUMN = np.nonzero(STEPS)[1]
-_VALUE = STEPS[np.nonzero(STEPS)]
-_NODE, _E3, _E5, _DENSE = NODES, ERROR_3, ERROR_5, INTERPOLANT
+_BEGIN = np.concatenate((np.zeros(1, np.int64), np.cumsum(np.count_nonzero(DENSE_STEPS, axis=1))))
+_COLUMN = np.nonzero(DENSE_STEPS)[1]
+_VALUE = DENSE_STEPS[np.nonzero(DENSE_STEPS)]
+_NODE, _E3, _E5, _DENSE = DENSE_NODES, ERROR_3, ERROR_5, INTERPOLANT
 
 STAGES = DENSE_STAGES
 POWERS = 8

@@ -9,7 +9,7 @@ linearised equations (dynamics.linearised, dynamics.floquet).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,8 +87,9 @@ class SteadyStates(list[SteadyState]):
     """Steady motions found at one speed, stable ones first.
 
     Attributes:
-        unresolved: types of singular points of the mean torque near which the search for an orbit did not converge:
-            such a motion may exist or not (the imbalance may be too small to choose an angle).
+        unresolved: what is missing from the list, a line each: singular points of the mean torque near which the
+            search for an orbit did not converge (such a motion may exist or not: the imbalance may be too small to
+            choose an angle), and motions whose multipliers could not be had to the accuracy.
     """
 
     def __init__(self, states: Iterable[SteadyState] = (), unresolved: Sequence[str] = ()) -> None:
@@ -116,46 +117,87 @@ def steady_states(
         at_least: name of a bigger model to use (dynamics.model), for comparison.
     Raises:
         OutsideDomain: a speed or accuracy outside the domain.
-        NotConverged: the accuracy can't be guaranteed for a state that exists.
+        NotConverged: the accuracy can't be guaranteed for any of the states; where it can for some, the others are
+            named in `unresolved`.
     Source: docs/theory/steady_states.md.
     """
     parameters = physics_of(rig)
     check_request(speed_rad_s, accuracy)
     model = choose_model(parameters, released, at_least=at_least)
     points = singular_points(parameters, speed_rad_s, released, locked_at_rad)
+    search = _Search()
     if model.name in (CLOSED_FORM, AUTONOMOUS):
-        return SteadyStates(_from_point(parameters, speed_rad_s, point, accuracy, released, model) for point in points)
-    return _searched(parameters, speed_rad_s, points, accuracy, released, model)
+        for point in points:
+            search.judge(point.type, lambda p=point: _from_point(parameters, speed_rad_s, p, accuracy, released, model))
+    else:
+        _search_orbits(search, parameters, speed_rad_s, points, accuracy, released, model)
+    return search.outcome()
 
 
-def _searched(
-    p: RotorParameters, speed: float, points: list[SingularPoint], accuracy: float, released: tuple[bool, bool],
-    model: Model,
-) -> SteadyStates:  # fmt: skip
+class _Search:
+    """What a search has found, and what it could not judge."""
+
+    def __init__(self) -> None:
+        self.found: list[SteadyState] = []
+        self.unresolved: list[str] = []
+        self._refused: NotConverged | None = None
+        self._places: list[NDArray[np.floating]] = []  # angles of every motion met, judged or not
+
+    def judge(self, kind: str, make: Callable[[], SteadyState], theta: NDArray[np.floating] | None = None) -> None:
+        """Add a state; one whose multipliers can't be had is named in `unresolved`."""
+        if theta is not None:
+            self._places.append(theta)
+        try:
+            self.found.append(make())
+        except NotConverged as refusal:
+            self._refused = refusal
+            self.unresolved.append(f"{kind}: {refusal}")
+
+    def knows(self, states: NDArray[np.floating]) -> bool:
+        """Whether a motion with these mean angles has been met."""
+        return any(_apart(states, place) < _SAME_RAD for place in self._places)
+
+    def outcome(self) -> SteadyStates:
+        """All that was found.
+
+        Raises:
+            NotConverged: there are motions, and none of them could be judged.
+        """
+        if self._refused is not None and not self.found:
+            raise self._refused
+        return SteadyStates(self.found, self.unresolved)
+
+
+def _search_orbits(
+    search: _Search, p: RotorParameters, speed: float, points: list[SingularPoint], accuracy: float,
+    released: tuple[bool, bool], model: Model,
+) -> None:  # fmt: skip
     """Orbits near the singular points of the mean torque, and from further angles."""
     further = []
     if all(released) and p.a.present and p.b.present:
         for angle in _FURTHER_ANGLES:
             further += [SingularPoint("II", (angle, angle + math.pi), 0j), SingularPoint("III", (angle, angle), 0j)]
-    found: list[SteadyState] = []
-    unresolved: list[str] = []
     for point in points + further:
-        twin = _changed_over(p, found, point.theta_rad)
+        theta = point.theta_rad
+        twin = _changed_over(p, search, theta)
         if twin is not None:
-            found.append(twin)
+            search.judge(point.type, lambda t=twin: t, np.array(twin.theta_rad))
         elif point.type == "I" and _rests(p):
-            found.append(_balanced(p, speed, point.theta_rad, accuracy, model))
+            search.judge("I", lambda t=theta: _balanced(p, speed, t, accuracy, model), np.array(theta))
         else:
-            coarse = coarse_orbit(p, speed, locked_whirl(p, speed, point.theta_rad)[:, :4], released)
-            if coarse is not None and _known(found, coarse, _SAME_RAD):
+            coarse = coarse_orbit(p, speed, locked_whirl(p, speed, theta)[:, :4], released)
+            if coarse is not None and search.knows(coarse):
                 continue
             orbit = None if coarse is None else periodic_orbit(p, speed, coarse[:, :4], 0.01 * accuracy, released)
             if orbit is None:
-                unresolved += [point.type] if point in points else []
-            elif not _known(found, orbit.states, _SAME_RAD):
+                search.unresolved += (
+                    [f"{point.type}: no orbit found near its singular point"] if point in points else []
+                )
+            elif not search.knows(orbit.states):
                 kind = point.type if point.type in ("one", "none") else _kind(orbit, points)
-                found.append(_from_orbit(p, speed, kind, orbit, accuracy, released, model))
-    return SteadyStates(found, unresolved)
+                mean = orbit.states[:, 2:4].mean(axis=0)
+                make = lambda k=kind, o=orbit: _from_orbit(p, speed, k, o, accuracy, released, model)  # noqa: E731
+                search.judge(kind, make, mean)
 
 
 def multipliers(rig: RotorParameters | object, speed_rad_s: float, accuracy: float = 1e-8) -> SteadyState:
@@ -275,25 +317,20 @@ def _kind(orbit: Orbit, points: list[SingularPoint]) -> str:
     return min(aligned, key=lambda k: aligned[k])
 
 
-def _changed_over(p: RotorParameters, found: list[SteadyState], theta: tuple[float, float]) -> SteadyState | None:
+def _changed_over(p: RotorParameters, search: _Search, theta: tuple[float, float]) -> SteadyState | None:
     """A motion found with A and B changed over, when they are alike: the motion near the angles asked for."""
     if p.a != p.b:
         return None
     over = [0, 1, 3, 2, 4, 5, 7, 6]
-    for s in found:
+    for s in search.found:
         states = s.states[:, over]
         asked = _apart(states, np.array(theta)) < 0.05
-        if asked and _apart(states, s.states[:, 2:4].mean(axis=0)) > 0.2 and not _known(found, states, _SAME_RAD):
+        if asked and _apart(states, s.states[:, 2:4].mean(axis=0)) > 0.2 and not search.knows(states):
             widths = s.stick_half_width_rad[::-1]
             return replace(
                 s, theta_rad=s.theta_rad[::-1], states=states, start=states[0].copy(), stick_half_width_rad=widths
             )
     return None
-
-
-def _known(found: list[SteadyState], states: NDArray[np.floating], near: float) -> bool:
-    """Whether a motion with these mean angles is among those found."""
-    return any(_apart(states, np.array(s.theta_rad)) < near for s in found)
 
 
 def _apart(states: NDArray[np.floating], theta: NDArray[np.floating]) -> float:

@@ -167,9 +167,7 @@ def test_a_ball_rests_where_a_pendulum_does_but_swings_slower() -> None:
     rolling = replace(p, a=ball, b=ball)
     speed = p.speed_rad_s(2.0)
     plain, rolled = steady_states(p, speed), steady_states(rolling, speed)
-    for s, t in zip(
-        sorted(plain, key=lambda s: s.theta_rad), sorted(rolled, key=lambda s: s.theta_rad), strict=True
-    ):
+    for s, t in zip(sorted(plain, key=lambda s: s.theta_rad), sorted(rolled, key=lambda s: s.theta_rad), strict=True):
         assert s.theta_rad == pytest.approx(t.theta_rad, abs=1e-12)
         assert abs(s.multiplier_max - t.multiplier_max) > 1e-4
 

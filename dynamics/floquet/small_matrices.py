@@ -1,0 +1,105 @@
+"""Compiled arithmetic of small matrices: the matrix along the motion, products, the exponential."""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+_DEGREE = 16  # of the Taylor polynomial: at norm 0.8 what is left out is 0.8^17/17! = 6e-17
+_NORM = 0.8
+_WEIGHTS = np.array([1.0 / math.factorial(k) for k in range(_DEGREE + 1)])
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate(series, phase, out):
+    """A(ψ) = Re Σ_k series[k] e^{ikψ} into out; series complex (m + 1, n, n), out (n, n)."""
+    n = series.shape[1]
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = series[0, i, j].real
+    for k in range(1, series.shape[0]):
+        c, s = np.cos(k * phase), np.sin(k * phase)
+        for i in range(n):
+            for j in range(n):
+                out[i, j] += c * series[k, i, j].real - s * series[k, i, j].imag
+
+
+@njit(cache=True, error_model="numpy")
+def multiply(a, b, out):
+    """out = a b for square matrices; out must be neither of them."""
+    n = a.shape[0]
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = 0.0
+        for k in range(n):
+            f = a[i, k]
+            for j in range(n):
+                out[i, j] += f * b[k, j]
+
+
+@njit(cache=True, error_model="numpy")
+def add(out, factor, a):
+    """out += factor a, in place."""
+    n = a.shape[0]
+    for i in range(n):
+        for j in range(n):
+            out[i, j] += factor * a[i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _copy(factor, a, out):
+    n = a.shape[0]
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = factor * a[i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _squarings(a):
+    """How often a must be halved for its row-sum norm to come under the Taylor polynomial's limit."""
+    norm = 0.0
+    for i in range(a.shape[0]):
+        row = 0.0
+        for j in range(a.shape[0]):
+            row += abs(a[i, j])
+        norm = max(norm, row)
+    count = 0
+    while norm > _NORM and count < 1000:
+        norm *= 0.5
+        count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def exponential(a, work, out):
+    """exp(a) by scaling and squaring of the Taylor polynomial of degree 16 (Paterson and Stockmeyer: six products).
+
+    Args:
+        a: shape (n, n), left unchanged.
+        work: scratch, shape (5, n, n).
+        out: shape (n, n).
+    Source: N. Higham, Functions of Matrices (SIAM 2008), sections 4.2 and 10.3.
+    """
+    n = a.shape[0]
+    squarings = _squarings(a)
+    _copy(0.5**squarings, a, work[0])
+    multiply(work[0], work[0], work[1])
+    multiply(work[1], work[0], work[2])
+    multiply(work[1], work[1], work[3])
+    _copy(_WEIGHTS[_DEGREE], work[3], out)
+    for block in range(_DEGREE // 4 - 1, -1, -1):
+        if block < _DEGREE // 4 - 1:
+            multiply(out, work[3], work[4])
+            _copy(1.0, work[4], out)
+        for k in range(1, 4):
+            add(out, _WEIGHTS[4 * block + k], work[k - 1])
+        for i in range(n):
+            out[i, i] += _WEIGHTS[4 * block]
+    for _ in range(squarings):
+        multiply(out, out, work[4])
+        _copy(1.0, work[4], out)
