@@ -136,7 +136,8 @@ def _converge(
         difference = _distance(setup, coarse.states, fine.states)
         growths.append(difference / tolerance)
         strong = max(growths) > _STRONG_GROWTH
-        margin = 3.0 if fine_tolerance < _ROUNDING_TOLERANCE else 1.0
+        # few large implicit steps do not yet converge at their order
+        margin = 3.0 if implicit or fine_tolerance < _ROUNDING_TOLERANCE else 1.0
         bounds.append(max(margin * difference, 5 * max(growths) * fine_tolerance) + _rounding(setup, fine))
         if bounds[-1] <= accuracy and not (strong and len(growths) == 1):
             return fine, bounds[-1], work

@@ -16,6 +16,7 @@ from dynamics.linearised import PeriodicMatrix
 
 FINEST, COARSEST = 1e-13, 0.1
 _ROUNDING = np.finfo(float).eps
+_SHARED = 32 * _ROUNDING  # rounding of the matrix itself, which no comparison of two runs shows
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def _autonomous(matrix: PeriodicMatrix) -> Multipliers:
     exponents, moved = eigenvalues_with_bounds(constant, np.zeros_like(constant), 4.0)
     with np.errstate(over="ignore", under="ignore"):
         values = np.exp(exponents)
-        errors = np.abs(values) * np.expm1(np.minimum(moved, 700.0))
+        errors = np.abs(values) * np.expm1(np.minimum(moved, 700.0)) + _SHARED * np.maximum(1.0, np.abs(values))
     order = np.argsort(-np.abs(values), kind="stable")
     why = "autonomous: the equations are constant in this frame, exp(2πλ/ω) is exact"
     return Multipliers(values[order], errors[order], "autonomous", why, 0)
@@ -188,4 +189,5 @@ def _bounded(
     values, errors = eigenvalues_with_bounds(fine, change, roundings)
     if matrix.turn is not None:
         values, errors = values**2, (2 * np.abs(values) + errors) * errors
+    errors = errors + _SHARED * np.maximum(1.0, np.abs(values))
     return Multipliers(values, errors, chosen.method.NAME, f"{chosen.method.NAME}: {chosen.why}", steps)
