@@ -20,7 +20,7 @@ from dynamics.quick_rates import quick_rates
 
 # The tableau row by row without its zeros: stages 0–11, the end of the step (12), three stages for the interpolant.
 _BEGIN = np.concatenate((np.zeros(1, np.int64), np.cumsum(np.count_nonzero(DENSE_STEPS, axis=1))))
-_COLUMN = np.nonzero(DENSE_STEPS)[1]
+_COLUMN = np.ascontiguousarray(np.nonzero(DENSE_STEPS)[1])  # numba keeps no code that holds a strided array
 _VALUE = DENSE_STEPS[np.nonzero(DENSE_STEPS)]
 _NODE, _E3, _E5, _DENSE = DENSE_NODES, ERROR_3, ERROR_5, INTERPOLANT
 

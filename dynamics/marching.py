@@ -96,7 +96,7 @@ def _guess(y, polynomial, h, last_h, z):
     if last_h > 0.0:
         guess_stages(polynomial, h / last_h, y, z)
     else:
-        z[:] = 0.0
+        z.fill(0.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -202,9 +202,12 @@ def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
             done += 1
         if room > 0:
             store[0][accepted, 0], store[0][accepted, 1] = t, step
-            store[1][accepted] = polynomial
+            for power in range(8):
+                for i in range(8):
+                    store[1][accepted, power, i] = polynomial[power, i]
         accepted += 1
-        y[:] = end
+        for i in range(8):
+            y[i] = end[i]
         t = reached
         if ended != REACHED:
             break
@@ -215,7 +218,8 @@ def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
         if implicit or segment != left:
             _rates_here(y, t, segment, system, phase, k)
         else:
-            k[0] = k[12]
+            for i in range(8):
+                k[0, i] = k[12, i]
     else:
         return REACHED, t, h, done, accepted, tried
     return ended, t, h, done, accepted, tried

@@ -52,8 +52,10 @@ def _forces(states, phase, speed, p, free_a, free_b, accelerations, slopes):
     for j in range(len(states)):
         rates(states[j], phase[j], speed, 0.0, p, free_a, free_b, out)
         jacobian(states[j], phase[j], speed, 0.0, p, free_a, free_b, full)
-        accelerations[j] = out[4:]
-        slopes[j] = full[4:]
+        for i in range(4):  # a slice assignment takes numba two seconds more to compile
+            accelerations[j, i] = out[4 + i]
+            for k in range(8):
+                slopes[j, i, k] = full[4 + i, k]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,9 @@ def _fundamental(series, span, steps):
     k = np.empty((STAGES, n, n))
     for step in range(steps):
         for stage in range(STAGES):
-            y_stage[:] = y
+            for i in range(n):  # a slice assignment takes numba two seconds more to compile
+                for j in range(n):
+                    y_stage[i, j] = y[i, j]
             for earlier in range(stage):
                 f = h * STEPS[stage, earlier]
                 if f != 0.0:
