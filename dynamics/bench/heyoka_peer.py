@@ -5,6 +5,7 @@ heyoka has wheels for Linux only and is no dependency of the project; it is impo
 
 from __future__ import annotations
 
+import importlib
 import math
 from typing import Any
 
@@ -20,10 +21,9 @@ DOUBLE_TOLERANCE = 2.2e-16
 def heyoka() -> Any | None:
     """The heyoka module, or None where it is not installed."""
     try:
-        import heyoka as module  # noqa: PLC0415 # pyright: ignore[reportMissingImports]
+        return importlib.import_module("heyoka")
     except ImportError:
         return None
-    return module
 
 
 def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_s2: float = 0.0) -> list[Any]:
@@ -49,7 +49,9 @@ def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_
         s, j, d = pendulum.first_moment_kg_m, pendulum.inertia_kg_m2, pendulum.drive_inertia_kg_m2
         cos, sin = hy.cos(psi + angle), hy.sin(psi + angle)
         around = omega + rate
-        pivot = s * (sin * (-shift * (al * sp + omega * omega * cp)) - cos * (shift * (al * cp - omega * omega * sp) + g))
+        pivot = s * (
+            sin * (-shift * (al * sp + omega * omega * cp)) - cos * (shift * (al * cp - omega * omega * sp) + g)
+        )
         own = (pivot - pendulum.damping_Nms_per_rad * rate - d * al) / j  # θ̈ without the disk's acceleration
         fx += s * (around * around * cos + (own + al) * sin)
         fy += s * (around * around * sin - (own + al) * cos)

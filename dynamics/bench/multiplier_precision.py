@@ -1,0 +1,129 @@
+"""Time per point against true error of the balanced state's largest multiplier, for every method and step number."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from dynamics.balancing import balanced_angles
+from dynamics.bench import heyoka_runs
+from dynamics.bench.heyoka_runs import Rig
+from dynamics.bench.records import ROUNDING, Measurement
+from dynamics.bench.timing import median_seconds
+from dynamics.errors import DynamicsError
+from dynamics.floquet import METHODS, MonodromyMethod, floquet_multipliers
+from dynamics.floquet.multipliers import balanced
+from dynamics.linearised import PeriodicMatrix, type_one
+from dynamics.parameters import RotorParameters
+
+SERVICE = "multipliers"
+_SCIPY = "single pass"  # the method whose work is scipy's: a peer
+_WRONG = 0.1  # an error above which a setting is no use to anybody
+_FEWEST, _MOST, _MOST_SCIPY = 2, 65536, 64
+_FINEST_SCIPY = 3e-14  # the tolerance that method goes down to, at 64 "steps"
+
+
+def cases(parameters: RotorParameters, points: dict[str, float], extremes: bool) -> dict[str, Rig]:
+    """The points at their speed ratios; with extremes a stiff and a slow case."""
+    found = {name: (parameters, parameters.speed_rad_s(ratio)) for name, ratio in points.items()}
+    if extremes:
+        stiff = parameters.with_values(c3_Nms_per_rad=50.0, c4_Nms_per_rad=50.0)
+        found["stiff: c34 = 50, Ω = 1.6"] = (stiff, stiff.speed_rad_s(1.6))
+        found["slow: Ω = 0.02"] = (parameters, parameters.speed_rad_s(0.02))
+    return found
+
+
+def multiplier_rows(
+    case: str, rig: Rig, accuracies: Sequence[float], peer_tolerances: Sequence[float], longest_s: float, repeats: int
+) -> list[Measurement]:
+    """Every method over its step numbers, the service at several accuracies, and heyoka where it runs.
+
+    Args:
+        accuracies: asked of floquet_multipliers.
+        peer_tolerances: heyoka's tolerances per step.
+        longest_s: a method's step number is doubled while a call takes less than this.
+    """
+    matrix = type_one(rig[0], *balanced_angles(rig[0])[0], rig[1])
+    true = heyoka_runs.largest_multiplier(rig, heyoka_runs.EXTENDED_TOLERANCE) if heyoka_runs.available() else None
+    rows = []
+    for method in METHODS.values():
+        rows += _method_rows(case, balanced(matrix), method, true, longest_s, repeats)
+    for accuracy in accuracies:
+        row = _service_row(case, matrix, accuracy, true, repeats)
+        rows += [row] if row else []
+    for tolerance in peer_tolerances if true is not None else ():
+        rows.append(
+            Measurement(
+                SERVICE,
+                case,
+                "heyoka (variational)",
+                f"tolerance {tolerance:.1g}",
+                median_seconds(lambda tolerance=tolerance: heyoka_runs.largest_multiplier(rig, tolerance), repeats),
+                "point",
+                _error(heyoka_runs.largest_multiplier(rig, tolerance), true),
+                peer=True,
+            )
+        )
+    return rows
+
+
+def _error(found: float, true: float | None) -> float | None:
+    return None if true is None else heyoka_runs.relative(found, true)
+
+
+def _largest(matrix: PeriodicMatrix, method: MonodromyMethod, steps: int) -> float:
+    """Largest modulus over one revolution from one run of a method, without a bound; NaN where it overflows."""
+    monodromy = method.monodromy(matrix, steps)
+    if not np.all(np.isfinite(monodromy)):
+        return np.nan
+    return float(np.max(np.abs(np.linalg.eigvals(monodromy))) ** (1 if matrix.turn is None else 2))
+
+
+def _method_rows(
+    case: str, matrix: PeriodicMatrix, method: MonodromyMethod, true: float | None, longest_s: float, repeats: int
+) -> list[Measurement]:
+    peer = method.NAME == _SCIPY
+    name = "scipy DOP853 (single pass)" if peer else method.NAME
+    rows: list[Measurement] = []
+    steps, once = _FEWEST, 0.0
+    with np.errstate(all="ignore"):
+        _largest(matrix, method, steps)  # compiled
+        while steps <= (_MOST_SCIPY if peer else _MOST) and once < longest_s:
+            start = time.perf_counter()
+            found = _largest(matrix, method, steps)
+            once = time.perf_counter() - start
+            error = _error(found, true)
+            if np.isfinite(found) and (error is None or error < _WRONG):
+                seconds = median_seconds(lambda steps=steps: _largest(matrix, method, steps), repeats)
+                setting = (
+                    f"tolerance {max(float(steps) ** -method.ORDER, _FINEST_SCIPY):.0e}" if peer else f"{steps} steps"
+                )
+                rows.append(Measurement(SERVICE, case, name, setting, seconds, "point", error, peer=peer))
+                if error is not None and _has_ended(rows):
+                    break
+            steps *= 2
+    return rows
+
+
+def _has_ended(rows: list[Measurement]) -> bool:
+    """Whether more steps bring nothing: three errors in a row that do not fall, or that are rounding."""
+    errors = [max(r.true_error or 0.0, ROUNDING) for r in rows]
+    return len(errors) > 3 and min(errors[-3:]) > 0.5 * errors[-4]
+
+
+def _service_row(
+    case: str, matrix: PeriodicMatrix, accuracy: float, true: float | None, repeats: int
+) -> Measurement | None:
+    try:
+        found = floquet_multipliers(matrix, accuracy)
+    except DynamicsError:
+        return None
+    # without what the last call kept: a user's matrix is new
+    seconds = median_seconds(lambda: floquet_multipliers(dataclasses.replace(matrix), accuracy), repeats)
+    return Measurement(
+        SERVICE, case, f"automatic: {found.method}", f"accuracy {accuracy:.0e}", seconds, "point",
+        _error(found.largest, true), found.error_estimate / max(1.0, found.largest), automatic=True,
+    )  # fmt: skip
