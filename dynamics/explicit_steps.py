@@ -29,7 +29,7 @@ POWERS = 8
 ORDER = 8
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _stages(begin, end, y, t, h, first, last, system, k, work, phase):
     """Stages begin … end − 1: their rates into k, the last one's state into work."""
     p, free_a, free_b, knots, origins, cubics = system
@@ -51,7 +51,7 @@ def _stages(begin, end, y, t, h, first, last, system, k, work, phase):
         quick_rates(work, phase[0], phase[1], phase[2], p, free_a, free_b, k, row)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def explicit_step(y, t, h, first, last, system, k, end, phase):
     """State after one step into end, rates there into k[12].
 
@@ -65,7 +65,7 @@ def explicit_step(y, t, h, first, last, system, k, end, phase):
     _stages(1, 13, y, t, h, first, last, system, k, end, phase)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def explicit_error(h, k, scale):
     """Estimated local error of the step, root mean square over scale, shape (8,)."""
     five = three = 0.0
@@ -81,7 +81,7 @@ def explicit_error(h, k, scale):
     return abs(h) * five / np.sqrt(8.0 * (five + 0.01 * three))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def explicit_polynomial(y, end, t, h, first, last, system, k, work, phase, coefficients):
     """The motion over the step as powers of (time − t)/h into coefficients, shape (8 powers, 8)."""
     _stages(13, 16, y, t, h, first, last, system, k, work, phase)
@@ -109,7 +109,7 @@ def explicit_polynomial(y, end, t, h, first, last, system, k, work, phase, coeff
         coefficients[7, i] = -f6
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")  # without contraction: the same bits wherever it is called
 def evaluate(coefficients, x, out):
     """A step's polynomial at x = (time − t)/h into out, shape (8,)."""
     for i in range(8):

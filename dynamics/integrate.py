@@ -37,6 +37,7 @@ _RATIO = 30.0  # between the tolerances of the first two runs
 _HEADROOM = 120.0  # accuracy over the first run's tolerance at an accuracy of 1e-6; less below
 _FINEST = 1e-15  # a tolerance per step below this is rounding
 _MOST_RUNS = 6
+_COARSE = 5e-9  # above it steps are so large that errors fall irregularly
 _ROUNDING_TOLERANCE = 1e-13  # below it both runs err by rounding alike
 _STRONG_GROWTH = 300.0  # error over tolerance above which one difference alone is not trusted
 
@@ -136,8 +137,8 @@ def _converge(
         difference = _distance(setup, coarse.states, fine.states)
         growths.append(difference / tolerance)
         strong = max(growths) > _STRONG_GROWTH
-        # few large implicit steps do not yet converge at their order
-        margin = 3.0 if implicit or fine_tolerance < _ROUNDING_TOLERANCE else 1.0
+        # steps too large for their order: the tighter run may then be hardly the better one
+        margin = 5.0 if fine_tolerance > _COARSE else 3.0 if implicit or fine_tolerance < _ROUNDING_TOLERANCE else 1.0
         bounds.append(max(margin * difference, 5 * max(growths) * fine_tolerance) + _rounding(setup, fine))
         if bounds[-1] <= accuracy and not (strong and len(growths) == 1):
             return fine, bounds[-1], work

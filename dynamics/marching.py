@@ -123,14 +123,15 @@ def _rates_here(y, t, segment, system, phase, k):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
-    y, t, limit, h, implicit, tolerance, weights, system, jumps, longest, watch, times, done, out, store, most_steps
+    y, t, limit, h, stiff, tolerance, weights, system, jumps, longest, watch, times, done, out, store, most_steps
 ):
     """Advance the state from t to limit within one mode.
 
     Args:
         y: state, shape (8,), advanced in place.
         h: first step to try, s.
-        implicit: whether to use dynamics.implicit_steps.
+        stiff: 1 to use dynamics.implicit_steps, None for explicit steps: the code of the other is left out of what is
+            compiled.
         tolerance, weights: a step may err by tolerance × weights, shape (8,), in the root mean square.
         system: (packed parameters, free_a, free_b, knots, origins, cubics).
         jumps: of the phase at the knots (PhaseSegments).
@@ -152,7 +153,7 @@ def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
         np.empty(3),
     )
     z, j, lu, pivot = np.zeros((5, 8)), np.empty((8, 8)), np.empty((3, 8, 8), np.complex128), np.zeros((3, 8), np.int64)
-    watched, exponent = watch[0] != UNWATCHED or watch[1] != UNWATCHED, 1.0 / 6.0 if implicit else 1.0 / 8.0
+    watched, exponent = watch[0] != UNWATCHED or watch[1] != UNWATCHED, 1.0 / 8.0 if stiff is None else 1.0 / 6.0
     segment = segment_of(t, 0, knots)
     _rates_here(y, t, segment, system, phase, k)
     accepted, tried, first_h = 0, 0, h
@@ -169,19 +170,19 @@ def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
         tried += 1
         for i in range(8):
             scale[i] = tolerance * weights[i] + 1e-16 * abs(y[i])
-        if implicit:
+        if stiff is None:
+            explicit_step(y, t, step, segment, last, system, k, end, phase)
+            error = explicit_error(step, k, scale)
+        else:
             if fresh:
                 jacobian_at(y, t, segment, last, system, phase, j)
             _guess(y, polynomial, step, last_h, z)
             error = implicit_step(y, t, step, segment, last, system, scale, k[0], j, lu, pivot, z, end, phase)
             fresh = False
-        else:
-            explicit_step(y, t, step, segment, last, system, k, end, phase)
-            error = explicit_error(step, k, scale)
         if not 0.0 <= error <= 1.0:
             h, rejected = _after_rejection(step, error, exponent), True
             continue
-        if implicit:
+        if stiff is not None:
             implicit_polynomial(y, z, polynomial)
         elif watched or room > 0 or (done < len(times) and times[done] <= target):
             explicit_polynomial(y, end, t, step, segment, last, system, k, work, phase, polynomial)
@@ -215,7 +216,7 @@ def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
         last_error, last_h, rejected, fresh = error, step, False, True
         left = segment
         segment = segment_of(t, segment, knots)
-        if implicit or segment != left:
+        if stiff is not None or segment != left:
             _rates_here(y, t, segment, system, phase, k)
         else:
             for i in range(8):

@@ -24,7 +24,7 @@ _C1, _C2, _C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015
 _C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def real_sine_cosine(x):
     """(sin x, cos x) of a float, as near as x itself is given."""
     turns = np.floor(x * 0.63661977236758134308 + 0.5)
@@ -50,7 +50,7 @@ def _sine_cosine(x):
     return lambda x: real_sine_cosine(x)  # noqa: PLW0108 - numba asks for a function with this signature
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
     """Write dy/dt into out[row], out of shape (n, 8); the other arguments as for dynamics.kernels.rates."""
     sin_a, cos_a = sine_cosine(psi + y[2])

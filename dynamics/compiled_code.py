@@ -1,0 +1,63 @@
+"""Where compiled code is kept between runs: one directory for each state of the sources.
+
+numba looks only at the file that holds a function, not at what that function calls: after a change in a kernel, code
+compiled from its callers before would go on running the old one, and a wheel's files all bear one date. The directory
+is therefore named after a digest of every source that is compiled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+_COMPILED = ("dynamics", "identification", "daq/virtual_rig")
+_KEPT_S = 60 * 86400.0  # directories of other versions not used for that long are removed
+
+
+def keep_compiled_code() -> Path | None:
+    """Point numba's cache at this version's own directory; a NUMBA_CACHE_DIR that is set stays.
+
+    Returns:
+        The directory, or None when the cache stays where numba puts it (set by the user, or no place to write).
+    """
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        return None
+    place = _user_cache() / "pendulum-balancer-rig" / f"compiled-{source_digest()}"
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        os.utime(place)
+        _forget_old(place)
+    except OSError:
+        return None
+    os.environ["NUMBA_CACHE_DIR"] = str(place)  # child processes too
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_DIR = str(place)
+    return place
+
+
+def source_digest() -> str:
+    """Sixteen hexadecimal digits that change with any source that is compiled."""
+    root, found = Path(__file__).parents[1], hashlib.sha256(sys.version.encode())
+    for package in _COMPILED:
+        for path in sorted((root / package).rglob("*.py")):
+            found.update(path.relative_to(root).as_posix().encode())
+            found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def _user_cache() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _forget_old(current: Path) -> None:
+    for other in current.parent.glob("compiled-*"):
+        if other != current and time.time() - other.stat().st_mtime > _KEPT_S:
+            shutil.rmtree(other, ignore_errors=True)

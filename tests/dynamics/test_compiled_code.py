@@ -1,0 +1,74 @@
+"""Compiled code never outlives the sources it came from, and the user's own choice of place stays."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dynamics import compiled_code
+
+ROOT = Path(__file__).parents[2]
+
+FAR_CALLER = """
+import numpy as np
+from dynamics.kernels import MASS, jacobian
+from tests.dynamics.nominal import rig
+out = np.empty((8, 8))
+jacobian(np.full(8, 0.1), 0.3, 20.0, 0.0, rig().packed(), 1.0, 1.0, out)
+print(float(out[4, 0]))
+"""
+
+
+def run_in(place: Path, home: Path) -> float:
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment |= {"HOME": str(home), "XDG_CACHE_HOME": str(home), "LOCALAPPDATA": str(home), "PYTHONPATH": str(place)}
+    done = subprocess.run(
+        [sys.executable, "-c", FAR_CALLER], cwd=place, env=environment, capture_output=True, text=True, check=True
+    )
+    return float(done.stdout)
+
+
+def test_a_changed_kernel_is_not_run_from_old_code(tmp_path: Path) -> None:
+    """jacobian's own lines stay as they are; what it calls changes, with size and date of the file kept."""
+    place, home = tmp_path / "checkout", tmp_path / "home"
+    shutil.copytree(ROOT / "dynamics", place / "dynamics", ignore=shutil.ignore_patterns("__pycache__"))
+    (place / "tests" / "dynamics").mkdir(parents=True)
+    shutil.copy(ROOT / "tests" / "dynamics" / "nominal.py", place / "tests" / "dynamics")
+    before = run_in(place, home)
+    assert run_in(place, home) == before
+    kernel = place / "dynamics" / "kernels.py"
+    stat, text = kernel.stat(), kernel.read_text(encoding="utf-8")
+    assert text.count("- p[K1] * y[0]") == 1
+    kernel.write_text(text.replace("- p[K1] * y[0]", "+ p[K1] * y[0]"), encoding="utf-8")
+    os.utime(kernel, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert run_in(place, home) == pytest.approx(-before, rel=0.2)
+
+
+def test_the_users_own_place_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "elsewhere")
+    assert compiled_code.keep_compiled_code() is None
+    assert os.environ["NUMBA_CACHE_DIR"] == "elsewhere"
+
+
+def test_directories_of_old_versions_go_and_recent_ones_stay(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(compiled_code, "_user_cache", lambda: tmp_path)
+    monkeypatch.setitem(sys.modules, "numba", type(sys)("numba"))
+    sys.modules["numba"].config = type("Config", (), {})()  # type: ignore[attr-defined]
+    parent = tmp_path / "pendulum-balancer-rig"
+    old, recent = parent / "compiled-old", parent / "compiled-recent"
+    for place in (old, recent):
+        place.mkdir(parents=True)
+    long_ago = time.time() - 100 * 86400
+    os.utime(old, (long_ago, long_ago))
+    place = compiled_code.keep_compiled_code()
+    assert place is not None
+    assert place.is_dir()
+    assert recent.is_dir()
+    assert not old.exists()
