@@ -93,21 +93,25 @@ def wait_for_compilation(what: str) -> Iterator[None]:
 
     class FirstCompilation(event.Listener):
         def __init__(self) -> None:
-            self.at: float | None = None
+            self.seconds, self.depth, self.started = 0.0, 0, 0.0
 
         def on_start(self, event: Any) -> None:
-            if self.at is None:
-                self.at = time.monotonic()
-                say(f"compiling the {what} code for this machine, once: about ten seconds …")
+            if self.depth == 0:
+                self.started = time.monotonic()
+                if self.seconds == 0:
+                    say(f"compiling the {what} code for this machine, once: about ten seconds …")
+            self.depth += 1
 
         def on_end(self, event: Any) -> None:
-            pass
+            self.depth -= 1
+            if self.depth == 0:
+                self.seconds += time.monotonic() - self.started
 
     listener = FirstCompilation()
     with event.install_listener("numba:compile", listener):
         yield
-    if listener.at is not None:
-        say(f"compiled in {time.monotonic() - listener.at:.0f} s; the next run finds it ready")
+    if listener.seconds > 0:
+        say(f"compiled in {listener.seconds:.0f} s; the next run finds it ready")
 
 
 @contextmanager

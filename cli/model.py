@@ -16,7 +16,8 @@ from rig_configs import Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
     from dynamics.outcome import ReleaseOutcome
-    from dynamics.steady_motions import SteadyState
+    from dynamics.parameters import RotorParameters
+    from dynamics.steady_motions import SteadyState, SteadyStates
 
 Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
 Accuracy = Annotated[
@@ -42,11 +43,11 @@ def predict(
     loaded = load_rig(rig, parameters, settings or [])
     speed = _speed(loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("dynamics"):
-        from dynamics import balancing, choose_model, release_outcome, steady_states  # noqa: PLC0415
+        from dynamics import balancing, choose_model, steady_states  # noqa: PLC0415
 
         physics = loaded.physics
         found = steady_states(physics, speed, accuracy, at_least=at_least)
-        outcome = release_outcome(physics, speed, states=found) if release else None
+        outcome = _released(physics, speed, found) if release else None
     a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
     region = balancing.balancing_region(a, b, physics.imbalance_moment_kg_m)
     model = found[0].model if found else choose_model(physics, at_least=at_least)
@@ -88,6 +89,20 @@ def _speed(rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: fl
     if not 0 < speed < math.inf:
         raise RigFileError(f"rig predict: expected a speed above 0, got {speed:g} rad/s")
     return speed
+
+
+def _released(physics: RotorParameters, speed: float, found: SteadyStates) -> ReleaseOutcome | None:
+    """Where a release ends; None, with a word, where there is no locked motion to release from."""
+    from dynamics import release_outcome  # noqa: PLC0415
+    from dynamics.errors import DynamicsError  # noqa: PLC0415
+
+    if not (physics.a.present or physics.b.present):
+        return None
+    try:
+        return release_outcome(physics, speed, states=found)
+    except DynamicsError as error:
+        say(f"no release followed: {error}")
+        return None
 
 
 def _state_json(s: SteadyState) -> dict[str, Any]:
@@ -138,15 +153,16 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
                 + "°"
             )
     if not found:
-        print("  no steady motion: the singular points are lost at this speed")
+        lost = "" if result["unresolved"] else ": the singular points are lost at this speed"
+        print(f"  no steady motion found{lost}")
     for line in result["unresolved"]:
         print(f"  not in the list: {line}")
-    for method in dict.fromkeys(s.method for s in found):
-        print(f"stability: {method}")
+    methods = {s.method.split(":")[0]: s.method for s in reversed(found)}
+    print("stability by " + "; by ".join(methods.values()) if methods else "")
     release = result["release"]
     if release is None:
         return
-    if release["reaches"] in ("slipping", "not settled"):
+    if release["reaches"] in ("slipping", "not settled", "held by friction"):
         print(f"a release from 0° and 180°: {release['reaches']}; followed for {release['revolutions']} revolutions")
     else:
         print(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dynamics.errors import OutsideDomain
 from dynamics.parameters import RotorParameters
 
 
@@ -14,6 +15,8 @@ def locked_orbit(
 
     Returns:
         X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}).
+    Raises:
+        OutsideDomain: exactly in a resonance without damping.
     Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}), S_P with what a pivot shift
         that is not compensated adds to it.
     """
@@ -26,7 +29,13 @@ def locked_orbit(
     w, mass = speed_rad_s, p.total_mass_kg
     c1, c2 = p.damping_Ns_per_m
     force = moment * w * w
-    return force / (p.k1_N_per_m - mass * w * w + 1j * w * c1), force / (p.k2_N_per_m - mass * w * w + 1j * w * c2)
+    stiff1, stiff2 = p.k1_N_per_m - mass * w * w + 1j * w * c1, p.k2_N_per_m - mass * w * w + 1j * w * c2
+    if stiff1 == 0 or stiff2 == 0:
+        raise OutsideDomain(
+            f"at {w:.6g} rad/s the rotor runs exactly in a resonance without damping and its whirl grows for ever: "
+            "expected damping above 0 or another speed"
+        )
+    return force / stiff1, force / stiff2
 
 
 def locked_state(

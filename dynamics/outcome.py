@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from dynamics.steady_motions import SteadyState, steady_states
 _CHUNK = 40  # revolutions integrated at a time
 _NEAR_RAD = 5e-3  # this close to a stable state's own state at ψ = 0, the linear equations bring it there
 _SLIPPED_TURNS = 8.0  # turns against the rotor, still going on, that make a pendulum a slipping one
+_CREEP_RAD = 1e-4  # in twenty revolutions: under friction, at rest
+_MOST_S = 7200.0  # of the rig's time: longer than anyone waits at the slowest speed
 PLAY_RAD = math.radians(0.2)
 
 
@@ -26,7 +28,8 @@ class ReleaseOutcome:
     """Where a release ends.
 
     Attributes:
-        state: "I", "II", "III" (or "one"), "slipping", or "not settled" within the revolutions allowed.
+        state: "I", "II", "III" (or "one"), "held by friction" where dry friction keeps the pendulums at no such
+            state, "slipping", or "not settled" within the revolutions and the time allowed.
         theta_rad: mean θ3, θ4 of the state reached, [0, 2π); of the last revolution when none was.
         after_s: time from the release until the motion stayed near that state; of the end when none was reached.
         revolutions: how far the motion was followed.
@@ -70,7 +73,8 @@ def release_outcome(
     history = SpeedHistory.constant(speed_rad_s)
     state = locked_state(p, speed_rad_s, 0.0, *from_rad)
     start, done = state[2:4].copy(), 0
-    while done < most_revolutions:
+    rubbing = p.a.friction_arm_m > 0 or p.b.friction_arm_m > 0
+    while done < most_revolutions and done * period < _MOST_S:
         times = np.arange(_CHUNK + 1) * period
         strobe = simulate(p, Scene(history, (True, True), state), times, accuracy).state
         near = [_first_near(strobe, s) for s in stable]
@@ -79,6 +83,8 @@ def release_outcome(
                 return ReleaseOutcome(
                     s.type, s.theta_rad, (done + at) * period, done + _CHUNK, _turns(strobe[-1], start), s
                 )
+        if rubbing and _at_rest(strobe):
+            return _held(strobe[-1], stable, start, done + _CHUNK, period)
         done += _CHUNK
         state = strobe[-1].copy()
         slipped = np.abs(state[2:4] - start) / (2 * math.pi)
@@ -86,6 +92,24 @@ def release_outcome(
         if np.any((slipped > _SLIPPED_TURNS) & going_on):
             return _without_rest("slipping", state, start, done, period)
     return _without_rest("not settled", state, start, done, period)
+
+
+def _at_rest(strobe: NDArray[np.floating]) -> bool:
+    """Whether dry friction has all but stopped the pendulums: what is left is creep under the torque's ripple."""
+    late = strobe[len(strobe) // 2 :]
+    return bool(np.ptp(late[:, 2:4], axis=0).max() < _CREEP_RAD and np.ptp(late[:, :2], axis=0).max() < 1e-6)
+
+
+def _held(
+    state: NDArray[np.floating], stable: Sequence[SteadyState], start: NDArray[np.floating], done: int, period: float
+) -> ReleaseOutcome:
+    """Pendulums that dry friction holds: at a stable state when they lie within its band."""
+    rest = _without_rest("held by friction", state, start, done, period)
+    for s in stable:
+        away = np.abs(np.angle(np.exp(1j * (state[2:4] - np.array(s.theta_rad)))))
+        if np.all(away <= 1.2 * np.array(s.stick_half_width_rad)):
+            return replace(rest, state=s.type, reached=s)
+    return rest
 
 
 def _without_rest(

@@ -185,7 +185,7 @@ def _search_orbits(
         elif point.type == "I" and _rests(p):
             search.judge("I", lambda t=theta: _balanced(p, speed, t, accuracy, model), np.array(theta))
         else:
-            coarse = coarse_orbit(p, speed, locked_whirl(p, speed, theta)[:, :4], released)
+            coarse = coarse_orbit(p, speed, _first_guess(p, speed, theta), released)
             if coarse is not None and search.knows(coarse):
                 continue
             orbit = None if coarse is None else periodic_orbit(p, speed, coarse[:, :4], 0.01 * accuracy, released)
@@ -198,6 +198,14 @@ def _search_orbits(
                 mean = orbit.states[:, 2:4].mean(axis=0)
                 make = lambda k=kind, o=orbit: _from_orbit(p, speed, k, o, accuracy, released, model)  # noqa: E731
                 search.judge(kind, make, mean)
+
+
+def _first_guess(p: RotorParameters, speed: float, theta: tuple[float, float]) -> NDArray[np.floating]:
+    """Positions (n, 4) of the linear orbit; in a resonance without damping, where it has none, of the rotor at rest."""
+    try:
+        return locked_whirl(p, speed, theta)[:, :4]
+    except OutsideDomain:
+        return circular_whirl(speed, SingularPoint("none", theta, 0j))[:, :4]
 
 
 def multipliers(rig: RotorParameters | object, speed_rad_s: float, accuracy: float = 1e-8) -> SteadyState:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,3 +48,26 @@ def test_undamped_pendulums_do_not_settle_in_the_time_given() -> None:
     found = release_outcome(p, p.speed_rad_s(2.6), most_revolutions=80)
     assert found.state in ("not settled", "slipping")
     assert found.reached is None
+
+
+def test_friction_ends_the_motion_beside_the_balanced_angles() -> None:
+    p = rig()
+    rubbing = replace(p, a=replace(p.a, friction_arm_m=1e-5), b=replace(p.b, friction_arm_m=1e-5))
+    found = release_outcome(rubbing, p.speed_rad_s(2.0))
+    assert found.state == "I"
+    assert found.reached is not None
+    away = np.abs(np.angle(np.exp(1j * (np.array(found.theta_rad) - np.array(found.reached.theta_rad)))))
+    assert 1e-3 < away.max() <= max(found.reached.stick_half_width_rad)
+
+
+def test_so_much_friction_that_nothing_moves() -> None:
+    p = rig()
+    held = replace(p, a=replace(p.a, friction_arm_m=1e-2), b=replace(p.b, friction_arm_m=1e-2))
+    start = (0.3, 2.0)
+    found = release_outcome(held, p.speed_rad_s(2.0), start)
+    assert np.allclose(found.theta_rad, start, atol=1e-12)
+
+
+def test_the_slowest_rotor_is_given_up_after_hours_of_its_time() -> None:
+    p = rig()
+    assert release_outcome(p, p.speed_rad_s(1e-3)).revolutions == 40

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dynamics import locked_orbit, steady_states
+from dynamics.errors import OutsideDomain
 from dynamics.kernels import rates
 from dynamics.parameters import RotorParameters
 from dynamics.singular_points import SingularPoint, aligned_points, dynamic_stiffness, singular_points
@@ -113,3 +116,12 @@ def test_one_free_pendulum_lies_along_the_whirl() -> None:
     for s in points:
         assert s.theta_rad[1] == 2.0
         assert abs((np.conj(s.z_m) * np.exp(1j * s.theta_rad[0])).imag) < 1e-14 * abs(s.z_m)
+
+
+def test_a_resonance_without_damping_is_named() -> None:
+    speed = 16.0  # a power of two: M ω² has no rounding
+    p = replace(rig(zeta=0.0), k1_N_per_m=rig().total_mass_kg * speed**2)
+    with pytest.raises(OutsideDomain, match="resonance without damping"):
+        locked_orbit(p, speed)
+    assert {s.type for s in steady_states(p, speed)} >= {"I"}
+    assert singular_points(replace(p, k2_N_per_m=p.k1_N_per_m), speed, (False, False)) == []
