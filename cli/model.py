@@ -17,7 +17,7 @@ from rig_configs import Rig, RigFileError, load_rig
 if TYPE_CHECKING:
     from dynamics.outcome import ReleaseOutcome
     from dynamics.parameters import RotorParameters
-    from dynamics.steady_motions import SteadyState, SteadyStates
+    from dynamics.steady_state import SteadyState, SteadyStates
 
 Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
 Accuracy = Annotated[

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from dynamics.parameters import Pendulum, RotorParameters
     from dynamics.scene import Scene
     from dynamics.speed_history import SpeedHistory
-    from dynamics.steady_motions import SteadyState, multipliers, steady_states
+    from dynamics.steady_motions import multipliers, steady_states
+    from dynamics.steady_state import SteadyState
 
 keep_compiled_code()  # before any module of this package is compiled
 
@@ -30,7 +31,7 @@ _HOME = {  # loaded when first used: a rig file can be read without waiting for 
     "RotorParameters": "dynamics.parameters",
     "Scene": "dynamics.scene",
     "SpeedHistory": "dynamics.speed_history",
-    "SteadyState": "dynamics.steady_motions",
+    "SteadyState": "dynamics.steady_state",
     "balanced_angles": "dynamics.balancing",
     "balancing_region": "dynamics.balancing",
     "choose_model": "dynamics.model",

@@ -13,7 +13,8 @@ from dynamics.integrate import locked_state, simulate
 from dynamics.parameters import RotorParameters, physics_of
 from dynamics.scene import Scene
 from dynamics.speed_history import SpeedHistory
-from dynamics.steady_motions import SteadyState, steady_states
+from dynamics.steady_motions import steady_states
+from dynamics.steady_state import SteadyState
 
 _CHUNK = 40  # revolutions integrated at a time
 _NEAR_RAD = 5e-3  # this close to a stable state's own state at ψ = 0, the linear equations bring it there

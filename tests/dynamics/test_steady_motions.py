@@ -16,7 +16,7 @@ from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.kernels import rates
 from dynamics.model import AUTONOMOUS, HALF_REVOLUTION, WHOLE_REVOLUTION
 from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.steady_motions import SteadyState
+from dynamics.steady_state import SteadyState
 from tests.dynamics.nominal import from_domain, rig
 
 needs_heyoka = pytest.mark.skipif(heyoka_peer.heyoka() is None, reason="heyoka has wheels for Linux only")
