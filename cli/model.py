@@ -218,6 +218,7 @@ def map(
         "accuracy": accuracy,
         "largest_error_estimate": float(np.max(found.error_estimate)),
         "stable_share": stable,
+        "points_beyond_accuracy": found.missed,
         "file": None if output is None else str(output),
         "plot": None if plot is None else str(plot),
     }
@@ -229,6 +230,8 @@ def map(
         f"balanced state stable on {100 * stable:.1f} %, largest error estimate {result['largest_error_estimate']:.1g}"
     )
     print(f"method: {found.method}")
+    if found.missed:
+        say(f"{found.missed} points are known less well than asked; error_estimate says how well")
     if output is None and plot is None:
         say("nothing kept: give -o FILE.npz for the arrays, --plot FILE for the figure")
     return 0

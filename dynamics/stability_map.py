@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.balancing import balanced_angles
-from dynamics.errors import NotConverged, OutsideDomain
+from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.floquet import floquet_multipliers
 from dynamics.floquet.lanes import LANES, largest_multipliers, node_table
 from dynamics.linearised import type_one
@@ -32,7 +32,9 @@ class StabilityMap:
         speed_ratio: Ω = ω/ω_n1, shape (n,).
         stiffness_ratio: K = k2/k1, shape (m,).
         multiplier_max: largest modulus over one revolution, shape (m, n).
-        error_estimate: bound on its error, shape (m, n).
+        error_estimate: bound on its error, shape (m, n); more than was asked for where no method gives that
+            (see `missed`).
+        accuracy: what was asked for.
         method: how many points which method served.
     """
 
@@ -41,6 +43,12 @@ class StabilityMap:
     multiplier_max: NDArray[np.floating]
     error_estimate: NDArray[np.floating]
     method: str
+    accuracy: float
+
+    @property
+    def missed(self) -> int:
+        """Points whose bound is larger than what was asked for."""
+        return int(np.count_nonzero(self.error_estimate > self.accuracy * np.maximum(1.0, self.multiplier_max)))
 
     @property
     def stable(self) -> NDArray[np.bool_]:
@@ -65,7 +73,8 @@ def stability_map(
         progress: called with the share of points done, 0 … 1, from the calling thread.
     Raises:
         OutsideDomain: a ratio that is not finite and above 0, an accuracy outside the range.
-        NotConverged: no balanced state exists for these first mass moments, or a point that no method serves.
+        NoBalancedState: no balanced state exists for these first mass moments.
+        NotConverged: a point whose multiplier can't be had even roughly; the message names it.
     """
     speeds, stiffness = (
         np.atleast_1d(np.asarray(speed_ratios, float)),
@@ -78,12 +87,12 @@ def stability_map(
         raise OutsideDomain(f"accuracy must lie in {_FINEST:g} … 0.1, got {accuracy!r}")
     angles = balanced_angles(parameters)
     if not angles:
-        raise NotConverged("no balanced state: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")
+        raise NoBalancedState("no balanced state to map: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")
     type_one(parameters, *angles[0], parameters.speed_rad_s(1.0))  # refuses gravity and a pivot shift
     grid = _Grid(parameters, angles[0], np.tile(speeds, len(stiffness)), np.repeat(stiffness, len(speeds)))
     served = grid.fill(accuracy, progress or (lambda share: None))
     shape = (len(stiffness), len(speeds))
-    return StabilityMap(speeds, stiffness, grid.found.reshape(shape), grid.errors.reshape(shape), served)
+    return StabilityMap(speeds, stiffness, grid.found.reshape(shape), grid.errors.reshape(shape), served, accuracy)
 
 
 class _Grid:
@@ -184,8 +193,17 @@ class _Grid:
         p = self.parameters
         rig = dataclasses.replace(p, k2_N_per_m=float(self.stiffness_ratios[point]) * p.k1_N_per_m)
         speed = float(self.speed_ratios[point]) * p.natural_frequencies_rad_s[0]
-        answer = floquet_multipliers(type_one(rig, *self.angles, speed), accuracy)
-        self.found[point], self.errors[point] = answer.largest, answer.error_estimate
+        matrix = type_one(rig, *self.angles, speed)
+        for looser in (1.0, 1e2, 1e4, 1e6):
+            try:
+                answer = floquet_multipliers(matrix, min(looser * accuracy, 0.1))
+            except NotConverged as refusal:
+                last = refusal
+            else:
+                self.found[point], self.errors[point] = answer.largest, answer.error_estimate
+                return
+        where = f"Ω = {self.speed_ratios[point]:.6g}, K = {self.stiffness_ratios[point]:.6g}"
+        raise NotConverged(f"stability map at {where}: {last}; leave this point out") from last
 
 
 def _cores() -> int:

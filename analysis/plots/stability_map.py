@@ -31,7 +31,7 @@ def draw_stability_map(physics: RotorParameters, points: Sequence[MapPoint], nam
     """SVG of the largest Type I multiplier over Ω × K around the line of the points, for a report.
 
     Raises:
-        NotConverged: the rig has no balanced state.
+        NoBalancedState: the rig has no balanced state.
     """
     own = physics.k2_N_per_m / physics.k1_N_per_m
     top = max([p.speed_ratio for p in points], default=4.0) * 1.15

@@ -12,12 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics.balancing import balanced_angles
-from dynamics.errors import NotConverged, OutsideDomain
+from dynamics.errors import NoBalancedState, OutsideDomain
 from dynamics.floquet import METHODS, floquet_multipliers
 from dynamics.floquet.quick_eigenvalues import eigenvalues
 from dynamics.linearised import type_one
 from dynamics.parameters import Pendulum, RotorParameters
 from dynamics.stability_map import stability_map
+from tests.dynamics.nominal import rig
 
 MASS = 7.27
 K1 = MASS * (2 * math.pi * 3) ** 2
@@ -115,7 +116,7 @@ def test_ratios_outside_the_domain_are_refused(speeds: list[float], stiffness: l
 
 
 def test_without_a_balanced_state_or_with_gravity_there_is_no_map() -> None:
-    with pytest.raises(NotConverged, match="balanced state"):
+    with pytest.raises(NoBalancedState, match="balanced state"):
         stability_map(dataclasses.replace(NOMINAL, imbalance_radius_m=0.2), np.array([1.0]), np.array([2.0]))
     with pytest.raises(OutsideDomain, match="gravity"):
         stability_map(dataclasses.replace(NOMINAL, gravity_m_per_s2=9.81), np.array([1.0]), np.array([2.0]))
@@ -140,3 +141,13 @@ def test_eigenvalues_of_what_is_not_a_number_are_refused() -> None:
     values = np.empty(3, complex)
     assert not eigenvalues(np.full((3, 3), np.nan), values)
     assert not eigenvalues(np.full((3, 3), np.inf), values)
+
+
+def test_a_point_no_method_serves_to_the_accuracy_says_so() -> None:
+    """A slow, undamped rotor on a stiff spring: the map goes on, with the bound it could reach."""
+    found = stability_map(rig(zeta=0.0, damping=0.0), np.array([0.0016, 1.6]), np.array([1000.0]), 1e-12)
+    assert found.multiplier_max.shape == (1, 2)
+    assert np.all(np.isfinite(found.multiplier_max))
+    assert np.all(np.isfinite(found.error_estimate))
+    assert found.missed >= 1
+    assert found.missed == np.count_nonzero(found.error_estimate > 1e-12 * np.maximum(1, found.multiplier_max))
