@@ -40,6 +40,7 @@ def predict(
     json: Json = False,
 ) -> int:
     """Steady states, stability and amplitudes at a point or a speed, and where a release ends."""
+    _writable(plot)
     loaded = load_rig(rig, parameters, settings or [])
     speed = _speed(loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("dynamics"):
@@ -137,21 +138,19 @@ def _outcome_json(o: ReleaseOutcome) -> dict[str, Any]:
 
 def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
     print(
-        f"{result['speed_rpm']:.2f} rpm, speed ratio {result['speed_ratio']:.4f}; "
+        f"{result['speed_rpm']:.6g} rpm, speed ratio {result['speed_ratio']:.6g}; "
         f"pendulums {result['balancing_region']}"
     )
     print(f"model: {result['model']}: {result['why']}")
     for s in result["steady_states"]:
         print(
             f"  {s['type']:4} {s['stability']:9} θ3 {s['theta3_deg']:8.3f}° θ4 {s['theta4_deg']:8.3f}°  "
-            f"amplitude {s['amplitude_mm']:.4f} mm  multiplier {s['multiplier_max']:.6f} ± {s['error_estimate']:.1g}"
+            f"amplitude {s['amplitude_mm']:.4f} mm  "
+            f"multiplier {_near_one(s['multiplier_max'])} ± {s['error_estimate']:.1g}"
         )
         if "stick_half_width_deg" in s:
-            print(
-                "       dry friction holds the pendulums within ± "
-                + "°, ".join(f"{w:.3g}" for w in s["stick_half_width_deg"])
-                + "°"
-            )
+            bands = ("anywhere" if w >= 180 else f"within ± {w:.3g}°" for w in s["stick_half_width_deg"])
+            print("       so without dry friction, which can hold A and B " + ", ".join(bands))
     if not found:
         lost = "" if result["unresolved"] else ": the singular points are lost at this speed"
         print(f"  no steady motion found{lost}")
@@ -171,6 +170,18 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
         )
 
 
+def _near_one(multiplier: float) -> str:
+    """Six digits, or the difference from 1 where they would hide it."""
+    return f"{multiplier:.6f}" if abs(multiplier - 1) > 1e-4 else f"1 {multiplier - 1:+.3e}"
+
+
+def _writable(*paths: Path | None) -> None:
+    """Refuse a place that cannot be written before the work is done."""
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            raise RigFileError(f"{path}: there is no directory {path.parent} to write to")
+
+
 def map(
     rig: str,
     *,
@@ -184,9 +195,14 @@ def map(
     json: Json = False,
 ) -> int:
     """Largest multiplier of the balanced state over speed ratio and stiffness ratio."""
+    _writable(output, plot)
+    if output is not None and output.suffix != ".npz":
+        raise RigFileError(f"rig map: -o expected a name ending in .npz, got {output}")
     omega = _axis("--speed-ratio", speed_ratio)
     stiffness = _axis("--stiffness-ratio", stiffness_ratio)
     loaded = load_rig(rig, parameters, settings or [])
+    if loaded.physics.a.friction_arm_m or loaded.physics.b.friction_arm_m:
+        say("the map leaves dry friction out")
     with wait_for_compilation("stability map"):
         from dynamics.stability_map import stability_map  # noqa: PLC0415
 
@@ -230,6 +246,9 @@ def map(
         f"balanced state stable on {100 * stable:.1f} %, largest error estimate {result['largest_error_estimate']:.1g}"
     )
     print(f"method: {found.method}")
+    for path in (output, plot):
+        if path is not None:
+            print(f"written to {path}")
     if found.missed:
         say(f"{found.missed} points are known less well than asked; error_estimate says how well")
     if output is None and plot is None:
@@ -244,6 +263,6 @@ def _axis(option: str, text: str) -> np.ndarray:
         low, high, n = float(first), float(last), int(count)
     except ValueError:
         raise RigFileError(f"rig map: {option} expected A:B:N, for example 0.4:6:400, got {text!r}") from None
-    if not (0 < low <= high < math.inf) or n < 1 or (n > 1 and low == high):
-        raise RigFileError(f"rig map: {option} expected 0 < A < B and N above 0, got {text!r}")
+    if not (0 < low <= high < math.inf and 1 <= n <= 10_000_000) or (n > 1 and low == high):
+        raise RigFileError(f"rig map: {option} expected 0 < A < B and N from 1 to ten million, got {text!r}")
     return np.linspace(low, high, n)

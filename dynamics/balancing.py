@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
-from dynamics.parameters import RotorParameters
+from dynamics.parameters import RotorParameters, physics_of
 
 PROPERLY_OVERSIZED = "properly oversized"
 UNDERSIZED = "undersized"
@@ -95,12 +95,13 @@ def closing_angles(a_kg_m: float, b_kg_m: float, target_kg_m: complex) -> list[t
     ]
 
 
-def balanced_angles(parameters: RotorParameters) -> list[tuple[float, float]]:
+def balanced_angles(rig: RotorParameters | object) -> list[tuple[float, float]]:
     """Type I without pivot shift: the angles (θ3, θ4) with S_A e^{iθ3} + S_B e^{iθ4} = −S_P.
 
     Returns:
         Two mirror images in [0, 2π), the one with θ3 ≤ π first; empty when the set is not properly oversized.
     """
+    parameters = physics_of(rig)
     a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
     return closing_angles(a, b, complex(-parameters.imbalance_moment_kg_m, 0.0))
 
@@ -124,8 +125,9 @@ class GravityDisk:
         return self.inner_m <= self.centre_m <= self.outer_m
 
 
-def gravity_disk(parameters: RotorParameters) -> GravityDisk:
+def gravity_disk(rig: RotorParameters | object) -> GravityDisk:
     """The ring that the centre of gravity of rotor, imbalance and pendulums can reach."""
+    parameters = physics_of(rig)
     a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
     mass = parameters.total_mass_kg
     return GravityDisk(parameters.imbalance_moment_kg_m / mass, (a + b) / mass, abs(a - b) / mass)

@@ -150,8 +150,9 @@ def _converge(
         coarse, tolerance = fine, fine_tolerance
     raise NotConverged(
         f"motion over {setup.duration_s:.3g} s: error bound {min(bounds):.2g} at tolerance {tolerance:.2g} per step, "
-        f"wanted {accuracy:.2g} ({work:.2g} steps done, {work_limit:.2g} allowed): it separates from its neighbours "
-        "too fast; ask for less or shorten the run"
+        f"wanted {accuracy:.2g} ({work:.2g} steps done, {work_limit:.2g} allowed): "
+        + ("rounding in double precision" if min(bounds) < 1e-9 else "it separates from its neighbours too fast")
+        + "; ask for less or shorten the run"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynamics.errors import OutsideDomain
-from dynamics.parameters import RotorParameters
+from dynamics.parameters import RotorParameters, physics_of
 
 
 def locked_orbit(
@@ -20,7 +20,7 @@ def locked_orbit(
     Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}), S_P with what a pivot shift
         that is not compensated adds to it.
     """
-    p = parameters
+    p = physics_of(parameters)
     moment = (
         p.forcing_moment_kg_m
         + p.a.first_moment_kg_m * np.exp(1j * theta3_rad)

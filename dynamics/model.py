@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dynamics.errors import OutsideDomain
-from dynamics.parameters import RotorParameters
+from dynamics.parameters import RotorParameters, physics_of
 
 CLOSED_FORM = "linear, closed form"
 AUTONOMOUS = "rotating frame, autonomous"
@@ -33,7 +33,7 @@ class Model:
 
 
 def choose_model(
-    parameters: RotorParameters,
+    rig: RotorParameters | object,
     released: tuple[bool, bool] = (True, True),
     *,
     steady: bool = True,
@@ -42,20 +42,21 @@ def choose_model(
     """The smallest exact model of a scene.
 
     Args:
-        parameters: the rig.
+        rig: RotorParameters, or anything whose `.physics` is.
         released: which pendulums are free.
         steady: constant speed and a motion that repeats; False: a transient, a ramp or a measured speed.
         at_least: name of a model; a bigger one than needed is taken when this asks for it.
     Raises:
         OutsideDomain: `at_least` names no model.
     """
-    smallest = _smallest(parameters, released, steady)
+    smallest = _smallest(physics_of(rig), released, steady)
     if at_least is None:
         return smallest
     if at_least not in _BY_SIZE:
         raise OutsideDomain(f"model: expected one of {', '.join(map(repr, _BY_SIZE))}, got {at_least!r}")
     if _BY_SIZE.index(at_least) <= _BY_SIZE.index(smallest.name):
-        return smallest
+        too_small = "" if at_least == smallest.name else f" ({at_least} was asked for and would not be exact)"
+        return Model(smallest.name, smallest.why + too_small)
     return Model(at_least, f"asked for ({smallest.name} would do)")
 
 

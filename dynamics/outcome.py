@@ -20,6 +20,7 @@ _CHUNK = 40  # revolutions integrated at a time
 _NEAR_RAD = 5e-3  # this close to a stable state's own state at ψ = 0, the linear equations bring it there
 _SLIPPED_TURNS = 8.0  # turns against the rotor, still going on, that make a pendulum a slipping one
 _CREEP_RAD = 1e-4  # in twenty revolutions: under friction, at rest
+_BESIDE_RAD = math.radians(20)  # farther from a state than this friction holds the pendulums at none
 _MOST_S = 7200.0  # of the rig's time: longer than anyone waits at the slowest speed
 PLAY_RAD = math.radians(0.2)
 
@@ -108,7 +109,7 @@ def _held(
     rest = _without_rest("held by friction", state, start, done, period)
     for s in stable:
         away = np.abs(np.angle(np.exp(1j * (state[2:4] - np.array(s.theta_rad)))))
-        if np.all(away <= 1.2 * np.array(s.stick_half_width_rad)):
+        if np.all(away <= np.minimum(1.2 * np.array(s.stick_half_width_rad), _BESIDE_RAD)):
             return replace(rest, state=s.type, reached=s)
     return rest
 

@@ -124,6 +124,12 @@ class RotorParameters:
         for name, value in positive.items():
             if not (math.isfinite(value) and value > 0):
                 raise OutsideDomain(f"{name} must be finite and above 0, got {value!r}")
+        for name, p in (("a", self.a), ("b", self.b)):
+            if p.ball_radius_m >= p.length_m:
+                raise OutsideDomain(
+                    f"{name}.ball_radius_m must be below the circle of the ball's centre, {name}.length_m = "
+                    f"{p.length_m:g}, got {p.ball_radius_m!r}"
+                )
         for name, value in not_negative.items():
             if not (math.isfinite(value) and value >= 0):
                 raise OutsideDomain(f"{name} must be finite and not negative, got {value!r}")

@@ -29,6 +29,15 @@ class Scene:
     start: np.ndarray | None = None
     release_time_s: tuple[float, float] | None = None
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.history, SpeedHistory):
+            raise OutsideDomain(f"a scene's history must be a SpeedHistory, got {type(self.history).__name__}")
+        times = self.release_time_s
+        if len(self.released) != 2 or isinstance(self.released, str):
+            raise OutsideDomain(f"released must say yes or no for A and for B, got {self.released!r}")
+        if times is not None and (np.shape(times) != (2,) or np.any(np.isnan(times))):
+            raise OutsideDomain(f"release_time_s must be two times in s, for A and for B, got {times!r}")
+
 
 def time_at_speed(history: SpeedHistory, speed_rad_s: float, from_s: float, to_s: float) -> float:
     """First instant in [from_s, to_s] at which the rotor passes a speed, for a release at speed.

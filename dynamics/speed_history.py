@@ -28,11 +28,15 @@ class SpeedHistory:
     @classmethod
     def constant(cls, speed_rad_s: float, phase_rad: float = 0.0, at_s: float = 0.0) -> SpeedHistory:
         """Constant speed with a given phase at one instant."""
+        _need_finite(speed_rad_s=speed_rad_s, phase_rad=phase_rad, at_s=at_s)
         return cls(np.array([at_s, at_s + 1.0]), np.array([[phase_rad, speed_rad_s, 0.0, 0.0]]))
 
     @classmethod
     def ramp(cls, from_rad_s: float, to_rad_s: float, duration_s: float, phase_rad: float = 0.0) -> SpeedHistory:
         """A linear ramp from t = 0 on, then constant speed."""
+        _need_finite(from_rad_s=from_rad_s, to_rad_s=to_rad_s, duration_s=duration_s, phase_rad=phase_rad)
+        if duration_s <= 0:
+            raise OutsideDomain(f"a ramp's duration must be above 0 s, got {duration_s!r}")
         slope = (to_rad_s - from_rad_s) / duration_s
         return cls(np.array([0.0, duration_s]), np.array([[phase_rad, from_rad_s, slope / 2, 0.0]]))
 
@@ -45,8 +49,12 @@ class SpeedHistory:
         Raises:
             OutsideDomain: fewer than four marks or time not ascending.
         """
-        if len(time_s) < 4 or np.any(np.diff(time_s) <= 0):
-            raise OutsideDomain(f"a speed history needs at least 4 ascending marks, got {len(time_s)}")
+        if len(time_s) < 4 or len(time_s) != len(phase_rad):
+            raise OutsideDomain(
+                f"a speed history needs at least 4 marks with a phase each, got {len(time_s)} and {len(phase_rad)}"
+            )
+        if not (np.all(np.isfinite(time_s)) and np.all(np.isfinite(phase_rad)) and np.all(np.diff(time_s) > 0)):
+            raise OutsideDomain("the marks of a speed history must be finite and strictly ascending in time")
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 (half a second to import, and only measured speeds need it)
 
         spline = CubicSpline(time_s, phase_rad)
@@ -55,6 +63,17 @@ class SpeedHistory:
     def phase(self, time_s: np.ndarray | float) -> np.ndarray:
         """ψ in rad at the given times; shape (n, 3): phase, speed (rad/s), acceleration (rad/s²)."""
         return _phases(np.atleast_1d(np.asarray(time_s, float)), self.knots_s, self.coefficients)
+
+
+def _need_finite(**values: float) -> None:
+    """Refuse what is no number.
+
+    Raises:
+        OutsideDomain: names the value.
+    """
+    for name, value in values.items():
+        if not np.isfinite(value):
+            raise OutsideDomain(f"{name} must be finite, got {value!r}")
 
 
 @njit(cache=True, error_model="numpy")

@@ -17,10 +17,11 @@ from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.floquet import floquet_multipliers
 from dynamics.floquet.lanes import LANES, largest_multipliers, node_table
 from dynamics.linearised import type_one
-from dynamics.parameters import RotorParameters
+from dynamics.parameters import RotorParameters, physics_of
 
 _LADDER = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)  # steps per half revolution
 _BATCH = 128 * LANES  # points a thread takes at a time
+_MOST_POINTS = 20_000_000
 _FINEST = 1e-12
 
 
@@ -57,7 +58,7 @@ class StabilityMap:
 
 
 def stability_map(
-    parameters: RotorParameters,
+    rig: RotorParameters | object,
     speed_ratios: NDArray[np.floating],
     stiffness_ratios: NDArray[np.floating],
     accuracy: float = 1e-8,
@@ -66,7 +67,8 @@ def stability_map(
     """Largest modulus of the Type I multipliers over one revolution on a grid.
 
     Args:
-        parameters: the rig; k1 and the damping ratios stay, k2 = K k1.
+        rig: RotorParameters, or anything whose `.physics` is; k1 and the damping ratios stay, k2 = K k1. Dry friction
+            is left out.
         speed_ratios: Ω = ω/ω_n1, shape (n,), above 0.
         stiffness_ratios: K = k2/k1, shape (m,), above 0.
         accuracy: bound on the error, relative to max(1, largest modulus); 1e-12 … 0.1.
@@ -85,6 +87,9 @@ def stability_map(
             raise OutsideDomain(f"{name} must be one-dimensional, finite and above 0, got {values!r}")
     if not _FINEST <= accuracy <= 0.1:
         raise OutsideDomain(f"accuracy must lie in {_FINEST:g} … 0.1, got {accuracy!r}")
+    if len(speeds) * len(stiffness) > _MOST_POINTS:
+        raise OutsideDomain(f"a map holds at most {_MOST_POINTS:.0e} points, asked {len(speeds)} × {len(stiffness)}")
+    parameters = physics_of(rig)
     angles = balanced_angles(parameters)
     if not angles:
         raise NoBalancedState("no balanced state to map: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")

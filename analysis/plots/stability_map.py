@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from analysis.plots.style import drawing, label, to_svg
+from analysis.plots.style import MODEL, drawing, label, to_svg
 from dynamics import RotorParameters
 from dynamics.stability_map import StabilityMap, stability_map
 
@@ -50,7 +50,7 @@ def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: 
         figure.subplots_adjust(left=0.075, right=1.04, top=0.97, bottom=0.12)
         axes.grid(False)
         if min(len(omega), len(ratio)) < 2:
-            axes.text(0.5, 0.5, "a map needs at least two values each way", ha="center", transform=axes.transAxes)
+            _one_line(axes, found)
             return figure
         filled = axes.contourf(
             omega, ratio, found.multiplier_max, levels=_LEVELS, extend="both", cmap="PuOr_r",
@@ -67,6 +67,19 @@ def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: 
         bar = figure.colorbar(filled, ax=axes, ticks=_LEVELS, pad=0.01)
         bar.set_label("largest |multiplier| over one revolution")
         return figure
+
+
+def _one_line(axes: Axes, found: StabilityMap) -> None:
+    """A map of one row or one column is a curve."""
+    along_speed = len(found.speed_ratio) > 1 or len(found.stiffness_ratio) == 1
+    x = found.speed_ratio if along_speed else found.stiffness_ratio
+    axes.figure.subplots_adjust(right=0.97)
+    axes.grid(True)
+    axes.plot(x, found.multiplier_max.ravel(), color=MODEL, marker="o" if len(x) == 1 else "")
+    axes.axhline(1.0, color="black", lw=0.9)
+    fixed = f"K = {found.stiffness_ratio[0]:g}" if along_speed else f"Ω = {found.speed_ratio[0]:g}"
+    name = "speed ratio Ω = ω/ω_n1" if along_speed else "stiffness ratio K = k2/k1"
+    label(axes, name, f"largest |multiplier| at {fixed}")
 
 
 def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:

@@ -137,3 +137,22 @@ def test_the_wheel_carries_the_rig_files_and_runs_outside_the_checkout(tmp_path:
     )  # fmt: skip
     assert str(target) in done.stderr
     assert json.loads(done.stdout)["steady_states"][0]["type"] == "I"
+
+
+def test_a_map_of_one_row_is_a_curve_and_bad_places_are_refused_first(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    figure = tmp_path / "row.svg"
+    axes = ["--speed-ratio", "1:2:5", "--stiffness-ratio"]
+    assert said(capsys, "map", "virtual", *axes, "2:2:1", "--plot", str(figure))[0] == 0
+    assert "largest |multiplier| at K = 2" in figure.read_text(encoding="utf-8")
+    for option, word in (
+        (["-o", str(tmp_path / "a.csv")], ".npz"),
+        (["--plot", str(tmp_path / "no" / "a.svg")], "no dir"),
+    ):
+        code, _, err = said(capsys, "map", "virtual", *axes, "2:3:2", *option)
+        assert code == 2
+        assert word in err
+    code, _, err = said(capsys, "map", "virtual", "--speed-ratio", "1:2:100000", "--stiffness-ratio", "1:2:100000")
+    assert code == 2
+    assert "at most" in err

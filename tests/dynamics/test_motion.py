@@ -41,3 +41,20 @@ def test_parameters_outside_physics_are_named() -> None:
         RotorParameters(7, 0.1, 0.02, Pendulum(0.1, 0.05, 0), Pendulum(0.1, 0.05, 0), -1.0, 1.0, 0, 0)
     with pytest.raises(OutsideDomain, match="friction_arm_m"):
         RotorParameters(7, 0.1, 0.02, Pendulum(0.1, 0.05, 0, -1e-6), Pendulum.absent(), 1.0, 1.0, 0, 0)
+    ball = Pendulum(0.1, 0.05, 0, ball_radius_m=0.05)
+    with pytest.raises(OutsideDomain, match="ball_radius_m"):
+        RotorParameters(7, 0.1, 0.02, ball, Pendulum.absent(), 1.0, 1.0, 0, 0)
+
+
+def test_histories_and_scenes_that_mean_nothing_are_refused() -> None:
+    for make, word in (
+        (lambda: SpeedHistory.ramp(0.0, 10.0, -1.0), "duration"),
+        (lambda: SpeedHistory.constant(np.nan), "speed_rad_s"),
+        (lambda: SpeedHistory.from_phases(np.array([0, 2, 1, 3.0]), np.arange(4.0)), "ascending"),
+        (lambda: SpeedHistory.from_phases(np.arange(5.0), np.arange(4.0)), "a phase each"),
+        (lambda: Scene(30.0), "SpeedHistory"),  # type: ignore[arg-type]
+        (lambda: Scene(SpeedHistory.constant(1.0), release_time_s=(np.nan, 0.5)), "release_time_s"),
+        (lambda: Scene(SpeedHistory.constant(1.0), released="yes"), "released"),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(OutsideDomain, match=word):
+            make()

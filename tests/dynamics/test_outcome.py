@@ -71,3 +71,11 @@ def test_so_much_friction_that_nothing_moves() -> None:
 def test_the_slowest_rotor_is_given_up_after_hours_of_its_time() -> None:
     p = rig()
     assert release_outcome(p, p.speed_rad_s(1e-3)).revolutions == 40
+
+
+def test_friction_that_holds_the_pendulums_away_from_any_state_names_none() -> None:
+    p = rig()
+    held = replace(p, a=replace(p.a, friction_arm_m=1e-3), b=replace(p.b, friction_arm_m=1e-3))
+    found = release_outcome(held, p.speed_rad_s(3.3))
+    assert found.state == "held by friction"
+    assert found.reached is None
