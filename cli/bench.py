@@ -48,7 +48,11 @@ def bench(
     size = work_precision.QUICK if quick else work_precision.FULL
     points = {name: point.speed_ratio for name, point in rig.points.items()}
     machine = work_precision.machine()
-    notes = [] if heyoka_runs.available() else ["heyoka is not installed (pip install heyoka, Linux): no true errors"]
+    notes = (
+        []
+        if heyoka_runs.available()
+        else ["heyoka is not installed (Linux only): true errors of multipliers alone, by mpmath"]
+    )
     if quick:
         notes += [
             f"--quick: no whole processes, no stiff and slow cases; a map of {math.prod(size.map_shape)} points and a "

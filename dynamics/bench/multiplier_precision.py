@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dynamics.balancing import balanced_angles
-from dynamics.bench import heyoka_runs
+from dynamics.bench import heyoka_runs, mpmath_peer
 from dynamics.bench.heyoka_runs import Rig
 from dynamics.bench.records import ROUNDING, Measurement
 from dynamics.bench.timing import median_seconds
@@ -47,14 +47,18 @@ def multiplier_rows(
         longest_s: a method's step number is doubled while a call takes less than this.
     """
     matrix = type_one(rig[0], *balanced_angles(rig[0])[0], rig[1])
-    true = heyoka_runs.largest_multiplier(rig, heyoka_runs.EXTENDED_TOLERANCE) if heyoka_runs.available() else None
+    runs = heyoka_runs.available()
+    if runs:
+        true = heyoka_runs.largest_multiplier(rig, heyoka_runs.EXTENDED_TOLERANCE)
+    else:
+        true = mpmath_peer.largest_multiplier(balanced(matrix))
     rows = []
     for method in METHODS.values():
         rows += _method_rows(case, balanced(matrix), method, true, longest_s, repeats)
     for accuracy in accuracies:
         row = _service_row(case, matrix, accuracy, true, repeats)
         rows += [row] if row else []
-    for tolerance in peer_tolerances if true is not None else ():
+    for tolerance in peer_tolerances if runs else ():
         rows.append(
             Measurement(
                 SERVICE,
