@@ -64,6 +64,14 @@ class Channel:
     def _tags(self) -> dict[str, int]:
         return {name: number << 3 | _KINDS[kind][1] for number, (name, kind) in enumerate(self.fields, 1)}
 
+    @cached_property
+    def _only_tags(self) -> NDArray[Any]:
+        """One message of zeros as opaque bytes: repeating it fills the tags of a block in one pass."""
+        row = np.zeros(1, self.dtype)
+        for name, tag in self._tags.items():
+            row[_TAG + name] = tag
+        return row.view(f"V{self.dtype.itemsize}")
+
     def pack(self, columns: Mapping[str, ArrayLike]) -> NDArray[Any]:
         """Messages of a block of samples.
 
@@ -76,13 +84,14 @@ class Channel:
         Raises:
             ValueError: a field is missing or unknown, or lengths differ.
         """
-        if set(columns) != set(self.names):
+        if columns.keys() != self._tags.keys():
             raise ValueError(f"{self.topic}: expected the fields {self.names}, got {tuple(columns)}")
-        arrays = np.broadcast_arrays(*(np.asarray(columns[name]) for name in self.names))
-        out = np.empty(arrays[0].reshape(-1).shape, self.dtype)
+        arrays = [np.asarray(columns[name]) for name in self.names]
+        if arrays[0].ndim != 1 or any(array.shape != arrays[0].shape for array in arrays):
+            arrays = [array.reshape(-1) for array in np.broadcast_arrays(*arrays)]
+        out = self._only_tags.repeat(len(arrays[0])).view(self.dtype)
         for name, array in zip(self.names, arrays, strict=True):
-            out[_TAG + name] = self._tags[name]
-            out[name] = array.reshape(-1)
+            out[name] = array
         return out
 
     def unpack(self, messages: bytes | NDArray[Any]) -> dict[str, NDArray[Any]]:
@@ -151,6 +160,8 @@ def _fixed_width_fields(schema_name: str, message: Any) -> tuple[tuple[str, str]
     fields = sorted(message.field, key=lambda field: field.number)
     numbers = [field.number for field in fields]
     plain = all(field.type in _KIND_OF_TYPE and field.label != _FieldProto.LABEL_REPEATED for field in fields)
+    # names that are no UTF-8 come as bytes; two equal ones are no columns
+    plain &= len({field.name for field in fields if isinstance(field.name, str) and field.name}) == len(fields)
     if not plain or not fields or numbers != list(range(1, len(fields) + 1)) or len(fields) > 15:
         came = [(field.name, field.number) for field in fields]
         raise ValueError(f"{schema_name}: expected 1 … 15 fixed-width fields numbered from 1, got {came}")

@@ -1,70 +1,52 @@
-"""MCAP written in blocks: the message records of a whole batch of samples are one numpy array.
+"""MCAP written in blocks: the message records of a whole batch of samples are made by one compiled loop.
 
-The bytes are the format's own (https://mcap.dev/spec); the library's record classes write everything but messages and
-chunks. A file is a header, chunks of messages each followed by its message indexes, attachments and metadata between
-them, then a summary with the indexes and statistics. A chunk and its indexes reach the stream in one write, so a file
-cut anywhere holds whole chunks.
+The bytes are the format's own (https://mcap.dev/spec); the library's record classes write what there is little of. A
+file is a header, chunks of messages each followed by its message indexes, attachments and metadata between them, then
+a summary with the indexes and statistics. A chunk and its indexes reach the stream in one write, so a file cut
+anywhere holds whole chunks.
 
 Not thread-safe: one thread writes.
 """
 
+import struct
 import zlib
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Iterable, Mapping
 from typing import Any, BinaryIO, Literal
 
 import numpy as np
 import zstandard
 from mcap import records
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import ArrayLike, NDArray
+
+from daq.mcap_crc import joined_crc
+from daq.mcap_open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
+from daq.mcap_summary import Summary, encode_record
 
 MAGIC = b"\x89MCAP0\r\n"
 RESTATE_EVERY = 64
 """Schemas and channels are repeated in every so many-th chunk: a file that lost its first chunk stays readable."""
-_ZSTD_LEVEL = 1  # a third of the time of level 3 for a few per cent of the size
+METADATA_CRC = "crc32"
+"""Key of a metadata record under which its own checksum stands."""
+TIMES = "times"
+"""Name of the metadata record that says how far sample times and log times are apart."""
+_ZSTD_LEVEL = 3  # a tenth smaller than level 1 for a fifth more time; the levels above cost twice as much for nothing
+_CHUNK_HEAD = struct.Struct("<BQQQQII")
 
 
-@cache
-def record_dtype(message_bytes: int) -> np.dtype[Any]:
-    """Layout of a message record with a payload of constant size, its opcode and length included."""
-    fields = [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel_id", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-    return np.dtype([*fields, ("message", f"V{message_bytes}")] if message_bytes else fields)
+def metadata_crc(metadata: Mapping[str, str]) -> str:
+    """Checksum of a table of texts, 8 hex digits; MCAP itself has none for metadata.
+
+    A key `METADATA_CRC` among them is left out.
+    """
+    text = "".join(f"{key}\0{value}\0" for key, value in sorted(metadata.items()) if key != METADATA_CRC)
+    return f"{zlib.crc32(text.encode()):08x}"
 
 
-RECORD_HEAD_BYTES = record_dtype(0).itemsize
-_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
-
-
-class _OpenChunk:
-    """Records gathered for the next chunk."""
-
-    def __init__(self) -> None:
-        self.parts: list[bytes | memoryview] = []
-        self.size = self.restated_bytes = 0
-        self.indexes: dict[int, list[NDArray[Any]]] = {}
-        self.start_time, self.end_time = 2**64 - 1, 0
-
-    def append(self, part: bytes | memoryview) -> None:
-        self.parts.append(part)
-        self.size += len(part)
-
-    def index(self, channel_id: int, log_times: NDArray[np.uint64], record_bytes: int) -> None:
-        """Note where the next records will stand."""
-        entries = np.empty(len(log_times), _INDEX_ENTRY)
-        entries["log_time"] = log_times
-        entries["offset"] = self.size + record_bytes * np.arange(len(log_times), dtype=np.uint64)
-        self.indexes.setdefault(channel_id, []).append(entries)
-        self.start_time = min(self.start_time, int(log_times.min()))
-        self.end_time = max(self.end_time, int(log_times.max()))
+def compile_writer() -> None:
+    """Load what is compiled, or compile it: seconds once on a machine, and never while samples wait."""
+    compile_loops()
+    joined_crc(0, 0, 1)
 
 
 class BlockWriter:
@@ -73,11 +55,13 @@ class BlockWriter:
     Args:
         stream: where the bytes go; it is flushed by `flush` and `finish` and never closed here.
         compression: of the chunks.
-        chunk_bytes: size at which a chunk is closed, before compression.
+        chunk_bytes: largest size of a chunk before compression, unless a single message is larger. zstd has tables
+            for up to 256 KiB that make samples 5 % smaller, and faster, than those for more.
         library: who wrote the file, for its header.
 
     Raises (all methods):
-        OSError: the stream cannot be written, for instance because the disk is full.
+        OSError: the stream cannot be written, for instance because the disk is full, or could not before, or the file
+            is finished. What was written until then stays readable.
     """
 
     def __init__(
@@ -93,46 +77,53 @@ class BlockWriter:
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL) if compression == "zstd" else None
         self._chunk_bytes = chunk_bytes
         self._library = library
-        self._offset = 0
-        self._crc = 0
-        self._chunk = _OpenChunk()
+        self._offset = self._crc = 0
+        self._closed = ""  # why nothing can be written any more
+        self._chunk = OpenChunk(chunk_bytes)
+        self._restated_bytes = 0  # of the open chunk: definitions repeated, for which alone no chunk is written
         self._definitions = b""
-        self._schemas: list[records.Schema] = []
-        self._channels: list[records.Channel] = []
-        self._counts: dict[int, int] = {}
-        self._start_time, self._end_time = 2**64 - 1, 0
-        self._chunk_indexes: list[records.ChunkIndex] = []
-        self._attachment_indexes: list[records.AttachmentIndex] = []
-        self._metadata_indexes: list[records.MetadataIndex] = []
+        self._summary = Summary()
 
     def start(self, profile: str = "") -> None:
         """Write magic and header; call it once, first."""
-        self._write(MAGIC + _record(records.Header(profile, self._library)))
+        compile_writer()
+        self._write(MAGIC + encode_record(records.Header(profile, self._library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add a message schema; returns its id."""
-        schema = records.Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data)
-        self._schemas.append(schema)
+        schema = records.Schema(id=_free_id(self._summary.schemas), name=name, encoding=encoding, data=data)
         self._define(schema)
         return schema.id
 
     def register_channel(
         self, topic: str, message_encoding: str, schema_id: int, metadata: Mapping[str, str] | None = None
     ) -> int:
-        """Add a channel, at any time; schema 0 means none. Returns its id."""
-        if not 0 <= schema_id <= len(self._schemas):
-            raise ValueError(f"expected a registered schema for {topic!r}, got id {schema_id}: register it first")
+        """Add a channel, at any time; schema 0 means none. Returns its id.
+
+        Raises:
+            ValueError: no such schema.
+        """
         channel = records.Channel(
-            id=len(self._channels) + 1,
+            id=_free_id(self._summary.channels),
             topic=topic,
             message_encoding=message_encoding,
             schema_id=schema_id,
             metadata=dict(metadata or {}),
         )
-        self._channels.append(channel)
-        self._counts[channel.id] = 0
         self._define(channel)
         return channel.id
+
+    def adopt(self, schemas: Iterable[records.Schema], channels: Iterable[records.Channel]) -> None:
+        """Take over the definitions of another file with their ids, so that its chunks can be copied.
+
+        Raises:
+            ValueError: something is registered already, an id occurs twice or is no id, or a channel's schema is not
+                among them.
+        """
+        if self._summary.schemas or self._summary.channels:
+            raise ValueError("expected to adopt definitions before any is registered: call adopt right after start")
+        for definition in [*schemas, *channels]:
+            self._define(definition)
 
     def add_block(
         self,
@@ -152,57 +143,88 @@ class BlockWriter:
             messages: (n,) of any dtype whose items are whole messages.
 
         Raises:
-            ValueError: unknown channel, negative times, or lengths that differ.
+            ValueError: unknown channel, negative times, no integers, or lengths that differ.
         """
         self._check_channel(channel_id)
-        if messages.ndim != 1:
-            raise ValueError(f"expected messages of shape (n,), got {messages.shape}")
-        if not len(messages):
-            return
-        block = np.empty(len(messages), record_dtype(messages.dtype.itemsize))
-        block["opcode"] = Opcode.MESSAGE
-        block["length"] = block.dtype.itemsize - 9
-        block["channel_id"] = channel_id
-        block["sequence"] = np.asarray(sequence, np.int64) & 0xFFFFFFFF
-        for name, times in (("log_time", log_time_ns), ("publish_time", publish_time_ns)):
-            nanoseconds = np.asarray(times, np.int64)
-            if nanoseconds.min(initial=0) < 0:
-                raise ValueError(f"expected {name} in ns since 1970, got {nanoseconds.min()}")
-            block[name] = nanoseconds
-        if messages.dtype.itemsize:
-            block["message"] = np.ascontiguousarray(messages).view(f"V{messages.dtype.itemsize}")
-        size, start = block.dtype.itemsize, 0
-        while start < len(block):
-            room = max(1, (self._chunk_bytes - self._chunk.size) // size)
-            part = block[start : start + room]
-            self._chunk.index(channel_id, part["log_time"], size)
-            self._append(channel_id, part.view(np.uint8).data, len(part))
-            start += len(part)
+        block = MessageBlock(messages, log_time_ns, publish_time_ns, sequence)
+        done = 0
+        while done < block.count:
+            self._make_room(block.record_bytes)
+            room = max(1, (self._chunk_bytes - self._chunk.size) // block.record_bytes)
+            count = min(room, block.count - done)
+            self._chunk.add_messages(channel_id, block, done, count)
+            done += count
 
     def add_message(self, channel_id: int, log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes) -> None:
         """Add one message of any size; sequence is taken modulo 2**32.
 
         Raises:
-            ValueError: unknown channel or negative times.
+            ValueError: unknown channel, or times before 1970 or that 64 bits do not hold.
         """
         self._check_channel(channel_id)
-        if log_time_ns < 0 or publish_time_ns < 0:
+        if not 0 <= min(log_time_ns, publish_time_ns) <= max(log_time_ns, publish_time_ns) < 2**64:
             raise ValueError(f"expected times in ns since 1970, got {log_time_ns} and {publish_time_ns}")
-        message = records.Message(channel_id, log_time_ns, data, publish_time_ns, sequence & 0xFFFFFFFF)
-        self._chunk.index(channel_id, np.array([log_time_ns], np.uint64), 0)
-        self._append(channel_id, _record(message), 1)
+        self._make_room(RECORD_HEAD_BYTES + len(data))
+        self._chunk.add_message(channel_id, log_time_ns, publish_time_ns, sequence & 0xFFFFFFFF, data)
+
+    def copy_chunk(
+        self,
+        packed: bytes,
+        compression: str,
+        unpacked: int,
+        crc: int,
+        channel_ids: ArrayLike,
+        log_times: ArrayLike,
+        publish_times: ArrayLike,
+        offsets: ArrayLike,
+    ) -> None:
+        """Add a whole chunk of another file as it is, with a fresh message index; an open chunk is closed first.
+
+        Args:
+            packed: its content as it stands in the other file.
+            compression: "" or the name of the compression.
+            unpacked: size of the content when unpacked, bytes.
+            crc: of the unpacked content, as the other file has it.
+            channel_ids, log_times, publish_times, offsets: (n,) each, of its n messages: times in ns, and where the
+                message record (its opcode) starts in the unpacked content.
+
+        Raises:
+            ValueError: a channel that was not adopted, lengths that differ, or a message outside of the chunk.
+        """
+        ids = np.ascontiguousarray(channel_ids, np.uint16)
+        log, publish, places = (np.ascontiguousarray(a, np.uint64) for a in (log_times, publish_times, offsets))
+        if not ids.shape == log.shape == publish.shape == places.shape or ids.ndim != 1:
+            raise ValueError(
+                f"expected four arrays (n,), got {ids.shape}, {log.shape}, {publish.shape} and {places.shape}"
+            )
+        for channel_id in np.unique(ids):
+            self._check_channel(int(channel_id))
+        if len(places) and places.max() + RECORD_HEAD_BYTES > unpacked:
+            raise ValueError(f"expected messages within {unpacked} bytes, got one at {places.max()}")
+        self._close_chunk()
+        late, early = (int(np.where(a > b, a - b, 0).max(initial=0)) for a, b in ((log, publish), (publish, log)))
+        self._put_chunk(packed, compression, unpacked, crc, (ids, log, places), (late, early))
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
-        """Add a named table of texts."""
-        record = _record(records.Metadata(name=name, metadata=dict(metadata)))
-        self._metadata_indexes.append(records.MetadataIndex(self._offset, len(record), name))
+        """Add a named table of texts; it gets its checksum under the key `METADATA_CRC`.
+
+        Raises:
+            ValueError: it has such a key already.
+        """
+        self._check_open()
+        if METADATA_CRC in metadata:
+            raise ValueError(f"metadata {name!r}: expected no key {METADATA_CRC!r}: it is the record's own checksum")
+        table = {**metadata, METADATA_CRC: metadata_crc(metadata)}
+        record = encode_record(records.Metadata(name=name, metadata=table))
+        self._summary.add_metadata(records.MetadataIndex(self._offset, len(record), name))
         self._write(record)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_time_ns: int) -> None:
         """Add a file."""
-        record = _record(records.Attachment(0, log_time_ns, name, media_type, data))
+        self._check_open()
+        record = encode_record(records.Attachment(0, log_time_ns, name, media_type, data))
         index = records.AttachmentIndex(self._offset, len(record), log_time_ns, 0, len(data), name, media_type)
-        self._attachment_indexes.append(index)
+        self._summary.add_attachment(index)
         self._write(record)
 
     def flush(self) -> None:
@@ -211,108 +233,107 @@ class BlockWriter:
         self._stream.flush()
 
     def finish(self) -> None:
-        """Write the summary and the footer; nothing may be added after."""
+        """Write the times, the summary and the footer; nothing may be added after."""
         self._close_chunk()
-        self._write(_record(records.DataEnd(self._crc)))
-        summary_start, summary, offsets = self._offset, b"", []
-        for group in self._summary_groups():
-            body = b"".join(_record(record) for record in group)
-            offsets.append(records.SummaryOffset(body[0], summary_start + len(summary), len(body)))
-            summary += body
-        offset_start = summary_start + len(summary)
-        summary += b"".join(_record(offset) for offset in offsets)
-        footer = _record(records.Footer(summary_start, offset_start, 0))[:-4]
-        crc = zlib.crc32(summary + footer)
-        self._write(summary + footer + crc.to_bytes(4, "little") + MAGIC)
+        times = {"most_late_ns": self._summary.most_late, "most_early_ns": self._summary.most_early}
+        self.add_metadata(TIMES, {name: str(value) for name, value in times.items()})
+        self._write(encode_record(records.DataEnd(self._crc)))
+        self._write(self._summary.encode(self._offset) + MAGIC)
+        self._closed = "the file is finished"
         self._stream.flush()
 
-    def _summary_groups(self) -> list[list[Any]]:
-        """Records of the summary, grouped by kind; empty groups are left out."""
-        statistics = records.Statistics(
-            attachment_count=len(self._attachment_indexes),
-            channel_count=len(self._channels),
-            channel_message_counts={channel: count for channel, count in self._counts.items() if count},
-            chunk_count=len(self._chunk_indexes),
-            message_count=sum(self._counts.values()),
-            message_end_time=self._end_time,
-            message_start_time=min(self._start_time, self._end_time),
-            metadata_count=len(self._metadata_indexes),
-            schema_count=len(self._schemas),
-        )
-        groups: list[list[Any]] = [self._schemas, self._channels, [statistics], self._chunk_indexes]
-        groups += [self._attachment_indexes, self._metadata_indexes]
-        return [group for group in groups if group]
+    def _check_open(self) -> None:
+        if self._closed:
+            raise OSError(f"expected a log that can be written, but {self._closed}")
 
     def _check_channel(self, channel_id: int) -> None:
-        if channel_id not in self._counts:
-            raise ValueError(f"expected a channel of {sorted(self._counts)}, got {channel_id}: register it first")
+        self._check_open()
+        if channel_id not in self._summary.channels:
+            known = sorted(self._summary.channels)
+            raise ValueError(f"expected a channel of {known}, got {channel_id}: register it first")
 
     def _define(self, record: records.Schema | records.Channel) -> None:
         """Put a schema or channel into the open chunk, and keep it for repeating."""
-        data = _record(record)
+        self._check_open()
+        known: dict[int, Any]
+        if isinstance(record, records.Schema):
+            known, lowest = self._summary.schemas, 1
+        else:
+            known, lowest = self._summary.channels, 0
+            if record.schema_id != 0 and record.schema_id not in self._summary.schemas:
+                raise ValueError(
+                    f"expected a registered schema for {record.topic!r}, got id {record.schema_id}: register it first"
+                )
+        if record.id in known or not lowest <= record.id <= 0xFFFF:
+            raise ValueError(f"expected a new id of {lowest} … 65535, got {record.id} of {record}")
+        data = encode_record(record)
+        known[record.id] = record
         self._definitions += data
         self._chunk.append(data)
 
-    def _append(self, channel_id: int, data: bytes | memoryview, count: int) -> None:
-        self._chunk.append(data)
-        self._counts[channel_id] += count
-        if self._chunk.size >= self._chunk_bytes:
+    def _make_room(self, record_bytes: int) -> None:
+        """Close the open chunk if such a record would make it larger than a chunk is to be."""
+        if self._chunk.size + record_bytes > self._chunk_bytes:
             self._close_chunk()
 
     def _close_chunk(self) -> None:
         """Write the open chunk with its message indexes, if there is anything in it."""
-        if self._chunk.size == self._chunk.restated_bytes:
+        self._check_open()
+        if self._chunk.size == self._restated_bytes:
             return
-        chunk, self._chunk = self._chunk, _OpenChunk()
-        data = b"".join(chunk.parts)
-        packed = self._compressor.compress(data) if self._compressor else data
-        compression = "zstd" if self._compressor else ""
-        start_time = min(chunk.start_time, chunk.end_time)
-        record = _record(records.Chunk(compression, packed, chunk.end_time, start_time, zlib.crc32(data), len(data)))
-        index_offsets, indexes, position = {}, [], self._offset + len(record)
-        for channel_id, parts in sorted(chunk.indexes.items()):
-            index_offsets[channel_id] = position
-            indexes.append(_message_index(channel_id, np.concatenate(parts)))
-            position += len(indexes[-1])
-        self._chunk_indexes.append(
-            records.ChunkIndex(
-                chunk_length=len(record),
-                chunk_start_offset=self._offset,
-                compression=compression,
-                compressed_size=len(packed),
-                message_end_time=chunk.end_time,
-                message_index_length=position - self._offset - len(record),
-                message_index_offsets=index_offsets,
-                message_start_time=start_time,
-                uncompressed_size=len(data),
-            )
-        )
-        if chunk.indexes:
-            self._start_time = min(self._start_time, chunk.start_time)
-            self._end_time = max(self._end_time, chunk.end_time)
-        self._write(b"".join([record, *indexes]))
-        if len(self._chunk_indexes) % RESTATE_EVERY == 0:
+        data = self._chunk.records
+        late, early = self._chunk.extremes.tolist()
+        packed = self._compressor.compress(data) if self._compressor else None
+        name = "zstd" if self._compressor else ""
+        self._put_chunk(packed, name, len(data), zlib.crc32(data), self._chunk.index, (late, early))
+        self._chunk.clear()
+        self._restated_bytes = 0
+        if self._summary.chunk_count % RESTATE_EVERY == 0:
             self._chunk.append(self._definitions)
-            self._chunk.restated_bytes = self._chunk.size
+            self._restated_bytes = self._chunk.size
 
-    def _write(self, data: bytes) -> None:
+    def _put_chunk(
+        self,
+        packed: bytes | None,
+        compression: str,
+        unpacked: int,
+        crc: int,
+        messages: tuple[NDArray[np.uint16], NDArray[np.uint64], NDArray[np.uint64]],
+        extremes: tuple[int, int],
+    ) -> None:
+        """Write a chunk and the message indexes of its (channel ids, log times, offsets).
+
+        Without `packed` its content are the records of the open chunk as they are.
+        """
+        log_times, start, name = messages[1], self._offset, compression.encode()
+        times = (int(log_times.min()), int(log_times.max())) if len(log_times) else (0, 0)
+        size = unpacked if packed is None else len(packed)
+        length = _CHUNK_HEAD.size + len(name) + 8 + size
+        head = _CHUNK_HEAD.pack(Opcode.CHUNK, length - 9, *times, unpacked, crc, len(name))
+        head += name + size.to_bytes(8, "little")
+        indexes, starts, counts = message_indexes(*messages)
+        places = {channel_id: start + length + index_start for channel_id, index_start in starts.items()}
+        if packed is None:
+            whole_crc = joined_crc(zlib.crc32(head, self._crc), crc, size)
+            self._write(self._chunk.framed(head, indexes), zlib.crc32(indexes, whole_crc))
+        else:
+            self._write(b"".join((head, packed, indexes)))
+        self._summary.add_chunk(start, length, compression, size, unpacked, times, places, len(indexes), counts)
+        self._summary.most_late = max(self._summary.most_late, extremes[0])
+        self._summary.most_early = max(self._summary.most_early, extremes[1])
+
+    def _write(self, data: bytes | memoryview, crc: int | None = None) -> None:
+        """Write bytes; `crc` is that of the file up to their end, when it is known already."""
+        self._check_open()
+        self._closed = "writing it failed before"  # unless this goes well: behind half a record nothing is readable
         written = self._stream.write(data)
         if written is not None and written != len(data):
             raise OSError(f"expected {len(data)} bytes to be written, only {written} were: is the disk full?")
+        self._closed = ""
         self._offset += len(data)
-        self._crc = zlib.crc32(data, self._crc)
+        self._crc = zlib.crc32(data, self._crc) if crc is None else crc
 
 
-def _record(record: records.McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return builder.end()
-
-
-def _message_index(channel_id: int, entries: NDArray[Any]) -> bytes:
-    """Message index record: (log time, offset) of one channel's messages in a chunk, in order of log time."""
-    log_times = entries["log_time"]
-    if (log_times[1:] < log_times[:-1]).any():
-        entries = entries[np.argsort(log_times, kind="stable")]
-    body = channel_id.to_bytes(2, "little") + entries.nbytes.to_bytes(4, "little") + entries.tobytes()
-    return bytes([Opcode.MESSAGE_INDEX]) + len(body).to_bytes(8, "little") + body
+def _free_id(known: Mapping[int, Any]) -> int:
+    """The lowest id from 1 on that is not taken."""
+    return next(number for number in range(1, len(known) + 2) if number not in known)

@@ -89,7 +89,8 @@ def test_the_library_reads_what_was_written(steps, compression, chunk_bytes):
     statistics = summary.statistics
     assert statistics is not None
     assert (statistics.message_count, statistics.channel_count) == (len(wanted), 1 + extra[0])
-    assert (len(summary.metadata_indexes), len(summary.attachment_indexes)) == (extra[1], extra[2])
+    assert [index.name for index in summary.metadata_indexes] == ["m"] * extra[1] + ["times"]
+    assert len(summary.attachment_indexes) == extra[2]
     assert statistics.chunk_count == len(summary.chunk_indexes)
     if wanted:
         times = [message[1] for message in wanted]
@@ -188,7 +189,7 @@ def test_chunks_keep_near_their_size_and_definitions_are_restated():
     writer.finish()
     data = stream.getvalue()
     chunks = [record for record in records_of(data) if isinstance(record, Chunk)]
-    assert max(chunk.uncompressed_size for chunk in chunks) <= 2000 + 45
+    assert 2000 - 45 < max(chunk.uncompressed_size for chunk in chunks) <= 2000
     restated = [number for number, chunk in enumerate(chunks) if b"rig.IndexMark" in chunk.data]
     assert restated == list(range(0, len(chunks), RESTATE_EVERY))
     assert len(read_back(data)) == RESTATE_EVERY * 50
@@ -215,9 +216,11 @@ def test_wrong_use_is_refused_before_anything_is_written():
         writer.add_block(cid, -1, T0, 0, tacho(1))
     with pytest.raises(ValueError, match="1970"):
         writer.add_message(cid, T0, -1, 0, b"")
+    with pytest.raises(ValueError, match="1970"):
+        writer.add_message(cid, 2**64, T0, 0, b"")
     with pytest.raises(ValueError, match=r"shape \(n,\)"):
         writer.add_block(cid, T0, T0, 0, tacho(4).reshape(2, 2))
-    with pytest.raises(ValueError, match="broadcast"):
+    with pytest.raises(ValueError, match="one integer or 4"):
         writer.add_block(cid, T0, np.arange(3), 0, tacho(4))
     with pytest.raises(ValueError, match="zstd"):
         BlockWriter(io.BytesIO(), "lz4")  # type: ignore[arg-type]

@@ -1,0 +1,109 @@
+"""What stands behind a log's data: its definitions again, statistics, and where everything is."""
+
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+from mcap import records
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+
+_CHUNK_INDEX = struct.Struct("<BQQQQQI")
+_OFFSET_ENTRY = struct.Struct("<HQ")
+
+
+class Summary:
+    """Counts of a file, gathered while it is written.
+
+    Attributes:
+        schemas, channels: by id.
+        chunk_count: chunks so far.
+        most_late, most_early: over all messages the largest log time − publish time, and the other way round, ns.
+    """
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, records.Schema] = {}
+        self.channels: dict[int, records.Channel] = {}
+        self.chunk_count = 0
+        self.most_late = self.most_early = 0
+        self._counts: dict[int, int] = {}
+        self._start_time, self._end_time = 2**64 - 1, 0
+        self._chunk_indexes = bytearray()  # as they will be written: an hour has 72 000 chunks
+        self._attachment_indexes: list[records.AttachmentIndex] = []
+        self._metadata_indexes: list[records.MetadataIndex] = []
+
+    def add_chunk(
+        self, start: int, length: int, compression: str, packed: int, unpacked: int, times: tuple[int, int],
+        indexes: Mapping[int, int], indexes_bytes: int, counts: Mapping[int, int],
+    ) -> None:  # fmt: skip
+        """Note a chunk.
+
+        Args:
+            start, length: of its record in the file, bytes.
+            packed, unpacked: sizes of its content, bytes.
+            times: least and largest log time, ns.
+            indexes: where in the file each channel's message index record stands; all together `indexes_bytes` long.
+            counts: messages by channel.
+        """
+        name = compression.encode()
+        entries = b"".join(_OFFSET_ENTRY.pack(*entry) for entry in indexes.items())
+        tail = struct.pack(f"<QI{len(name)}sQQ", indexes_bytes, len(name), name, packed, unpacked)
+        size = _CHUNK_INDEX.size - 9 + len(entries) + len(tail)
+        self._chunk_indexes += _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, size, *times, start, length, len(entries))
+        self._chunk_indexes += entries + tail
+        self.chunk_count += 1
+        if counts:
+            self._start_time = min(self._start_time, times[0])
+            self._end_time = max(self._end_time, times[1])
+        for channel_id, count in counts.items():
+            self._counts[channel_id] = self._counts.get(channel_id, 0) + count
+
+    def add_attachment(self, index: records.AttachmentIndex) -> None:
+        """Note an attachment."""
+        self._attachment_indexes.append(index)
+
+    def add_metadata(self, index: records.MetadataIndex) -> None:
+        """Note a metadata record."""
+        self._metadata_indexes.append(index)
+
+    def encode(self, start: int) -> bytes:
+        """Summary, summary offsets and footer.
+
+        Args:
+            start: where in the file it will stand, bytes.
+        """
+        summary, offsets = bytearray(), b""
+        for group in self._groups():
+            if group:
+                offset = records.SummaryOffset(Opcode(group[0]), start + len(summary), len(group))
+                offsets += encode_record(offset)
+                summary += group
+        footer = encode_record(records.Footer(start, start + len(summary), 0))[:-4]
+        summary += offsets + footer
+        return bytes(summary) + zlib.crc32(summary).to_bytes(4, "little")
+
+    def _groups(self) -> list[bytes | bytearray]:
+        """Records of the summary as bytes, one group per kind."""
+        statistics = records.Statistics(
+            attachment_count=len(self._attachment_indexes),
+            channel_count=len(self.channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=self.chunk_count,
+            message_count=sum(self._counts.values()),
+            message_end_time=self._end_time,
+            message_start_time=min(self._start_time, self._end_time),
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(self.schemas),
+        )
+        kinds: list[Any] = [self.schemas.values(), self.channels.values(), [statistics]]
+        definitions = [b"".join(encode_record(record) for record in kind) for kind in kinds]
+        rest = [b"".join(map(encode_record, kind)) for kind in (self._attachment_indexes, self._metadata_indexes)]
+        return [*definitions, self._chunk_indexes, *rest]
+
+
+def encode_record(record: records.McapRecord) -> bytes:
+    """A record as it stands in the file."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
