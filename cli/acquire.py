@@ -10,11 +10,13 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from cli.console import STDERR, StepProgress, print_json, say
-from cli.options import Json, ParametersPath, Settings
+from cli.options import Json, ParametersPath, Settings, rig_or_log
+from cli.recording import RecordingStatus
+from daq.losses import Losses
 from daq.procedure import Procedures, TestDone
 from daq.session import Session
 from daq.transports import HostClock
-from rig_configs import RigFileError, load_rig
+from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
 TimeScale = Annotated[float, Parameter(help="seconds of rig time per wall second; 1 on a real rig")]
@@ -71,35 +73,60 @@ def check(
 
 
 def record(
-    rig: str,
+    rig: Annotated[str, Parameter(help="a rig file, a shipped rig, or a log whose rig and devices are meant")],
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
-    duration: float | None = None,
+    duration: Annotated[float | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None,
+    listen: Annotated[
+        bool, Parameter(negative="", help="only listen: configure nothing, turn nothing, record from the first byte")
+    ] = False,
+    until_silent: Annotated[
+        float | None, Parameter(help="end when no device has sent anything for so many wall seconds")
+    ] = None,
     note: str = "",
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Record every device until Ctrl-C, or for --duration seconds of rig time."""
-    loaded = load_rig(rig, settings=settings or [])
+    """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
+    loaded, identities = rig_or_log(rig, settings or [])
     clock = HostClock(time_scale)
-    with Session(loaded, clock) as session:
-        session.start_recording(output, {"test": "record", "note": note})
-        end = math.inf if duration is None else clock.now_ns() + int(duration * 1e9)
-        try:
-            while clock.now_ns() < end:
-                session.check()
-                time.sleep(0.05)
-            ended = "duration"
-        except KeyboardInterrupt:
-            ended = "Ctrl-C"
-        losses = session.losses()
+    facts = {"test": "record", "note": note}
+    session = Session(loaded, clock, identities)
+    with session.listen(output, facts) if listen else session.open():
+        if not listen:
+            session.start_recording(output, facts)
+        with RecordingStatus(session) as status:
+            ended = _record_until(session, status, duration, until_silent)
+        losses, disk = session.losses(), session.disk()
         path = session.stop_recording({"ended": ended})
+    slow_s = disk.slow_s if disk else 0.0
     if json:
-        print_json({"log": str(path), "losses": losses})
+        print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s})
     else:
-        say(f"{path}: recorded, ended by {ended}")
+        say(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}")
+        if slow_s:
+            say(f"warning: the disk was behind for {slow_s:.1f} s in all; nothing was lost by that")
     return 0
+
+
+def _record_until(
+    session: Session, status: RecordingStatus, duration_s: float | None, until_silent_s: float | None
+) -> str:
+    """Wait for the end of a recording; says what ended it."""
+    end = math.inf if duration_s is None else session.clock.now_ns() + int(duration_s * 1e9)
+    heard = False
+    try:
+        while session.clock.now_ns() < end:
+            session.check()
+            status.show()
+            heard = heard or session.bytes_in > 0
+            if until_silent_s is not None and heard and session.silent_s > until_silent_s:
+                return "silence"
+            time.sleep(0.05)
+    except KeyboardInterrupt:
+        return "Ctrl-C"
+    return "duration"
 
 
 def test(
@@ -121,6 +148,8 @@ def test(
     with Session(loaded, HostClock(time_scale)) as session, StepProgress({name: 1.0}) as progress:
         progress.step(name)
         tests = Procedures(session, TerminalOperator(), out, progress.tell, note)
+        if parameters is not None:
+            tests.parameters = IdentifiedParameters.label(parameters)
         done = run_test(tests, loaded, name if point is None else f"point-{point}", top_rpm, duration)
     result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary}
     if json:

@@ -126,6 +126,7 @@ def _campaign(
             parameters = folder / "parameters-before-points.toml"
             workbench.identify(plugged, logs, parameters).result()
             known = IdentifiedParameters.load(parameters)
+            tests.parameters = IdentifiedParameters.label(parameters)
             identified = load_rig(name, known, [*changes, *simulated.port_settings()])
             for point in rig.points:
                 begin(f"point-{point}")
@@ -137,6 +138,7 @@ def _campaign(
     facts = {
         "truth": truth,
         "seed": rig.virtual.seed,
+        "validated_with": tests.parameters,
         "notes": [f"Before {f.step} the simulated rig's {f.key} was changed to {f.value}." for f in faults],
     }
     report = folder / "report.html"

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or
 from __future__ import annotations
 
 import sys
+from keyword import iskeyword
 
 from cyclopts import App, CycloptsError
 
@@ -19,13 +20,17 @@ app = App(name="rig", help="Runs a pendulum-balancer rotor rig: acquisition, ide
 _VERBS = {  # imported when called: `rig predict` need not wait for the drivers
     "cli.demo": ("demo",),
     "cli.acquire": ("virtual", "check", "record", "test"),
-    "cli.offline": ("identify", "validate", "replay", "log"),
+    "cli.offline": ("identify", "validate"),
+    "cli.logs": ("log", "logs"),
+    "cli.replay": ("replay",),
+    "cli.recover": ("recover",),
+    "cli.exchange": ("export", "import"),
     "cli.model": ("predict", "map"),
     "cli.bench": ("bench",),
 }
 for module, verbs in _VERBS.items():
     for verb in verbs:
-        app.command(f"{module}:{verb}", name=verb)
+        app.command(f"{module}:{verb}{'_' if iskeyword(verb) else ''}", name=verb)
 
 
 def run(arguments: list[str]) -> int:

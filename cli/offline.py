@@ -1,4 +1,4 @@
-"""Commands that work on logs and rig files alone: identify, validate, predict, replay, log."""
+"""Commands from logs to numbers: identify, validate."""
 
 from __future__ import annotations
 
@@ -63,6 +63,8 @@ def validate(
     runs = results.load_runs(logs)
     angle = (axis_angle_deg, axis_angle_std_deg)
     found = compare(runs, loaded, known, angle)
+    for fault in results.keep_verdicts(found, runs, IdentifiedParameters.label(parameters)):
+        say(f"warning: {fault}")
     if report is not None:
         write_report(report, Campaign(f"Validation of {loaded.name}", loaded, runs, IdentificationResult(known), found,
                                       axis_angle_deg=angle))  # fmt: skip
@@ -77,62 +79,6 @@ def print_points(points: dict[str, Any]) -> None:
     """A line per point with its verdict and reason."""
     for name, point in points.items():
         print(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
-
-
-def replay(log: Path, *, check: bool = False, json: Json = False) -> int:
-    """Decode a log's raw bytes again through the same pipeline; --check compares with what was decoded live."""
-    from daq.replay import check as compare  # noqa: PLC0415
-
-    rows = compare(log)
-    differing = [row for row in rows if row.difference]
-    if json:
-        print_json({"log": str(log), "channels": [vars(row) for row in rows], "identical": not differing})
-    else:
-        for row in rows:
-            print(f"{row.topic:10} {row.live:9d} live {row.again:9d} again   {row.difference or 'identical'}")
-    return 1 if check and differing else 0
-
-
-def log(log: Path, *, json: Json = False) -> int:
-    """What is in one log: content, rates, losses, events, devices."""
-    from daq.log import open_log  # noqa: PLC0415
-
-    with open_log(log) as opened:
-        channels = {}
-        for topic in opened.topics:
-            if topic in ("events", "health") or topic.startswith("raw/"):
-                continue
-            times = opened[topic].time_ns
-            span = (times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
-            channels[topic] = {
-                "samples": len(times),
-                "span_s": span,
-                "rate_Hz": (len(times) - 1) / span if span else 0.0,
-            }
-        kinds: dict[str, int] = {}
-        for event in opened.events:
-            kinds[event["kind"]] = kinds.get(event["kind"], 0) + 1
-        result = {
-            "log": str(log),
-            "complete": opened.complete,
-            "missing": opened.missing,
-            "run": opened.metadata.get("run", {}),
-            "summary": opened.metadata.get("summary", {}),
-            "channels": channels,
-            "events": kinds,
-        }
-    if json:
-        print_json(result)
-        return 0
-    for key in ("run", "summary"):
-        for name, value in result[key].items():
-            print(f"{name:16} {value}")
-    for topic, facts in channels.items():
-        print(f"{topic:10} {facts['samples']:9d} samples {facts['span_s']:8.2f} s {facts['rate_Hz']:8.1f} Hz")
-    print("events     " + ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())))
-    for line in result["missing"]:
-        print(f"missing    {line}")
-    return 0
 
 
 def _need(logs: tuple[Path, ...], usage: str) -> None:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
+
+from rig_configs import load_rig
+from rig_configs.load import apply_setting, parse_setting, validate
+from rig_configs.schema import Rig
 
 Settings = Annotated[
     list[str] | None,
@@ -13,3 +18,21 @@ Settings = Annotated[
 ]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="one JSON object on standard output")]
 ParametersPath = Annotated[Path | None, Parameter(name="--parameters", help="parameters.toml laid over the rig file")]
+
+
+def rig_or_log(source: str, settings: Sequence[str]) -> tuple[Rig, dict[str, Any]]:
+    """A rig by file, by name, or as a log's snapshot of it; with a log, its devices' identities too.
+
+    Raises:
+        RigFileError, LogError: neither.
+    """
+    if not source.endswith((".mcap", ".mcap.part")):
+        return load_rig(source, settings=settings), {}
+    from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
+    from daq.snapshot import identities_of, snapshot_of  # noqa: PLC0415
+
+    with open_log(source) as log:
+        raw, identities = snapshot_of(log), identities_of(log)
+    for text in settings:
+        apply_setting(raw, *parse_setting(text), source)
+    return validate(raw, source), identities

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,11 @@ import numpy as np
 
 from analysis.plots.fit import FitCurve
 from analysis.report.campaign import ConsistencyCheck, IdentificationResult, TestEstimate
-from daq.session import software_version
+from analysis.validation import Validation
+from daq.errors import RecordingError
 from daq.signals import Run, load_run
+from daq.verdicts import Verdict, digest_of, keep_verdict
+from daq.version import software_version
 from identification import Identification
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters
 
@@ -24,11 +27,30 @@ def load_runs(logs: Sequence[str | Path]) -> list[Run]:
 
 
 def _with_digest(run: Run, path: Path) -> Run:
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return replace(run, metadata={**run.metadata, "digest": f"sha256:{digest.hexdigest()}"})
+    return replace(run, metadata={**run.metadata, "digest": digest_of(path)})
+
+
+def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> list[str]:
+    """Keep each point's verdict beside the log it was found in, for `rig logs`; returns what could not be kept.
+
+    Args:
+        parameters: which parameter set the model had.
+    """
+    digests = {run.source: str(run.metadata["digest"]) for run in runs}
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    faults = []
+    for name, point in found.points.items():
+        if point.source not in digests:  # the point has no log: nothing to keep it beside
+            continue
+        verdict = Verdict(
+            verdict=point.verdict, state=point.state, why=point.why, point=name, parameters=parameters,
+            software=software_version(), judged_at=now, digest=digests[point.source],
+        )  # fmt: skip
+        try:
+            keep_verdict(point.source, verdict)
+        except RecordingError as fault:
+            faults.append(str(fault))
+    return faults
 
 
 def with_version(parameters: IdentifiedParameters) -> IdentifiedParameters:

@@ -57,6 +57,7 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
 
     runs, before, joint = _found["runs"], _found["before"], _found["joint"]
     validation = validate(runs, rig, before.parameters, results.axis_angle(before))
+    results.keep_verdicts(validation, runs, facts["validated_with"])
     results.with_version(joint.parameters).save(out)
     identities = runs[0].metadata.get("identities", {})
     devices = {name: {k: str(v) for k, v in identity.items()} for name, identity in identities.items()}

@@ -11,7 +11,11 @@ from rig_configs.schema import Drive
 
 
 class DrivePipeline:
-    """slcan text to the drive's speed word, its state and its emergencies. A drive has no clock: host time counts."""
+    """slcan text to the drive's speed word, its state and its emergencies. A drive has no clock: host time counts.
+
+    The target speed is the host's own: it is in what the host sends, or, for one who only listens to the bus, among
+    the frames that arrive. Frame by frame in their order, so that both see the same.
+    """
 
     def __init__(self, device: str, config: Drive) -> None:
         self.losses = {"damaged_lines": 0}
@@ -26,8 +30,7 @@ class DrivePipeline:
         """See Pipeline."""
         if direction == TX:
             for frame in self._tx.feed(data).frames:
-                if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
-                    self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
+                self._heed_target(frame)
             self.frames = []
             return []
         found = self._rx.feed(data)
@@ -38,11 +41,15 @@ class DrivePipeline:
         if damaged:
             self.losses["damaged_lines"] += damaged
             out.append(Event("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
-        rows: list[tuple[int, int]] = []
+        rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
+        report = cia402.cob_tpdo(1, self._node)
         for frame in found.frames:
-            if frame.arbitration_id == cia402.cob_tpdo(1, self._node) and len(frame.data) == 4:
-                rows.append(cia402.unpack_tpdo1(frame.data))
-            elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
+            if frame.arbitration_id == report:  # nearly all of them
+                if len(frame.data) == 4:
+                    rows.append((*cia402.unpack_tpdo1(frame.data), self._target_rpm))
+                continue
+            self._heed_target(frame)
+            if frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
                 emergency = cia402.unpack_emergency(frame.data)
                 facts = {"error_code": emergency.error_code, "register": emergency.error_register}
                 out.append(Event("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
@@ -50,16 +57,22 @@ class DrivePipeline:
             out += self._speed(rows, host_ns)
         return out
 
-    def _speed(self, rows: list[tuple[int, int]], host_ns: int) -> list[Batch | Event]:
+    def _heed_target(self, frame: slcan.CanFrame) -> None:
+        if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
+            self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
+
+    def _speed(self, rows: list[tuple[int, int, float]], host_ns: int) -> list[Batch | Event]:
         out: list[Batch | Event] = []
         status = np.array([r[0] for r in rows], np.uint32)
-        for word in status:
-            if self._status is None or cia402.state(int(word)) != cia402.state(self._status):
-                out.append(Event("drive", self._device, cia402.state(int(word)), {"statusword": int(word)}))
-            self._status = int(word)
+        before = np.concatenate([[-1 if self._status is None else self._status], status[:-1]])
+        for i in np.flatnonzero(status != before):
+            word = int(status[i])
+            if self._status is None or cia402.state(word) != cia402.state(self._status):
+                out.append(Event("drive", self._device, cia402.state(word), {"statusword": word}))
+            self._status = word
         columns = {
             "speed_rpm": np.array([r[1] for r in rows], float),
-            "target_rpm": np.full(len(rows), self._target_rpm),
+            "target_rpm": np.array([r[2] for r in rows]),
             "statusword": status,
         }
         time_ns = np.full(len(rows), host_ns, np.int64)

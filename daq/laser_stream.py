@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap, Unwrap
+from daq.clock import ClockMap, Unwrap, steps_from
+from daq.laser_blocks import CleanBlocks, may_begin_block, take_clean_blocks
 from daq.protocols import optoncdt
 from daq.stream_items import TX, Batch, Event
 from rig_configs.schema import Laser
@@ -31,6 +32,7 @@ class LaserPipeline:
         self._tolerance_ppm = config.clock_tolerance_ppm
         self._nominal_ticks = 1.0 / (config.rate_Hz * optoncdt.TICK_S)
         self._joined = False
+        self._tail = b""  # the beginning of a block whose rest has not come
         self._restart()
 
     def _restart(self) -> None:
@@ -43,6 +45,10 @@ class LaserPipeline:
         """See Pipeline."""
         if direction == TX:
             return []
+        data, self._tail = self._tail + data, b""
+        clean = self._clean(data)
+        if clean is not None:
+            return self._samples(clean, host_ns, gapless=True) if len(clean.code) else []
         found = self._decoder.feed(data)
         out: list[Batch | Event] = [Event("reply", self._device, line) for line in found.text]
         for line in found.text:
@@ -62,8 +68,31 @@ class LaserPipeline:
                     out.append(Event("restart", self._device, text))
                     self._restart()
                 if len(rows):
-                    out += self._samples(rows, host_ns)
+                    out += self._samples(self._columns(rows), host_ns, gapless=False)
         return out
+
+    def _clean(self, data: bytes) -> CleanBlocks | None:
+        """All of `data`, if it continues without any damage; the beginning of a block at its end waits for the rest."""
+        if self._last_raw is None or not self._decoder.idle or not data:
+            return None
+        last_counter, last_tick = self._last_raw.tolist()
+        words = self._decoder.words
+        clean = take_clean_blocks(data, words, last_counter, last_tick, self._nominal_ticks)
+        taken = len(clean.code)
+        tail = data[3 * taken * len(words) :]
+        if len(tail) >= 3 * len(words) or not may_begin_block(tail):
+            return None
+        self._tail = tail
+        if taken:
+            self._last_raw = np.array([clean.counter[-1], clean.ticks[-1]], np.int64)
+        return clean
+
+    def _columns(self, values: NDArray[np.uint32]) -> CleanBlocks:
+        """Distance word, counter and timestamp of rows of words."""
+        words = self._decoder.words
+        low, high = values[:, words.index("TIMESTAMP_LO")], values[:, words.index("TIMESTAMP_HI")]
+        ticks = optoncdt.timestamp_ticks(low, high).astype(np.int64)
+        return CleanBlocks(values[:, 0], values[:, words.index("COUNTER")], ticks)
 
     def _stretches(self, values: NDArray[np.uint32], out: list[Batch | Event]) -> list[tuple[bool, NDArray[np.uint32]]]:
         """Rows that continue one another, each with whether it begins anew; lone rows that fit nowhere are dropped.
@@ -71,11 +100,8 @@ class LaserPipeline:
         The line has no checksum. Counter and timestamp must advance together; a row that disagrees with what came
         before it is damage, unless the rows after it agree with it: then the sensor has restarted.
         """
-        words = self._decoder.words
-        counter = values[:, words.index("COUNTER")].astype(np.int64)
-        ticks = optoncdt.timestamp_ticks(
-            values[:, words.index("TIMESTAMP_LO")], values[:, words.index("TIMESTAMP_HI")]
-        ).astype(np.int64)
+        _, counter, ticks = self._columns(values)
+        counter = counter.astype(np.int64)
         rows = np.column_stack([counter, ticks])
         previous = rows[:1] - [[1, round(self._nominal_ticks)]] if self._last_raw is None else self._last_raw[None]
         chain = np.concatenate([previous, rows])
@@ -124,39 +150,37 @@ class LaserPipeline:
         off = np.abs((passed - expected + around / 2) % around - around / 2)
         return (passed > 0) & (passed < optoncdt.TIMESTAMP_WRAP // 2) & (off <= 1e-3 * passed + 2)
 
-    def _samples(self, values: NDArray[np.uint32], host_ns: int) -> list[Batch | Event]:
-        words = self._decoder.words
-        code = values[:, 0]
-        counter_raw = values[:, words.index("COUNTER")]
-        ticks_raw = optoncdt.timestamp_ticks(
-            values[:, words.index("TIMESTAMP_LO")], values[:, words.index("TIMESTAMP_HI")]
-        )
-        out: list[Batch | Event] = []
+    def _samples(self, rows: CleanBlocks, host_ns: int, *, gapless: bool) -> list[Batch | Event]:
         before = self._last_tick
-        ticks = self._ticks.feed(ticks_raw)
+        ticks = self._ticks.feed(rows.ticks)
         self._last_tick = int(ticks[-1])
         time_ns = self._clock.map(ticks * 10_000, host_ns)
-        out += self._gaps(before, ticks)
-        displacement = (optoncdt.metres(code, self._range_m) - 0.5 * self._range_m) * self._to_disk
+        out = [] if gapless else self._gaps(before, ticks, time_ns)
+        displacement = (optoncdt.metres(rows.code, self._range_m) - 0.5 * self._range_m) * self._to_disk
         self.losses["invalid"] += int(np.count_nonzero(np.isnan(displacement)))
+        counter = rows.counter.astype(np.uint32)
         columns = {
             "displacement_m": displacement,
-            "code": code,
-            "counter": counter_raw,
+            "code": rows.code.astype(np.uint32),
+            "counter": counter,
             "device_ticks": ticks.astype(np.uint64),
         }
-        out.append(Batch(self._channel, time_ns, counter_raw.astype(np.uint32), columns))
+        out.append(Batch(self._channel, time_ns, counter, columns))
         return out
 
-    def _gaps(self, before: int | None, ticks: NDArray[np.int64]) -> list[Batch | Event]:
-        """Samples missing between rows; the timestamp tells, since the counter wraps within a minute."""
-        first = ticks[0] - self._nominal_ticks if before is None else before
-        steps = np.rint(np.diff(ticks, prepend=first) / self._nominal_ticks).astype(np.int64)
+    def _gaps(self, before: int | None, ticks: NDArray[np.int64], time_ns: NDArray[np.int64]) -> list[Batch | Event]:
+        """Samples missing between rows; the timestamp tells, since the counter wraps within a minute.
+
+        A gap's own time is that of the first sample after it.
+        """
+        first = int(ticks[0]) - round(self._nominal_ticks) if before is None else before
+        steps = np.rint(steps_from(first, ticks) / self._nominal_ticks).astype(np.int64)
         out: list[Batch | Event] = []
         for i in np.flatnonzero(steps != 1):
             lost = int(steps[i]) - 1
             self.losses["samples"] += lost
             span = lost * self._nominal_ticks * optoncdt.TICK_S
             out.append(Event("gap", self._device, f"{lost} samples lost ({span * 1e3:.2f} ms)",
-                             {"samples": lost, "span_s": span, "device_ticks": int(ticks[i])}))  # fmt: skip
+                             {"samples": lost, "span_s": span, "time_ns": int(time_ns[i]),
+                              "device_ticks": int(ticks[i])}))  # fmt: skip
         return out

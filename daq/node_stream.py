@@ -25,6 +25,7 @@ class NodePipeline:
         self._decoder = rotorlink.FrameDecoder()
         self._cable = rotorlink.SequenceCounter()
         self._joined = False
+        self._last_dongle_us: int | None = None
         self._restart()
 
     def _restart(self) -> None:
@@ -48,25 +49,34 @@ class NodePipeline:
         for frame in found.frames:
             if isinstance(frame, rotorlink.Wrapped):
                 lost, repeated = self._cable.feed(frame.seq)
-                self._count("cable_frames", lost, out)
+                self._count("cable_frames", lost, self._since_dongle(frame.dongle_time_us), out)
                 if frame.inner is not None and not repeated:
                     out += self._node_frame(frame.inner, host_ns)
             elif isinstance(frame, rotorlink.DongleStatus):
                 lost, _ = self._cable.feed(frame.seq)
-                self._count("cable_frames", lost, out)
+                self._count("cable_frames", lost, self._since_dongle(frame.dongle_time_us), out)
             elif not isinstance(frame, rotorlink.Command | rotorlink.Ping):
                 out += self._node_frame(frame, host_ns)
         return out
 
-    def _count(self, what: str, lost: int, out: list[Batch | Event]) -> None:
+    def _since_dongle(self, dongle_us: int) -> float:
+        """Seconds since the dongle's frame before."""
+        last, self._last_dongle_us = self._last_dongle_us, dongle_us
+        return 0.0 if last is None else _seconds(last, dongle_us)
+
+    def _count(self, what: str, lost: int, span_s: float, out: list[Batch | Event]) -> None:
+        """Count lost frames; `span_s` lies between the frame before them and the one after."""
         if lost:
             self.losses[what] += lost
-            out.append(Event("gap", self._device, f"{lost} {what.replace('_', ' ')} lost", {what: lost}))
+            text = f"{lost} {what.replace('_', ' ')} lost within {span_s * 1e3:.0f} ms"
+            out.append(Event("gap", self._device, text, {what: lost, "span_s": span_s}))
 
     def _node_frame(self, frame: rotorlink.NodeFrame, host_ns: int) -> list[Batch | Event]:
         out: list[Batch | Event] = []
         restarts = self._air.restarts
-        stepped_back = self._time_stepped_back(getattr(frame, "node_time_us", None))
+        node_us, last_us = getattr(frame, "node_time_us", None), self._last_us
+        span_s = 0.0 if node_us is None or last_us is None else _seconds(last_us, node_us)
+        stepped_back = self._time_stepped_back(node_us)
         lost, repeated = (0, False) if stepped_back else self._air.feed(frame.seq)
         if repeated:
             return out
@@ -74,8 +84,8 @@ class NodePipeline:
             out.append(Event("restart", self._device, "the node started again: its counters begin anew"))
             self._restart()
             self._air.feed(frame.seq)
-            self._time_stepped_back(getattr(frame, "node_time_us", None))
-        self._count("radio_frames", lost, out)
+            self._time_stepped_back(node_us)
+        self._count("radio_frames", lost, span_s, out)
         match frame:
             case rotorlink.EncoderBlock():
                 out += self._encoder(frame, host_ns)
@@ -120,20 +130,15 @@ class NodePipeline:
         return stepped
 
     def _encoder(self, block: rotorlink.EncoderBlock, host_ns: int) -> list[Batch | Event]:
-        out: list[Batch | Event] = []
         n = len(block.counts)
         index = block.first_index + np.arange(n, dtype=np.int64)
         first_us = self._time.feed(np.array([block.node_time_us]))[0]
         node_us = first_us + block.period_us * np.arange(n, dtype=np.int64)
-        fresh = 0 if self._next_index is None else max(0, self._next_index - block.first_index)
-        if self._next_index is not None and block.first_index > self._next_index:
-            missing = block.first_index - self._next_index
-            self.losses["samples"] += missing
-            out.append(Event("gap", self._device, f"{missing} encoder samples lost",
-                             {"samples": missing, "span_s": missing * block.period_us * 1e-6}))  # fmt: skip
-        self._next_index = int(index[-1]) + 1 if self._next_index is None else max(self._next_index, int(index[-1]) + 1)
+        expected = block.first_index if self._next_index is None else self._next_index
+        fresh, missing = max(0, expected - block.first_index), max(0, block.first_index - expected)
+        self._next_index = max(expected, int(index[-1]) + 1)
         if fresh >= n:
-            return out
+            return []
         counts = block.counts[fresh:]
         columns = {
             "theta3_rad": counts[:, 0] * self._radian,
@@ -145,5 +150,16 @@ class NodePipeline:
             "flags": np.full(n - fresh, block.flags, np.uint32),
         }
         time_ns = self._clock.map(node_us[fresh:] * 1000, host_ns)
-        out.append(Batch(channels.PENDULUMS, time_ns, columns["index"], columns))
-        return out
+        out: list[Batch | Event] = []
+        if missing:
+            self.losses["samples"] += missing
+            span_s = missing * block.period_us * 1e-6
+            facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
+            out.append(Event("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.2f} ms)", facts))
+        return [*out, Batch(channels.PENDULUMS, time_ns, columns["index"], columns)]
+
+
+def _seconds(before_us: int, after_us: int) -> float:
+    """From one instant of a clock that wraps at 2**32 µs to a later one; 0 for two that came in the wrong order."""
+    passed = (after_us - before_us) & 0xFFFFFFFF
+    return passed * 1e-6 if passed < 0x80000000 else 0.0

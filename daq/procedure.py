@@ -67,11 +67,15 @@ class Procedures:
         folder: where logs go; names are counted up.
         progress: told what is going on, with the share done where that is known.
         note: the operator's note, kept in every log.
+
+    Attributes:
+        parameters: which identified parameters the speeds follow from; "" for the rig file's own. Kept in every log.
     """
 
     def __init__(self, session: Session, operator: Operator, folder: Path, progress: Progress, note: str = "") -> None:
         self._s, self._operator, self._folder, self._progress, self._note = session, operator, folder, progress, note
         self._clock = session.clock
+        self.parameters = ""
 
     # --- the tests ---------------------------------------------------------------------------------------------
 
@@ -222,7 +226,8 @@ class Procedures:
         numbers = [int(p.name[:2]) for p in self._folder.glob("[0-9][0-9]-*.mcap*")]
         number = 1 + max(numbers, default=0)
         path = self._folder / f"{number:02d}-{test}.mcap"
-        self._s.start_recording(path, {"test": test, "note": self._note, **facts})
+        known = {"parameters": self.parameters} if self.parameters else {}
+        self._s.start_recording(path, {"test": test, "note": self._note, **known, **facts})
 
     def _end(self, test: str, summary: Mapping[str, Any]) -> TestDone:
         log = self._s.stop_recording(summary)

@@ -8,68 +8,34 @@ import queue
 import secrets
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from importlib.metadata import PackageNotFoundError, version
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq import channels, lasers
+from daq import lasers
 from daq.drive import DriveControl
 from daq.drive_stream import DrivePipeline
-from daq.errors import DeviceError, LinkLost, ProcedureError, RecordingError
+from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.protocols import optoncdt, rotorlink
-from daq.recorder import Recorder
+from daq.recent import Recent
+from daq.recorder import DiskState, Recorder
 from daq.stream_items import RX, TX, Batch, Event
 from daq.streams import Pipeline, make_pipelines
 from daq.transports import HostClock, Link, open_link
+from daq.version import software_version
 from rig_configs.schema import Rig
 
 _KEEP_S = 90.0
+_REST_S = 0.01  # rig time between two turns of a reader: what a wake-up costs counts, not the bytes
+_LASER_REST_S = 0.02  # its samples bear their own time, and come without a pause
+_NEXT_S = 0.005  # wall seconds to wait for the next arrival
 _HEALTH_S = 1.0
 _WATCH_S = 0.25  # wall seconds between two looks for silent devices
 _SILENCE_S = 2.0  # wall seconds
 _OUT_OF_RANGE_SAMPLES = 5  # in one read; fewer may be a flash of light
-
-
-class Recent:
-    """The last seconds of every channel, for procedures and interlocks."""
-
-    def __init__(self, keep_s: float) -> None:
-        self._keep_ns = int(keep_s * 1e9)
-        self._batches: dict[str, deque[Batch]] = {topic: deque() for topic in channels.CHANNELS}
-        self._lock = threading.Lock()
-
-    def add(self, batch: Batch) -> None:
-        """Append one batch and forget what is too old."""
-        with self._lock:
-            kept = self._batches[batch.channel.topic]
-            kept.append(batch)
-            oldest = int(batch.time_ns[-1]) - self._keep_ns
-            while len(kept) > 1 and int(kept[0].time_ns[-1]) < oldest:
-                kept.popleft()
-
-    def last(self, topic: str, fields: tuple[str, ...], since_ns: int = 0) -> tuple[NDArray[np.int64], list[Any]]:
-        """Times (ns) and columns of a channel since an instant; empty arrays when there is nothing."""
-        with self._lock:
-            kept = list(takewhile(lambda b: int(b.time_ns[-1]) >= since_ns, reversed(self._batches[topic])))
-        if not kept:
-            return np.empty(0, np.int64), [np.empty(0) for _ in fields]
-        kept.reverse()
-        time_ns = np.concatenate([b.time_ns for b in kept])
-        take = time_ns >= since_ns
-        return time_ns[take], [np.concatenate([b.columns[f] for b in kept])[take] for f in fields]
-
-    def clear(self) -> None:
-        """Forget everything (the clock maps begin anew with each log)."""
-        with self._lock:
-            for kept in self._batches.values():
-                kept.clear()
 
 
 class _Device:
@@ -79,6 +45,7 @@ class _Device:
         self.name, self.link, self.pipeline = name, link, pipeline
         self.lock = threading.Lock()  # rx and tx reach pipeline and log in one order
         self.replies: queue.Queue[str] = queue.Queue()
+        self.rest_s = _LASER_REST_S if name.startswith("laser") else _REST_S
         self.bytes_in = 0
         self.heard_s = time.monotonic()
         self.thread: threading.Thread | None = None
@@ -90,15 +57,16 @@ class Session:
     Args:
         rig: the rig file.
         clock: the host clock.
-    Raises (from `open`):
+        identities: what the devices are known to be, for a session that only listens; `open` asks them itself.
+    Raises (from `open` and `listen`):
         LinkLost: a port cannot be opened.
         DeviceError: a device does not answer as it should.
     """
 
-    def __init__(self, rig: Rig, clock: HostClock) -> None:
+    def __init__(self, rig: Rig, clock: HostClock, identities: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         self.rig, self.clock = rig, clock
         self.recent = Recent(_KEEP_S)
-        self.identities: dict[str, dict[str, Any]] = {}
+        self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
         self.trouble: Exception | None = None
         self._drive: DriveControl | None = None
         self._devices: dict[str, _Device] = {}
@@ -109,26 +77,15 @@ class Session:
         self._command_seq = secrets.randbelow(0x8000)
         self._closing = False
         self._tripped = False
+        self._disk_slow = False
 
     def open(self) -> Session:
         """Open every link, identify the devices, start their streams."""
         d = self.rig.devices
-        pipelines = make_pipelines(d, {})
-        ports = {
-            "laser_x": (d.laser_x.port, d.laser_x.baud, None),
-            "laser_y": (d.laser_y.port, d.laser_y.baud, None),
-            "encoder": (d.encoder.port, d.encoder.baud, None),
-            "drive": (d.drive.port, 115_200, d.drive.bitrate),
-        }
         try:
-            for name, (port, baud, bitrate) in ports.items():
-                link = open_link(port, baud, bitrate)
-                device = _Device(name, link, pipelines[name])
-                self._devices[name] = device
+            self._open_links()
             self._drive = DriveControl(d.drive, lambda data: self.send("drive", data), self.clock)
-            for device in self._devices.values():
-                device.thread = threading.Thread(target=self._read, args=(device,), name=device.name, daemon=True)
-                device.thread.start()
+            self._start_readers()
             for name, config in (("laser_x", d.laser_x), ("laser_y", d.laser_y)):
                 self.identities[name] = lasers.configure(
                     name, config, lambda data, n=name: self.send(n, data), self._devices[name].replies
@@ -139,14 +96,51 @@ class Session:
             self.wait_for(self._all_alive, 3.0, "every device to send samples")
             self._begin_anew(None)  # what waited in the ports' buffers was late and would mislead the clock maps
             self.wait_for(self._all_alive, 3.0, "every device to go on sending samples")
-            threading.Thread(target=self._report_health, name="health", daemon=True).start()
+            self._start_watching()
         except BaseException:
             self.close()
             raise
         return self
 
+    def listen(self, path: Path, metadata: Mapping[str, str]) -> Session:
+        """Open every link without a word and record from the first byte; whoever runs the rig is someone else.
+
+        Nothing is configured and nothing is turned; a device may be silent. Identities are those given to the session,
+        else the rig file's word counts.
+        """
+        try:
+            self._open_links()
+            self.start_recording(path, metadata)
+            self._start_readers()
+            self._start_watching()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def _open_links(self) -> None:
+        d = self.rig.devices
+        ports = {
+            "laser_x": (d.laser_x.port, d.laser_x.baud, None),
+            "laser_y": (d.laser_y.port, d.laser_y.baud, None),
+            "encoder": (d.encoder.port, d.encoder.baud, None),
+            "drive": (d.drive.port, 115_200, d.drive.bitrate),
+        }
+        pipelines = make_pipelines(d, {})
+        for name, (port, baud, bitrate) in ports.items():
+            self._devices[name] = _Device(name, open_link(port, baud, bitrate), pipelines[name])
+
+    def _start_readers(self) -> None:
+        for device in self._devices.values():
+            device.heard_s = time.monotonic()
+            device.thread = threading.Thread(target=self._read, args=(device,), name=device.name, daemon=True)
+            device.thread.start()
+
+    def _start_watching(self) -> None:
+        threading.Thread(target=self._report_health, name="health", daemon=True).start()
+
     def __enter__(self) -> Session:
-        return self.open()
+        return self if self._devices else self.open()
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -192,18 +186,35 @@ class Session:
     # --- bytes -------------------------------------------------------------------------------------------------
 
     def _read(self, device: _Device) -> None:
+        """Take bytes some fifty times a second, each turn stamped with the arrival of its last byte.
+
+        What came while the thread rested is not stamped as it is fetched, which would be late by an unknown part of
+        the rest: it waits for the next arrival, as long as that is near.
+        """
+        rested = b""
         try:
             while not self._closing:
-                data = device.link.read(0.1)
-                if data:
-                    host_ns = self.clock.now_ns()
-                    with device.lock:
-                        device.bytes_in += len(data)
-                        device.heard_s = time.monotonic()
-                        self._take(device, RX, data, host_ns)
+                try:
+                    data = device.link.read(_NEXT_S if rested else 0.1)
+                except LinkLost:
+                    if rested:  # its last bytes are bytes too
+                        self._arrived(device, rested)
+                    raise
+                if rested or data:
+                    self._arrived(device, rested + data)
+                    self.clock.sleep(device.rest_s)
+                    rested = b""  # not twice, should the next line fail
+                    rested = device.link.read(0.0)
         except Exception as error:  # the device is gone, or a decoder's bug: either must stop the rig, not one thread
             if not self._closing:
                 self._fail(error)
+
+    def _arrived(self, device: _Device, data: bytes) -> None:
+        host_ns = self.clock.now_ns()
+        with device.lock:
+            device.bytes_in += len(data)
+            device.heard_s = time.monotonic()
+            self._take(device, RX, data, host_ns)
 
     def send(self, name: str, data: bytes) -> None:
         """Write to a device; the bytes go into the log as they go out.
@@ -218,8 +229,8 @@ class Session:
 
     def _take(self, device: _Device, direction: int, data: bytes, host_ns: int) -> None:
         recorder = self._recorder
-        if recorder is not None:
-            recorder.raw(device.name, direction, data, host_ns)
+        if recorder is not None and not recorder.raw(device.name, direction, data, host_ns):
+            recorder = None  # the run has ended; interlocks go on
         found = device.pipeline.feed(direction, data, host_ns)
         for item in found:
             if isinstance(item, Batch):
@@ -237,7 +248,7 @@ class Session:
                     self._acknowledges.put(item)
                 elif item.kind in ("fault", "restart") and self.trouble is None:
                     self.trouble = DeviceError(f"{item.device}: {item.text}")
-        if direction == RX and isinstance(device.pipeline, DrivePipeline) and device.pipeline.frames:
+        if self._drive is not None and isinstance(device.pipeline, DrivePipeline) and direction == RX:
             self.drive.notice(device.pipeline.frames)
 
     def _fail(self, error: Exception) -> None:
@@ -252,10 +263,14 @@ class Session:
     def _guard_amplitude(self, batch: Batch) -> None:
         if batch.channel.topic not in ("laser/x", "laser/y") or self._tripped:
             return
-        largest = np.nanmax(np.abs(batch.columns["displacement_m"]), initial=0.0)
-        beyond_range = np.count_nonzero(np.isin(batch.columns["code"], optoncdt.OUT_OF_RANGE)) >= _OUT_OF_RANGE_SAMPLES
         if self._drive is None or self._drive.actual_rpm == 0:
             return
+        largest = np.nanmax(np.abs(batch.columns["displacement_m"]), initial=0.0)
+        codes = batch.columns["code"]
+        beyond_range = (
+            int(codes.max()) > optoncdt.CODE_MAX
+            and np.count_nonzero(np.isin(codes, optoncdt.OUT_OF_RANGE)) >= _OUT_OF_RANGE_SAMPLES
+        )
         if largest > self.rig.limits.amplitude_m or beyond_range:
             self._tripped = True
             seen = "out of the sensor's range" if beyond_range else f"{largest * 1e3:.1f} mm"
@@ -273,23 +288,50 @@ class Session:
             time.sleep(_WATCH_S)
             now = time.monotonic()
             still = {n for n, d in self._devices.items() if now - d.heard_s > _SILENCE_S}
-            for name in still & silent:  # seen twice: not a host that has just been asleep
+            for name in still & silent if self._drive is not None else ():  # seen twice: no host that was asleep
                 self._fail(
                     DeviceError(f"{name}: silent for {_SILENCE_S:g} s. Look at its cable, its power, its battery")
                 )
             silent = still
-            if now < due:
-                continue
-            due = now + _HEALTH_S / self.clock.rate
             recorder = self._recorder
             if recorder is not None:
-                recorder.health({"kind": "health", "device": "host", "text": "", "losses": self.losses(),
-                                 "stalled": recorder.stalled,
-                                 "bytes": {n: d.bytes_in for n, d in self._devices.items()}})  # fmt: skip
-                if recorder.error is not None:
-                    self._fail(RecordingError(f"{recorder.part}: {recorder.error}"))
+                self._look_at_disk(recorder)
+            if now >= due and recorder is not None:
+                due = now + _HEALTH_S / self.clock.rate
+                facts = {"losses": self.losses(), "disk": recorder.state().facts()}
+                facts["bytes"] = {n: d.bytes_in for n, d in self._devices.items()}
+                recorder.health({"kind": "health", "device": "host", "text": "", **facts})
+
+    def _look_at_disk(self, recorder: Recorder) -> None:
+        """Say that the disk is slow while nothing is lost yet; end the run when it has to be."""
+        state = recorder.look()
+        if state.slow != self._disk_slow:
+            self._disk_slow = state.slow
+            text = (
+                f"the disk is slow: {state.backlog_bytes / 1e6:.1f} MB wait, the oldest for {state.unsynced_s:.1f} s"
+                if state.slow
+                else "the disk keeps up again"
+            )
+            recorder.event(Event("disk", "host", text, state.facts()), self.clock.now_ns())
+        if recorder.trouble is not None:
+            self._fail(recorder.trouble)
 
     # --- recording ---------------------------------------------------------------------------------------------
+
+    @property
+    def bytes_in(self) -> int:
+        """Bytes from all devices so far."""
+        return sum(device.bytes_in for device in self._devices.values())
+
+    @property
+    def silent_s(self) -> float:
+        """How long no device has sent anything, wall s."""
+        return time.monotonic() - max(device.heard_s for device in self._devices.values())
+
+    def disk(self) -> DiskState | None:
+        """How the disk keeps up with the recording; None when nothing is recorded."""
+        recorder = self._recorder
+        return None if recorder is None else recorder.state()
 
     def losses(self) -> dict[str, dict[str, int]]:
         """Counted losses of every device since the recording began."""
@@ -331,7 +373,7 @@ class Session:
                 stack.enter_context(device.lock)
             self._recorder = None
             losses = self.losses()
-        return recorder.close({"losses": losses, "stalled": recorder.stalled, **summary})
+        return recorder.close({"losses": losses, **summary})
 
     # --- waiting and commands ----------------------------------------------------------------------------------
 
@@ -381,11 +423,3 @@ class Session:
                         return
                     raise DeviceError(f"encoder node: {action!r} refused: {event.text}")
         raise DeviceError(f"encoder node: {action!r} was not acknowledged after 20 tries. Is the radio in reach?")
-
-
-def software_version() -> str:
-    """Version of the installed package."""
-    try:
-        return version("pendulum-balancer-rig")
-    except PackageNotFoundError:
-        return "unknown"

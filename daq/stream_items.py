@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,3 +44,20 @@ class Event:
     device: str
     text: str
     facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def joined(arrived: Sequence[tuple[Batch, int]]) -> tuple[Batch, NDArray[np.int64]]:
+    """Batches of one channel as one, and the host time of each sample.
+
+    Args:
+        arrived: at least one batch, each with its host time, ns.
+    """
+    batches = [batch for batch, _ in arrived]
+    columns = {name: np.concatenate([b.columns[name] for b in batches]) for name in batches[0].columns}
+    together = Batch(
+        batches[0].channel,
+        np.concatenate([b.time_ns for b in batches]),
+        np.concatenate([b.sequence for b in batches]),
+        columns,
+    )
+    return together, np.repeat(np.array([ns for _, ns in arrived], np.int64), [len(b.time_ns) for b in batches])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -77,6 +78,11 @@ class IdentifiedParameters:
         document["covariance"] = {"order": list(self.values), "matrix": self.covariance.tolist()}
         document["provenance"] = self.provenance
         Path(path).write_text(tomlkit.dumps(document), encoding="utf-8")
+
+    @staticmethod
+    def label(path: str | Path) -> str:
+        """Which parameter set a file is, for logs and verdicts: its name and the beginning of its digest."""
+        return f"{Path(path).name} sha256:{hashlib.sha256(Path(path).read_bytes()).hexdigest()[:12]}"
 
     @classmethod
     def load(cls, path: str | Path) -> IdentifiedParameters:

@@ -183,10 +183,11 @@ class Radio(Table):
 
 
 class VirtualDrive(Table):
-    """The simulated drive: slip against the commanded speed and the lag of its speed loop."""
+    """The simulated drive: slip against the commanded speed, the lag of its speed loop, how often it reports."""
 
     slip: Annotated[float, Field(ge=-0.05, le=0.05)] = 0.002
     lag_s: NotNegative = 0.08
+    report_s: Annotated[float, Field(ge=0.001, le=1)] = 0.01
 
 
 class TruthPendulum(Table):

@@ -57,7 +57,7 @@ _LF, _CR, _TAB, _DASH, _ANGLE = b"\n\r\t->"
 _TEXT = frozenset(range(0x20, 0x7F)) | {_LF, _CR, _TAB}
 _LINE_LIMIT = 1024  # bytes; the longest answers seen are GETINFO lines well under 100
 _STALE_AFTER = 256  # values without a text byte after which an unterminated text was damage, not an answer
-_WINDOW = 16  # blocks the fast path looks at first; doubles while the stream is clean
+_WINDOW, _WINDOW_LIMIT = 16, 4096  # blocks the fast path looks at in one go: few after damage, more while it is clean
 
 
 @dataclass(frozen=True)
@@ -87,11 +87,17 @@ class StreamDecoder:
         self._pending = bytearray()  # nothing, an L, or an L and an M: maybe the start of a value
         self._line = bytearray()  # text of a line not yet ended
         self._line_age = 0  # values since its last byte
+        self._window = _WINDOW  # blocks to look at in one go
 
     @property
     def words(self) -> tuple[str, ...]:
         """Names of the columns of `Decoded.values`."""
         return self._words
+
+    @property
+    def idle(self) -> bool:
+        """Nothing is under way: the next byte begins a block or a line."""
+        return not (self._pending or self._block or self._line)
 
     def set_words(self, words: Sequence[str]) -> None:
         """Select the output values from now on; a half-received block is dropped.
@@ -102,6 +108,8 @@ class StreamDecoder:
         if not words:
             raise ValueError("expected at least one output word, got none: pass the names in stream order")
         self._words = tuple(words)
+        self._kinds = np.tile(np.array([0x00, 0x40, 0xC0], np.uint8), (len(self._words), 1))
+        self._kinds[0, 2] = 0x80
         self._block: list[int] = []  # values of the block under way
         self._rows: list[NDArray[np.uint32]] = []
         self._text: list[str] = []
@@ -114,33 +122,37 @@ class StreamDecoder:
             data: any number of bytes, as they came.
         """
         self._rows, self._text, self._skipped = [], [], 0
-        position, window, width = 0, _WINDOW, 3 * len(self._words)
+        position, width = 0, 3 * len(self._words)
         while position < len(data):
             if not self._block and not self._pending and len(data) - position >= width:
-                taken = self._take_clean_blocks(data, position, window)
-                window = 2 * window if taken == window else _WINDOW
+                taken = self._take_clean_blocks(data, position)
                 position += taken * width
                 if taken:
                     continue
             position = self._walk(data, position)
-        empty = np.empty((0, len(self._words)), np.uint32)
-        values = np.concatenate(self._rows) if self._rows else empty
+        if len(self._rows) == 1:
+            values = self._rows[0]
+        else:
+            values = np.concatenate([np.empty((0, len(self._words)), np.uint32), *self._rows])
         return Decoded(values, self._text, self._skipped)
 
-    def _take_clean_blocks(self, data: bytes, position: int, limit: int) -> int:
-        """Decode up to `limit` whole blocks that stand back to back; returns how many."""
+    def _take_clean_blocks(self, data: bytes, position: int) -> int:
+        """Decode whole blocks that stand back to back, at most a window of them; returns how many.
+
+        The window grows while the stream is clean, so that a damaged one is not looked at again and again.
+        """
         words = len(self._words)
-        count = min(limit, (len(data) - position) // (3 * words))
+        count = min(self._window, (len(data) - position) // (3 * words))
         triples = np.frombuffer(data, np.uint8, 3 * words * count, position).reshape(count, words, 3)
-        first = np.full(words, 0b11, np.uint8)
-        first[0] = 0b10
-        kinds = triples >> 6
-        good = (kinds[..., 0] == 0b00) & (kinds[..., 1] == 0b01) & (kinds[..., 2] == first)
-        rows = good.all(axis=1)
+        rows = ((triples & 0xC0) == self._kinds).all(axis=(1, 2))
         taken = count if rows.all() else int(rows.argmin())
+        if taken < count:
+            self._window = _WINDOW
+        elif taken == self._window:
+            self._window = min(2 * self._window, _WINDOW_LIMIT)
         if taken:
             six = (triples[:taken] & 0x3F).astype(np.uint32)
-            self._rows.append((six[..., 0] | six[..., 1] << 6 | six[..., 2] << 12).astype(np.uint32))
+            self._rows.append((six[..., 0] | six[..., 1] << 6 | six[..., 2] << 12).astype(np.uint32, copy=False))
             self._age_line(taken * words)
         return taken
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.protocols import optoncdt
+from daq.protocols.optoncdt_sensor import SensorCommands, info_lines
 from daq.virtual_rig.motion import Trajectory
 from rig_configs.schema import Laser
 
@@ -50,97 +49,30 @@ class SimulatedLaser:
         serial: str,
     ) -> None:
         self._config, self._look, self._offset, self._noise = config, look, offset_m, noise_m
-        self._clock, self._rng, self._serial = clock, rng, serial
-        self._streaming = False
-        self._echo = True
-        self._extra: tuple[str, ...] = ()
-        self._rate_hz = float(config.rate_Hz)
+        self._clock, self._rng = clock, rng
         self._next = 0  # number of the next sample on the device's clock
         self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
-        self._line = bytearray()
-        self._commands: dict[str, Callable[[list[str]], list[str]]] = {
-            "ECHO": self._set_echo,
-            "GETINFO": self._info,
-            "OUTPUT": self._output,
-            "OUTADD_RS422": self._outadd,
-            "GETOUTINFO_RS422": self._outinfo,
-            "MEASRATE": self._measrate,
-            "OUTHOLD": lambda a: [],
-            "RESETCNT": self._reset,
-        }
+        info = optoncdt.Info(name="ILD1420", serial=serial, range_m=config.range_m, version="001.019")
+        self._commands = SensorCommands(
+            [*info_lines(info), "Option: 000", "Article: 4120232"],
+            float(config.rate_Hz),
+            rate_set=self._begin_anew,
+            counter_reset=self._reset_counter,
+        )
 
     def receive(self, data: bytes) -> bytes:
         """Take command bytes; returns the answers."""
-        self._line += data
-        out = b""
-        while b"\n" in self._line:
-            line, _, rest = self._line.partition(b"\n")
-            self._line = bytearray(rest)
-            out += self._answer(line.decode("ascii", "replace").strip())
-        return out
+        return self._commands.receive(data)
 
-    def _answer(self, line: str) -> bytes:
-        if not line:
-            return b"->"
-        name, *args = line.replace("(", " ").replace(")", " ").split()
-        handler = self._commands.get(name.upper())
-        if handler is None:
-            return f"E200 Unknown command {name}\r\n->".encode()
-        try:
-            lines = handler([a.upper() for a in args])
-        except ValueError as error:
-            return f"E210 {error}\r\n->".encode()
-        if self._echo and not lines:
-            lines = [f"{line} ok"]
-        return "".join(f"{text}\r\n" for text in lines).encode() + b"->"
-
-    def _set_echo(self, args: list[str]) -> list[str]:
-        self._echo = args[:1] != ["OFF"]
-        return []
-
-    def _info(self, _: list[str]) -> list[str]:
-        return [
-            "Name: ILD1420",
-            f"Serial: {self._serial}",
-            "Option: 000",
-            "Article: 4120232",
-            f"Measuring range: {self._config.range_m * 1e3:.2f}mm",
-            "Version: 001.019",
-        ]
-
-    def _output(self, args: list[str]) -> list[str]:
-        if args:
-            self._streaming = args == ["RS422"]
-            return []
-        return [f"OUTPUT {'RS422' if self._streaming else 'NONE'}"]
-
-    def _outadd(self, args: list[str]) -> list[str]:
-        unknown = set(args) - {"NONE", "COUNTER", "TIMESTAMP"}
-        if unknown:
-            raise ValueError(f"Unknown output {sorted(unknown)}")
-        self._extra = tuple(a for a in ("COUNTER", "TIMESTAMP") if a in args)
-        return []
-
-    def _outinfo(self, _: list[str]) -> list[str]:
-        return [" ".join(("GETOUTINFO_RS422", "DIST", *self._extra))]
-
-    def _measrate(self, args: list[str]) -> list[str]:
-        if not args:
-            return [f"MEASRATE {self._rate_hz / 1000:g}"]
-        if args[0] not in {"0.25", "0.5", "1", "2", "4"}:
-            raise ValueError(f"Rate {args[0]} kHz not possible")
-        self._rate_hz = float(args[0]) * 1000
+    def _begin_anew(self) -> None:
         self._next = 0
-        return []
 
-    def _reset(self, args: list[str]) -> list[str]:
-        if not args or "MEASCNT" in args:
-            self._counter = 0
-        return []
+    def _reset_counter(self) -> None:
+        self._counter = 0
 
     def sample(self, motion: Trajectory) -> bytes:
         """The stream's bytes for the samples that fall into a stretch of motion."""
-        period = 1.0 / self._rate_hz
+        period = 1.0 / self._commands.rate_Hz
         last = int(np.floor(float(self._clock.device_s(motion.time_s[-1])) / period))
         if self._next == 0:  # first call: start counting now
             self._next = int(np.floor(float(self._clock.device_s(motion.time_s[0])) / period)) + 1
@@ -154,7 +86,7 @@ class SimulatedLaser:
         times = np.clip(self._clock.rig_s(device_s), motion.time_s[0], motion.time_s[-1])
         seen = self._look[0] * motion.at(times, 0, 4) + self._look[1] * motion.at(times, 1, 5)
         seen = seen + self._offset + self._noise * self._rng.standard_normal(len(numbers))
-        if not self._streaming:
+        if not self._commands.streaming:
             return b""
         return optoncdt.encode_block(self._words(seen, counter, device_s))
 
@@ -167,10 +99,10 @@ class SimulatedLaser:
         codes[seen < -half] = _ERROR_BEFORE
         ticks = np.rint(device_s / optoncdt.TICK_S).astype(np.int64) % optoncdt.TIMESTAMP_WRAP
         columns = [codes]
-        if "COUNTER" in self._extra:
+        if "COUNTER" in self._commands.outputs:
             columns.append(counter)
-        if "TIMESTAMP" in self._extra:
+        if "TIMESTAMP" in self._commands.outputs:
             columns += [ticks & 0xFFFF, ticks >> 16]
-        if len(columns) * 30 * self._rate_hz > self._config.baud:
+        if len(columns) * 30 * self._commands.rate_Hz > self._config.baud:
             columns[0] = np.full_like(codes, _ERROR_BAUD)
         return np.column_stack(columns).astype(np.uint32)

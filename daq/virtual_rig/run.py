@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from daq.transports.host_clock import HostClock
+from daq.transports.wires import Wire, make_wire
 from daq.virtual_rig.control import ControlServer
 from daq.virtual_rig.drive import SimulatedDrive
 from daq.virtual_rig.laser import DeviceClock, SimulatedLaser
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.node import Air, SimulatedNode
-from daq.virtual_rig.wires import Wire, make_wire
 from rig_configs.errors import RigConfigError
 from rig_configs.load import apply_setting, validate
 from rig_configs.schema import Rig, Virtual
@@ -85,7 +85,7 @@ class VirtualRig:
             encoder, self.motion, zero, sensors.encoder_noise_counts, math.radians(virtual.lock_play_deg),
             self._device_clock("encoder"), self._air, self._rng("node"),
         )  # fmt: skip
-        self.drive = SimulatedDrive(rig.devices.drive, self.motion)
+        self.drive = SimulatedDrive(rig.devices.drive, self.motion, virtual.drive.report_s)
 
     def ports(self) -> dict[str, str]:
         """Port of each device, by its name in the rig file."""
@@ -174,7 +174,12 @@ class VirtualRig:
                 return {"sent": air.sent, "dropped": air.dropped, "last_delivered": air.last_delivered,
                         "overrun_bytes": {n: w.overrun_bytes for n, w in self.wires.items()}}  # fmt: skip
             case "state":
-                return {"time_s": self.motion.time_s, "speed_rpm": self.drive.speed_rpm, "drive": self.drive.state}
+                return {
+                    "time_s": self.motion.time_s,
+                    "speed_rpm": self.drive.speed_rpm,
+                    "drive": self.drive.state,
+                    "can_frames": self.drive.frames_sent,
+                }
             case "unplug":
                 self.wires[str(request["device"])].close()
             case "quit":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import channels
@@ -48,7 +50,11 @@ def test_laser_gaps_are_counted_exactly(lengths: list[int], gaps: list[int]) -> 
     used = gaps[: len(lengths) - 1]
     assert pipeline.losses["samples"] == sum(used)
     assert sum(len(b.time_ns) for b in batches) == sum(lengths)
-    assert [e.facts["samples"] for e in events if e.kind == "gap"] == [g for g in used if g]
+    told = [e.facts for e in events if e.kind == "gap"]
+    assert [facts["samples"] for facts in told] == [g for g in used if g]
+    assert [facts["span_s"] for facts in told] == pytest.approx([g * 250e-6 for g in used if g])
+    first_after = [int(batch.time_ns[0]) for batch, gap in zip(batches[1:], used, strict=True) if gap]
+    assert [facts["time_ns"] for facts in told] == first_after
     values = np.concatenate([b.columns["displacement_m"] for b in batches])
     assert np.allclose(values, 1e-3, atol=2e-7)
     times = np.concatenate([b.time_ns for b in batches])
@@ -170,3 +176,68 @@ def test_a_node_with_other_encoders_than_the_rig_file_says_is_a_fault() -> None:
     status = rotorlink.Status(1, 0, 1000, 3700, 250, 10, 0, 1, 4, 1024)
     _, events = feed(pipeline, [rotorlink.wire(status.pack())])
     assert "1024" in next(e.text for e in events if e.kind == "fault")
+
+
+def encoder_wire(seq: int, index: int, node_us: int, n: int = 20) -> bytes:
+    counts = np.column_stack([index + np.arange(n), np.full(n, 2048)]).astype(np.int32)
+    return rotorlink.wire(rotorlink.EncoderBlock(1, seq, index, node_us, 1000, 0, counts).pack())
+
+
+def test_lost_radio_frames_say_how_many_and_over_how_long() -> None:
+    pipeline = NodePipeline("encoder", DEVICES.encoder)
+    start_us = 2**32 - 50_000  # across the wrap of the node's clock
+    parts = [encoder_wire(i, 20 * i, (start_us + 20_000 * i) % 2**32) for i in (0, 1, 5, 6)]
+    batches, events = feed(pipeline, parts)
+    frames, samples = (e.facts for e in events if e.kind == "gap")
+    assert (frames["radio_frames"], frames["span_s"]) == (3, pytest.approx(0.08))
+    assert (samples["samples"], samples["span_s"]) == (60, pytest.approx(0.06))
+    assert samples["time_ns"] == batches[2].time_ns[0]
+    assert pipeline.losses == {"radio_frames": 3, "cable_frames": 0, "damaged_frames": 0, "samples": 60}
+
+
+def test_lost_cable_frames_say_how_many_and_over_how_long() -> None:
+    pipeline = NodePipeline("encoder", DEVICES.encoder)
+    parts = []
+    for seq, i in ((7, 0), (8, 1), (11, 4)):
+        inner = rotorlink.IndexMark(1, i, 50_000 * i, i)
+        parts.append(rotorlink.wire(rotorlink.Wrapped(1, seq, 50_000 * i, -60, inner).pack()))
+    _, events = feed(pipeline, parts)
+    told = [(set(e.facts) - {"span_s"}, e.facts["span_s"]) for e in events if e.kind == "gap"]
+    assert told == [({"cable_frames"}, pytest.approx(0.15)), ({"radio_frames"}, pytest.approx(0.15))]
+
+
+@settings(max_examples=150)
+@given(st.data())
+def test_the_quick_way_through_undamaged_blocks_gives_what_the_full_decoder_gives(data: st.DataObject) -> None:
+    counters = np.cumsum(data.draw(st.lists(st.sampled_from([1] * 30 + [2, 7]), min_size=10, max_size=120)))
+    wire = bytearray(optoncdt.encode_block(blocks(counters + 262_100, 1e-3 * np.sin(counters))))
+    for place in data.draw(st.lists(st.integers(0, len(wire) - 1), max_size=3)):
+        how = data.draw(st.sampled_from(["flip", "drop", "answer"]))
+        if how == "flip":
+            wire[place % len(wire)] ^= 1 << data.draw(st.integers(0, 7))
+        elif how == "drop":
+            del wire[place % len(wire)]
+        else:
+            wire[place:place] = b"OUTPUT RS422 ok\r\n->"
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=12)))
+    parts = [bytes(wire[a:b]) for a, b in itertools.pairwise([0, *cuts, len(wire)])]
+    quick, full = laser(), laser()
+    full._clean = lambda data: None  # type: ignore[method-assign]
+    (some, told), (same, also_told) = feed(quick, parts), feed(full, parts)
+    assert quick.losses == full.losses
+    assert told == also_told
+    for field in ("displacement_m", "code", "counter", "device_ticks"):
+        one, other = (np.concatenate([b.columns[field] for b in x] or [[]]) for x in (some, same))
+        assert np.array_equal(one, other, equal_nan=True)
+    assert [b.time_ns.tolist() for b in some] == [b.time_ns.tolist() for b in same]
+
+
+def test_the_quick_way_is_taken_and_a_split_block_waits_for_its_rest() -> None:
+    wire = optoncdt.encode_block(blocks(np.arange(100, 140), np.zeros(40)))
+    pipeline = laser()
+    pipeline.feed(RX, wire[:60], START_NS)
+    # the decoder is not asked any more, but for its words
+    pipeline._decoder = type("Idle", (), {"idle": True, "words": ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")})()
+    batches, events = feed(pipeline, [wire[60:301], wire[301:302], wire[302:]])
+    assert events == []
+    assert [len(b.time_ns) for b in batches] == [20, 15]

@@ -14,7 +14,7 @@ import pytest
 from daq.errors import LinkLost
 from daq.protocols import slcan
 from daq.transports import HostClock, Link, open_link
-from daq.virtual_rig.wires import PtyWire, TcpWire
+from daq.transports.wires import PtyWire, TcpWire
 
 FRAME = slcan.encode(slcan.CanFrame(0x185, b"\x37\x02\x10\x00"))
 

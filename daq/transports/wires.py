@@ -1,15 +1,25 @@
-"""The rig's end of each cable: a pty or a TCP port, with a bounded buffer that counts what it had to drop."""
+"""The device's end of a cable: a pty or a TCP port that a host opens.
+
+`send` is for what happens now and will not wait: what the host does not fetch in time is dropped and counted, as an
+adapter does. `offer` is for what can wait: it takes what there is room for and leaves the rest to the caller.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol
+
+from daq.errors import LinkLost
+
+KINDS = ("pty", "tcp")
+"""Kinds of wire there are; ptys not on every system."""
 
 _BUFFER_BYTES = 4 * 1024 * 1024  # an adapter's driver queue, generous: a host may stall …
 _OLD_S = 1.5  # … this long, on the wall's clock
@@ -31,6 +41,18 @@ class Wire(Protocol):
 
     def send(self, data: bytes) -> None:
         """Queue bytes for the host and send what fits; never blocks."""
+        ...
+
+    def offer(self, data: bytes) -> int:
+        """Send what there is room for, queueing nothing; how many bytes that were; never blocks.
+
+        Raises:
+            LinkLost: the host is gone.
+        """
+        ...
+
+    def connected(self) -> bool:
+        """Whether a host has the port open."""
         ...
 
     def close(self) -> None:
@@ -74,9 +96,14 @@ class _Outbox:
 
 
 class PtyWire(_Outbox):
-    """A pseudo-terminal; the host opens `port` as a serial line."""
+    """A pseudo-terminal; the host opens `port` as a serial line.
 
-    def __init__(self) -> None:
+    Args:
+        notice_host: whether `connected` is to tell when a host opens and closes the port. Otherwise it counts as open
+            always, as a cable does that nobody has plugged in at the other end.
+    """
+
+    def __init__(self, notice_host: bool = False) -> None:
         super().__init__()
         import tty  # noqa: PLC0415 (POSIX only)
 
@@ -84,6 +111,9 @@ class PtyWire(_Outbox):
         tty.setraw(self._slave)  # before anyone opens it: a cooked line would echo our own bytes back
         os.set_blocking(self._master, False)
         self.port = os.ttyname(self._slave)
+        if notice_host:  # our own hold on the host's end would hide that nobody else has it
+            os.close(self._slave)
+            self._slave = -1
 
     def descriptor(self) -> int | None:
         """See Wire."""
@@ -101,11 +131,31 @@ class PtyWire(_Outbox):
         with contextlib.suppress(OSError):
             self._drain(lambda data: os.write(self._master, data))
 
+    def offer(self, data: bytes) -> int:
+        """See Wire."""
+        if not self.connected():
+            raise LinkLost(f"{self.port}: the program that had it open has closed it")
+        try:
+            return os.write(self._master, data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise LinkLost(f"{self.port}: lost while writing ({error})") from error
+
+    def connected(self) -> bool:
+        """See Wire."""
+        if self._master < 0:
+            return False
+        watch = select.poll()
+        watch.register(self._master, 0)  # a hang-up is told unasked
+        return not any(what & select.POLLHUP for _, what in watch.poll(0))
+
     def close(self) -> None:
         """See Wire."""
         for descriptor in (self._master, self._slave):
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
+            if descriptor >= 0:
+                with contextlib.suppress(OSError):
+                    os.close(descriptor)
         self._master = self._slave = -1
 
 
@@ -163,6 +213,24 @@ class TcpWire(_Outbox):
             self._peer.close()
             self._peer = None
 
+    def offer(self, data: bytes) -> int:
+        """See Wire."""
+        if self._peer is None:
+            raise LinkLost(f"{self.port}: the program that was connected is gone")
+        try:
+            return self._peer.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            self._peer.close()
+            self._peer = None
+            raise LinkLost(f"{self.port}: lost while writing ({error})") from error
+
+    def connected(self) -> bool:
+        """See Wire."""
+        self._accept()
+        return self._peer is not None
+
     def close(self) -> None:
         """See Wire."""
         if self._peer is not None:
@@ -171,9 +239,13 @@ class TcpWire(_Outbox):
         self._listener.close()
 
 
-def make_wire(kind: str) -> Wire:
-    """A wire of a kind: "pty", "tcp", or "auto" (ptys where the system has them)."""
+def make_wire(kind: str, notice_host: bool = False) -> Wire:
+    """A wire of a kind: "pty", "tcp", or "auto" (ptys where the system has them).
+
+    Args:
+        notice_host: see PtyWire; a TCP port always does.
+    """
     has_pty = sys.platform != "win32"
     if kind == "pty" and not has_pty:
-        raise OSError("ptys need Linux or macOS; use --link tcp on this system")
-    return PtyWire() if kind in ("pty", "auto") and has_pty else TcpWire()
+        raise OSError('ptys need Linux or macOS; use "tcp" on this system')
+    return PtyWire(notice_host) if kind in ("pty", "auto") and has_pty else TcpWire()

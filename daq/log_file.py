@@ -1,0 +1,191 @@
+"""One log being written, by one thread: a NAME.mcap.part with the rig's channels that gets its name when it is whole.
+
+    with LogFile(path, facts, attachments, devices, now_ns) as log:
+        log.raw("laser_x", RX, data, host_ns)
+        log.batch(batch, host_ns)
+        log.finish({"losses": …})
+
+The recorder puts a backlog and a thread before it; whoever makes a log of another (decoded anew, imported) uses it as
+it is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import channels
+from daq.errors import LogError, RecordingError
+from daq.mcap_writer import BlockWriter, compile_writer
+from daq.stream_items import Batch, Event
+
+_MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".csv": "text/csv", ".txt": "text/plain"}
+
+
+class LogFile:
+    """A log being written.
+
+    Args:
+        path: the finished file's name, ending in .mcap.
+        metadata: flat facts of the run (test, point, operator's note, software version …).
+        attachments: files that go in whole, by name (rig snapshot, identities).
+        devices: names of the devices whose raw bytes are kept.
+        created_ns: when, ns since 1970.
+        sample_channels: what is decoded.
+        compression: of the chunks.
+
+    Raises:
+        LogError: the name does not end in .mcap, or the file or the rest of a cut one of its name exists already.
+        RecordingError: it cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes],
+        devices: Iterable[str],
+        created_ns: int,
+        sample_channels: Iterable[channels.Channel] = tuple(channels.CHANNELS.values()),
+        compression: Literal["zstd", "none"] = "zstd",
+    ) -> None:
+        self.path = Path(path)
+        self.part = self.path.with_name(self.path.name + ".part")
+        self._finished = False
+        if self.path.suffix != ".mcap":
+            raise LogError(f"{self.path}: expected a name that ends in .mcap, got {self.path.name!r}")
+        if self.path.exists():
+            raise LogError(f"{self.path}: exists already; a log is never written over. Give another name")
+        compile_writer()  # before there is a file: one that is killed must not be found empty
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.file = open(self.part, "xb")  # noqa: SIM115 (lives as long as this object)
+        except FileExistsError as error:
+            raise LogError(
+                f"{self.part}: exists already, the rest of a recording that was cut. "
+                f"`rig recover {self.part}` makes it whole; or move it away, or give another name"
+            ) from error
+        except OSError as error:
+            raise _cannot_create(self.part, error) from error
+        try:
+            self._writer = BlockWriter(self.file, compression)
+            self._ids = self._define(devices, sample_channels)
+            self._writer.add_metadata("run", dict(metadata))
+            for name, data in attachments.items():
+                self._writer.add_attachment(name, _media_type(name), data, created_ns)
+            self.flush()
+        except BaseException as error:
+            with contextlib.suppress(OSError):
+                self.file.close()
+            with contextlib.suppress(OSError):
+                self.part.unlink()  # nothing is in it yet
+            if isinstance(error, OSError):
+                raise _cannot_create(self.part, error) from error
+            raise
+
+    def _define(self, devices: Iterable[str], sample_channels: Iterable[channels.Channel]) -> dict[str, int]:
+        writer = self._writer
+        writer.start()
+        raw_schema = writer.register_schema(channels.RAW_SCHEMA_NAME, "protobuf", channels.raw_descriptor_set())
+        note_schema = writer.register_schema(channels.NOTE_SCHEMA_NAME, "jsonschema", channels.note_schema())
+        topics = [channels.raw_topic(device) for device in devices]
+        ids = {topic: writer.register_channel(topic, "protobuf", raw_schema) for topic in topics}
+        schemas: dict[str, int] = {}
+        for channel in sample_channels:
+            if channel.schema_name not in schemas:
+                schema = channel.file_descriptor_set()
+                schemas[channel.schema_name] = writer.register_schema(channel.schema_name, "protobuf", schema)
+            ids[channel.topic] = writer.register_channel(channel.topic, "protobuf", schemas[channel.schema_name])
+        for topic in (channels.EVENTS_TOPIC, channels.HEALTH_TOPIC):
+            ids[topic] = writer.register_channel(topic, "json", note_schema)
+        return ids
+
+    def raw(self, device: str, direction: int, data: bytes, host_ns: int) -> None:
+        """Keep bytes as they came from a device or went to it."""
+        message = channels.pack_raw(direction, data)
+        self._writer.add_message(self._ids[channels.raw_topic(device)], host_ns, host_ns, 0, message)
+
+    def batch(self, batch: Batch, host_ns: int | NDArray[np.int64]) -> None:
+        """Keep decoded samples that arrived at one host time, or each at its own (n,)."""
+        messages = batch.channel.pack(batch.columns)
+        self._writer.add_block(self._ids[batch.channel.topic], host_ns, batch.time_ns, batch.sequence, messages)
+
+    def event(self, event: Event, host_ns: int) -> None:
+        """Keep an event; its own time is ``facts["time_ns"]`` where it has one."""
+        note = {"kind": event.kind, "device": event.device, "text": event.text, **event.facts}
+        self.note(channels.EVENTS_TOPIC, note, host_ns, int(event.facts.get("time_ns", host_ns)))
+
+    def note(self, topic: str, facts: Mapping[str, Any], log_ns: int, publish_ns: int) -> None:
+        """Keep an event or a health report as it stands."""
+        self._writer.add_message(self._ids[topic], log_ns, publish_ns, 0, channels.pack_note(facts))
+
+    def flush(self) -> None:
+        """Hand everything to the system: it survives the end of this process."""
+        self._writer.flush()
+
+    def sync(self) -> None:
+        """Wait until the disk has what was flushed: it survives the end of the machine. Any thread may call it."""
+        getattr(os, "fdatasync", os.fsync)(self.file.fileno())  # only POSIX has fdatasync
+
+    def finish(self, summary: Mapping[str, Any]) -> Path:
+        """Write the summary metadata (losses, verdicts; values as JSON) and the file's end, and give it its name.
+
+        Raises:
+            OSError: the disk failed; the .part file stays.
+        """
+        self._writer.add_metadata("summary", {key: _json(value) for key, value in summary.items()})
+        self._writer.finish()
+        os.fsync(self.file.fileno())
+        self.file.close()
+        os.replace(self.part, self.path)
+        self._sync_folder()
+        self._finished = True
+        return self.path
+
+    def close(self) -> None:
+        """Let go of the file; one that was not finished stays as .part, readable up to the last flush."""
+        with contextlib.suppress(OSError):  # what a full disk did not take is tried once more here
+            self.file.close()
+
+    def __enter__(self) -> LogFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _sync_folder(self) -> None:
+        """The new name must survive a power cut too; Windows cannot open a folder and needs no such thing."""
+        with contextlib.suppress(OSError):
+            folder = os.open(self.path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"expected a JSON value in a log's summary, got {type(value).__name__}")
+
+
+def _media_type(name: str) -> str:
+    return _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+
+
+def _cannot_create(part: Path, error: OSError) -> RecordingError:
+    return RecordingError(f"{part}: cannot be created ({error}). Is the folder there and the disk not full?")

@@ -1,0 +1,79 @@
+"""What a log lost: counted while recording, by device, never guessed."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from daq.errors import LogError
+from daq.log import Log
+
+_SENSORS_OWN = ("invalid",)  # arrived in order, but the sensor said that it saw nothing
+_COUNTED = ("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines")
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Counted losses of one log.
+
+    Attributes:
+        by_device: counts by device and kind ("samples", "radio_frames", "damaged_frames", "invalid" …).
+        source: where they were found: the summary of a finished log; in a cut one the last health report, which may
+            be a second old, or the events themselves.
+    """
+
+    by_device: Mapping[str, Mapping[str, int]]
+    source: Literal["summary", "health", "events"]
+
+    @property
+    def total(self) -> int:
+        """Everything that did not arrive; readings a sensor itself called invalid did arrive and are not in it."""
+        return sum(n for kinds in self.by_device.values() for kind, n in kinds.items() if kind not in _SENSORS_OWN)
+
+    @property
+    def flat(self) -> dict[str, int]:
+        """By "device.kind"."""
+        return {f"{device}.{kind}": n for device, kinds in self.by_device.items() for kind, n in kinds.items()}
+
+    def words(self) -> str:
+        """Only what was lost, in one line."""
+        found = [f"{device} {n} {kind.replace('_', ' ')}" for device, kinds in self.by_device.items()
+                 for kind, n in kinds.items() if n]  # fmt: skip
+        return ", ".join(found) or "nothing lost"
+
+
+def losses_of(log: Log) -> Losses:
+    """Losses of a log, finished or cut.
+
+    Raises:
+        LogError: the log's own count is none: another program's, or a damaged one.
+    """
+    summary = log.metadata.get("summary", {})
+    try:
+        if "losses" in summary:
+            return Losses(_counts(json.loads(summary["losses"])), "summary")
+        reports = [note["losses"] for note in log.health if isinstance(note.get("losses"), dict)]
+        if reports:
+            return Losses(_counts(reports[-1]), "health")
+        return Losses(_from_events(log.events), "events")
+    except (ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError) as fault:
+        raise LogError(
+            f"{log.path}: expected losses as {{device: {{kind: count}}}}, got something else ({fault!r}). "
+            "The log was written by another program"
+        ) from fault
+
+
+def _counts(found: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int]]:
+    return {device: {kind: int(n) for kind, n in kinds.items()} for device, kinds in found.items()}
+
+
+def _from_events(events: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
+    counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
+    for event in events:
+        if event.get("kind") in ("gap", "damage"):
+            for kind in _COUNTED:
+                counts[str(event.get("device", ""))][kind] += int(event.get(kind, 0))
+    return {device: {kind: n for kind, n in kinds.items() if n} for device, kinds in counts.items()}

@@ -1,0 +1,101 @@
+"""A session that only listens: not a byte is sent, and the log holds every byte that came, first and last."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+
+import pytest
+
+from daq.errors import LinkLost
+from daq.log import open_log
+from daq.replay import check
+from daq.session import Session
+from daq.streams import make_pipelines
+from daq.transports import HostClock
+from daq.transports.wires import make_wire
+from rig_configs import load_rig
+from tests.daq.small_log import device_bytes
+
+KINDS = ["tcp"] if sys.platform == "win32" else ["pty", "tcp"]
+DEVICES = ("laser_x", "laser_y", "encoder", "drive")
+
+
+@contextmanager
+def cables(kind):
+    """A cable per device and a rig file that names their ports."""
+    wires = {name: make_wire(kind) for name in DEVICES}
+    try:
+        yield wires, load_rig("virtual", settings={f"devices.{name}.port": wire.port for name, wire in wires.items()})
+    finally:
+        for wire in wires.values():
+            wire.close()
+
+
+def _arrived(session, wires):
+    """Bytes that arrived, with what a pty did not take at once sent after."""
+    for wire in wires.values():
+        wire.send(b"")
+    return session.bytes_in
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_byte_from_the_first_to_the_last(tmp_path, kind):
+    with cables(kind) as (wires, rig):
+        sent = dict.fromkeys(wires, b"")
+        session = Session(rig, HostClock())
+        with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
+            for device, data in device_bytes(20):
+                wires[device].descriptor()  # a TCP wire accepts its host here
+                wires[device].send(data)
+                sent[device] += data
+            total = sum(map(len, sent.values()))
+            session.wait_for(lambda: _arrived(session, wires) == total, 10, "every byte")
+            for wire in wires.values():
+                assert wire.receive() == b""  # nothing was ever sent
+                wire.close()
+            with pytest.raises(LinkLost):
+                session.wait_for(lambda: False, 10, "the cables to be missed")
+            path = session.stop_recording({"ended": "cable"})
+        with open_log(path) as log:
+            assert log.complete
+            assert {device: b"".join(chunk.data for chunk in log.raw(device)) for device in sent} == sent
+            assert log.count("laser/x") == log.count("laser/y") == 20 * 40
+            assert log.count("pendulums") == 20 * 10
+            assert log.count("motor") == 20
+        assert [row for row in check(path) if row.difference] == []
+
+
+def test_the_last_bytes_before_a_cable_is_pulled_are_kept(tmp_path):
+    """They may lie in the reader's hand, waiting for the next arrival, when the link is lost."""
+    with cables("tcp") as (wires, rig):
+        reads = [data for device, data in device_bytes(6) if device == "laser_x"]
+        session = Session(rig, HostClock())
+        with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
+            wires["laser_x"].descriptor()
+            wires["laser_x"].send(reads[0])
+            session.wait_for(lambda: session.bytes_in == len(reads[0]), 10, "the first bytes")
+            for data in reads[1:]:  # while the reader rests
+                wires["laser_x"].send(data)
+            wires["laser_x"].close()
+            with pytest.raises(LinkLost):
+                session.wait_for(lambda: False, 10, "the cable to be missed")
+            path = session.stop_recording({"ended": "cable"})
+        with open_log(path) as log:
+            assert b"".join(chunk.data for chunk in log.raw("laser_x")) == b"".join(reads)
+
+
+def test_a_laser_that_told_its_words_before_is_decoded_by_them(tmp_path):
+    with cables("tcp") as (wires, rig):
+        identities = {"laser_x": {"words": ["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"], "range_m": 0.05}}
+        pipeline = make_pipelines(rig.devices, identities)["laser_x"]
+        data = device_bytes(1)[0][1]
+        expected = pipeline.feed(0, data, 10**18)[0].columns["displacement_m"]  # type: ignore[union-attr]
+        session = Session(rig, HostClock(), identities)
+        with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
+            wires["laser_x"].descriptor()
+            wires["laser_x"].send(data)
+            session.wait_for(lambda: session.bytes_in == len(data), 10, "the bytes")
+            path = session.stop_recording({})
+        with open_log(path) as log:
+            assert log["laser/x"].displacement_m.tolist() == expected.tolist()

@@ -1,0 +1,71 @@
+"""What a log says it lost, wherever it says so."""
+
+import json
+
+import pytest
+
+from daq.errors import LogError
+from daq.log import open_log
+from daq.log_file import LogFile
+from daq.losses import losses_of
+from daq.stream_items import Event
+
+START = 1_700_000_000_000_000_000
+
+
+def write(path, summary=None, health=(), events=()):
+    with LogFile(path, {}, {}, ("laser_x",), START) as log:
+        for facts in health:
+            log.note("health", {"kind": "health", **facts}, START, START)
+        for event in events:
+            log.event(event, START)
+        if summary is not None:
+            return log.finish(summary)
+        log.flush()
+    return log.part
+
+
+GAPS = [
+    Event("gap", "laser_x", "3 samples lost", {"samples": 3}),
+    Event("damage", "laser_x", "5 bytes skipped", {"bytes": 5}),
+    Event("gap", "encoder", "2 radio frames lost", {"radio_frames": 2}),
+    Event("reply", "laser_x", "ok", {"samples": 1000}),
+]
+COUNTED = {"laser_x": {"samples": 3, "bytes": 5}, "encoder": {"radio_frames": 2}}
+
+
+def test_a_finished_log_tells_by_its_summary(tmp_path):
+    counted = {"laser_x": {"samples": 3, "invalid": 7}}
+    with open_log(write(tmp_path / "a.mcap", {"losses": counted}, [{"losses": {"x": {"samples": 9}}}])) as log:
+        losses = losses_of(log)
+    assert (losses.by_device, losses.source, losses.total) == (counted, "summary", 3)
+    assert losses.flat == {"laser_x.samples": 3, "laser_x.invalid": 7}
+    assert losses.words() == "laser_x 3 samples, laser_x 7 invalid"
+
+
+def test_a_cut_log_tells_by_its_last_health_report_or_by_its_events(tmp_path):
+    reports = [{"losses": {"laser_x": {"samples": 1}}}, {"losses": {"laser_x": {"samples": 2}}}, {"rates": 1}]
+    with open_log(write(tmp_path / "a.mcap", None, reports, GAPS)) as log:
+        assert losses_of(log).by_device == {"laser_x": {"samples": 2}}
+        assert losses_of(log).source == "health"
+    with open_log(write(tmp_path / "b.mcap", None, (), GAPS)) as log:
+        assert losses_of(log).by_device == COUNTED
+        assert (losses_of(log).source, losses_of(log).total) == ("events", 10)
+    with open_log(write(tmp_path / "c.mcap")) as log:
+        assert (losses_of(log).by_device, losses_of(log).words()) == ({}, "nothing lost")
+
+
+@pytest.mark.parametrize("hostile", [5, [1], {"laser_x": 5}, {"laser_x": {"samples": "many"}}, {"x": {"y": [1]}}])
+def test_what_is_no_count_is_refused_in_words(tmp_path, hostile):
+    with (
+        open_log(write(tmp_path / "a.mcap", {"losses": hostile})) as log,
+        pytest.raises(LogError, match="expected loss"),
+    ):
+        losses_of(log)
+    with open_log(write(tmp_path / "b.mcap", {"losses": {}})) as log:
+        log.metadata["summary"]["losses"] = "[" * 100_000
+        with pytest.raises(LogError, match="expected loss"):
+            losses_of(log)
+        log.metadata["summary"]["losses"] = json.dumps({"laser_x": {"samples": 1e999}})
+        with pytest.raises(LogError, match="expected loss"):
+            losses_of(log)
