@@ -1,0 +1,251 @@
+"""One log at a glance: displacements, pendulum angles, speed; what was lost and what happened.
+
+A log of any length is drawn in bounded memory: it is read stretch by stretch, and of a channel with more samples than
+the figure has columns only the least and the largest value of each column are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from analysis.plots.log_marks import Marks, drawable
+from analysis.plots.style import GREY, MEASURED, MODEL, drawing, label, save
+from daq.log import Log
+from daq.log_content import stretches
+from daq.samples import Samples
+
+COLUMNS = 900
+_LOST = "#CC3311"
+_BREAK = 8.0  # times the usual distance of samples
+_LATE_S = 0.5  # the drive's samples have the host's time, and come late together
+_SLOWEST_MARK_S = 3.0  # between two marks of a turning rotor
+
+Progress = Callable[[float], None]
+
+
+class Trace:
+    """One signal over the figure's time, s: its samples as long as they are few, then what each column holds.
+
+    Args:
+        span: first and last instant of the figure, s.
+        least_break_s: a line is drawn across shorter times without a sample.
+    """
+
+    def __init__(self, span: tuple[float, float], least_break_s: float = 0.1) -> None:
+        self._start, self._width = span[0], (span[1] - span[0]) / COLUMNS
+        self._least_break_s = least_break_s
+        self._few: list[tuple[NDArray[np.floating], NDArray[np.floating]]] = []
+        self._count = 0
+        self._low, self._high = np.full(COLUMNS, np.nan), np.full(COLUMNS, np.nan)
+
+    def add(self, time: NDArray[np.floating], values: NDArray[np.floating]) -> None:
+        """Take samples; those that are no number, or lie outside of the figure, are left out."""
+        shown = np.isfinite(values) & (time >= self._start) & (time <= self._start + COLUMNS * self._width)
+        time, values = time[shown], values[shown]
+        self._count += len(time)
+        self._few.append((time, values))
+        if self._are_many:
+            for part in self._few:
+                self._gather(*part)
+            self._few = []
+
+    @property
+    def _are_many(self) -> bool:
+        return self._count > 2 * COLUMNS
+
+    def _gather(self, time: NDArray[np.floating], values: NDArray[np.floating]) -> None:
+        column = np.minimum((time - self._start) / self._width, COLUMNS - 1).astype(np.intp)
+        np.fmin.at(self._low, column, values)
+        np.fmax.at(self._high, column, values)
+
+    @property
+    def is_empty(self) -> bool:
+        """Nothing to draw."""
+        return self._count == 0
+
+    def band(self) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
+        """Times and the least and largest value at each; nan between two times across which nothing is drawn."""
+        if self._are_many:
+            filled = np.flatnonzero(np.isfinite(self._low))
+            time, low, high = self._start + (filled + 0.5) * self._width, self._low[filled], self._high[filled]
+        else:
+            time = np.concatenate([part[0] for part in self._few] or [np.empty(0)])
+            low = np.concatenate([part[1] for part in self._few] or [np.empty(0)])
+            order = np.argsort(time, kind="stable")
+            time, low = time[order], low[order]
+            high = low
+        if len(time) == 0:
+            return time, low, high
+        usual = (time[-1] - time[0]) / self._count
+        longest = max(_BREAK * usual, self._least_break_s, 1.5 * self._width)
+        after = np.flatnonzero(np.diff(time) > longest) + 1
+        return np.insert(time, after, time[after]), np.insert(low, after, np.nan), np.insert(high, after, np.nan)
+
+
+@dataclass
+class _Tacho:
+    """Speed from the marks of the rotor, across stretches."""
+
+    last: tuple[float, float] | None = None
+    trace: Any = field(default=None)
+
+    def add(self, time: NDArray[np.floating], turns: NDArray[np.floating]) -> None:
+        if self.last is not None:
+            time, turns = np.concatenate([[self.last[0]], time]), np.concatenate([[self.last[1]], turns])
+        if len(time):
+            self.last = (float(time[-1]), float(turns[-1]))
+        step = np.diff(time)
+        good = (step > 0) & (step < _SLOWEST_MARK_S)
+        middle, speed = (time[:-1] + step / 2)[good], (60 * np.diff(turns)[good] / step[good])
+        self.trace.add(middle, speed)
+
+
+def draw_log_overview(log: Log, path: Path, title: str = "", progress: Progress | None = None) -> None:
+    """Draw a log into a .svg, .png or .pdf file.
+
+    Args:
+        log: whole or not; what is known to be missing from it is shaded.
+        path: the figure.
+        title: stands above.
+        progress: told the share read, 0 … 1.
+
+    Raises:
+        BadFigureName: another suffix.
+        LogError: a channel does not hold what its schema says.
+    """
+    origin_ns = log.start_ns
+    span = (0.0, max((log.end_ns - origin_ns) * 1e-9, 1e-3))
+    traces = {name: Trace(span) for name in ("x", "y", "theta3", "theta4")}
+    traces["motor"] = Trace(span, _LATE_S)
+    traces["tacho"] = Trace(span, _SLOWEST_MARK_S)
+    marks = Marks(span, COLUMNS)
+    tacho = _Tacho(trace=traces["tacho"])
+    for share, part in stretches(log):
+        _gather(part, origin_ns, traces, tacho)
+        for event in part.events:
+            marks.add(event, (event["time_ns"] - origin_ns) * 1e-9)
+        if progress is not None:
+            progress(share)
+    for missing in log.missing:
+        if missing.start_ns is not None:
+            end_s = None if missing.end_ns is None else (missing.end_ns - origin_ns) * 1e-9
+            marks.add_missing((missing.start_ns - origin_ns) * 1e-9, end_s)
+    _draw(path, traces, marks, span, title)
+
+
+def _gather(part: Log, origin_ns: int, traces: dict[str, Trace], tacho: _Tacho) -> None:
+    for topic, field_name, name, scale in (
+        ("laser/x", "displacement_m", "x", 1e3),
+        ("laser/y", "displacement_m", "y", 1e3),
+        ("pendulums", "theta3_rad", "theta3", 180 / np.pi),
+        ("pendulums", "theta4_rad", "theta4", 180 / np.pi),
+        ("motor", "speed_rpm", "motor", 1.0),
+    ):
+        samples = part.get(topic)
+        if samples is not None and field_name in samples.columns:
+            traces[name].add(_seconds(samples, origin_ns), scale * samples[field_name].astype(float))
+    marks = part.get("tacho")
+    for field_name, scale in (("revolutions", 1.0), ("phase_rad", 0.5 / np.pi)):
+        if marks is not None and field_name in marks.columns:
+            tacho.add(_seconds(marks, origin_ns), scale * marks[field_name].astype(float))
+
+
+def _seconds(samples: Samples, origin_ns: int) -> NDArray[np.floating]:
+    return (samples.time_ns - origin_ns) * 1e-9
+
+
+def _draw(path: Path, traces: dict[str, Trace], marks: Marks, span: tuple[float, float], title: str) -> None:
+    rows = [
+        (("x",), "x, mm", "laser_x"),
+        (("y",), "y, mm", "laser_y"),
+        (("theta3", "theta4"), "pendulums, °", "encoder"),
+        (("motor", "tacho"), "speed, rpm", "drive"),
+    ]
+    rows = [row for row in rows if not all(traces[name].is_empty for name in row[0])]
+    with drawing(8.6, 1.1 + 1.35 * max(1, len(rows))) as figure:
+        height = figure.get_figheight()
+        figure.subplots_adjust(left=0.095, right=0.985, top=1 - 0.62 / height, bottom=0.48 / height, hspace=0.16)
+        figure.text(0.012, 1 - 0.2 / height, drawable(title), fontsize=9.5, va="center", parse_math=False)
+        grid = figure.subplots(max(1, len(rows)), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (names, text, device) in zip(grid, rows, strict=False):
+            marks.shade(axes, device, _LOST)
+            for name in names:
+                if not traces[name].is_empty:
+                    _DRAWN[name](axes, traces[name])
+            label(axes, y=text)
+            if len(names) > 1:
+                axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.93), ncols=2, fontsize=8)
+        if not rows:
+            grid[0].text(0.5, 0.5, "no samples of lasers, pendulums or speed in this log",
+                         transform=grid[0].transAxes, ha="center", color=GREY)  # fmt: skip
+            grid[0].set_yticks([])
+        grid[-1].set_xlim(*span)
+        label(grid[-1], "time since the start of the log, s")
+        marks.draw(list(grid))
+        if marks.has_losses:
+            handle = Patch(color=_LOST, alpha=0.25, lw=0, label="lost or missing")
+            figure.legend(handles=[handle], loc="upper right", bbox_to_anchor=(0.99, 1 - 0.06 / height), fontsize=8)
+        figure.align_ylabels(grid)
+        save(path, figure)
+
+
+def _plain(colour: str, name: str) -> Callable[[Axes, Trace], None]:
+    def draw(axes: Axes, trace: Trace) -> None:
+        time, low, high = trace.band()
+        axes.fill_between(time, low, high, color=colour, alpha=0.75, lw=0.9, label=name)
+
+    return draw
+
+
+def _speed(colour: str, name: str) -> Callable[[Axes, Trace], None]:
+    """As `_plain`; a constant speed looks constant."""
+    draw_plain = _plain(colour, name)
+
+    def draw(axes: Axes, trace: Trace) -> None:
+        draw_plain(axes, trace)
+        low, high = axes.dataLim.intervaly
+        room = max(0.03 * max(abs(low), abs(high)), 2.0, 0.05 * (high - low))
+        axes.set_ylim(low - room, high + room)
+
+    return draw
+
+
+def _turning(colour: str, name: str) -> Callable[[Axes, Trace], None]:
+    """An angle on a circle: what leaves the axes at 180° comes in at −180°."""
+
+    def draw(axes: Axes, trace: Trace) -> None:
+        time, low, high = trace.band()
+        around = high - low >= 360.0
+        low, high = np.where(around, -180.0, low), np.where(around, 180.0, high)
+        turns = np.unique(np.rint(np.concatenate([low, high])[np.isfinite(np.concatenate([low, high]))] / 360.0))
+        first = True
+        for turn in turns:
+            below, above = low - 360.0 * turn, high - 360.0 * turn
+            seen = (above >= -190.0) & (below <= 190.0)
+            seen[1:] |= seen[:-1].copy()
+            seen[:-1] |= seen[1:].copy()
+            axes.fill_between(time, below, above, where=seen.tolist(), color=colour, alpha=0.75, lw=0.9,
+                              label=name if first else None)  # fmt: skip
+            first = False
+        axes.set_ylim(-190, 190)
+        axes.set_yticks([-180, -90, 0, 90, 180])
+
+    return draw
+
+
+_DRAWN = {
+    "x": _plain(MEASURED, "x"),
+    "y": _plain(MEASURED, "y"),
+    "theta3": _turning(MEASURED, "θ3"),
+    "theta4": _turning(MODEL, "θ4"),
+    "motor": _speed(GREY, "motor"),
+    "tacho": _speed(MEASURED, "tachometer"),
+}

@@ -1,0 +1,100 @@
+"""One log as `rig log --json` tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from daq.catalogue.facts import counted_losses, has_end, one_line, origin_of, outcome_of, state_of
+from daq.errors import LogError
+from daq.log import Log
+from daq.log_content import EventContent, channel_content, event_content, events_of, last_health, raw_content
+from daq.samples import Missing
+from daq.snapshot import identities_of, snapshot_of
+from daq.verdicts import digest_of, verdict_of
+
+_PHYSICAL = ("rotor", "imbalance", "pendulums", "suspension")
+
+
+def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_events: bool = False) -> dict[str, Any]:
+    """What is in a log; parts of it that are not what they should be are told under "unreadable".
+
+    Args:
+        log: open.
+        path: its file.
+        verified: what `Log.verify` found; None when it was not asked.
+        all_events: every event beside those taken together.
+    """
+    unreadable: list[str] = []
+
+    def readable(read: Callable[[], Any], otherwise: Any) -> Any:
+        try:
+            return read()
+        except (LogError, RecursionError) as fault:  # JSON may be nested as deep as someone likes
+            unreadable.append(one_line(fault, path))
+            return otherwise
+
+    run, summary = log.metadata.get("run", {}), log.metadata.get("summary", {})
+    happened: EventContent = readable(lambda: event_content(events_of(log), log.start_ns), EventContent())
+    raw = readable(lambda: raw_content(log, thorough=verified is not None), {})
+    health = readable(lambda: last_health(log), None)
+    snapshot = readable(lambda: snapshot_of(log), {}) if "rig.json" in log.attachments else {}
+    channels = {topic: readable(lambda t=topic: asdict(channel_content(log, t)), None) for topic in log}
+    facts = {
+        "log": str(path),
+        "state": state_of(log, has_end(path)),
+        "complete": log.complete,
+        "verified": verified is not None,
+        "missing": [str(missing) for missing in log.missing],
+        "unchecked": [str(place) for place in verified or () if place not in log.missing],
+        "size_bytes": log.size_bytes,
+        "chunks": log.chunk_count,
+        "library": log.library,
+        "start_ns": log.start_ns,
+        "end_ns": log.end_ns,
+        "duration_s": (log.end_ns - log.start_ns) * 1e-9,
+        "run": run,
+        "summary": summary,
+        "outcome": outcome_of(summary),
+        "origin": origin_of(log),
+        "recovered": log.metadata.get("recovered"),
+        "verdict": readable(lambda: _verdict(path), None),
+        "losses": _losses(log, happened),
+        "messages": {topic: log.count(topic) for topic in log.topics},
+        "channels": channels,
+        "raw": {device: asdict(content) for device, content in raw.items()},
+        "health": None if health is None else {**health, "time_s": (health["time_ns"] - log.start_ns) * 1e-9},
+        "events": dict(sorted(happened.kinds.items())),
+        "events_alike": [vars(line) for line in happened.lines],
+        "events_alike_left_out": happened.more,
+        "devices": readable(lambda: identities_of(log), {}),
+        "rig": {"name": snapshot.get("name", run.get("rig", "")), **_physical(snapshot)},
+        "attachments_bytes": {name: len(data) for name, data in log.attachments.items()},
+    }
+    if all_events:
+        facts["all_events"] = readable(lambda: list(events_of(log)), [])
+    return {**facts, "unreadable": unreadable}
+
+
+def _physical(snapshot: Mapping[str, Any]) -> dict[str, Any]:
+    return {"physical": {name: snapshot[name] for name in _PHYSICAL if name in snapshot}}
+
+
+def _losses(log: Log, happened: EventContent) -> dict[str, Any] | None:
+    found = counted_losses(log)
+    if found is None:
+        return None
+    events = {
+        device: {kind: {"events": count, "span_s": span} for kind, (count, span) in kinds.items()}
+        for device, kinds in happened.lost.items()
+    }
+    return {"total": found.total, "by_device": found.by_device, "source": found.source, "events": events}
+
+
+def _verdict(path: Path) -> dict[str, Any] | None:
+    kept = verdict_of(path)
+    if kept is None:
+        return None
+    return {**kept.model_dump(), "stale": not kept.is_of(digest_of(path))}

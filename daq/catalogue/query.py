@@ -1,0 +1,120 @@
+"""Which logs one looks for, and in which order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from datetime import datetime, time, timedelta
+from typing import Any, Literal
+
+from daq.catalogue.entry import Entry
+
+Sort = Literal["started", "path", "rig", "test", "point", "duration", "size", "lost", "verdict"]
+
+_AGO = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|d|w)")
+_SECONDS = {"min": 60.0, "h": 3600.0, "d": 86400.0, "w": 7 * 86400.0}
+_ORDERS: dict[str, tuple[Callable[[Entry], Any], bool]] = {  # key, largest first
+    "started": (lambda entry: entry.started_ns or 0, True),
+    "path": (lambda entry: entry.path, False),
+    "rig": (lambda entry: entry.rig.casefold(), False),
+    "test": (lambda entry: entry.test.casefold(), False),
+    "point": (lambda entry: entry.point.casefold(), False),
+    "duration": (lambda entry: entry.duration_s, True),
+    "size": (lambda entry: entry.size_bytes, True),
+    "lost": (lambda entry: entry.lost or 0, True),
+    "verdict": (lambda entry: entry.verdict.casefold(), False),
+}
+
+
+@dataclass(frozen=True)
+class Query:
+    """What is looked for; whatever is left out admits every log. Texts match anywhere in theirs, in either case.
+
+    Attributes:
+        words: each must be in the rig's name, test, point, note or path.
+        rig, test, note, parameters: must be in the fact of that name.
+        point: must be the point's name.
+        verdict: must be in the verdict; "none" for logs that have none.
+        since_ns, until_ns: the recording began in since ≤ t < until, ns since 1970.
+        lost: True for logs in which something was lost, False for those in which nothing was.
+        complete: True for whole files, False for cut, damaged and unreadable ones.
+        sort: by what; times, sizes and counts largest first, names from A to Z.
+        reverse: the other way round.
+    """
+
+    words: tuple[str, ...] = ()
+    rig: str = ""
+    test: str = ""
+    point: str = ""
+    note: str = ""
+    parameters: str = ""
+    verdict: str = ""
+    since_ns: int | None = None
+    until_ns: int | None = None
+    lost: bool | None = None
+    complete: bool | None = None
+    sort: Sort = "started"
+    reverse: bool = False
+
+    def admits(self, entry: Entry) -> bool:
+        """Whether an entry is one that is looked for."""
+        everywhere = " ".join((entry.rig, entry.test, entry.point, entry.note, entry.path)).casefold()
+        return (
+            all(word.casefold() in everywhere for word in self.words)
+            and all(
+                wanted.casefold() in fact.casefold()
+                for wanted, fact in (
+                    (self.rig, entry.rig),
+                    (self.test, entry.test),
+                    (self.note, entry.note),
+                    (self.parameters, entry.parameters),
+                    (self.verdict, entry.verdict or "none"),
+                )
+            )
+            and self.point.casefold() in ("", entry.point.casefold())
+            and self._admits_start(entry.started_ns)
+            and self.lost in (None, bool(entry.lost))
+            and self.complete in (None, entry.complete)
+        )
+
+    def _admits_start(self, started_ns: int | None) -> bool:
+        if self.since_ns is None and self.until_ns is None:
+            return True
+        return started_ns is not None and (self.since_ns or 0) <= started_ns < (self.until_ns or 2**63)
+
+    def sorted(self, entries: Iterable[Entry]) -> list[Entry]:
+        """Entries in the order asked for; equal ones by path."""
+        key, largest_first = _ORDERS[self.sort]
+        by_path = sorted(entries, key=lambda entry: entry.path)
+        return sorted(by_path, key=key, reverse=largest_first is not self.reverse)
+
+
+def parse_instant(text: str, now: datetime, end: bool = False) -> int:
+    """An instant as people write it, in ns since 1970.
+
+    Args:
+        text: "2026-03-01", "2026-03-01T10:00", with a zone if it is not the local one; "today", "yesterday"; or how
+            long ago: "30min", "12h", "3d", "2w".
+        now: the present, local time.
+        end: a day means its end, not its beginning.
+
+    Raises:
+        ValueError: none of these.
+    """
+    word = text.strip().casefold()
+    try:
+        if found := _AGO.fullmatch(word):
+            instant = now.astimezone() - timedelta(seconds=float(found[1]) * _SECONDS[found[2]])
+        else:
+            day = {"today": now.date(), "yesterday": now.date() - timedelta(days=1)}.get(word)
+            whole_day = day is not None or re.fullmatch(r"\d{4}-?\d{2}-?\d{2}", word) is not None
+            instant = datetime.combine(day, time()) if day is not None else datetime.fromisoformat(word.upper())
+            if whole_day and end:
+                instant += timedelta(days=1)
+        return round(instant.timestamp() * 1e6) * 1000  # one without a zone is local time, summer or winter
+    except (ValueError, OverflowError, OSError) as fault:
+        raise ValueError(
+            f"expected a date like 2026-03-01, an instant like 2026-03-01T10:00, today, yesterday, or how long ago "
+            f"like 3d, 12h, 30min, 2w; got {text!r}"
+        ) from fault

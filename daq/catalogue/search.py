@@ -1,0 +1,184 @@
+"""All logs of a folder, with their facts, and a search over them.
+
+    for entry in Catalogue("logs").search(Query(point="B", since_ns=parse_instant("3d", datetime.now()))):
+        print(entry.started, entry.path, entry.verdict)
+
+The files are the truth. What was read of them is remembered in the folder (`daq.catalogue.cache`); deleting that
+changes nothing but the time the next search takes.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from pydantic import ValidationError
+
+from daq.catalogue import cache
+from daq.catalogue.cache import Row, Stamp
+from daq.catalogue.entry import Entry
+from daq.catalogue.query import Query
+from daq.errors import LogError
+from daq.verdicts import SUFFIX, digest_of, verdict_of, verdict_path
+
+_LOG_SUFFIXES = (".mcap", ".mcap.part")
+_SAVE_S = 5.0  # a first look at thousands of logs that is interrupted need not begin anew
+_LOOKS = 3  # a recording that ends while the folder is read changes its name
+
+Progress = Callable[[float], None]
+
+
+class _File(NamedTuple):
+    """A log as its folder shows it; stamps are None for what has none."""
+
+    place: Path
+    stamp: Stamp | None
+    verdict_stamp: Stamp | None
+
+    def is_as_in(self, row: Row | None) -> bool:
+        """Whether the log is the one that a row was made of."""
+        return row is not None and row.stamp == self.stamp and row.stamp.settled_by(row.looked_ns)
+
+    def is_all_as_in(self, row: Row | None) -> bool:
+        """Whether the log and the verdict beside it are those that a row was made of."""
+        if row is None or not self.is_as_in(row) or row.verdict_stamp != str(self.verdict_stamp or ""):
+            return False
+        return self.verdict_stamp is None or self.verdict_stamp.settled_by(row.looked_ns)
+
+
+class Catalogue:
+    """The logs in a folder and in the folders below it.
+
+    Args:
+        folder: where the logs are.
+        now_ns: the clock that tells how old a file is, ns since 1970.
+
+    Attributes:
+        cache_trouble: why what the last search read could not be remembered; empty when it could.
+
+    Raises:
+        LogError: no such folder.
+    """
+
+    def __init__(self, folder: str | Path, now_ns: Callable[[], int] = time.time_ns) -> None:
+        self.folder = Path(folder)
+        self.cache_trouble = ""
+        self._now_ns = now_ns
+        self._unsaved: dict[str, Row] = {}
+        if not self.folder.is_dir():
+            raise LogError(f"{folder}: expected a folder with logs, there is none of that name. Check the path")
+
+    def search(self, query: Query | None = None, progress: Progress | None = None) -> list[Entry]:
+        """Entries of the logs that are looked for, in the order asked for.
+
+        Args:
+            query: None for all.
+            progress: told the share of new and changed files that have been read, 0 … 1; never when there are none.
+        """
+        query = query or Query()
+        return query.sorted(entry for entry in self.entries(progress) if query.admits(entry))
+
+    def entries(self, progress: Progress | None = None) -> list[Entry]:
+        """Every file's entry, by path; files that are no logs say so in theirs."""
+        for _ in range(_LOOKS - 1):
+            entries, vanished = self._look(progress)
+            if not vanished:
+                return entries
+        return self._look(progress)[0]
+
+    def _look(self, progress: Progress | None) -> tuple[list[Entry], bool]:
+        """Entries by path, and whether a file vanished while it was read."""
+        looked_ns = self._now_ns()
+        files = dict(sorted(self._files()))
+        rows = cache.load(self.folder) | self._unsaved
+        entries = {
+            path: entry
+            for path, file in files.items()
+            if file.is_all_as_in(rows.get(path)) and (entry := _entry_in(rows[path])) is not None
+        }
+        new = [path for path in files if path not in entries]
+        gone = rows.keys() - files.keys()
+        saved_s = time.monotonic()
+        try:
+            for number, path in enumerate(new):
+                file, row = files[path], rows.get(path)
+                entries[path], digest = _read(path, file, row, _stretch(progress, number, len(new)))
+                if file.stamp is not None:
+                    facts = entries[path].model_dump_json()
+                    self._unsaved[path] = Row(file.stamp, str(file.verdict_stamp or ""), looked_ns, digest, facts)
+                if time.monotonic() - saved_s > _SAVE_S:
+                    self._save(gone)
+                    saved_s = time.monotonic()
+        finally:
+            if self._unsaved or gone:
+                self._save(gone)
+        vanished = {path for path in new if not os.path.lexists(files[path].place)}
+        return [entries[path] for path in files if path not in vanished], bool(vanished)
+
+    def _save(self, gone: set[str]) -> None:
+        self._unsaved = {path: row for path, row in self._unsaved.items() if path not in gone}
+        try:
+            cache.save(self.folder, self._unsaved, gone)
+        except OSError as fault:
+            self.cache_trouble = (
+                f"{self.folder}: what was read cannot be remembered there ({fault.strerror or fault}), so the next "
+                "search reads all logs again. Make the folder writable to have it faster"
+            )
+        else:
+            self.cache_trouble = ""
+            self._unsaved = {}
+
+    def _files(self) -> Iterator[tuple[str, _File]]:
+        """Logs, each by the name the catalogue gives it."""
+        for folder, _, names in os.walk(self.folder):
+            beside = set(names)
+            for name in names:
+                if name.endswith(_LOG_SUFFIXES):
+                    place = Path(folder, name)
+                    verdict_stamp = _stamp(verdict_path(place)) if name + SUFFIX in beside else None
+                    path = place.relative_to(self.folder).as_posix()
+                    yield path.encode("utf-8", "backslashreplace").decode(), _File(place, _stamp(place), verdict_stamp)
+
+
+def _stamp(file: Path) -> Stamp | None:
+    try:
+        return Stamp.of(file.stat())
+    except OSError:
+        return None
+
+
+def _entry_in(row: Row) -> Entry | None:
+    try:
+        return Entry.model_validate_json(row.entry)
+    except ValidationError:
+        return None
+
+
+def _read(path: str, file: _File, row: Row | None, progress: Progress | None) -> tuple[Entry, str]:
+    """A file's entry with its verdict, and the log's digest if it was needed or is known."""
+    from daq.catalogue.facts import one_line, read_entry  # noqa: PLC0415 (the log's reader: not when all is remembered)
+
+    known_digest = row.digest if row is not None and file.is_as_in(row) else ""
+    entry = read_entry(file.place, path, file.stamp.size_bytes if file.stamp else 0)
+    if file.verdict_stamp is None:
+        return entry, known_digest
+    try:
+        verdict = verdict_of(file.place)
+        if verdict is None:
+            return entry, known_digest
+        digest = known_digest or digest_of(file.place, progress)
+    except LogError as fault:
+        return entry.model_copy(update={"verdict": "unreadable", "why": one_line(fault, file.place)}), known_digest
+    said = verdict.verdict if verdict.is_of(digest) else "stale"
+    return entry.model_copy(update={"verdict": said, "judged": verdict}), digest
+
+
+def _stretch(progress: Progress | None, number: int, count: int) -> Progress | None:
+    """Progress of one piece of work among several; told that it begins."""
+    if progress is None:
+        return None
+    progress(number / count)
+    return lambda share: progress((number + share) / count)

@@ -1,0 +1,183 @@
+"""What is in one log: how much of each channel, how fast, what happened; found without holding a long log in memory."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from daq.channels import HEALTH_TOPIC, RX, raw_topic
+from daq.log import Log
+
+_ALL_BEFORE, _ALL_AFTER = -(2**63), 2**63 - 1
+_STRETCH_MESSAGES = 400_000
+_EDGE_NS = 10**9  # first window in which the end of a channel is looked for …
+_WIDER = 8  # … and how much wider the next one is
+_READS_COUNTED = 100_000
+_MOST_LINES = 200
+_NUMBERS = re.compile(r"\d+(?:\.\d+)?")
+
+
+@dataclass(frozen=True)
+class ChannelContent:
+    """One sample channel.
+
+    Attributes:
+        samples: how many.
+        span_s: from the first sample to the last.
+        rate_Hz: mean over that span, gaps and all.
+    """
+
+    samples: int
+    span_s: float
+    rate_Hz: float
+
+
+@dataclass(frozen=True)
+class RawContent:
+    """Raw bytes of one device.
+
+    Attributes:
+        messages: reads and writes.
+        bytes_in, bytes_out: from and to the device; None where a long log was not gone through to count them.
+    """
+
+    messages: int
+    bytes_in: int | None
+    bytes_out: int | None
+
+
+@dataclass
+class EventLine:
+    """Events alike but for their numbers: time of the first and the last in s since the log's start, and how many."""
+
+    first_s: float
+    last_s: float
+    device: str
+    kind: str
+    text: str
+    count: int = 1
+
+
+@dataclass
+class EventContent:
+    """What happened.
+
+    Attributes:
+        kinds: how many events of each kind.
+        lines: events alike taken together, in the order of their first.
+        more: events beyond the lines there is room for.
+        lost: by device and kind ("gap", "damage"): how many events, and the seconds they tell of.
+    """
+
+    kinds: Counter[str] = field(default_factory=Counter)
+    lines: list[EventLine] = field(default_factory=list)
+    more: int = 0
+    lost: dict[str, dict[str, tuple[int, float]]] = field(default_factory=dict)
+
+
+def stretches(log: Log) -> Iterator[tuple[float, Log]]:
+    """The log in pieces of bounded size, one after the other in time, each with the share done after it, 0 … 1."""
+    messages = sum(log.count(topic) for topic in log.topics)
+    count = max(1, -(-messages // _STRETCH_MESSAGES))
+    length = max(1, (log.end_ns - log.start_ns) // count)
+    edges = [_ALL_BEFORE, *(log.start_ns + number * length for number in range(1, count)), _ALL_AFTER]
+    for number in range(count):
+        yield (number + 1) / count, log.between(edges[number], edges[number + 1])
+
+
+def channel_content(log: Log, topic: str) -> ChannelContent:
+    """How much of a sample channel there is, from the log's own counts and the channel's two ends.
+
+    Raises:
+        LogError: its messages are not what its schema says.
+    """
+    samples = log.count(topic)
+    first, last = _end_of(log, topic, newest=False), _end_of(log, topic, newest=True)
+    span = (last - first) * 1e-9 if first is not None and last is not None else 0.0
+    return ChannelContent(samples, span, (samples - 1) / span if span > 0 else 0.0)
+
+
+def raw_content(log: Log, thorough: bool = True) -> dict[str, RawContent]:
+    """How many raw bytes of each device there are.
+
+    Args:
+        thorough: go through a long log too; without, its bytes are not counted.
+    """
+    messages = {device: log.count(raw_topic(device)) for device in log.devices}
+    if not thorough and sum(messages.values()) > _READS_COUNTED:
+        return {device: RawContent(count, None, None) for device, count in messages.items()}
+    ways = {device: [0, 0] for device in log.devices}
+    for device, chunk in log.raw_in_order():
+        ways[device][chunk.direction != RX] += len(chunk.data)
+    return {device: RawContent(count, *ways[device]) for device, count in messages.items()}
+
+
+def last_health(log: Log) -> dict[str, Any] | None:
+    """The last health report; None when there is none."""
+    for part in _from_the_edge(log, newest=True) if log.count(HEALTH_TOPIC) else ():
+        if reports := part.health:
+            return reports[-1]
+    return None
+
+
+def events_of(log: Log) -> Iterator[dict[str, Any]]:
+    """Every event with its ``time_ns``, stretch by stretch."""
+    for _, part in stretches(log):
+        yield from part.events
+
+
+def event_content(events: Iterable[dict[str, Any]], start_ns: int) -> EventContent:
+    """What happened, events alike taken together; times count from `start_ns`."""
+    content = EventContent()
+    known: dict[tuple[str, str, str], EventLine] = {}
+    for event in events:
+        kind, device, text = (str(event.get(name, "")) for name in ("kind", "device", "text"))
+        time_s = (event["time_ns"] - start_ns) * 1e-9
+        content.kinds[kind] += 1
+        alike = (kind, device, _NUMBERS.sub("#", text))
+        if alike in known:
+            known[alike].last_s = time_s
+            known[alike].count += 1
+        elif len(known) < _MOST_LINES:
+            known[alike] = EventLine(time_s, time_s, device, kind, text)
+            content.lines.append(known[alike])
+        else:
+            content.more += 1
+        if kind in ("gap", "damage"):
+            count, span_s = content.lost.setdefault(device, {}).get(kind, (0, 0.0))
+            content.lost[device][kind] = (count + 1, span_s + seconds(event, "span_s"))
+    return content
+
+
+def seconds(facts: Mapping[str, Any], name: str) -> float:
+    """A time that an event or a health report tells, s; 0 when it does not, or tells something else."""
+    said = facts.get(name, 0.0)
+    try:
+        return float(said) if isinstance(said, int | float) and math.isfinite(said) else 0.0
+    except OverflowError:
+        return 0.0
+
+
+def _end_of(log: Log, topic: str, newest: bool) -> int | None:
+    """Time of a channel's first or last sample, ns since 1970; None when it has none."""
+    for part in _from_the_edge(log, newest) if log.count(topic) else ():
+        if topic in part and len(part[topic]):
+            times = part[topic].time_ns
+            return int(times.max() if newest else times.min())
+    return None
+
+
+def _from_the_edge(log: Log, newest: bool) -> Iterator[Log]:
+    """Its last second (or first), then more and more of it, in the end all of it."""
+    window = _EDGE_NS
+    while window < log.end_ns - log.start_ns:
+        if newest:
+            yield log.between(log.end_ns - window, _ALL_AFTER)
+        else:
+            yield log.between(_ALL_BEFORE, log.start_ns + window)
+        window *= _WIDER
+    yield log
