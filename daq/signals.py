@@ -2,12 +2,12 @@
 
 Every device stamps its samples with its own clock. `load_run` fits one straight line per device over the whole log
 (device time → host time, see daq.clock) and gives every signal in seconds since the run's start on the common
-clock, with the uncertainty of each device's clock rate. Gaps stay gaps: nothing is filled in.
+clock, with the uncertainty of each device's clock rate. Channels without a device's clock (of recordings made
+elsewhere) are on the common clock already. Gaps stay gaps: nothing is filled in.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from daq.clock import ClockLine, fit_line
 from daq.errors import LogError
 from daq.log import Log, open_log
+from daq.losses import losses_of
 from daq.protocols import optoncdt
-from rig_configs.schema import Rig
+from daq.samples import Samples
+from daq.snapshot import identities_of, rig_of
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Release:
 
 @dataclass(frozen=True)
 class Run:
-    """One recorded test.
+    """One recorded test. A channel the log does not have is empty.
 
     Attributes:
         test: "ring-down-x", "ring-down-y", "spin-down", "run-up" or "point-NAME".
@@ -50,12 +52,13 @@ class Run:
         start_s: the run's start in seconds since 1970; every other time counts from it.
         x_time_s, x_m: laser x, shape (n,), disk-centre displacement; NaN where the sensor said "invalid".
         y_time_s, y_m: laser y, its own samples, shape (m,).
-        angle_time_s, angle_rad: pendulum angles θ3, θ4 relative to the rotor, shapes (k,), (k, 2), unwrapped.
+        angle_time_s, angle_rad: pendulum angles θ3, θ4 relative to the rotor, shapes (k,), (k, 2), unwrapped; all
+            NaN for a pendulum that was not recorded.
         mark_time_s, mark_phase_rad: tachometer marks and ψ at each (unwrapped, ψ = 0: imbalance along +x).
         releases: pendulums let go during the run.
         angle_step_rad: quantisation of the angles, rad.
         clock_rate_std: relative standard uncertainty of each device's rate ("laser_x", "laser_y", "encoder").
-        losses: counted losses by stream, as in the log's summary.
+        losses: counted losses by "device.kind".
         metadata: the log's own facts (rig, point, software version, digest …).
     """
 
@@ -81,78 +84,201 @@ def load_run(path: str | Path) -> Run:
     """Read one log into signals on the common clock.
 
     Raises:
-        LogError: not a readable log, or one without the channels a run needs.
+        LogError: not a readable log, one without samples or without its rig file, or one in which a device restarted.
     """
     with open_log(path) as log:
-        rig = Rig.model_validate_json(log.attachments["rig.json"])
-        restarted = sorted({e["device"] for e in log.events if e["kind"] == "restart"})
-        if restarted:
-            raise LogError(
-                f"{path}: {', '.join(restarted)} restarted during this log, so its clock does not run through. "
-                "Repeat the test; the samples themselves can be read with open_log"
-            )
+        devices = rig_of(log).devices
+        _refuse_restarts(log)
         start_s = _start(log)
-        lasers = {
-            axis: _laser(log, axis, config.clock_tolerance_ppm, start_s)
-            for axis, config in (("x", rig.devices.laser_x), ("y", rig.devices.laser_y))
-        }
-        angles = log["pendulums"]
-        node_s = angles.node_time_us * 1e-6
-        line = _line(node_s, angles.log_time_ns, start_s, rig.devices.encoder.clock_tolerance_ppm)
-        marks = log["tacho"] if "tacho" in log.topics else None
-        releases = _releases(log, line)
-        index = math.radians(rig.devices.encoder.index_angle_deg)
         run = log.metadata.get("run", {})
+        shared = _shared_clock(log, run)
+        x, x_line = _laser(log, "laser/x", devices.laser_x.clock_tolerance_ppm, start_s, shared)
+        y, y_line = _laser(log, "laser/y", devices.laser_y.clock_tolerance_ppm, start_s, shared)
+        line = _node_line(log, devices.encoder.clock_tolerance_ppm, start_s, shared)
+        angle_time_s, angle_rad = _angles(log, line, start_s)
+        mark_time_s, mark_phase_rad = _marks(log, line, math.radians(devices.encoder.index_angle_deg), start_s)
         return Run(
             test=run.get("test", "unknown"),
             source=str(path),
             start_s=start_s,
-            x_time_s=lasers["x"][0],
-            x_m=lasers["x"][1],
-            y_time_s=lasers["y"][0],
-            y_m=lasers["y"][1],
-            angle_time_s=line.host_s(node_s),
-            angle_rad=np.column_stack([angles.theta3_rad, angles.theta4_rad]),
-            mark_time_s=np.empty(0) if marks is None else line.host_s(marks.node_time_us * 1e-6),
-            mark_phase_rad=np.empty(0) if marks is None else 2 * np.pi * marks.revolutions.astype(float) + index,
-            releases=releases,
-            angle_step_rad=2 * np.pi / rig.devices.encoder.counts_per_revolution,
+            x_time_s=x[0],
+            x_m=x[1],
+            y_time_s=y[0],
+            y_m=y[1],
+            angle_time_s=angle_time_s,
+            angle_rad=angle_rad,
+            mark_time_s=mark_time_s,
+            mark_phase_rad=mark_phase_rad,
+            releases=_releases(log, line, start_s),
+            angle_step_rad=2 * np.pi / devices.encoder.counts_per_revolution,
             clock_rate_std={
-                "laser_x": lasers["x"][2].rate_std,
-                "laser_y": lasers["y"][2].rate_std,
+                "laser_x": x_line.rate_std,
+                "laser_y": y_line.rate_std,
                 "encoder": line.rate_std,
             },
-            losses=_losses(log),
-            metadata={**run, "identities": json.loads(log.attachments["identities.json"]), "complete": log.complete},
+            losses=losses_of(log).flat,
+            metadata={
+                **run,
+                "identities": identities_of(log),
+                "complete": log.complete,
+            },
         )
+
+
+_CHANNELS = ("laser/x", "laser/y", "pendulums", "tacho")
+_LOCK_FLAGS = (0x20, 0x40)
+
+
+def _refuse_restarts(log: Log) -> None:
+    restarted = sorted({e["device"] for e in log.events if e["kind"] == "restart"})
+    if restarted:
+        raise LogError(
+            f"{log.path}: {', '.join(restarted)} restarted during this log, so its clock does not run through. "
+            "Repeat the test; the samples themselves can be read with open_log"
+        )
+
+
+def _samples(log: Log, topic: str) -> Samples | None:
+    """Samples of a channel; None when the log has none."""
+    if topic not in log:
+        return None
+    samples = log[topic]
+    return samples if len(samples) else None
 
 
 def _start(log: Log) -> float:
     """The earliest sample, whole seconds since 1970."""
-    return math.floor(min(log[t].log_time_ns[0] for t in ("laser/x", "laser/y", "pendulums")) * 1e-9)
+    found = [samples.log_time_ns[0] for samples in (_samples(log, topic) for topic in _CHANNELS) if samples is not None]
+    if not found:
+        raise LogError(f"{log.path}: expected samples in {', '.join(_CHANNELS)}, the log has {list(log) or 'none'}")
+    return math.floor(min(found) * 1e-9)
+
+
+def _shared_clock(log: Log, run: Mapping[str, str]) -> ClockLine:
+    """The line of channels that are on the common clock already: its rate is as good as the log says."""
+    text = run.get("clock_tolerance_ppm", "0")
+    try:
+        return ClockLine(0.0, 0.0, 1e-6 * float(text), 0.0)
+    except ValueError as fault:
+        raise LogError(f"{log.path}: expected a number as clock_tolerance_ppm, got {text!r}") from fault
 
 
 def _line(device_s: NDArray[np.floating], log_ns: NDArray[np.int64], start_s: float, tolerance_ppm: float) -> ClockLine:
     """Clock line through the last sample of every read."""
     last = np.flatnonzero(np.diff(log_ns, append=log_ns[-1] + 1))
-    host = (log_ns[last] - int(start_s) * 1_000_000_000) * 1e-9
-    return fit_line(device_s[last], host, tolerance_ppm)
+    return fit_line(device_s[last], _since(log_ns[last], start_s), tolerance_ppm)
 
 
-_LOCK_FLAGS = (0x20, 0x40)
+def _since(time_ns: NDArray[np.int64], start_s: float) -> NDArray[np.floating]:
+    """Times on the common clock in s since the run's start."""
+    return (time_ns - int(start_s) * 1_000_000_000) * 1e-9
 
 
-def _releases(log: Log, line: ClockLine) -> tuple[Release, ...]:
+def _laser(
+    log: Log, topic: str, tolerance_ppm: float, start_s: float, shared: ClockLine
+) -> tuple[tuple[NDArray[np.floating], NDArray[np.floating]], ClockLine]:
+    """Times and displacements of a laser, and the line that made the times."""
+    samples = _samples(log, topic)
+    if samples is None:
+        return (np.empty(0), np.empty(0)), shared
+    if "device_ticks" not in samples.columns:
+        return (_since(samples.time_ns, start_s), samples.displacement_m), shared
+    device_s = samples.device_ticks * optoncdt.TICK_S
+    line = _line(device_s, samples.log_time_ns, start_s, tolerance_ppm)
+    return (line.host_s(device_s), samples.displacement_m), line
+
+
+def _node_line(log: Log, tolerance_ppm: float, start_s: float, shared: ClockLine) -> ClockLine:
+    """The on-rotor node's clock, from its angles or, where there are none, from its marks."""
+    for topic in ("pendulums", "tacho"):
+        samples = _samples(log, topic)
+        if samples is not None and "node_time_us" in samples.columns:
+            return _line(samples.node_time_us * 1e-6, samples.log_time_ns, start_s, tolerance_ppm)
+    return shared
+
+
+def _node_s(samples: Samples, line: ClockLine, start_s: float) -> NDArray[np.floating]:
+    """Times of the node's samples: by its own clock, or by the common one where they have none."""
+    if "node_time_us" in samples.columns:
+        return line.host_s(samples.node_time_us * 1e-6)
+    return _since(samples.time_ns, start_s)
+
+
+def _angles(log: Log, line: ClockLine, start_s: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Times and both angles; without the instants at which one of two recorded pendulums has no reading."""
+    samples = _samples(log, "pendulums")
+    if samples is None:
+        return np.empty(0), np.empty((0, 2))
+    angles = np.column_stack([samples.theta3_rad, samples.theta4_rad])
+    there = np.isfinite(angles)
+    whole = there[:, there.any(axis=0)].all(axis=1)
+    return _node_s(samples, line, start_s)[whole], angles[whole]
+
+
+def _marks(
+    log: Log, line: ClockLine, index_rad: float, start_s: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Times and phases of the index marks; where the log has the phase itself, of its whole turns."""
+    samples = _samples(log, "tacho")
+    if samples is None:
+        return np.empty(0), np.empty(0)
+    times = _node_s(samples, line, start_s)
+    if "phase_rad" in samples.columns:
+        return _whole_turns(times, samples.phase_rad)
+    return times, 2 * np.pi * samples.revolutions.astype(float) + index_rad
+
+
+def _whole_turns(
+    time_s: NDArray[np.floating], phase_rad: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Where a phase first passes each whole turn, on the straight line between two samples."""
+    good = np.isfinite(phase_rad)
+    turns = phase_rad[good] / (2 * np.pi)
+    highest = np.maximum.accumulate(turns)
+    rising = np.flatnonzero(np.diff(highest, prepend=-np.inf) > 0)
+    time_s, turns = time_s[good][rising], turns[rising]
+    if len(turns) < 2:
+        return np.empty(0), np.empty(0)
+    whole = np.arange(math.ceil(turns[0]), math.floor(turns[-1]) + 1)
+    return np.interp(whole, turns, time_s), 2 * np.pi * whole
+
+
+def _releases(log: Log, line: ClockLine, start_s: float) -> tuple[Release, ...]:
     """Releases by the node's own message; where the radio lost it, by the lock flags of the encoder blocks.
 
     One command lets both go at once: when the flags change in the same block, a message about one tells both.
     """
     told = {
-        int(e["pendulum"]): float(line.host_s(np.array([e["node_time_us"] * 1e-6]))[0])
+        int(e["pendulum"]): _told_release(e, line, start_s)
         for e in log.events
         if e["kind"] == "lock" and e["state"] == "released"
     }
-    samples = log["pendulums"]
+    seen = _seen_releases(log, line)
+    releases: list[Release] = []
+    for pendulum in sorted(set(told) | set(seen)):
+        other = 1 - pendulum
+        if pendulum in told:
+            releases.append(told[pendulum])
+        elif other in told and seen.get(other) == seen[pendulum]:
+            releases.append(Release(pendulum, told[other].time_s))
+        else:
+            releases.append(Release(pendulum, *seen[pendulum]))
+    return tuple(releases)
+
+
+def _told_release(event: Mapping[str, Any], line: ClockLine, start_s: float) -> Release:
+    """A release as the node, or whoever imported the recording, told it."""
+    if "node_time_us" in event:
+        return Release(int(event["pendulum"]), float(line.host_s(np.array([event["node_time_us"] * 1e-6]))[0]))
+    time_s = float(_since(np.array([event["time_ns"]], np.int64), start_s)[0])
+    return Release(int(event["pendulum"]), time_s, float(event.get("time_std_s", Release.time_std_s)))
+
+
+def _seen_releases(log: Log, line: ClockLine) -> dict[int, tuple[float, float]]:
+    """Time and its standard uncertainty by pendulum, as the encoder blocks' lock flags show it."""
+    samples = _samples(log, "pendulums")
+    if samples is None or "flags" not in samples.columns:
+        return {}
     seen: dict[int, tuple[float, float]] = {}
     for pendulum, flag in enumerate(_LOCK_FLAGS):
         closed = (samples.flags & flag) != 0
@@ -163,31 +289,4 @@ def _releases(log: Log, line: ClockLine) -> tuple[Release, ...]:
             # flags are a block's state when it is sent: the lock opened within the block before `after`, or in a gap
             end = after + (samples.node_time_us[min(i + 20, len(samples) - 1)] - samples.node_time_us[i + 1]) * 1e-6
             seen[pendulum] = (0.5 * (before + end), (end - before) / math.sqrt(12))
-    releases: list[Release] = []
-    for pendulum in sorted(set(told) | set(seen)):
-        other = 1 - pendulum
-        if pendulum in told:
-            releases.append(Release(pendulum, told[pendulum]))
-        elif other in told and seen.get(other) == seen[pendulum]:
-            releases.append(Release(pendulum, told[other]))
-        else:
-            releases.append(Release(pendulum, *seen[pendulum]))
-    return tuple(releases)
-
-
-def _laser(
-    log: Log, axis: str, tolerance_ppm: float, start_s: float
-) -> tuple[NDArray[np.floating], NDArray[np.floating], ClockLine]:
-    samples = log[f"laser/{axis}"]
-    device_s = samples.device_ticks * optoncdt.TICK_S
-    line = _line(device_s, samples.log_time_ns, start_s, tolerance_ppm)
-    return line.host_s(device_s), samples.displacement_m, line
-
-
-def _losses(log: Log) -> dict[str, int]:
-    """Losses by "device.what", from the summary or, in a cut log, from the last health message."""
-    summary = log.metadata.get("summary", {})
-    by_device = json.loads(summary["losses"]) if "losses" in summary else {}
-    if not by_device and log.health:
-        by_device = log.health[-1].get("losses", {})
-    return {f"{device}.{what}": int(n) for device, losses in by_device.items() for what, n in losses.items()}
+    return seen

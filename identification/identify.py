@@ -15,7 +15,7 @@ from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
 from identification.pendulum_transient import TransientFit
 from identification.release import fit_release
-from identification.ring_down import RingDownFit, fit_ring_down_runs, ring_down_estimate
+from identification.ring_down import RingDownFit, fit_ring_down, fit_ring_down_runs, ring_down_estimate
 from identification.run_up import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.spin_down_run import damping_estimate, fit_spin_down_run
 from identification.suspension_knowledge import Knowledge
@@ -145,6 +145,12 @@ def _one(run: Run, work: _Work, fit: Callable[[Run, _Work], tuple[Fit, Estimate]
 
 
 def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
+    if not (len(run.x_time_s) and len(run.y_time_s)):
+        raise NotIdentifiable(f"{run.source}: it holds no laser {'y' if len(run.x_time_s) else 'x'}")
+    if not np.isfinite(run.angle_rad).all():  # a pendulum that was not recorded
+        run = replace(run, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
+    if not len(run.angle_rad):
+        work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
     fit = fit_run_up_run(run)
     devices = work.rig.devices
     gains = (devices.laser_x.gain_std, devices.laser_y.gain_std)
@@ -168,7 +174,11 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
     for run in runs:
         work.tell(f"{run.test}: fitting {Path(run.source).name}")
         try:
-            alone.append((run, fit_ring_down_runs([run], mass)))
+            if len(run.x_time_s) and len(run.y_time_s):
+                alone.append((run, fit_ring_down_runs([run], mass)))
+            else:
+                fit = _one_sensor(run, mass)
+                work.add(run, fit, ring_down_estimate(run, fit))
         except IdentificationError as error:
             work.warnings.append(f"{run.test} left out: {error}")
     if len(alone) > 1 and any(not _tells_directions_apart(fit) for _, fit in alone):
@@ -181,6 +191,16 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
             work.warnings.append(f"joint fit of the ring-downs failed: {error}")
     for run, fit in alone:
         work.add(run, fit, ring_down_estimate(run, fit))
+
+
+def _one_sensor(run: Run, mass: float) -> RingDownFit:
+    """A ring-down that one laser alone has seen: one direction."""
+    if len(run.x_time_s):
+        return fit_ring_down(run.x_time_s, run.x_m, mass)
+    fit = fit_ring_down(run.y_time_s, run.y_m, mass)
+    values = {name.replace("1", "2", 1): value for name, value in fit.values.items()}
+    curves = [replace(curve, label=f"{curve.label.removesuffix('x')}y") for curve in fit.curves]
+    return replace(fit, values=values, curves=curves)
 
 
 def _tells_directions_apart(fit: RingDownFit) -> bool:

@@ -1,0 +1,215 @@
+"""What a text file of numbers looks like: encoding, delimiter, decimal sign, where its names and its numbers are."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.exchange.errors import ExchangeError
+from daq.exchange.units import UNITS
+
+_SAMPLE_LINES = 400
+_LONGEST_LINE = 1_000_000
+_COMMENTS = ("#", "%", "//", "!")
+_BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_DIALECTS = (
+    ("\t", "."),
+    (";", "."),
+    (";", ","),
+    (",", "."),
+    ("|", "."),
+    ("\t", ","),
+    ("|", ","),
+    (None, "."),
+    (None, ","),
+)
+_SPLIT_WRONGLY = re.compile(r"[0-9][^A-Za-z]*[;|\t^&~][^A-Za-z]*[0-9]")  # two numbers and a delimiter between them
+_NO_NUMBER = frozenset(("nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"))
+_UNIT_WORDS = frozenset(word for words in UNITS.values() for word in words) | {"°", "1", "-", "", "sec", "rev/min"}
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How to read one file.
+
+    Attributes:
+        encoding: Python's name of it.
+        delimiter: one character; None: any run of blanks.
+        decimal: "." or ",".
+        names: of the columns; "1", "2" … where the file has none.
+        first_line: of the numbers, counted from 1.
+    """
+
+    encoding: str
+    delimiter: str | None
+    decimal: str
+    names: tuple[str, ...]
+    first_line: int
+
+    def split(self, line: str) -> list[str]:
+        """Cells of a line, without blanks and quotes around them."""
+        if self.delimiter is None:
+            return line.split()
+        if '"' in line:
+            cells = next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), [])
+        else:
+            cells = line.split(self.delimiter)
+        return [cell.strip() for cell in cells]
+
+    def number(self, cell: str) -> float | int:
+        """The number in a cell; NaN where the text says that there is none.
+
+        Raises:
+            ValueError: something else.
+        """
+        if "_" in cell:
+            raise ValueError(cell)  # Python would read 1_000, no one else does
+        if self.decimal == ",":
+            if "." in cell:
+                raise ValueError(cell)
+            cell = cell.replace(",", ".")
+        try:
+            return int(cell)
+        except ValueError:
+            pass
+        try:
+            return float(cell)
+        except ValueError:
+            if cell.lower() in _NO_NUMBER:
+                return math.nan
+            raise
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line holds nothing or a remark."""
+    return not line.strip() or line.lstrip().startswith(_COMMENTS)
+
+
+def sniff(path: Path) -> Dialect:
+    """The dialect of a file by its first lines.
+
+    Raises:
+        ExchangeError: it is no text, or holds no columns of numbers.
+    """
+    encoding = _encoding(path)
+    with open(path, encoding=encoding, newline=None) as file:
+        lines = []
+        for _ in range(_SAMPLE_LINES):
+            line = file.readline(_LONGEST_LINE)
+            if len(line) >= _LONGEST_LINE:
+                raise ExchangeError(f"{path}: line {len(lines) + 1}: expected a line of text, this one has no end")
+            if not line:
+                break
+            lines.append(line.rstrip("\n"))
+    best: tuple[tuple[float, int, int], Dialect] | None = None
+    for order, (delimiter, decimal) in enumerate(_DIALECTS):
+        dialect = Dialect(encoding, delimiter, decimal, (), 1)
+        share, width = _fit(dialect, lines)
+        score = (round(share, 2), width, -order)
+        if share > 0 and (best is None or score > best[0]):
+            best = score, dialect
+    if best is None:
+        raise ExchangeError(f"{path}: expected columns of numbers, found none in the first {len(lines)} lines")
+    dialect = _with_names(best[1], lines)
+    if dialect.names == ("1", "2") and dialect.delimiter == "," and _could_be_decimal(dialect, lines):
+        raise ExchangeError(
+            f"{path}: line {dialect.first_line}: expected to know whether a comma is a decimal comma or a second "
+            "column begins there; put a line with the names of the columns, such as t,x, above the numbers"
+        )
+    return dialect
+
+
+def _could_be_decimal(dialect: Dialect, lines: Sequence[str]) -> bool:
+    """Whether all of two columns are whole numbers, the second without a sign."""
+    rows = [_cells(dialect, line) for line in lines[dialect.first_line - 1 :] if not is_comment(line)]
+    return all(row[0].lstrip("+-").isdecimal() and row[-1].isdecimal() for row in rows if len(row) == 2)
+
+
+def _encoding(path: Path) -> str:
+    with open(path, "rb") as file:
+        start = file.read(4)
+        for mark, name in _BOMS:
+            if start.startswith(mark):
+                return name
+        file.seek(0)
+        decoder, is_utf8 = codecs.getincrementaldecoder("utf-8")(), True
+        while block := file.read(1 << 20):
+            if b"\0" in block:
+                raise ExchangeError(f"{path}: expected text, parquet, mat or hdf5, got other bytes")
+            if is_utf8:
+                try:
+                    decoder.decode(block)
+                except UnicodeDecodeError:
+                    is_utf8 = False
+    return "utf-8" if is_utf8 else "latin-1"
+
+
+def _numbers(dialect: Dialect, cells: Sequence[str]) -> int:
+    """How many cells are numbers or say that there is none."""
+    count = 0
+    for cell in cells:
+        try:
+            dialect.number(cell)
+        except ValueError:
+            continue
+        count += 1
+    return count
+
+
+def _cells(dialect: Dialect, line: str) -> list[str]:
+    try:
+        return dialect.split(line)
+    except csv.Error:
+        return []
+
+
+def _fit(dialect: Dialect, lines: Sequence[str]) -> tuple[float, int]:
+    """Share of filled cells that are numbers in the second half of the sample, and the usual number of cells."""
+    rows = [_cells(dialect, line) for line in lines if not is_comment(line)]
+    rows = rows[len(rows) // 2 :]
+    if not rows:
+        return 0.0, 0
+    width = Counter(len(row) for row in rows).most_common(1)[0][0]
+    fitting = [row for row in rows if len(row) == width]
+    filled = [cell for row in fitting for cell in row if cell]
+    if any(_SPLIT_WRONGLY.fullmatch(cell) for cell in filled):
+        return 0.0, width
+    share = _numbers(dialect, filled) / max(1, len(filled)) * len(fitting) / len(rows)
+    return share, width
+
+
+def _with_names(dialect: Dialect, lines: Sequence[str]) -> Dialect:
+    """The dialect with the columns' names and the first line of numbers."""
+    rows = [(number, line, _cells(dialect, line)) for number, line in enumerate(lines, 1) if line.strip()]
+    told = [row for row in rows if not is_comment(row[1])]
+    width = Counter(len(cells) for _, _, cells in told[len(told) // 2 :]).most_common(1)[0][0]
+    data = next(i for i, (_, _, cells) in enumerate(told) if len(cells) == width and _numbers(dialect, cells))
+    first = told[data][0]
+    heads = []
+    for _, _, cells in reversed(told[:data]):
+        if len(cells) != width:
+            break
+        heads.insert(0, cells)
+    if len(heads) > 1 and all(cell.strip("[]() ") in _UNIT_WORDS for cell in heads[-1]):
+        heads.pop()  # a line of units below the names
+    if heads:
+        names = heads[-1]
+    else:
+        names = [str(i) for i in range(1, width + 1)]
+        remarks = [line.lstrip().lstrip("#%/! ") for number, line, _ in rows if number < first and is_comment(line)]
+        if remarks and len(cells := _cells(dialect, remarks[-1])) == width and not _numbers(dialect, cells):
+            names = cells
+    return Dialect(dialect.encoding, dialect.delimiter, dialect.decimal, _distinct(names), first)
+
+
+def _distinct(names: Sequence[str]) -> tuple[str, ...]:
+    """Names that stand for one column each: those that occur twice get the column's number."""
+    return tuple(
+        name if name and names.count(name) == 1 else f"{name} (column {i})".lstrip() for i, name in enumerate(names, 1)
+    )

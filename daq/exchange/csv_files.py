@@ -1,0 +1,52 @@
+"""CSV: a file per table, one header line, units in the columns' names; provenance goes into a .json beside them.
+
+Numbers are the shortest text that reads back to the same float64; what is no number is ``nan``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from pyarrow import csv
+
+from daq.exchange.tables import Columns, Layout
+
+_OPTIONS = csv.WriteOptions(include_header=False, batch_size=65536)
+
+
+class CsvFiles:
+    """See daq.exchange.tables.TableWriter.
+
+    Args:
+        layouts: the tables.
+        places: the file of each table.
+    """
+
+    def __init__(self, layouts: Sequence[Layout], places: Mapping[str, Path]) -> None:
+        self._names = {layout.name: list(layout.dtypes) for layout in layouts}
+        self._files: dict[str, Any] = {}
+        try:
+            for name, columns in self._names.items():
+                self._files[name] = open(places[name], "wb")  # noqa: SIM115 (lives as long as this object)
+                self._files[name].write((",".join(columns) + "\n").encode())
+        except BaseException:
+            self.close()
+            raise
+
+    def append(self, table: str, columns: Columns) -> None:
+        """See TableWriter."""
+        names = self._names[table]
+        rows = pa.table([pa.array(columns[name]) for name in names], names=names)
+        csv.write_csv(rows, self._files[table], _OPTIONS)
+
+    def finish(self, provenance: Mapping[str, Any]) -> None:
+        """See TableWriter; the provenance is not this file's business."""
+        self.close()
+
+    def close(self) -> None:
+        """See TableWriter."""
+        while self._files:
+            self._files.popitem()[1].close()

@@ -1,0 +1,128 @@
+"""Text files of numbers: csv, tsv, semicolons and decimal commas, blanks; comments, names and units above."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.exchange.csv_dialect import Dialect, is_comment, sniff
+from daq.exchange.errors import ExchangeError
+from daq.exchange.recordings import Column
+
+_BLOCK_ROWS = 50_000
+_LONGEST_SHOWN = 40
+
+
+class CsvRecording:
+    """See daq.exchange.recordings.Recording. Reads the file in blocks of rows; only the columns wanted are kept."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._dialect = sniff(path)
+        self.names = self._dialect.names
+
+    def read(self, names: Iterable[str]) -> Mapping[str, Column]:
+        """See Recording."""
+        wanted = {name: self.names.index(name) for name in names}
+        parts = {name: _Parts() for name in wanted}
+        lines: list[NDArray[np.int64]] = []
+        for numbers, rows in self._blocks():
+            lines.append(np.array(numbers, np.int64))
+            for name, index in wanted.items():
+                self._convert(name, [row[index] for row in rows], numbers, parts[name])
+        where = np.concatenate([np.empty(0, np.int64), *lines])
+        return {name: Column(name, *part.joined(), where) for name, part in parts.items()}
+
+    def _blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:
+        """Line numbers and cells, a block of rows at a time."""
+        dialect, width = self._dialect, len(self.names)
+        numbers: list[int] = []
+        rows: list[list[str]] = []
+        with open(self.path, encoding=dialect.encoding, newline=None) as file:
+            for number, line in enumerate(file, 1):
+                if number < dialect.first_line or is_comment(line):
+                    continue
+                cells = self._cells(dialect, line, number)
+                if len(cells) != width:
+                    raise ExchangeError(
+                        f"{self.path}: line {number}: expected {width} columns as in line {dialect.first_line}, "
+                        f"got {len(cells)}; is the file cut there?"
+                    )
+                numbers.append(number)
+                rows.append(cells)
+                if len(rows) >= _BLOCK_ROWS:
+                    yield numbers, rows
+                    numbers, rows = [], []
+        if rows:
+            yield numbers, rows
+
+    def _cells(self, dialect: Dialect, line: str, number: int) -> list[str]:
+        try:
+            return dialect.split(line)
+        except csv.Error as fault:
+            raise ExchangeError(f"{self.path}: line {number}: expected a row of a csv file ({fault})") from fault
+
+    def _convert(self, name: str, cells: list[str], numbers: list[int], part: _Parts) -> None:
+        part.absent.append(np.array([not cell for cell in cells], bool))
+        values = _plain_numbers(cells) if self._dialect.decimal == "." else None
+        part.values.append(self._any_numbers(name, cells, numbers) if values is None else values)
+
+    def _any_numbers(self, name: str, cells: list[str], numbers: list[int]) -> NDArray[Any]:
+        values: list[float | int] = []
+        for cell, number in zip(cells, numbers, strict=True):
+            try:
+                values.append(self._dialect.number(cell) if cell else 0)
+            except ValueError:
+                shown = cell if len(cell) <= _LONGEST_SHOWN else f"{cell[:_LONGEST_SHOWN]}…"
+                raise ExchangeError(
+                    f"{self.path}: line {number}: expected a number in column {name!r} with "
+                    f"{'a decimal comma' if self._dialect.decimal == ',' else 'a decimal point'}, got {shown!r}"
+                ) from None
+        return _array(values)
+
+
+@dataclass
+class _Parts:
+    """A column while it is read."""
+
+    values: list[NDArray[Any]] = field(default_factory=list)
+    absent: list[NDArray[np.bool_]] = field(default_factory=list)
+
+    def joined(self) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        if not self.values:
+            return np.empty(0), np.empty(0, bool)
+        return np.concatenate(self.values), np.concatenate(self.absent)
+
+
+def _array(values: list[float | int]) -> NDArray[Any]:
+    """int64 where all are whole numbers that fit, otherwise float64."""
+    if all(type(value) is int for value in values):
+        try:
+            return np.array(values, np.int64)
+        except OverflowError:
+            pass
+    try:
+        return np.array(values, np.float64)
+    except OverflowError:
+        return np.array([float(str(value)) for value in values])
+
+
+def _plain_numbers(cells: list[str]) -> NDArray[Any] | None:
+    """Cells that are all numbers as they stand, which is the usual case and a third of the time; None for others."""
+    if any("_" in cell for cell in cells):
+        return None
+    try:
+        if cells[0].lstrip("+-").isdecimal():
+            return np.array([int(cell) for cell in cells], np.int64)
+    except (ValueError, OverflowError):
+        pass
+    try:
+        return np.array([float(cell) for cell in cells])
+    except ValueError:
+        return None

@@ -1,0 +1,237 @@
+"""A log's channels, or the signals of its run, as files of other programs.
+
+    export_log("run.mcap", "run.h5")                                      # every channel, one file
+    export_log("run.mcap", "x.csv", channels=["laser/x"], from_s=2.0, to_s=5.0)
+    export_log("run.mcap", "run.mat", signals=True)                       # x, y, angles, marks on the common clock
+
+Parquet and CSV hold one table per file: several channels become OUT-laser_x.csv, OUT-laser_y.csv … with OUT.csv.json
+beside them. Nothing is under its final name before everything is written.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from daq.exchange.csv_files import CsvFiles
+from daq.exchange.errors import ExchangeError
+from daq.exchange.hdf5_file import Hdf5File
+from daq.exchange.mat_file import MatFile
+from daq.exchange.parquet_files import ParquetFiles
+from daq.exchange.provenance import iso_time, log_facts, source_facts
+from daq.exchange.staging import Staging
+from daq.exchange.tables import (
+    Layout,
+    TableWriter,
+    sample_columns,
+    sample_layout,
+    sample_slices,
+    signal_tables,
+)
+from daq.log import Log, open_log
+from daq.signals import Run, load_run
+
+Format = Literal["parquet", "csv", "mat", "hdf5"]
+_SUFFIXES: Mapping[str, Format] = {".parquet": "parquet", ".csv": "csv", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5"}
+_SUFFIX_OF: Mapping[Format, str] = {"parquet": ".parquet", "csv": ".csv", "mat": ".mat", "hdf5": ".h5"}
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        files: in the order they were made; the provenance's .json last.
+        format: theirs.
+        rows: by channel or signal.
+        missing: what the log lacks, in words; empty for a whole one.
+        losses: counts by device and kind.
+    """
+
+    files: list[Path]
+    format: Format
+    rows: dict[str, int]
+    missing: list[str]
+    losses: Mapping[str, Mapping[str, int]]
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Span of time asked for, s since the log's start; None is open."""
+
+    from_s: float | None
+    to_s: float | None
+
+    def __post_init__(self) -> None:
+        for name, value in (("--from", self.from_s), ("--to", self.to_s)):
+            if value is not None and not np.isfinite(value):
+                raise ExchangeError(f"{name} {value}: expected seconds since the log's start")
+        if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
+            raise ExchangeError(f"expected --from before --to, got {self.from_s:g} s and {self.to_s:g} s")
+
+    def ns(self, start_ns: int) -> tuple[int | None, int | None]:
+        """Both ends in ns since 1970."""
+        ends = (None if s is None else start_ns + round(s * 1e9) for s in (self.from_s, self.to_s))
+        return next(ends), next(ends)
+
+    def facts(self, start_ns: int) -> dict[str, Any]:
+        """For the provenance; an open end is None."""
+        return {
+            "time_s_counts_from": iso_time(start_ns),
+            "time_s_counts_from_ns": start_ns,
+            "window_from_s": self.from_s,
+            "window_to_s": self.to_s,
+        }
+
+
+def export_log(
+    path: str | Path,
+    out: str | Path,
+    *,
+    format: Format | None = None,
+    channels: Sequence[str] = (),
+    from_s: float | None = None,
+    to_s: float | None = None,
+    signals: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Exported:
+    """Write a log's channels, or its run's signals, to files of another format.
+
+    Args:
+        path: a log, finished or not.
+        out: file name; parquet and csv put a channel's name after its stem when there are several.
+        format: None: what the name's ending says.
+        channels: topics; none: every channel that holds samples. With `signals` x, y, angles, marks.
+        from_s, to_s: samples with from_s ≤ t < to_s, s since the log's start.
+        signals: what `daq.signals.load_run` makes of the log, on one clock, in place of the channels.
+        force: replace files of those names.
+        progress: told the share done, 0 … 1.
+
+    Raises:
+        ExchangeError: nothing to export, an unknown format, a name that is taken, a table too large for the format.
+        LogError: not a readable log; ChannelMissing for a channel that is not there.
+        OSError: the disk is full or gone; no file is left.
+    """
+    path, out = Path(path), Path(out)
+    chosen = _format(out, format)
+    window = _Window(from_s, to_s)
+    with open_log(path) as log, Staging(force) as staging:
+        job = _Job(log, chosen, out if out.suffix else out.with_suffix(_SUFFIX_OF[chosen]), staging, window)
+        tell = progress or (lambda _: None)
+        rows, facts = job.signals(load_run(path), channels) if signals else job.channels(channels, tell)
+        return Exported(staging.commit(), chosen, rows, facts["missing"], facts["losses"])
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One export on its way."""
+
+    log: Log
+    format: Format
+    out: Path
+    staging: Staging
+    window: _Window
+
+    def channels(self, wanted: Sequence[str], tell: Progress) -> tuple[dict[str, int], dict[str, Any]]:
+        """Sample channels in slices; rows by topic, and the provenance."""
+        log = self.log
+        topics = list(dict.fromkeys(wanted)) or [topic for topic in log if log.count(topic)]
+        if not topics:
+            raise ExchangeError(f"{log.path}: expected samples to export, the log holds none")
+        layouts = [sample_layout(log, topic) for topic in topics]
+        rows = dict.fromkeys(topics, 0)
+        source = source_facts(log.path)
+        from_ns, to_ns = self.window.ns(log.start_ns)
+        total = max(1, sum(log.count(topic) for topic in topics))
+        with closing(self._writer(layouts)) as writer:
+            for part in sample_slices(log, topics, from_ns, to_ns):
+                for topic in topics:
+                    columns = sample_columns(part[topic], log.start_ns)
+                    rows[topic] += len(columns["time_ns"])
+                    writer.append(topic, columns)
+                    tell(min(1.0, sum(rows.values()) / total))
+            facts = {**log_facts(log), **source, **self.window.facts(log.start_ns), "rows": rows}
+            self._finish(writer, layouts, facts)
+        return rows, facts
+
+    def signals(self, run: Run, wanted: Sequence[str]) -> tuple[dict[str, int], dict[str, Any]]:
+        """The run's signals; rows by name, and the provenance."""
+        tables = signal_tables(run, self.window.from_s, self.window.to_s)
+        unknown = sorted(set(wanted) - set(tables))
+        if unknown:
+            raise ExchangeError(f"expected signals of {', '.join(tables)}, got {', '.join(unknown)}")
+        names = list(dict.fromkeys(wanted)) or [name for name, table in tables.items() if len(table["time_s"])]
+        if not names:
+            raise ExchangeError(f"{run.source}: expected signals to export, the run has none in this span of time")
+        layouts = [Layout(n, {c: values.dtype for c, values in tables[n].items()}) for n in names]
+        rows = {name: len(tables[name]["time_s"]) for name in names}
+        facts = {
+            **log_facts(self.log),
+            **source_facts(self.log.path),
+            **self.window.facts(round(run.start_s * 1e9)),
+            "rows": rows,
+            "releases": [vars(release) for release in run.releases],
+            "angle_step_rad": run.angle_step_rad,
+            "clock_rate_std": dict(run.clock_rate_std),
+        }
+        with closing(self._writer(layouts)) as writer:
+            for name in names:
+                writer.append(name, tables[name])
+            self._finish(writer, layouts, facts)
+        return rows, facts
+
+    def _writer(self, layouts: Sequence[Layout]) -> TableWriter:
+        if self.format == "hdf5":
+            return Hdf5File(layouts, self.staging.place(self.out))
+        if self.format == "mat":
+            return MatFile(layouts, self.staging.place(self.out))
+        places = {layout.name: self.staging.place(self._file(layout, len(layouts))) for layout in layouts}
+        self.staging.place(self._sidecar)  # a taken name is told now, not after the work
+        return ParquetFiles(layouts, places) if self.format == "parquet" else CsvFiles(layouts, places)
+
+    @property
+    def _sidecar(self) -> Path:
+        return self.out.with_name(f"{self.out.name}.json")
+
+    def _file(self, layout: Layout, tables: int) -> Path:
+        return self.out if tables == 1 else self.out.with_stem(f"{self.out.stem}-{layout.plain_name}")
+
+    def _finish(self, writer: TableWriter, layouts: Sequence[Layout], facts: dict[str, Any]) -> None:
+        notes = {"events": self._notes("events"), "health": self._notes("health")}
+        if self.format in ("mat", "hdf5"):
+            writer.finish({**facts, **notes})
+            return
+        writer.finish(facts)
+        units = {layout.name: layout.units for layout in layouts}
+        files = {layout.name: self._file(layout, len(layouts)).name for layout in layouts}
+        text = json.dumps({**facts, "files": files, "units": units, **notes}, ensure_ascii=False, indent=1)
+        self.staging.place(self._sidecar).write_text(text, encoding="utf-8")
+
+    def _notes(self, topic: str) -> list[dict[str, Any]]:
+        from_ns, to_ns = self.window.ns(self.log.start_ns)
+        notes = self.log.events if topic == "events" else self.log.health
+        return [
+            note
+            for note in notes
+            if (from_ns is None or note["time_ns"] >= from_ns) and (to_ns is None or note["time_ns"] < to_ns)
+        ]
+
+
+def _format(out: Path, format: str | None) -> Format:
+    if format is None:
+        if out.suffix.lower() not in _SUFFIXES:
+            raise ExchangeError(f"{out}: expected a name ending in {', '.join(_SUFFIXES)}, or --format")
+        return _SUFFIXES[out.suffix.lower()]
+    for known in get_args(Format):
+        if format == known:
+            return known
+    raise ExchangeError(f"expected a format of {', '.join(get_args(Format))}, got {format!r}")

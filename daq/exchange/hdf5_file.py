@@ -1,0 +1,121 @@
+"""HDF5: one file, a group per table with a compressed dataset per column; units and facts as attributes."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from daq.exchange.tables import Columns, Layout
+
+_CHUNK_ROWS = 16_384
+_LONGEST_ATTRIBUTE = 4000  # characters; HDF5 refuses attributes of 64 kB, and a viewer shows none that long
+_TEXT = h5py.string_dtype()
+
+
+class Hdf5File:
+    """See daq.exchange.tables.TableWriter.
+
+    Args:
+        layouts: the tables.
+        place: the file.
+    """
+
+    def __init__(self, layouts: Sequence[Layout], place: Path) -> None:
+        self._disk = _Disk(open(place, "w+b", buffering=0))  # noqa: SIM115 (lives as long as this object)
+        self._file = h5py.File(self._disk, "w")
+        self._rows = dict.fromkeys((layout.name for layout in layouts), 0)
+        for layout in layouts:
+            group = self._file.create_group(layout.name)
+            for name, dtype in layout.dtypes.items():
+                dataset = group.create_dataset(
+                    name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK_ROWS,),
+                    shuffle=True, compression="gzip", compression_opts=4,
+                )  # fmt: skip
+                dataset.attrs["units"] = layout.units[name]
+
+    def append(self, table: str, columns: Columns) -> None:
+        """See TableWriter."""
+        group: Any = self._file[table]
+        done = self._rows[table]
+        for name, values in columns.items():
+            group[name].resize((done + len(values),))
+            group[name][done:] = values
+        self._rows[table] = done + len(next(iter(columns.values())))
+        self._disk.check()
+
+    def finish(self, provenance: Mapping[str, Any]) -> None:
+        """See TableWriter."""
+        notes = {name: provenance[name] for name in ("events", "health") if name in provenance}
+        facts = {key: value for key, value in provenance.items() if key not in notes}
+        for name, value in {"provenance": facts, **notes}.items():
+            self._file.create_dataset(name, data=json.dumps(value, ensure_ascii=False), dtype=_TEXT)
+        for key, value in facts.items():
+            if isinstance(value, str | int | float) and len(str(value)) <= _LONGEST_ATTRIBUTE:
+                self._file.attrs[key] = value
+        self.close()
+        self._disk.check()
+
+    def close(self) -> None:
+        """See TableWriter."""
+        self._file.close()
+        self._disk.close()
+
+
+class _Disk(io.RawIOBase):
+    """The file as HDF5 sees it: always writable. A write that fails is remembered for `check`, since HDF5 (2.0 as
+    bundled with h5py 3.16) crashes the process when it has to close a file on a full disk.
+    """
+
+    def __init__(self, file: io.FileIO) -> None:
+        self._file = file
+        self._fault: OSError | None = None
+
+    def check(self) -> None:
+        """Raise what a write met.
+
+        Raises:
+            OSError: the disk is full or gone.
+        """
+        if self._fault is not None:
+            raise self._fault
+
+    def write(self, data: Any) -> int:
+        """Write all of it, or remember why not."""
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        try:
+            while len(rest) and self._fault is None:
+                rest = rest[self._file.write(rest) or 0 :]
+        except OSError as fault:
+            self._fault = fault
+        return size
+
+    def readinto(self, buffer: Any) -> int:
+        """See io.RawIOBase."""
+        return self._file.readinto(buffer) or 0
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """See io.RawIOBase."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """See io.RawIOBase."""
+        return self._file.tell()
+
+    def truncate(self, size: int | None = None) -> int:
+        """As `write`."""
+        try:
+            return self._file.truncate(size)
+        except OSError as fault:
+            self._fault = self._fault or fault
+            return size or 0
+
+    def close(self) -> None:
+        """See io.RawIOBase."""
+        self._file.close()
+        super().close()

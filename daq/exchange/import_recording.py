@@ -1,0 +1,161 @@
+"""A csv, parquet, mat or hdf5 file recorded elsewhere made into a log.
+
+    import_recording("pluck.csv", "pluck.mcap", load_rig("my.toml"),
+                     make_recipe(test="ring-down-x", time="t:ms", x="disp1:mm", y="disp2:mm"))
+
+The log has no raw bytes; its samples carry the recording's own times, and `import.json` in it says which file it was
+made of and how. Nothing is filled in: a gap stays a gap and is counted, a reading that means "none" stays NaN.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.exchange.errors import ExchangeError
+from daq.exchange.imported_log import Part, write_log
+from daq.exchange.imported_parts import DEVICES, Noticed, gap_events, make_parts, release_events
+from daq.exchange.provenance import file_sha256, iso_time
+from daq.exchange.readings import Readings, since_1970
+from daq.exchange.recipe import TESTS, Recipe
+from daq.exchange.recordings import Recording, open_recording
+from daq.exchange.sensors import marks_file, read_sensors
+from daq.version import software_version
+from rig_configs.schema import Rig
+
+UNKNOWN_START_NS = 946_684_800_000_000_000
+"""2000-01-01: where recordings begin that do not say when they were made."""
+
+_NEEDED = {
+    "ring-down-x": {"laser/x"}, "ring-down-y": {"laser/y"}, "spin-down": {"pendulums"},
+    "run-up": {"laser/x", "laser/y", "tacho"}, "point": {"laser/x", "laser/y", "pendulums", "tacho"},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What became of a recording.
+
+    Attributes:
+        path: the log.
+        samples: by topic.
+        invalid: readings that the recording calls none, by device.
+        gaps: samples that a uniformly sampled recording lacks, by device; absent where it is not uniform.
+        start_ns, end_ns: first and last sample, ns since 1970.
+        warnings: what a reader must know; empty when all is well.
+    """
+
+    path: Path
+    samples: Mapping[str, int]
+    invalid: Mapping[str, int]
+    gaps: Mapping[str, int]
+    start_ns: int
+    end_ns: int
+    warnings: list[str]
+
+
+def import_recording(
+    path: str | Path,
+    out: str | Path,
+    rig: Rig,
+    recipe: Recipe,
+    progress: Callable[[float], None] | None = None,
+) -> Imported:
+    """Make a log of a file recorded elsewhere.
+
+    Args:
+        path: a csv (any delimiter, decimal comma, comments above), parquet, mat or hdf5 file.
+        out: the log's name, ending in .mcap; never written over.
+        rig: the rig it was recorded on; its snapshot goes into the log.
+        recipe: which column is what, see `make_recipe`.
+        progress: told the share written, 0 … 1.
+
+    Raises:
+        ExchangeError: columns that are not there, no numbers, times that do not run forward, units that cannot be
+            meant; the message names the line. No log is left.
+        LogError: the log's name is taken or does not end in .mcap.
+        RecordingError, OSError: it cannot be written.
+    """
+    recording, noticed = open_recording(Path(path)), Noticed()
+    readings = read_sensors(recording, recipe, rig, noticed.warnings)
+    start_ns, is_known = _start(readings, recipe)
+    if not is_known:
+        noticed.warnings.append(f"no --start: times count from {iso_time(start_ns)}, which is not when it was")
+    parts = make_parts({name: found.shifted(start_ns) for name, found in readings.items()}, recipe, noticed)
+    first, last = min(int(part.time_ns[0]) for part in parts), max(int(part.time_ns[-1]) for part in parts)
+    releases = release_events(parts, recipe.release_s, start_ns or first)
+    events = sorted([*gap_events(parts, noticed), *releases], key=lambda event: event.facts["time_ns"])
+    noticed.warnings += _remarks({part.channel.topic for part in parts}, recipe)
+    facts = {**_facts(recording, rig, recipe), **({"started": iso_time(first)} if is_known else {})}
+    attachments = _attachments(recording, rig, recipe, noticed)
+    summary = {"losses": _losses(parts, noticed), "warnings": noticed.warnings}
+    log = write_log(Path(out), parts, events, facts, attachments, summary, progress or (lambda _: None))
+    samples = {part.channel.topic: len(part.time_ns) for part in parts}
+    return Imported(log, samples, noticed.invalid, noticed.gaps, first, last, noticed.warnings)
+
+
+def _start(readings: Mapping[str, Readings], recipe: Recipe) -> tuple[int, bool]:
+    """Time 0 of the recording in ns since 1970, 0 where its times count from there; and whether it is known."""
+    since = {name: since_1970(found.time_ns) for name, found in readings.items()}
+    if not any(since.values()):
+        start = recipe.start_ns
+        return (UNKNOWN_START_NS, False) if start is None else (start, True)
+    if not all(since.values()):
+        some = ", ".join(f"--{name}" for name, value in since.items() if value)
+        raise ExchangeError(f"expected all times to count from one zero, but those of {some} count from 1970")
+    if recipe.start is not None:
+        raise ExchangeError("expected no --start: the times in the file count from 1970 already")
+    return 0, True
+
+
+def _remarks(topics: set[str], recipe: Recipe) -> list[str]:
+    """What the test will lack when it is identified or validated."""
+    test, found = recipe.test_name, []
+    needed = _NEEDED.get("point" if test.startswith("point-") else test)
+    if needed is None:
+        found.append(f"{test}: `rig identify` knows {', '.join(TESTS)} and point-NAME; it will pass this over")
+    elif needed - topics:
+        found.append(f"{test}: needs {', '.join(sorted(needed))}; lacking {', '.join(sorted(needed - topics))}")
+    if test.startswith("point-") and not recipe.release_s:
+        found.append(f"{test}: no --release, so what follows the release cannot be told from the rest")
+    return found
+
+
+def _losses(parts: list[Part], noticed: Noticed) -> dict[str, dict[str, int]]:
+    devices = sorted({DEVICES[part.channel.topic] for part in parts})
+    return {name: {"samples": noticed.gaps.get(name, 0), "invalid": noticed.invalid.get(name, 0)} for name in devices}
+
+
+def _facts(recording: Recording, rig: Rig, recipe: Recipe) -> dict[str, str]:
+    facts = {
+        "rig": rig.name,
+        "software": software_version(),
+        "clock_rate": "1.0",
+        "clock_tolerance_ppm": repr(recipe.clock_tolerance_ppm),
+        "test": recipe.test_name,
+        "note": recipe.note,
+        "origin": f"{recording.path.name} sha256:{file_sha256(recording.path)}",
+    }
+    if recipe.test_name.startswith("point-"):
+        facts["point"] = recipe.test_name.removeprefix("point-")
+    if recipe.speed:
+        facts["phase_reference"] = "none"
+    return facts
+
+
+def _attachments(recording: Recording, rig: Rig, recipe: Recipe, noticed: Noticed) -> dict[str, bytes]:
+    if recipe.counts_per_revolution is not None:
+        encoder = rig.devices.encoder.model_copy(update={"counts_per_revolution": recipe.counts_per_revolution})
+        rig = rig.model_copy(update={"devices": rig.devices.model_copy(update={"encoder": encoder})})
+    paths = [recording.path, *([marks] if (marks := marks_file(recipe)) else [])]
+    made_of = {
+        "files": [{"name": p.name, "sha256": file_sha256(p), "bytes": p.stat().st_size} for p in paths],
+        "columns": list(recording.names),
+        "options": recipe.model_dump(mode="json"),
+        "software": software_version(),
+        "warnings": noticed.warnings,
+    }
+    text = json.dumps(made_of, ensure_ascii=False, indent=1)
+    return {"rig.json": rig.snapshot_json(), "identities.json": b"{}", "import.json": text.encode()}

@@ -1,0 +1,9 @@
+"""Channels of a log that was recorded elsewhere: no device counters, the time is the message's own."""
+
+from daq.channels import Channel
+
+DISPLACEMENT_X = Channel("laser/x", "rig.Displacement", (("displacement_m", "double"),))
+DISPLACEMENT_Y = Channel("laser/y", "rig.Displacement", (("displacement_m", "double"),))
+PENDULUM_ANGLES = Channel("pendulums", "rig.PendulumAngles", (("theta3_rad", "double"), ("theta4_rad", "double")))
+ROTOR_PHASE = Channel("tacho", "rig.RotorPhase", (("phase_rad", "double"),))
+ROTOR_MARK = Channel("tacho", "rig.RotorMark", (("revolutions", "fixed32"),))

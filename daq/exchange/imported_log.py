@@ -1,0 +1,83 @@
+"""Writes imported samples as a log: one time axis, everything in the order of its time."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.channels import Channel
+from daq.log_file import LogFile
+from daq.stream_items import Batch, Event
+
+_ROWS_PER_STRETCH = 8192
+
+
+@dataclass(frozen=True)
+class Part:
+    """One channel's samples.
+
+    Attributes:
+        channel: what it becomes in the log.
+        time_ns: sample times since 1970, rising, shape (n,).
+        columns: the channel's fields, each (n,).
+    """
+
+    channel: Channel
+    time_ns: NDArray[np.int64]
+    columns: Mapping[str, NDArray[Any]]
+
+
+def write_log(
+    path: Path,
+    parts: Sequence[Part],
+    events: Sequence[Event],
+    metadata: Mapping[str, str],
+    attachments: Mapping[str, bytes],
+    summary: Mapping[str, Any],
+    progress: Callable[[float], None],
+) -> Path:
+    """Write a log of parts and events, sorted by their own times; no log is left when it cannot be finished.
+
+    Raises:
+        LogError: the name is taken or does not end in .mcap.
+        RecordingError, OSError: the disk.
+    """
+    log = LogFile(path, metadata, attachments, (), time.time_ns(), [part.channel for part in parts])
+    try:
+        with log:
+            _write(log, parts, events, progress)
+            return log.finish(summary)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            log.part.unlink()  # all that is in it is in the recording too
+        raise
+
+
+def _write(log: LogFile, parts: Sequence[Part], events: Sequence[Event], progress: Callable[[float], None]) -> None:
+    start = min(int(part.time_ns[0]) for part in parts)
+    end = max(int(part.time_ns[-1]) for part in parts) + 1
+    stretches = max(1, sum(len(part.time_ns) for part in parts) // _ROWS_PER_STRETCH)
+    done = [0] * len(parts)
+    waiting = deque(events)
+    for i in range(1, stretches + 1):
+        until = start + (end - start) * i // stretches
+        for number, part in enumerate(parts):
+            stop = int(np.searchsorted(part.time_ns, until))
+            rows = slice(done[number], stop)
+            if stop > done[number]:
+                columns = {name: values[rows] for name, values in part.columns.items()}
+                sequence = np.arange(done[number], stop).astype(np.uint32)
+                log.batch(Batch(part.channel, part.time_ns[rows], sequence, columns), part.time_ns[rows])
+            done[number] = stop
+        while waiting and (waiting[0].facts["time_ns"] < until or i == stretches):
+            event = waiting.popleft()
+            log.event(event, event.facts["time_ns"])
+        progress(i / stretches)

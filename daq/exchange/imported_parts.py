@@ -1,0 +1,123 @@
+"""Readings as the channels and events of a log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.exchange import imported_channels as made
+from daq.exchange.errors import ExchangeError
+from daq.exchange.imported_log import Part
+from daq.exchange.readings import Readings, find_gaps, unwrapped
+from daq.exchange.recipe import Recipe
+from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions_of_marks
+from daq.stream_items import Event
+
+DEVICES = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "tacho": "encoder"}
+_LEAST_RELEASE_STD_S = 1e-4
+
+
+@dataclass
+class Noticed:
+    """What an import found on its way.
+
+    Attributes:
+        warnings: what a reader must know.
+        invalid: readings that the recording calls none, by device.
+        gaps: samples that a uniformly sampled recording lacks, by device; a device that is not uniform is absent.
+    """
+
+    warnings: list[str] = field(default_factory=list)
+    invalid: dict[str, int] = field(default_factory=dict)
+    gaps: dict[str, int] = field(default_factory=dict)
+
+
+def make_parts(readings: Mapping[str, Readings], recipe: Recipe, noticed: Noticed) -> list[Part]:
+    """Channels of a log; times since 1970.
+
+    Raises:
+        ExchangeError: angles at different times, a phase that falls, too few marks.
+    """
+    parts: list[Part] = []
+    for axis, channel in (("x", made.DISPLACEMENT_X), ("y", made.DISPLACEMENT_Y)):
+        if axis in readings:
+            found = readings[axis]
+            parts.append(Part(channel, found.time_ns, {"displacement_m": found.value}))
+            noticed.invalid[f"laser_{axis}"] = found.invalid
+    if "theta3" in readings or "theta4" in readings:
+        parts.append(_pendulums(readings, recipe, noticed))
+    if "marks" in readings:
+        time = readings["marks"].time_ns
+        revolutions, warnings = revolutions_of_marks(time)
+        noticed.warnings += warnings
+        parts.append(Part(made.ROTOR_MARK, time, {"revolutions": revolutions}))
+    for name, phase_of in (("phase", phase_of_angle), ("speed", phase_of_speed)):
+        if name in readings:
+            time, phase, warnings = phase_of(readings[name])
+            noticed.warnings += warnings
+            noticed.invalid["encoder"] = noticed.invalid.get("encoder", 0) + readings[name].invalid
+            parts.append(Part(made.ROTOR_PHASE, time, {"phase_rad": phase}))
+    return parts
+
+
+def _pendulums(readings: Mapping[str, Readings], recipe: Recipe, noticed: Noticed) -> Part:
+    names = [name for name in ("theta3", "theta4") if name in readings]
+    own = {choice.name if choice else "" for choice in (recipe.choices[name].time for name in names)}
+    if len(own) > 1:
+        raise ExchangeError("--theta3, --theta4: expected both angles at the same times, got two columns of times")
+    time = np.unique(np.concatenate([readings[name].time_ns for name in names]))
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name in ("theta3", "theta4"):
+        angle = np.full(len(time), np.nan)
+        if name in readings:
+            angle[np.searchsorted(time, readings[name].time_ns)] = unwrapped(readings[name].value)
+        columns[f"{name}_rad"] = angle
+    noticed.invalid["encoder"] = sum(int(np.isnan(columns[f"{name}_rad"]).sum()) for name in names)
+    return Part(made.PENDULUM_ANGLES, time, columns)
+
+
+def gap_events(parts: list[Part], noticed: Noticed) -> list[Event]:
+    """An event per gap of the sensors; index marks and phases have none: the rotor's speed is not uniform."""
+    found: list[Event] = []
+    for part in parts:
+        topic, device = part.channel.topic, DEVICES[part.channel.topic]
+        if topic == "tacho":
+            continue
+        gaps = find_gaps(part.time_ns)
+        if gaps is None:
+            noticed.warnings.append(f"{topic}: not uniformly sampled, so missing samples cannot be counted")
+            continue
+        for gap in gaps:
+            facts = {"samples": gap.samples, "span_s": gap.span_s, "time_ns": gap.after_ns}
+            found.append(Event("gap", device, f"{gap.samples} samples lacking ({gap.span_s * 1e3:.2f} ms)", facts))
+        noticed.gaps[device] = sum(gap.samples for gap in gaps)
+    return found
+
+
+def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int) -> list[Event]:
+    """An event per pendulum that was let go; one time stands for both.
+
+    Args:
+        zero_ns: what the times of the releases count from, ns since 1970.
+
+    Raises:
+        ExchangeError: a release outside the recording.
+    """
+    start, end = min(int(part.time_ns[0]) for part in parts), max(int(part.time_ns[-1]) for part in parts)
+    steps = [float(np.median(np.diff(p.time_ns))) * 1e-9 for p in parts if p.channel.topic == "pendulums"]
+    std_s = max([_LEAST_RELEASE_STD_S, *(step / math.sqrt(12) for step in steps)])
+    found = []
+    for pendulum, at_s in enumerate(release_s * 2 if len(release_s) == 1 else release_s):
+        time_ns = zero_ns + round(at_s * 1e9)
+        if not start <= time_ns <= end:
+            raise ExchangeError(
+                f"--release {at_s:g}: expected a time within the recording, {(start - zero_ns) / 1e9:g} s to "
+                f"{(end - zero_ns) / 1e9:g} s"
+            )
+        facts = {"pendulum": pendulum, "state": "released", "time_ns": time_ns, "time_std_s": std_s}
+        found.append(Event("lock", "encoder", f"pendulum {'AB'[pendulum]} released, as told at import", facts))
+    return found

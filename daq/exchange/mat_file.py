@@ -1,0 +1,71 @@
+"""MAT version 5, for MATLAB and Octave: a struct of columns per table, a struct of units, and the provenance.
+
+The format holds at most 2 GB per variable and wants each whole, so the tables are kept in memory until the end.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import savemat
+
+from daq.exchange.errors import ExchangeError
+from daq.exchange.tables import Columns, Layout
+
+_LARGEST_VARIABLE = 2**31 - 2**20  # bytes; what is over is for the names of the fields
+
+
+class MatFile:
+    """See daq.exchange.tables.TableWriter.
+
+    Args:
+        layouts: the tables.
+        place: the file.
+    """
+
+    def __init__(self, layouts: Sequence[Layout], place: Path) -> None:
+        self._place = place
+        self._layouts = {layout.name: layout for layout in layouts}
+        self._parts: dict[str, list[Columns]] = {layout.name: [] for layout in layouts}
+        self._bytes = dict.fromkeys(self._parts, 0)
+
+    def append(self, table: str, columns: Columns) -> None:
+        """See TableWriter.
+
+        Raises:
+            ExchangeError: the table is larger than a variable may be.
+        """
+        self._bytes[table] += sum(values.nbytes for values in columns.values())
+        if self._bytes[table] > _LARGEST_VARIABLE:
+            raise ExchangeError(
+                f"{table}: expected less than 2 GB, which is what a MAT file holds per variable; this is more: "
+                "export as hdf5 (MATLAB: h5read), or a part with --from and --to"
+            )
+        self._parts[table].append(columns)
+
+    def finish(self, provenance: Mapping[str, Any]) -> None:
+        """See TableWriter."""
+        variables: dict[str, Any] = {}
+        for name, layout in self._layouts.items():
+            parts = self._parts.pop(name)
+            variables[layout.plain_name] = {
+                column: np.concatenate([np.empty(0, dtype), *(part[column] for part in parts)])
+                for column, dtype in layout.dtypes.items()
+            }
+        variables["units"] = {layout.plain_name: layout.units for layout in self._layouts.values()}
+        variables["provenance"] = {key: _plain(value) for key, value in provenance.items()}
+        with open(self._place, "wb") as file:
+            savemat(file, variables, long_field_names=True, oned_as="column")
+
+    def close(self) -> None:
+        """See TableWriter."""
+        self._parts.clear()
+
+
+def _plain(value: Any) -> Any:
+    """Texts and numbers as they are, everything else as JSON (MATLAB: jsondecode)."""
+    return value if isinstance(value, str | int | float) else json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,112 @@
+"""MAT files: version 5 and 7 through scipy, version 7.3, which is HDF5, and any other HDF5, through h5py.
+
+A variable is named by its path: ``data.time`` for a field of a struct, ``data.2`` for the second column of a matrix.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat, whosmat
+
+from daq.exchange.errors import ExchangeError
+from daq.exchange.recordings import Column, as_column
+
+_MOST_COLUMNS = 256  # of a matrix; more is an image or the like
+_LARGEST = 2**32  # bytes a file may say that one of its variables has
+
+
+class MatRecording:
+    """See daq.exchange.recordings.Recording; versions 4, 5 and 7."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # scipy warns of what it skips; it is not among the names then
+                for name, shape, _ in whosmat(path):
+                    _refuse_huge(path, name, shape)
+                found = loadmat(path, simplify_cells=True)
+        except ExchangeError:
+            raise
+        except Exception as fault:  # scipy raises a dozen kinds for damaged files
+            raise _unreadable(path, fault) from fault
+        self._columns: dict[str, NDArray[Any]] = {}
+        for name, value in found.items():
+            if not name.startswith("__"):
+                self._collect(name, value)
+        self.names = tuple(self._columns)
+
+    def read(self, names: Iterable[str]) -> Mapping[str, Column]:
+        """See Recording."""
+        return {name: as_column(f"{self.path}: {name}", self._columns[name]) for name in names}
+
+    def _collect(self, name: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                self._collect(f"{name}.{key}", inner)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "iufb":
+            self._columns |= _vectors(name, value)
+
+
+class Hdf5Recording:
+    """See daq.exchange.recordings.Recording; groups are written with dots."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._places: dict[str, tuple[str, int | None]] = {}
+        try:
+            with h5py.File(path, "r") as file:
+                file.visititems(self._visit)
+        except (OSError, RuntimeError, ValueError, KeyError) as fault:
+            raise _unreadable(path, fault) from fault
+        self.names = tuple(self._places)
+
+    def read(self, names: Iterable[str]) -> Mapping[str, Column]:
+        """See Recording."""
+        columns: dict[str, Column] = {}
+        try:
+            with h5py.File(self.path, "r") as file:
+                for name in names:
+                    place, index = self._places[name]
+                    dataset: Any = file[place]
+                    _refuse_huge(self.path, name, dataset.shape)
+                    values = dataset[()] if index is None else dataset[index]
+                    columns[name] = as_column(f"{self.path}: {name}", values.reshape(-1))
+        except (OSError, RuntimeError, ValueError, KeyError) as fault:
+            raise _unreadable(self.path, fault) from fault
+        return columns
+
+    def _visit(self, place: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf" or place.startswith("#refs#"):
+            return
+        name, shape = place.replace("/", "."), item.shape
+        if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
+            self._places[name] = (place, None)
+        elif len(shape) == 2 and shape[0] <= _MOST_COLUMNS:  # MATLAB's columns are HDF5's rows
+            self._places |= {f"{name}.{i + 1}": (place, i) for i in range(shape[0])}
+
+
+def _vectors(name: str, value: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """A vector, or the columns of a matrix."""
+    if value.ndim == 1 or (value.ndim == 2 and 1 in value.shape):
+        return {name: value.reshape(-1)}
+    if value.ndim == 2 and value.shape[1] <= _MOST_COLUMNS:
+        return {f"{name}.{i + 1}": value[:, i] for i in range(value.shape[1])}
+    return {}
+
+
+def _refuse_huge(path: Path, name: str, shape: tuple[int, ...]) -> None:
+    if 8 * math.prod(shape) > _LARGEST:
+        raise ExchangeError(f"{path}: {name}: expected at most 4 GB in a variable, got {shape} numbers; cut it up")
+
+
+def _unreadable(path: Path, fault: Exception) -> ExchangeError:
+    return ExchangeError(f"{path}: expected a whole MAT or HDF5 file, it cannot be read ({fault}): is it damaged?")

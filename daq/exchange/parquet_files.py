@@ -1,0 +1,60 @@
+"""Parquet: a file per table; units and provenance in the schema's metadata, where any reader finds them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from daq.exchange.tables import Columns, Layout
+
+_ROW_GROUP = 500_000
+
+
+class ParquetFiles:
+    """See daq.exchange.tables.TableWriter.
+
+    Args:
+        layouts: the tables.
+        places: the file of each table.
+    """
+
+    def __init__(self, layouts: Sequence[Layout], places: Mapping[str, Path]) -> None:
+        self._layouts = {layout.name: layout for layout in layouts}
+        self._schemas = {layout.name: _schema(layout) for layout in layouts}
+        self._writers: dict[str, pq.ParquetWriter] = {}
+        try:
+            for name, schema in self._schemas.items():
+                # the arrow schema would hide what is added at the end, and only then it is known what is missing
+                self._writers[name] = pq.ParquetWriter(places[name], schema, compression="zstd", store_schema=False)
+        except BaseException:
+            self.close()
+            raise
+
+    def append(self, table: str, columns: Columns) -> None:
+        """See TableWriter."""
+        schema = self._schemas[table]
+        rows = pa.table([pa.array(columns[name]) for name in schema.names], schema=schema)
+        self._writers[table].write_table(rows, row_group_size=_ROW_GROUP)
+
+    def finish(self, provenance: Mapping[str, Any]) -> None:
+        """See TableWriter."""
+        for name, writer in self._writers.items():
+            units = json.dumps(self._layouts[name].units, ensure_ascii=False)
+            facts = {"table": name, "units": units, "provenance": json.dumps(provenance, ensure_ascii=False)}
+            writer.add_key_value_metadata(facts)
+        self.close()
+
+    def close(self) -> None:
+        """See TableWriter."""
+        while self._writers:
+            self._writers.popitem()[1].close()
+
+
+def _schema(layout: Layout) -> pa.Schema:
+    fields = [pa.field(name, pa.from_numpy_dtype(dtype), nullable=False) for name, dtype in layout.dtypes.items()]
+    return pa.schema(fields)

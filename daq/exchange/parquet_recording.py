@@ -1,0 +1,50 @@
+"""Parquet files recorded elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from daq.exchange.errors import ExchangeError
+from daq.exchange.recordings import Column, as_column
+
+
+class ParquetRecording:
+    """See daq.exchange.recordings.Recording; nulls are absent."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self.names = tuple(pq.read_schema(path).names)
+        except (pa.ArrowException, OSError) as fault:
+            raise _unreadable(path, fault) from fault
+
+    def read(self, names: Iterable[str]) -> Mapping[str, Column]:
+        """See Recording."""
+        wanted = list(names)
+        try:
+            with pq.ParquetFile(self.path) as file:
+                table = file.read(columns=wanted)
+        except (pa.ArrowException, OSError) as fault:
+            raise _unreadable(self.path, fault) from fault
+        return {name: self._column(name, table.column(name)) for name in wanted}
+
+    def _column(self, name: str, values: pa.ChunkedArray) -> Column:
+        if pa.types.is_decimal(values.type):
+            values = values.cast(pa.float64())
+        if not (pa.types.is_integer(values.type) or pa.types.is_floating(values.type)):
+            raise ExchangeError(
+                f"{self.path}: expected numbers in column {name!r}, got {values.type}; times too must be numbers, "
+                "say seconds"
+            )
+        absent = np.asarray(values.is_null())
+        return as_column(name, np.asarray(pc.fill_null(values, 0)), absent)
+
+
+def _unreadable(path: Path, fault: Exception) -> ExchangeError:
+    return ExchangeError(f"{path}: expected a whole parquet file, it cannot be read ({fault}): is it cut or damaged?")

@@ -1,0 +1,70 @@
+"""Where exported numbers come from: all that a reader needs who has nothing but the exported file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from daq.log import Log
+from daq.losses import losses_of
+from daq.version import software_version
+
+_BLOCK = 1 << 20
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file as 64 hex digits, read in blocks."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def iso_time(time_ns: int) -> str:
+    """A time since 1970 as ISO 8601 text in UTC, to the microsecond."""
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    return datetime.fromtimestamp(seconds, UTC).replace(microsecond=rest // 1000).isoformat()
+
+
+def log_facts(log: Log) -> dict[str, Any]:
+    """A log's own facts, plain JSON. What is missing is as known now: read the samples first."""
+    run = log.metadata.get("run", {})
+    losses = losses_of(log)
+    named = {key: run.get(key, "") for key in ("rig", "test", "point", "note", "started", "software")}
+    return {
+        **named,
+        "run": dict(run),
+        "summary": dict(log.metadata.get("summary", {})),
+        "rig_snapshot": _json_attachment(log, "rig.json"),
+        "identities": _json_attachment(log, "identities.json"),
+        "losses": {device: dict(kinds) for device, kinds in losses.by_device.items()},
+        "losses_found_in": losses.source,
+        "complete": log.complete,
+        "missing": [str(missing) for missing in log.missing],
+    }
+
+
+def source_facts(path: Path) -> dict[str, Any]:
+    """The file itself and who read it."""
+    return {
+        "source": path.name,
+        "source_sha256": file_sha256(path),
+        "source_bytes": path.stat().st_size,
+        "exported_by": f"rig {software_version()}",
+    }
+
+
+def _json_attachment(log: Log, name: str) -> Any:
+    """An attachment's content; a text as it is when it is no JSON, None when there is none."""
+    data = log.attachments.get(name)
+    if data is None:
+        return None
+    text = data.decode("utf-8", "replace")
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

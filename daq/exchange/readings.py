@@ -1,0 +1,224 @@
+"""What a sensor's column says, checked: times that run forward, units that can be meant, gaps and invalid readings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.exchange.errors import ExchangeError
+from daq.exchange.recordings import Column
+from daq.exchange.units import UNITS, ColumnChoice, Quantity
+
+LEAST_ROWS = 20
+_SINCE_1970_S = 1e8  # beyond three years no recording counts from its own start
+_LATEST_NS = 2**62
+_SLOWEST_HZ, _FASTEST_HZ = 10.0, 1e6  # of samples that can show this rig's motion
+_UNIFORM_SHARE, _UNIFORM_STEP = 0.9, 0.1
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Samples that a uniformly sampled recording lacks: how many, after which instant, and how long nothing came."""
+
+    after_ns: int
+    samples: int
+    span_s: float
+
+
+@dataclass(frozen=True)
+class Readings:
+    """One sensor's samples.
+
+    Attributes:
+        time_ns: sample times, ns, strictly rising, shape (n,); from the recording's own zero until `shifted`.
+        value: in SI units, NaN for invalid readings, shape (n,).
+        row: of the file, counted from 0, shape (n,).
+        invalid: how many readings are NaN.
+    """
+
+    time_ns: NDArray[np.int64]
+    value: NDArray[np.float64]
+    row: NDArray[np.intp]
+    invalid: int
+
+    def shifted(self, start_ns: int) -> Readings:
+        """The same with times since 1970.
+
+        Raises:
+            ExchangeError: a time is before 1970 or after 2116.
+        """
+        time_ns = self.time_ns + start_ns
+        if time_ns[0] < 0 or time_ns[-1] > _LATEST_NS:
+            raise ExchangeError(
+                f"expected times from 1970 to 2116, got {time_ns[0] / 1e9:g} s to {time_ns[-1] / 1e9:g} s"
+            )
+        return replace(self, time_ns=time_ns)
+
+
+def times_ns(column: Column, choice: ColumnChoice, option: str) -> NDArray[np.int64]:
+    """A time column in ns, shape (n,): exact for whole numbers, to the nearest ns otherwise.
+
+    Raises:
+        ExchangeError: a time that is missing, no number or too large, or one not later than the one before.
+    """
+    factor = choice.factor * 1e9
+    bad = np.flatnonzero(column.absent | ~np.isfinite(column.values))
+    if len(bad):
+        raise ExchangeError(
+            f"{option} {column.name}: {column.place(int(bad[0]))}: expected a time, got none; "
+            f"{len(bad)} of {len(column.values)} rows have no time"
+        )
+    largest = float(np.max(np.abs(column.values.astype(np.float64)), initial=0.0))
+    if largest * factor > _LATEST_NS:
+        raise ExchangeError(
+            f"{option} {column.name}: expected times of less than 146 years, got {largest:g} {choice.unit}"
+        )
+    if column.values.dtype.kind == "i" and factor >= 1 and abs(factor - round(factor)) < 1e-6 * factor:
+        time = column.values * np.int64(round(factor))
+    else:
+        time = np.rint(column.values * factor).astype(np.int64)
+    _check_rising(time, column, choice, option)
+    return time
+
+
+def since_1970(time_ns: NDArray[np.int64]) -> bool:
+    """Whether times count from 1970: they are too large for a recording's own."""
+    return bool(len(time_ns)) and float(time_ns[-1]) > _SINCE_1970_S * 1e9
+
+
+def _check_rising(time: NDArray[np.int64], column: Column, choice: ColumnChoice, option: str) -> None:
+    wrong = np.flatnonzero(np.diff(time) <= 0)
+    if not len(wrong):
+        return
+    row = int(wrong[0]) + 1
+    before, now = column.values[row - 1], column.values[row]
+    what = "the same time again" if time[row] == time[row - 1] else "an earlier time"
+    raise ExchangeError(
+        f"{option} {column.name}: {column.place(row)}: expected a time after {before} {choice.unit}, got {what} "
+        f"({now}); {len(wrong)} of {len(time)} rows are not later than the row before them. Sort the rows, take out "
+        "repeated ones, or give --rate instead of --time"
+    )
+
+
+def read_sensor(
+    column: Column, choice: ColumnChoice, time: Column | NDArray[np.int64], time_choice: ColumnChoice | None,
+    invalid: Sequence[float], option: str,
+) -> Readings:  # fmt: skip
+    """A sensor's samples; rows in which the file holds nothing for it are no samples.
+
+    Args:
+        column, choice: its readings and their unit.
+        time, time_choice: the column of times with its unit, or times of all rows in ns, shape (n,), and None.
+        invalid: readings that mean none, as they are in the file.
+        option: where it was named, for messages.
+
+    Raises:
+        ExchangeError: lengths differ, too few samples, or bad times.
+    """
+    length = len(time.values) if isinstance(time, Column) else len(time)
+    if length != len(column.values):
+        raise ExchangeError(
+            f"{option} {column.name}: expected as many values as there are times, got {len(column.values)} and "
+            f"{length}; name its own times: {option} {column.name}:{choice.unit}@TIME:s"
+        )
+    value = column.values.astype(np.float64)
+    there = ~column.absent
+    if isinstance(time, Column):
+        there &= ~(
+            np.isnan(value) & (time.absent | np.isnan(time.values.astype(np.float64)))
+        )  # the end of a shorter one
+    row = np.flatnonzero(there)
+    if len(row) < LEAST_ROWS:
+        raise ExchangeError(f"{option} {column.name}: expected at least {LEAST_ROWS} samples, got {len(row)}")
+    if isinstance(time, Column):
+        assert time_choice is not None
+        time_ns = times_ns(time.keep(row), time_choice, "--time")
+    else:
+        time_ns = time[row]
+    value = value[row]
+    none = ~np.isfinite(value) | np.isin(value, np.asarray(invalid, float))
+    if none.all():
+        raise ExchangeError(f"{option} {column.name}: expected readings, every one of {len(row)} is invalid")
+    with np.errstate(over="ignore"):  # what is infinite is beyond every limit
+        value = np.where(none, np.nan, value * choice.factor)
+    return Readings(time_ns, value, row, int(np.count_nonzero(none)))
+
+
+def find_gaps(time_ns: NDArray[np.int64]) -> list[Gap] | None:
+    """Gaps of a uniformly sampled recording; None when it is not uniform, so that nothing can be said."""
+    steps = np.diff(time_ns).astype(np.float64)
+    usual = float(np.median(steps))
+    if np.mean(np.abs(steps - usual) <= _UNIFORM_STEP * usual) < _UNIFORM_SHARE:
+        return None
+    return [
+        Gap(int(time_ns[i]), round(float(steps[i]) / usual) - 1, float(steps[i]) * 1e-9)
+        for i in np.flatnonzero(steps > 1.5 * usual)
+    ]
+
+
+def check_rate(time_ns: NDArray[np.int64], choice: ColumnChoice | None, option: str) -> str | None:
+    """A warning where the rate of samples cannot be what was meant."""
+    rate = 1e9 / float(np.median(np.diff(time_ns)))
+    if _SLOWEST_HZ <= rate <= _FASTEST_HZ:
+        return None
+    span_s = (time_ns[-1] - time_ns[0]) * 1e-9
+    text = f"{option}: sampled at {rate:.3g} Hz, {span_s:.3g} s long; is the unit of time right?"
+    if choice is None:
+        return text
+    per_unit = rate * choice.factor
+    meant = [unit for unit, factor in UNITS["time"].items() if _SLOWEST_HZ <= per_unit / factor <= _FASTEST_HZ / 10]
+    return text + (f" Did you mean {' or '.join(meant)}?" if meant else "")
+
+
+def check_size(
+    readings: Readings, choice: ColumnChoice, quantity: Quantity, limit: float, column: Column, option: str
+) -> None:
+    """Refuse readings ten times beyond what the sensor or the rig can do.
+
+    Args:
+        limit: the largest value there can be, SI.
+
+    Raises:
+        ExchangeError: with the largest reading, and the units in which all of them would fit.
+    """
+    size = np.abs(np.nan_to_num(readings.value))
+    worst = int(np.argmax(size))
+    if size[worst] <= 10 * limit:
+        return
+    raw = float(size[worst]) / abs(choice.factor)
+    typical = float(np.median(size)) / abs(choice.factor)
+    words = UNITS[quantity]
+    meant = next((unit for unit, factor in sorted(words.items(), key=lambda u: -u[1]) if raw * factor <= limit), None)
+    value = column.values[readings.row[worst]]
+    hint = f"did you mean {option} {column.name}:{meant}?" if meant else "is the unit right?"
+    if raw > 20 * typical and typical > 0:
+        hint += f" Or does {value:g} mean that there was no reading: --invalid {value:g}?"
+    raise ExchangeError(
+        f"{option} {column.name}: expected readings within {limit:g} {_SI[quantity]}, got {size[worst]:g} "
+        f"({value:g} {choice.unit} in {column.place(int(readings.row[worst]))}); {hint}"
+    )
+
+
+def check_small(readings: Readings, least: float, option: str, what: str) -> str | None:
+    """A warning where everything is smaller than a sensor can see."""
+    span = float(np.nanmax(readings.value) - np.nanmin(readings.value))
+    if span >= least:
+        return None
+    return f"{option}: the readings span {span:.3g} {what} only; is the unit right, and did the sensor see anything?"
+
+
+_SI: dict[Quantity, str] = {"time": "s", "length": "m", "angle": "rad", "speed": "rad/s"}
+
+
+def unwrapped(angle: NDArray[np.float64]) -> NDArray[Any]:
+    """Angles without jumps of whole turns, shape (n,), rad; NaN stays NaN; untouched where nothing jumps."""
+    good = np.isfinite(angle)
+    out = angle.copy()
+    if np.any(np.abs(np.diff(angle[good])) > math.pi):
+        out[good] = np.unwrap(angle[good])
+    return out

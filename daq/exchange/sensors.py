@@ -1,0 +1,107 @@
+"""Reads the columns that a recipe names, and checks that each can be what it is said to be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.exchange.errors import ExchangeError
+from daq.exchange.readings import Readings, check_rate, check_size, check_small, read_sensor, times_ns
+from daq.exchange.recipe import QUANTITIES, Recipe
+from daq.exchange.recordings import Column, Recording, open_recording, pick
+from daq.exchange.units import ColumnChoice
+from rig_configs.schema import Rig
+
+_SMALLEST_M, _SMALLEST_RAD = 1e-6, 1e-4
+_MOST_TURNS_RAD = 1e6  # more than a day of running
+
+
+def read_sensors(recording: Recording, recipe: Recipe, rig: Rig, warnings: list[str]) -> dict[str, Readings]:
+    """Readings by "x", "y", "theta3", "theta4", "phase", "speed", and "marks", whose times are all they have.
+
+    Args:
+        recording: the file.
+        recipe: which column is what.
+        rig: for what its sensors can see at most.
+        warnings: what looks odd is added.
+
+    Raises:
+        ExchangeError: a column is not there, or cannot be what it is said to be.
+    """
+    choices = dict(recipe.choices)
+    marks, time = choices.pop("marks", None), choices.pop("time", None)
+    names = {name: pick(recording, choice.name, f"--{name}") for name, choice in choices.items()}
+    own_times = {
+        name: pick(recording, choice.time.name, f"--{name} …@TIME") for name, choice in choices.items() if choice.time
+    }
+    time_name = [pick(recording, time.name, "--time")] if time else []
+    in_file = marks is not None and marks_file(recipe) is None
+    mark_name = [pick(recording, marks.name, "--marks")] if marks and in_file else []
+    columns = recording.read(dict.fromkeys([*names.values(), *own_times.values(), *time_name, *mark_name]))
+    found: dict[str, Readings] = {}
+    for name, choice in choices.items():
+        column, option = columns[names[name]], f"--{name}"
+        if choice.time:
+            readings = read_sensor(column, choice, columns[own_times[name]], choice.time, recipe.invalid, option)
+        elif time:
+            readings = read_sensor(column, choice, columns[time_name[0]], time, recipe.invalid, option)
+        else:
+            readings = read_sensor(column, choice, _row_times(recipe, column, option), None, recipe.invalid, option)
+        warnings += _check(name, readings, choice, column, choice.time or time, rig)
+        found[name] = readings
+    if marks is not None:
+        found["marks"] = _marks(recipe, marks, columns[mark_name[0]] if mark_name else None)
+    return found
+
+
+def marks_file(recipe: Recipe) -> Path | None:
+    """The file of their own that the marks are in, if they are."""
+    marks = recipe.choices.get("marks")
+    return Path(marks.name) if marks and Path(marks.name).is_file() else None
+
+
+def _row_times(recipe: Recipe, column: Column, option: str) -> NDArray[np.int64]:
+    """Times of all rows in ns by the rate alone."""
+    if recipe.rate_Hz is None:
+        raise ExchangeError(f"{option}: expected --time COLUMN:UNIT or --rate HZ beside it, got neither")
+    return np.rint(np.arange(len(column.values)) * (1e9 / recipe.rate_Hz)).astype(np.int64)
+
+
+def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None) -> Readings:
+    if column is None:
+        path = marks_file(recipe)
+        assert path is not None
+        recording = open_recording(path)
+        if len(recording.names) != 1:
+            raise ExchangeError(f"{path}: expected a file of one column of times, got {len(recording.names)} columns")
+        column = recording.read([recording.names[0]])[recording.names[0]]
+    rows = np.flatnonzero(~column.absent & ~np.isnan(column.values.astype(np.float64)))
+    time_ns = times_ns(column.keep(rows), choice, "--marks")
+    return Readings(time_ns, np.zeros(len(rows)), rows, 0)
+
+
+def _check(
+    name: str, readings: Readings, choice: ColumnChoice, column: Column, time: ColumnChoice | None, rig: Rig
+) -> list[str]:
+    """Warnings about one sensor.
+
+    Raises:
+        ExchangeError: readings far beyond what there can be.
+    """
+    option, quantity = f"--{name}", QUANTITIES[name]
+    lasers: Mapping[str, float] = {
+        axis: laser.range_m / laser.lever_ratio
+        for axis, laser in (("x", rig.devices.laser_x), ("y", rig.devices.laser_y))
+    }
+    limits = {**lasers, "speed": rig.limits.speed_rpm * math.pi / 30}
+    check_size(readings, choice, quantity, limits.get(name, _MOST_TURNS_RAD), column, option)
+    warnings = [check_rate(readings.time_ns, time, option)]
+    if quantity == "length":
+        warnings.append(check_small(readings, _SMALLEST_M, option, "m"))
+    elif name == "phase":
+        warnings.append(check_small(readings, _SMALLEST_RAD, option, "rad"))
+    return [warning for warning in warnings if warning]

@@ -1,0 +1,109 @@
+"""Tables on their way out: columns with units, in slices that fit into memory, and what a format must do with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.exchange.units import unit_of
+from daq.log import Log
+from daq.samples import Samples
+from daq.signals import Run
+
+Columns = Mapping[str, NDArray[Any]]
+
+_ROWS_PER_SLICE = 500_000
+_SMALLEST, _LARGEST = -(2**62), 2**62
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One table.
+
+    Attributes:
+        name: the channel's topic, or the signal's name.
+        dtypes: column name → dtype, in order.
+    """
+
+    name: str
+    dtypes: Mapping[str, np.dtype[Any]]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Column name → unit."""
+        return {column: unit_of(column) for column in self.dtypes}
+
+    @property
+    def plain_name(self) -> str:
+        """The name as part of a file's or a variable's: letters, digits and underscores."""
+        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in self.name)
+        return plain if plain[:1].isalpha() else f"t{plain}"
+
+
+class TableWriter(Protocol):
+    """Tables in the files of one format; slices of different tables may come in any order."""
+
+    def append(self, table: str, columns: Columns) -> None:
+        """Add rows: every column of the table's layout, all of one length."""
+
+    def finish(self, provenance: Mapping[str, Any]) -> None:
+        """Write what the tables are, and the files' ends."""
+
+    def close(self) -> None:
+        """Let go of the files, finished or not."""
+
+
+def sample_columns(samples: Samples, start_ns: int) -> dict[str, NDArray[Any]]:
+    """A channel's columns: times, sequence, then its fields; `time_s` counts from the log's start."""
+    return {
+        "time_ns": samples.time_ns,
+        "time_s": (samples.time_ns - start_ns) / 1e9,
+        "log_time_ns": samples.log_time_ns,
+        "sequence": samples.sequence,
+        **samples.columns,
+    }
+
+
+def sample_layout(log: Log, topic: str) -> Layout:
+    """The table a channel becomes; reads no samples."""
+    channel = log.channel(topic)
+    times = {"time_ns": np.int64, "time_s": np.float64, "log_time_ns": np.int64, "sequence": np.uint32}
+    fields = {name: channel.dtype[name] for name in channel.names}
+    return Layout(topic, {name: np.dtype(dtype) for name, dtype in {**times, **fields}.items()})
+
+
+def sample_slices(log: Log, topics: Sequence[str], from_ns: int | None, to_ns: int | None) -> Iterator[Log]:
+    """The log cut into spans of time of about half a million samples each; samples of from_ns ≤ time_ns < to_ns.
+
+    The rows of a channel follow each other as in the log, unless a clock was set back across the end of a span.
+    """
+    count = sum(log.count(topic) for topic in topics)
+    first = log.start_ns if from_ns is None else max(from_ns, log.start_ns)
+    last = log.end_ns if to_ns is None else min(to_ns, log.end_ns)
+    share = (last - first) / max(1, log.end_ns - log.start_ns)
+    spans = max(1, round(count * share / _ROWS_PER_SLICE))
+    inner = [first + (last - first) * i // spans for i in range(1, spans)]
+    edges = [_SMALLEST if from_ns is None else from_ns, *inner, _LARGEST if to_ns is None else to_ns]
+    for start, end in pairwise(edges):
+        yield log.between(start, end)
+
+
+def signal_tables(run: Run, from_s: float | None, to_s: float | None) -> dict[str, dict[str, NDArray[Any]]]:
+    """A run's signals on the common clock: x, y, angles, marks, each with its own times."""
+    tables = {
+        "x": {"time_s": run.x_time_s, "displacement_m": run.x_m},
+        "y": {"time_s": run.y_time_s, "displacement_m": run.y_m},
+        "angles": {"time_s": run.angle_time_s, "theta3_rad": run.angle_rad[:, 0], "theta4_rad": run.angle_rad[:, 1]},
+        "marks": {"time_s": run.mark_time_s, "phase_rad": run.mark_phase_rad},
+    }
+    start, end = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
+    kept = {}
+    for name, table in tables.items():
+        inside = (table["time_s"] >= start) & (table["time_s"] < end)
+        kept[name] = {column: np.ascontiguousarray(values[inside]) for column, values in table.items()}
+    return kept

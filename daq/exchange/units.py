@@ -1,0 +1,109 @@
+"""Units at the border: words for them on the command line, and the unit a field's name ends in."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from daq.exchange.errors import ExchangeError
+
+Quantity = Literal["time", "length", "angle", "speed"]
+
+UNITS: Mapping[Quantity, Mapping[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0},
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9, "in": 0.0254},
+    "angle": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi},
+    "speed": {"rad/s": 1.0, "rpm": math.pi / 30, "Hz": 2 * math.pi, "deg/s": math.pi / 180},
+}
+"""Unit words and what one of each is in s, m, rad, rad/s."""
+
+_SUFFIXES = {
+    "ns": "ns", "us": "us", "ms": "ms", "s": "s", "m": "m", "mm": "mm", "um": "um",
+    "rad": "rad", "deg": "deg", "rpm": "rpm", "Hz": "Hz",
+}  # fmt: skip
+_COUNTS = {"sequence", "counter", "count_a", "count_b", "revolutions", "device_ticks"}
+
+
+def unit_of(field: str) -> str:
+    """Unit of a field by its name's end: ``displacement_m`` is in m; "count" for counters, "1" without a unit."""
+    ending = field.rpartition("_")[2] if "_" in field else ""
+    return "count" if field in _COUNTS else _SUFFIXES.get(ending, "1")
+
+
+@dataclass(frozen=True)
+class ColumnChoice:
+    """A column named on the command line.
+
+    Attributes:
+        name: the column's name, its number counted from 1, or the path of a variable.
+        unit: as it was given: a unit word with a minus sign before it where the axis points the other way, or a number.
+        factor: one of that unit in s, m, rad or rad/s; negative for an axis the other way round.
+        time: the column with this column's own times, where it does not share the recording's.
+    """
+
+    name: str
+    unit: str
+    factor: float
+    time: ColumnChoice | None = None
+
+
+def parse_column(text: str, quantity: Quantity, option: str) -> ColumnChoice:
+    """A column and its unit: ``NAME:UNIT``, ``NAME:-UNIT``, ``NAME:NUMBER``, each perhaps ``@TIME:UNIT``.
+
+    The unit may be left out where the name ends in it (``displacement_m``).
+
+    Args:
+        text: what was given.
+        quantity: what the column must hold.
+        option: where it was given, for messages.
+
+    Raises:
+        ExchangeError: no unit, one of another quantity, or a factor of 0.
+    """
+    own, at, time = text.rpartition("@")
+    if not at:
+        return _parse(text, quantity, option)
+    choice = _parse(own, quantity, option)
+    return ColumnChoice(choice.name, choice.unit, choice.factor, _parse(time, "time", f"{option} …@TIME"))
+
+
+def _parse(text: str, quantity: Quantity, option: str) -> ColumnChoice:
+    words = UNITS[quantity]
+    name, colon, unit = text.rpartition(":")
+    if not colon:
+        name, unit = text, unit_of(text)
+        if unit not in words:
+            raise ExchangeError(
+                f"{option} {text}: expected NAME:UNIT with a unit of {quantity} ({', '.join(words)}), got no unit"
+            )
+    if not name:
+        raise ExchangeError(f"{option} {text}: expected NAME:UNIT, got no name before the colon")
+    factor = words.get(unit.removeprefix("-"), math.nan) * (-1 if unit.startswith("-") else 1)
+    if math.isnan(factor):
+        factor = _number(unit)
+    if not math.isfinite(factor) or factor == 0:
+        raise ExchangeError(
+            f"{option} {text}: expected a unit of {quantity} ({', '.join(words)}) or a number other than 0 "
+            f"after the colon, got {unit!r}{_hint(unit, quantity)}"
+        )
+    if quantity == "time" and factor < 0:
+        raise ExchangeError(f"{option} {text}: expected a unit of time, got a negative one: time runs forward")
+    return ColumnChoice(name, unit, factor)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _hint(unit: str, quantity: Quantity) -> str:
+    for other, words in UNITS.items():
+        if other != quantity and unit.removeprefix("-") in words:
+            return f", which is a unit of {other}"
+    near = difflib.get_close_matches(unit, UNITS[quantity], 1, 0.4)
+    return f"; did you mean {near[0]!r}?" if near else ""
