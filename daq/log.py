@@ -3,67 +3,96 @@
     with open_log("run.mcap") as log:
         x = log["laser/x"]
         x.time_s, x.displacement_m          # (n,) s since 1970, m
+        log.between(start_ns, end_ns)["laser/x"]   # reads only what it needs
 
-What could not be read is in `log.missing`; whatever is handed out was whole and had the right CRC.
+A finished file opens at once, by its index; what is not sound is found when it is read, or by `verify`. What is not
+there or cannot be read is in `log.missing`; whatever is handed out was whole and had the right CRC.
 Sample fields are what the schema in the file says, so logs of other versions read alike.
 """
 
+from __future__ import annotations
+
 import difflib
 import json
-import mmap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 from mcap.records import Channel as ChannelRecord
-from numpy.typing import NDArray
+from mcap.records import Schema
 
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, RAW_PREFIX, RAW_SCHEMA_NAME, Channel, unpack_raw
 from daq.errors import ChannelMissing, LogError
-from daq.mcap_chunks import HEAD, Scan, gather, payload, scan_records, unpack_chunk
-from daq.mcap_reader import walk
-from daq.samples import RawChunk, Samples
-
-_CACHE_BYTES = 256 * 2**20
+from daq.log_source import LogSource
+from daq.log_window import LogWindow
+from daq.samples import Missing, RawChunk, Samples
 
 
 class Log(Mapping[str, Samples]):
-    """An open log: a mapping from topic to `Samples`, and what else the file holds. Made by `open_log`.
+    """An open log: a mapping from topic to `Samples`, and what else the file holds. Made by `open_log` and `between`.
 
     Attributes:
         path: the file.
-        missing: what the file lacks or what is damaged, in words.
-        metadata: named tables of texts.
-        attachments: files by name.
+        window_ns: first time and end of the samples it is limited to, ns since 1970; None when it is not.
     """
 
-    def __init__(self, path: Path, file: Any, size: int) -> None:
+    def __init__(self, path: Path, source: LogSource, window_ns: tuple[int, int] | None = None) -> None:
         self.path = path
-        self._file: Any = file
-        contents = walk(file, size)
-        self.missing, self.metadata, self.attachments = contents.missing, contents.metadata, contents.attachments
-        self._chunks, self._schemas, self._counts = contents.chunks, contents.schemas, contents.counts
-        self._channels = contents.channels
-        self._ids: dict[str, list[int]] = {}
-        for channel_id, channel in sorted(contents.channels.items()):
-            self._ids.setdefault(channel.topic, []).append(channel_id)
-        for channel_id in sorted(set(contents.counts) - set(contents.channels)):
-            self.missing.append(f"the name of channel {channel_id}, so its {contents.counts[channel_id]} messages")
-        self._cache: dict[int, Scan] = {}
-        self._cached_bytes = 0
+        self.window_ns = window_ns
+        self._source = source
+        self._window = LogWindow(source, window_ns)
         self._samples: dict[str, Samples] = {}
 
     @property
+    def missing(self) -> list[Missing]:
+        """What the file lacks or what is damaged, as far as is known; it grows when reading finds more."""
+        return self._source.missing
+
+    @property
     def complete(self) -> bool:
-        """Nothing is missing: the file was finished and every CRC is right."""
+        """Nothing is known to be missing; `verify` makes sure."""
         return not self.missing
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Tables of texts by name."""
+        return self._source.contents.metadata
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Files by name; read and checked at the first call."""
+        return self._source.attachments
+
+    @property
+    def library(self) -> str:
+        """Who wrote the file, as it says itself."""
+        return self._source.contents.header.library
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of the file when it was opened."""
+        return self._source.file.size
+
+    @property
+    def chunk_count(self) -> int:
+        """Chunks of the file that are there."""
+        return len(self._source.contents.table)
+
+    @property
+    def start_ns(self) -> int:
+        """First log time, ns since 1970; 0 when there are no messages."""
+        return self._span()[0]
+
+    @property
+    def end_ns(self) -> int:
+        """Last log time, ns since 1970; 0 when there are no messages."""
+        return self._span()[1]
 
     @property
     def topics(self) -> tuple[str, ...]:
         """Every topic of the file, sorted: samples, raw bytes, events, health."""
-        return tuple(sorted(self._ids))
+        return tuple(sorted(self._window.ids()))
 
     @property
     def devices(self) -> tuple[str, ...]:
@@ -72,7 +101,53 @@ class Log(Mapping[str, Samples]):
 
     def count(self, topic: str) -> int:
         """Messages of a topic, 0 when there is no such topic."""
-        return sum(self._counts.get(channel_id, 0) for channel_id in self._ids.get(topic, ()))
+        ids = self._window.ids().get(topic, [])
+        if self.window_ns is None:
+            return sum(self._source.contents.counts.get(channel_id, 0) for channel_id in ids)
+        return sum(len(part.places) for part in self._window.messages([topic]))
+
+    def channel(self, topic: str) -> Channel:
+        """Layout of a sample channel, as the file's schema says.
+
+        Raises:
+            ChannelMissing: no such sample channel.
+            LogError: the schema is missing, or is none of fixed-width fields, or is not the same throughout the file.
+        """
+        if not self._is_samples(topic):
+            raise self._missing_channel(topic, list(self))
+        contents = self._source.contents.definitions
+        ids = {contents.channels[channel_id].schema_id for channel_id in self._window.ids()[topic]}
+        schemas = [contents.schemas.get(schema_id) for schema_id in sorted(ids)]
+        first = schemas[0]
+        if first is None:
+            raise LogError(f"{self.path}: {topic}: expected schema {min(ids)} in the file, it is missing")
+        if any(schema is None or _meaning(schema) != _meaning(first) for schema in schemas):
+            raise LogError(f"{self.path}: {topic}: expected one schema for the whole file, got {len(schemas)}")
+        try:
+            return Channel.from_descriptor_set(topic, first.name, first.data)
+        except ValueError as fault:
+            raise LogError(f"{self.path}: {fault}") from fault
+
+    def between(self, start_ns: int, end_ns: int) -> Log:
+        """The same log limited to start_ns ≤ time_ns < end_ns: samples, events and health by their own times, raw
+        bytes by their host time. Reads only the chunks it needs; open as long as this log is.
+        """
+        low, high = self.window_ns or (start_ns, end_ns)
+        return Log(self.path, self._source, (max(low, start_ns), min(high, end_ns)))
+
+    def verify(self, progress: Callable[[float], None] | None = None) -> list[Missing]:
+        """Go through the whole file and check everything: chunks, message indexes, attachments, metadata, CRC of the
+        data, counts.
+
+        Args:
+            progress: told now and then which share is done.
+
+        Returns:
+            `missing`, now for certain; behind it what another writer gave no CRC for.
+        """
+        self._source.walk(progress)
+        self._samples.clear()
+        return [*self.missing, *self._source.contents.unchecked]
 
     def __iter__(self) -> Iterator[str]:
         return (topic for topic in self.topics if self._is_samples(topic))
@@ -88,7 +163,7 @@ class Log(Mapping[str, Samples]):
 
         Raises:
             ChannelMissing: no such sample channel; lists those there are and the nearest name.
-            LogError: its messages are not what its schema says.
+            LogError: its messages are not what its schema says, or the log was closed.
         """
         if not self._is_samples(topic):
             raise self._missing_channel(topic, list(self))
@@ -121,13 +196,11 @@ class Log(Mapping[str, Samples]):
         return self._notes(HEALTH_TOPIC)
 
     def close(self) -> None:
-        """Let go of the file; samples already read stay valid."""
-        self._cache.clear()
-        if isinstance(self._file, mmap.mmap):
-            self._file.close()
-        self._file = None
+        """Let go of the file; samples already read stay valid. A part made by `between` leaves it open."""
+        if self.window_ns is None:
+            self._source.close()
 
-    def __enter__(self) -> "Log":
+    def __enter__(self) -> Log:
         return self
 
     def __exit__(
@@ -136,107 +209,68 @@ class Log(Mapping[str, Samples]):
         self.close()
 
     def __repr__(self) -> str:
-        state = "complete" if self.complete else f"incomplete: {'; '.join(self.missing)}"
+        state = "complete" if self.complete else f"incomplete: {'; '.join(map(str, self.missing))}"
         return f"<Log {self.path}: {', '.join(self.topics)}; {state}>"
 
     def _is_samples(self, topic: str) -> bool:
+        channels = self._source.contents.definitions.channels
         return any(
             channel.message_encoding == "protobuf" and self._schema_name(channel) != RAW_SCHEMA_NAME
-            for channel in (self._channels[channel_id] for channel_id in self._ids.get(topic, ()))
+            for channel in (channels[channel_id] for channel_id in self._window.ids().get(topic, ()))
         )
 
     def _schema_name(self, channel: ChannelRecord) -> str:
-        schema = self._schemas.get(channel.schema_id)
+        schema = self._source.contents.definitions.schemas.get(channel.schema_id)
         return schema.name if schema else ""
 
     def _missing_channel(self, wanted: str, present: list[str]) -> ChannelMissing:
         near = difflib.get_close_matches(wanted, present, 1, 0.4)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        lacking = f" (the file is incomplete: {'; '.join(self.missing)})" if self.missing else ""
+        lacking = f" (the file is incomplete: {'; '.join(map(str, self.missing))})" if self.missing else ""
         return ChannelMissing(f"{self.path}: expected one of {present}, got {wanted!r}{hint}{lacking}")
 
-    def _scan(self, number: int) -> Scan:
-        """Records of a chunk; kept while there is room."""
-        if number in self._cache:
-            return self._cache[number]
-        if self._file is None:
-            raise LogError(f"{self.path}: expected an open log, it was closed: read what you need before close()")
-        scan = scan_records(unpack_chunk(self._file, self._chunks[number]))
-        if self._cached_bytes + len(scan.data) <= _CACHE_BYTES:
-            self._cache[number] = scan
-            self._cached_bytes += len(scan.data)
-        return scan
-
-    def _messages(self, topics: list[str]) -> Iterator[tuple[Scan, NDArray[np.intp], NDArray[np.int64]]]:
-        """Per chunk: its records, the rows that are messages of the topics, and the channel id of every row."""
-        wanted = np.array([channel_id for topic in topics for channel_id in self._ids.get(topic, ())])
-        for number in range(len(self._chunks)):
-            scan = self._scan(number)
-            ids = scan.channel_ids()
-            rows = np.flatnonzero(np.isin(ids, wanted))
-            if len(rows):
-                yield scan, rows, ids
+    def _span(self) -> tuple[int, int]:
+        if self.window_ns is None:
+            return self._source.contents.span_ns
+        times = [part.log_ns for part in self._window.messages(list(self.topics)) if len(part.log_ns)]
+        return (min(int(t.min()) for t in times), max(int(t.max()) for t in times)) if times else (0, 0)
 
     def _decode(self, topic: str) -> Samples:
-        layout = self._layout(topic)
-        heads: list[NDArray[Any]] = [np.empty(0, HEAD)]
-        columns = [layout.unpack(np.empty(0, layout.dtype))]
-        whole = np.dtype([("head", HEAD), ("message", layout.dtype)])
+        layout = self.channel(topic)
         try:
-            for scan, rows, _ in self._messages([topic]):
-                if (scan.lengths[rows] == whole.itemsize).all():
-                    table = gather(scan, rows, whole.itemsize).view(whole)[:, 0]
-                    heads.append(table["head"].copy())
-                    columns.append(self._unpack(layout, table["message"]))
-                else:
-                    heads.append(scan.heads(rows))
-                    columns.append(layout.unpack_any(payload(scan, row) for row in rows))
+            columns = self._window.columns(topic, layout)
         except ValueError as fault:
             raise LogError(f"{self.path}: {fault}; the file was not written by this package's schema") from fault
-        joined = {name: np.concatenate([part[name] for part in columns]) for name in layout.names}
-        return Samples(topic, np.concatenate(heads), joined)
-
-    def _unpack(self, layout: Channel, messages: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Columns of equally long messages: in our own layout, or else in whatever order their writer chose."""
-        try:
-            return layout.unpack(messages)
-        except ValueError:
-            return layout.unpack_any(message.tobytes() for message in messages)
-
-    def _layout(self, topic: str) -> Channel:
-        channel = self._channels[self._ids[topic][0]]
-        schema = self._schemas.get(channel.schema_id)
-        if schema is None:
-            raise LogError(f"{self.path}: {topic}: expected schema {channel.schema_id} in the file, it is missing")
-        try:
-            return Channel.from_descriptor_set(topic, schema.name, schema.data)
-        except ValueError as fault:
-            raise LogError(f"{self.path}: {fault}") from fault
+        return Samples(topic, columns.publish_ns, columns.log_ns, columns.sequence, columns.fields)
 
     def _raw(self, devices: list[str]) -> Iterator[tuple[str, RawChunk]]:
-        device_of = {id_: device for device in devices for id_ in self._ids.get(RAW_PREFIX + device, ())}
-        for scan, rows, ids in self._messages([RAW_PREFIX + device for device in devices]):
-            heads = scan.heads(rows)
-            for row, host_ns in zip(rows, heads["log_time"].tolist(), strict=True):
+        topics = [RAW_PREFIX + device for device in devices]
+        for messages in self._window.messages(topics):
+            names = self._source.contents.definitions.channels
+            for row, host_ns in enumerate(messages.log_ns.tolist()):
                 try:
-                    direction, data = unpack_raw(payload(scan, row))
+                    direction, data = unpack_raw(messages.payload(row))
                 except ValueError as fault:
                     raise LogError(f"{self.path}: raw bytes: {fault}") from fault
-                yield device_of[int(ids[row])], RawChunk(host_ns, direction, data)
+                topic = names[int(messages.places[row, 2])].topic
+                yield topic.removeprefix(RAW_PREFIX), RawChunk(host_ns, direction, data)
 
     def _notes(self, topic: str) -> list[dict[str, Any]]:
         notes: list[dict[str, Any]] = []
-        for scan, rows, _ in self._messages([topic]):
-            heads = scan.heads(rows)
-            for row, time_ns in zip(rows, heads["publish_time"].tolist(), strict=True):
+        for messages in self._window.messages([topic]):
+            for row, time_ns in enumerate(messages.publish_ns.tolist()):
                 try:
-                    note = json.loads(payload(scan, row))
-                except ValueError as fault:
+                    note = json.loads(messages.payload(row))
+                except (ValueError, RecursionError) as fault:
                     raise LogError(f"{self.path}: {topic}: expected JSON, got something else ({fault})") from fault
                 if not isinstance(note, dict):
-                    raise LogError(f"{self.path}: {topic}: expected a JSON object, got {note!r}")
+                    raise LogError(f"{self.path}: {topic}: expected a JSON object, got {note!r:.80}")
                 notes.append(note | {"time_ns": time_ns})
         return notes
+
+
+def _meaning(schema: Schema) -> tuple[str, bytes]:
+    return schema.name, schema.data
 
 
 def open_log(path: str | Path) -> Log:
@@ -253,14 +287,8 @@ def open_log(path: str | Path) -> Log:
     """
     path = Path(path)
     try:
-        with path.open("rb") as stream:
-            size = stream.seek(0, 2)
-            file = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
+        return Log(path, LogSource(path))
     except OSError as fault:
         raise LogError(f"{path}: expected a log, cannot read it ({fault.strerror}): check the path") from fault
-    try:
-        return Log(path, file, size)
     except LogError as fault:
-        if isinstance(file, mmap.mmap):
-            file.close()
         raise LogError(f"{path}: {fault}; logs are made by 'rig record' and end in .mcap or .mcap.part") from fault

@@ -1,158 +1,170 @@
-"""A chunk of an MCAP file: unpacked within bounds, its CRC checked, split into records."""
+"""Chunks of an MCAP file: where they stand and what is in them, and how one is unpacked within bounds and checked."""
 
+from __future__ import annotations
+
+import struct
+import threading
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
-import numba
 import numpy as np
 import zstandard
-from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from daq.errors import LogError
-from daq.mcap_writer import RECORD_HEAD_BYTES
+from daq.mcap_records import RECORD_HEAD, DamageError
 
-CHUNK_LIMIT_BYTES = 256 * 2**20
-"""Largest chunk that is unpacked; a header that says more is taken as damage."""
-HEAD = np.dtype([("channel_id", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])
-"""What the content of a message record begins with; the message itself follows."""
+CHUNK_LIMIT_BYTES = 64 * 2**20
+"""Largest chunk that is unpacked; a head that says more is taken as damage."""
+HEAD_BYTES = 4096
+"""Enough of a chunk's record for its head."""
+NOT_PACKED, ZSTD, OTHER, BARE = 0, 1, 2, 3
+"""Kinds of chunks; a bare one is a stretch of messages that stand in the file without a chunk around them."""
+NEVER_NS, EVER_NS = -(2**63), 2**63 - 1
+_HEAD = struct.Struct("<QQQII")
+_per_thread = threading.local()
 
 
 @dataclass(frozen=True)
-class ChunkPlace:
-    """Where a chunk's packed records stand in the file, bytes.
+class ChunkHead:
+    """What a chunk's own head says; `data_at` is where its packed records begin, from the record's start."""
 
-    Attributes:
-        start: offset of the packed data.
-        packed: their length; `unpacked` after decompression.
-        compression: ``""``, ``"zstd"``, or one that is not supported.
-        crc: of the unpacked records, 0 when the writer gave none.
-    """
-
-    start: int
-    packed: int
+    start_ns: int
+    end_ns: int
     unpacked: int
-    compression: str
     crc: int
+    kind: int
+    compression: str
+    data_at: int
+    packed: int
 
 
-@dataclass(frozen=True)
-class Scan:
-    """Records of an unpacked chunk: opcodes, offsets of their content, content lengths, each of shape (n,)."""
+def parse_head(record: bytes | memoryview, length: int) -> ChunkHead:
+    """Head of the chunk record that begins `record`.
 
-    data: NDArray[np.uint8]
-    opcodes: NDArray[np.uint8]
-    offsets: NDArray[np.int64]
-    lengths: NDArray[np.int64]
-
-    def heads(self, rows: NDArray[np.intp]) -> NDArray[Any]:
-        """Ids and times of message records: structured (n,) of `HEAD`."""
-        return gather(self, rows, HEAD.itemsize).view(HEAD)[:, 0]
-
-    def channel_ids(self) -> NDArray[np.int64]:
-        """Channel of each record, -1 for those that are no message."""
-        message = self.opcodes == Opcode.MESSAGE
-        at = np.where(message, self.offsets, 0)
-        return np.where(message, self.data[at] | self.data[at + 1].astype(np.int64) << 8, -1)
-
-
-@numba.njit(cache=True)
-def _scan(data: Any, opcodes: Any, offsets: Any, lengths: Any) -> int:  # pragma: no cover - compiled
-    """Split `data` into records, at most as many as the arrays hold; returns their number, -1 when they do not fit."""
-    position = 0
-    count = 0
-    size = len(data)
-    while position < size:
-        if size - position < 9:
-            return -1
-        length = np.uint64(0)
-        for k in range(8):
-            length |= np.uint64(data[position + 1 + k]) << np.uint64(8 * k)
-        if length > np.uint64(size - position - 9):
-            return -1
-        if data[position] == 5 and length < np.uint64(22):
-            return -1
-        if count < len(opcodes):
-            opcodes[count] = data[position]
-            offsets[count] = position + 9
-            lengths[count] = np.int64(length)
-        count += 1
-        position += 9 + np.int64(length)
-    return count
-
-
-@numba.njit(cache=True)
-def _gather(data: Any, offsets: Any, out: Any) -> None:  # pragma: no cover - compiled
-    """Copy out.shape[1] bytes from each offset."""
-    for row in range(len(offsets)):
-        start = offsets[row]
-        for k in range(out.shape[1]):
-            out[row, k] = data[start + k]
-
-
-def gather(scan: Scan, rows: NDArray[np.intp], size: int) -> NDArray[np.uint8]:
-    """Contents of the records `rows`, which all are `size` bytes long, as uint8 (n, size)."""
-    out = np.empty((len(rows), size), np.uint8)
-    _gather(scan.data, scan.offsets[rows], out)
-    return out
-
-
-def scan_records(data: bytes) -> Scan:
-    """Find the records in an unpacked chunk.
+    Args:
+        record: its first bytes, 64 or more (fewer only when it is shorter itself).
+        length: of the whole record with its opcode and length, bytes.
 
     Raises:
-        LogError: the records do not fill it exactly.
+        DamageError: its lengths contradict each other.
     """
-    view = np.frombuffer(data, np.uint8)
-    guess = len(view) // (9 + RECORD_HEAD_BYTES) + 64
-    while True:
-        opcodes, offsets, lengths = np.empty(guess, np.uint8), np.empty(guess, np.int64), np.empty(guess, np.int64)
-        count = _scan(view, opcodes, offsets, lengths)
-        if count < 0:
-            raise LogError(f"expected records that fill a chunk of {len(view)} bytes, they run over its end")
-        if count <= guess:
-            return Scan(view, opcodes[:count], offsets[:count], lengths[:count])
-        guess = count
+    at = RECORD_HEAD.size + _HEAD.size
+    if length < at + 8 or len(record) < at:
+        raise DamageError("a chunk whose lengths contradict each other")
+    opcode, announced = RECORD_HEAD.unpack_from(record)
+    start_ns, end_ns, unpacked, crc, name_bytes = _HEAD.unpack_from(record, RECORD_HEAD.size)
+    data_at = at + name_bytes + 8
+    if opcode != 6 or announced + RECORD_HEAD.size != length or data_at > min(length, len(record)):
+        raise DamageError("a chunk whose lengths contradict each other")
+    packed = int.from_bytes(record[data_at - 8 : data_at], "little")
+    if data_at + packed != length:
+        raise DamageError("a chunk whose lengths contradict each other")
+    compression = bytes(record[at : at + name_bytes]).decode("ascii", "replace")
+    kind = {"": NOT_PACKED, "zstd": ZSTD}.get(compression, OTHER)
+    return ChunkHead(start_ns, end_ns, unpacked, crc, kind, compression, data_at, packed)
 
 
-def unpack_chunk(file: Any, place: ChunkPlace) -> bytes:
+def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> bytes | memoryview:
     """Decompressed and checked records of a chunk.
 
     Args:
-        file: the whole file, anything that slices to bytes.
-        place: from `Contents.chunks`.
+        packed: its packed records.
+        head: what its head says.
+        needs_crc: a chunk without CRC is damaged.
 
     Raises:
-        LogError: unknown compression, a size other than announced, or a wrong CRC.
+        DamageError: unknown compression, a size other than announced, a wrong CRC, or none where it must be.
     """
-    if place.unpacked > CHUNK_LIMIT_BYTES:
-        raise LogError(f"expected a chunk of at most {CHUNK_LIMIT_BYTES} bytes, its header says {place.unpacked}")
-    packed = bytes(file[place.start : place.start + place.packed])
-    if place.compression == "":
+    if head.unpacked > CHUNK_LIMIT_BYTES:
+        raise DamageError(f"a chunk of {head.unpacked} bytes, more than the {CHUNK_LIMIT_BYTES} that are unpacked")
+    if head.kind == NOT_PACKED:
         data = packed
-    elif place.compression == "zstd":
-        data = _unpack_zstd(packed, place.unpacked)
+    elif head.kind == ZSTD:
+        data = _unpack_zstd(packed, head.unpacked)
     else:
-        raise LogError(f"expected zstd or no compression, got {place.compression!r}: convert the file with 'mcap'")
-    if len(data) != place.unpacked:
-        raise LogError(f"expected {place.unpacked} bytes in a chunk, got {len(data)}")
-    if place.crc and zlib.crc32(data) != place.crc:
-        raise LogError(f"expected CRC {place.crc:#010x} of a chunk, its bytes give {zlib.crc32(data):#010x}")
+        raise DamageError(f"a chunk compressed with {head.compression[:20]!r}, not zstd: convert the file with 'mcap'")
+    if len(data) != head.unpacked:
+        raise DamageError(f"a chunk of {len(data)} bytes instead of {head.unpacked}")
+    if (head.crc or needs_crc) and zlib.crc32(data) != head.crc:
+        raise DamageError("a chunk whose CRC is wrong")
     return data
 
 
-def _unpack_zstd(packed: bytes, unpacked: int) -> bytes:
+def _unpack_zstd(packed: bytes | memoryview, unpacked: int) -> bytes:
     try:
         announced = zstandard.frame_content_size(packed)  # -1 when the frame does not say
         if announced not in (-1, unpacked):
-            raise LogError(f"expected {unpacked} bytes in a chunk, its zstd frame announces {announced}")
-        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=max(unpacked, 1))
-    except zstandard.ZstdError as fault:
-        raise LogError(f"expected a zstd frame in a chunk, got damaged data ({fault})") from fault
+            raise DamageError(f"a chunk of {unpacked} bytes whose zstd frame announces {announced}")
+        if not hasattr(_per_thread, "decompressor"):
+            _per_thread.decompressor = zstandard.ZstdDecompressor()
+        return _per_thread.decompressor.decompress(packed, max_output_size=max(unpacked, 1), allow_extra_data=False)
+    except (zstandard.ZstdError, MemoryError) as fault:
+        raise DamageError(f"a chunk whose zstd data is damaged ({fault})") from fault
 
 
-def payload(scan: Scan, row: int) -> bytes:
-    """The message in record `row`."""
-    start, end = scan.offsets[row] + HEAD.itemsize, scan.offsets[row] + scan.lengths[row]
-    return scan.data[start:end].tobytes()
+@dataclass(frozen=True)
+class ChunkTable:
+    """Where the n chunks of a file stand, in file order, and how many messages of which channels are in each.
+
+    Attributes:
+        start, length: int64 (n,), the whole record, bytes.
+        packed, unpacked: int64 (n,), its records in the file and decompressed, bytes.
+        kind: uint8 (n,), `NOT_PACKED` …
+        start_ns, end_ns: int64 (n,), first and last log time.
+        low_ns, high_ns: int64 (n,), bounds of log and publish times; NEVER_NS, EVER_NS when they are not known.
+        crc: uint32 (n,) of the unpacked records, where they have been read already; None from an index.
+        first_entry: int64 (n + 1,), where each chunk's entries begin.
+        channel, count: (m,), channel id and messages per entry.
+    """
+
+    start: NDArray[np.int64]
+    length: NDArray[np.int64]
+    packed: NDArray[np.int64]
+    unpacked: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+    start_ns: NDArray[np.int64]
+    end_ns: NDArray[np.int64]
+    low_ns: NDArray[np.int64]
+    high_ns: NDArray[np.int64]
+    crc: NDArray[np.uint32] | None
+    first_entry: NDArray[np.int64]
+    channel: NDArray[np.uint16]
+    count: NDArray[np.uint32]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def numbers(self, window_ns: tuple[int, int] | None) -> NDArray[np.intp]:
+        """Chunks that may hold messages with start ≤ time < end of the window; all of them without one."""
+        if window_ns is None:
+            return np.arange(len(self))
+        return np.flatnonzero((self.high_ns >= window_ns[0]) & (self.low_ns < window_ns[1]))
+
+    def messages(self, chunks: NDArray[np.intp], channel_ids: Iterable[int]) -> NDArray[np.int64]:
+        """Messages of some channels in each of `chunks` (ascending), shape as `chunks`."""
+        if not len(chunks):
+            return np.zeros(0, np.int64)
+        first, last = int(chunks[0]), int(chunks[-1]) + 1
+        begin, end = int(self.first_entry[first]), int(self.first_entry[last])
+        wanted = np.zeros(65536, bool)
+        wanted[list(channel_ids)] = True
+        sums = np.zeros(end - begin + 1, np.int64)
+        np.cumsum(np.where(wanted[self.channel[begin:end]], self.count[begin:end], 0), out=sums[1:])
+        return sums[self.first_entry[chunks + 1] - begin] - sums[self.first_entry[chunks] - begin]
+
+    def entries(self, chunk: int) -> list[tuple[int, int]]:
+        """Channel id and messages of one chunk's channels."""
+        part = slice(int(self.first_entry[chunk]), int(self.first_entry[chunk + 1]))
+        return list(zip(self.channel[part].tolist(), self.count[part].tolist(), strict=True))
+
+    def totals(self) -> dict[int, int]:
+        """Messages by channel id; channels without any are left out."""
+        sums = np.zeros(65536, np.int64)
+        np.add.at(sums, self.channel, self.count)
+        return {int(channel): int(sums[channel]) for channel in np.flatnonzero(sums)}
+
+    def span(self) -> tuple[int, int]:
+        """First and last log time; zeros when there are no messages."""
+        filled = self.first_entry[1:] > self.first_entry[:-1]
+        return (int(self.start_ns[filled].min()), int(self.end_ns[filled].max())) if filled.any() else (0, 0)

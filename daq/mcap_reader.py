@@ -1,248 +1,145 @@
-"""Walks an MCAP file from its start and keeps whatever is whole: finished, unfinished, cut or damaged files alike.
+"""Finds out what an MCAP file holds: finished, unfinished, cut and damaged files alike.
 
-Chunks count only with the right CRC. Where a record makes no sense the walk looks for the next chunk and goes on.
-No length in the file is believed before it is held against the bytes that are there.
-
-Everything a damaged file lacks is said in `Contents.missing`; only a file that is no MCAP at all is an error.
+A sound summary tells at once; otherwise the file is walked from its start (daq.mcap_walk) and whatever is whole is
+kept. Everything a damaged file lacks is said in `Contents.missing`; only a file that is no MCAP at all is an error.
 """
 
-import re
-import struct
-import zlib
+from __future__ import annotations
+
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from io import BytesIO
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
 
-from daq.errors import LogError
-from daq.mcap_chunks import ChunkPlace, scan_records, unpack_chunk
-from daq.mcap_writer import MAGIC
-
-_HEAD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
-_NEXT_CHUNK = re.compile(rb"\x06(?=.{36}(?:\x04\x00\x00\x00zstd|\x00\x00\x00\x00|\x03\x00\x00\x00lz4))", re.DOTALL)
-_KNOWN = frozenset(Opcode)
+from daq.file_bytes import FileBytes
+from daq.mcap_chunks import HEAD_BYTES, ChunkTable, parse_head
+from daq.mcap_contents import Contents, from_summary
+from daq.mcap_damage import topics_of
+from daq.mcap_records import DamageError, check_attachment, read_header
+from daq.mcap_summary_reader import Summary, read_summary
+from daq.mcap_walk import Walk
+from daq.mcap_writer import TIMES
+from daq.samples import Missing
 
 
-class _DamageError(Exception):
-    """A record is not what its header says."""
-
-
-@dataclass
-class Contents:
-    """What a file holds.
-
-    Attributes:
-        chunks: chunks whose CRC is right, in file order.
-        schemas, channels: by id.
-        counts: messages by channel id.
-        missing: what is not there or not right, in words; empty for a sound, finished file.
-    """
-
-    chunks: list[ChunkPlace] = field(default_factory=list)
-    schemas: dict[int, records.Schema] = field(default_factory=dict)
-    channels: dict[int, records.Channel] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    missing: list[str] = field(default_factory=list)
-
-
-def walk(file: Any, size: int) -> Contents:
-    """Read a file's structure and check every CRC in it.
-
-    Args:
-        file: the whole file, anything that slices to bytes and supports the buffer protocol.
-        size: its length, bytes.
+def survey(file: FileBytes) -> Contents:
+    """Find out what a file holds: at once from a sound summary, else by going through all of it.
 
     Raises:
         LogError: it does not begin like an MCAP file.
     """
-    if bytes(file[:8]) != MAGIC:
-        raise LogError(f"expected an MCAP log that begins with {MAGIC!r}, got {bytes(file[:8])!r}")
-    return _Walk(file, size).run()
+    header = read_header(file)
+    try:
+        return from_summary(file, header, read_summary(file, header))
+    except DamageError:
+        return walk(file)
 
 
-class _Walk:
-    """One pass over the records of a file."""
+def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Contents:
+    """Go through a whole file and check everything in it; a sound summary tells what the damaged places held.
 
-    def __init__(self, file: Any, size: int) -> None:
-        self.file, self.size = file, size
-        self.contents = Contents()
-        self.finished = False
-        self.takers: dict[int, Callable[[int, bytes], None]] = {
-            Opcode.SCHEMA: lambda _, body: self._define(Opcode.SCHEMA, body),
-            Opcode.CHANNEL: lambda _, body: self._define(Opcode.CHANNEL, body),
-            Opcode.METADATA: self._metadata,
-            Opcode.ATTACHMENT: self._attachment,
-            Opcode.DATA_END: self._data_end,
-            Opcode.STATISTICS: self._statistics,
-        }
-        self.announced: int | None = None
-        self.data_ended = False
-        self.loose: list[ChunkPlace] = []
-        self.search_from = len(MAGIC)  # behind the last chunk that was right, or behind the last one searched for
+    Args:
+        file: the file.
+        progress: told now and then which share of it is done.
 
-    def run(self) -> Contents:
-        position = 8
-        while position < self.size and not self.finished:
+    Raises:
+        LogError: it does not begin like an MCAP file.
+    """
+    header = read_header(file)
+    try:
+        summary, why = read_summary(file, header), ""
+    except DamageError as damage:
+        summary, why = None, str(damage)
+    done = Walk(file, header, why, progress)
+    done.run()
+    if not done.finished:
+        _note_cut(done)
+    if summary is not None:
+        _use_summary(done, summary)
+    table = done.table.build()
+    done.damage.settle(table)
+    done.metadata.pop(TIMES, None)  # the table has the times themselves
+    contents = Contents(
+        header, table, False, done.definitions, table.totals(), table.span(),
+        done.metadata, done.attachments,
+    )  # fmt: skip
+    contents.missing = _missing(done, summary, contents)
+    contents.unchecked = [
+        Missing(f"{count} {what} without a CRC: damage in them cannot be seen", messages=0)
+        for what, count in done.no_crc.items()
+    ]
+    return contents
+
+
+def _note_cut(done: Walk) -> None:
+    places = done.damage.places
+    if done.budget <= 0:
+        text = "so much is damaged that the rest was not searched"
+        done.damage.note(done.position, done.file.size, text, len(done.table))
+    elif places and places[-1].end >= done.file.size and places[-1].held is None:
+        places[-1].text = f"the file was not finished or is cut: {places[-1].text}"
+    else:
+        text = "the file was not finished or is cut: no footer at its end"
+        done.damage.note(done.position, done.file.size, text, len(done.table))
+
+
+def _use_summary(done: Walk, summary: Summary) -> None:
+    """Take what only the summary leads to, because it stands in a damaged stretch, and compare it with the rest."""
+    done.definitions.fill_up(summary.definitions)
+    found = from_summary(done.file, done.header, summary)
+    done.metadata = found.metadata  # the index knows the names, which no CRC of the records covers
+    for place in found.missing:
+        done.damage.note(place.byte_start or 0, place.byte_end or 0, place.text, len(done.table))
+    known = {place.start for place in done.attachments}
+    for place in found.attachments:
+        if place.start not in known:
             try:
-                position = self._record(position)
-            except _DamageError as damage:
-                position = self._resume(position, str(damage))
-        self._keep_loose()
-        missing = self.contents.missing
-        if not self.finished:
-            missing.append(f"the file was not finished or is cut: no footer in its {self.size} bytes")
-        found = sum(self.contents.counts.values())
-        if self.announced is not None and self.announced != found:
-            missing.append(f"{self.announced - found} of {self.announced} messages")
-        return self.contents
+                done.attachments.append(check_attachment(done.file, place.start, done.header.ours))
+            except DamageError as damage:
+                text, end = f"{damage}: attachment {place.name[:80]!r} was left out", place.start + place.length
+                done.damage.note(place.start, end, text, len(done.table))
+    starts = set(done.table.starts)
+    for start, length in zip(summary.table.start.tolist(), summary.table.length.tolist(), strict=True):
+        if start not in starts:
+            try:
+                head = parse_head(done.window.view(start, min(start + length, start + HEAD_BYTES)), length)
+                done.table.add(start, head, done.read_chunk(start, start + length, head))
+            except DamageError:
+                continue  # the walk has noted it
+    table = done.table.build()
+    done.damage.explain(summary.table, table)
+    if not done.damage.places and not _same(table, summary.table):
+        text = "the index is not what stands in the file"
+        done.damage.note(summary.data_end, done.file.size, text, len(table)).held = []
 
-    def _record(self, position: int) -> int:
-        """Take the record at `position`; returns where the next one starts."""
-        if self.size - position < _HEAD.size:
-            raise _DamageError("the file ends inside a record's head")
-        opcode, length = _HEAD.unpack(self.file[position : position + _HEAD.size])
-        start = position + _HEAD.size
-        if opcode == 0:
-            raise _DamageError("a record of kind 0, which does not exist")
-        if length > self.size - start:
-            raise _DamageError(f"the file ends inside a record: {length} bytes announced, {self.size - start} left")
-        end = start + length
-        if opcode == Opcode.CHUNK:
-            self._chunk(start, length)
-        elif opcode == Opcode.MESSAGE:
-            self._loose_message(position, end)
-        elif opcode == Opcode.FOOTER:
-            self._footer(start, length)
-        elif opcode in self.takers:
-            self._take(opcode, start, bytes(self.file[start:end]))
-        elif opcode == Opcode.MESSAGE_INDEX:
-            if length < 6 or int.from_bytes(self.file[start + 2 : start + 6], "little") != length - 6:
-                raise _DamageError("a message index of another length than it says")
-        elif opcode < 0x80 and opcode not in _KNOWN:
-            self.contents.missing.append(f"byte {position}: a record of unknown kind {opcode:#04x} was skipped")
-        return end
 
-    def _resume(self, position: int, why: str) -> int:
-        """Note the damage and find the next chunk; the end of the file when there is none.
+def _same(table: ChunkTable, index: ChunkTable) -> bool:
+    """Everything that both know of the chunks agrees."""
+    filled = table.first_entry[1:] > table.first_entry[:-1]
+    return (
+        np.array_equal(table.start, index.start)
+        and np.array_equal(table.unpacked, index.unpacked)
+        and np.array_equal(table.start_ns[filled], index.start_ns[filled])
+        and np.array_equal(table.end_ns[filled], index.end_ns[filled])
+        and table.totals() == index.totals()
+    )
 
-        The search begins behind the last right chunk, not here: a wrong length may have jumped over some.
-        """
-        self.contents.missing.append(f"byte {position}: {why}")
-        for match in _NEXT_CHUNK.finditer(self.file, self.search_from):
-            start = match.start() + _HEAD.size
-            length = int.from_bytes(self.file[match.start() + 1 : start], "little")
-            if length <= self.size - start and self._chunk_place(start, length) is not None:
-                self.search_from = match.start() + 1
-                return match.start()
-        self.search_from = self.size
-        return self.size
 
-    def _chunk_place(self, start: int, length: int) -> ChunkPlace | None:
-        """The chunk whose record content stands at `start`; None if its lengths contradict each other."""
-        if length < _CHUNK_HEAD.size + 8:
-            return None
-        _, _, unpacked, crc, name_bytes = _CHUNK_HEAD.unpack(self.file[start : start + _CHUNK_HEAD.size])
-        if name_bytes > length - _CHUNK_HEAD.size - 8:
-            return None
-        name_at = start + _CHUNK_HEAD.size
-        data_at = name_at + name_bytes + 8
-        packed = int.from_bytes(self.file[data_at - 8 : data_at], "little")
-        if data_at + packed != start + length:
-            return None
-        name = bytes(self.file[name_at : name_at + name_bytes]).decode("ascii", "replace")
-        return ChunkPlace(data_at, packed, unpacked, name, crc)
-
-    def _chunk(self, start: int, length: int) -> None:
-        place = self._chunk_place(start, length)
-        if place is None:
-            raise _DamageError("a chunk whose lengths contradict each other")
-        self._keep(place, start - _HEAD.size)
-
-    def _loose_message(self, position: int, end: int) -> None:
-        """A message outside of chunks, where no CRC covers it."""
-        if self.loose and self.loose[-1].start + self.loose[-1].packed == position:
-            start = self.loose.pop().start
-        else:
-            start = position
-        self.loose.append(ChunkPlace(start, end - start, end - start, "", 0))
-
-    def _keep_loose(self) -> None:
-        """Messages outside of chunks count only in a file without chunks; beside chunks they are damaged records."""
-        if self.contents.chunks and self.loose:
-            self.contents.missing.append(f"{len(self.loose)} stretches of messages outside of chunks were left out")
-            return
-        for place in self.loose:
-            self._keep(place, place.start)
-
-    def _keep(self, place: ChunkPlace, position: int) -> None:
-        try:
-            scan = scan_records(unpack_chunk(self.file, place))
-        except LogError as fault:
-            self.contents.missing.append(f"byte {position}: a chunk was left out: {fault}")
-            return
-        self.contents.chunks.append(place)
-        self.search_from = max(self.search_from, place.start + place.packed)
-        for row in np.flatnonzero((scan.opcodes == Opcode.SCHEMA) | (scan.opcodes == Opcode.CHANNEL)):
-            body = scan.data[scan.offsets[row] : scan.offsets[row] + scan.lengths[row]].tobytes()
-            self._take(int(scan.opcodes[row]), position, body)
-        ids = scan.channel_ids()
-        for channel_id, count in zip(*np.unique(ids[ids >= 0], return_counts=True), strict=True):
-            self.contents.counts[int(channel_id)] = self.contents.counts.get(int(channel_id), 0) + int(count)
-
-    def _take(self, opcode: int, start: int, body: bytes) -> None:
-        try:
-            self.takers[opcode](start, body)
-        except (McapError, struct.error, UnicodeDecodeError, OverflowError) as fault:
-            raise _DamageError(f"a {Opcode(opcode).name.lower()} record that cannot be read ({fault})") from fault
-
-    def _define(self, opcode: int, body: bytes) -> None:
-        stream = ReadDataStream(BytesIO(body))
-        if opcode == Opcode.SCHEMA:
-            schema = records.Schema.read(stream)
-            self.contents.schemas.setdefault(schema.id, schema)
-        else:
-            channel = records.Channel.read(stream)
-            self.contents.channels.setdefault(channel.id, channel)
-
-    def _metadata(self, _: int, body: bytes) -> None:
-        metadata = records.Metadata.read(ReadDataStream(BytesIO(body)))
-        self.contents.metadata[metadata.name] = metadata.metadata
-
-    def _attachment(self, start: int, body: bytes) -> None:
-        attachment = records.Attachment.read(ReadDataStream(BytesIO(body)))
-        crc = int.from_bytes(body[-4:], "little")
-        if crc and zlib.crc32(body[:-4]) != crc:
-            self.contents.missing.append(f"byte {start}: attachment {attachment.name!r} has a wrong CRC, left out")
-        else:
-            self.contents.attachments[attachment.name] = attachment.data
-
-    def _data_end(self, start: int, body: bytes) -> None:
-        self.data_ended = True
-        crc = records.DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
-        if crc and self._crc(0, start - _HEAD.size) != crc:
-            self.contents.missing.append("the data section's CRC is wrong: the file was changed after writing")
-
-    def _statistics(self, _: int, body: bytes) -> None:
-        self.announced = records.Statistics.read(ReadDataStream(BytesIO(body))).message_count
-
-    def _footer(self, start: int, length: int) -> None:
-        if length != 20 or not self.data_ended:
-            raise _DamageError("a footer of another length than 20 bytes, or before the end of the data")
-        summary_start, _, crc = struct.unpack("<QQI", self.file[start : start + 20])
-        if crc and self._crc(summary_start or start - _HEAD.size, start + 16) != crc:
-            self.contents.missing.append("the summary's CRC is wrong")
-        self.finished = bytes(self.file[start + 20 : start + 28]) == MAGIC
-
-    def _crc(self, start: int, end: int) -> int:
-        """CRC of a stretch of the file, without copying it."""
-        with memoryview(self.file) as whole, whole[start:end] as part:
-            return zlib.crc32(part)
+def _missing(done: Walk, summary: Summary | None, contents: Contents) -> list[Missing]:
+    """What is missing, in file order; counts that only the statistics tell go where they must belong."""
+    missing = done.damage.missing(contents.definitions, contents.table)
+    if done.announced is not None and summary is None:
+        lost = done.announced - sum(contents.counts.values())
+        if lost == 0:
+            missing = [replace(place, topics=(), messages=0, start_ns=None, end_ns=None) for place in missing]
+        unknown = [number for number, place in enumerate(missing) if place.messages is None]
+        lost -= sum(place.messages or 0 for place in missing)
+        if lost > 0 and len(unknown) == 1:
+            missing[unknown[0]] = replace(missing[unknown[0]], messages=lost)
+        elif lost > 0:
+            missing.append(Missing(f"the statistics count {done.announced} messages", messages=lost))
+    for channel in sorted(set(contents.counts) - set(contents.definitions.channels)):
+        text = f"the name of channel {channel}, so all its messages"
+        topics = topics_of({channel: 0}, contents.definitions)
+        missing.append(Missing(text, topics=topics, messages=contents.counts[channel]))
+    return missing

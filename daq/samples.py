@@ -1,11 +1,58 @@
-"""What a log hands out: the samples of a channel as arrays, and raw bytes as they were on a device's line."""
+"""What a log hands out: the samples of a channel as arrays, raw bytes as they were on a line, and what is missing."""
 
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import ChannelMissing
+
+
+@dataclass(frozen=True)
+class Missing:
+    """One damaged or missing place of a log; what is not known is None or empty.
+
+    Attributes:
+        text: what is wrong, in words.
+        byte_start, byte_end: the place in the file, bytes; the end is not part of it.
+        start_ns, end_ns: log times between which messages are missing, ns since 1970.
+        topics: channels that miss messages, sorted.
+        messages: how many are missing; 0 when the damage costs none.
+    """
+
+    text: str
+    byte_start: int | None = None
+    byte_end: int | None = None
+    start_ns: int | None = None
+    end_ns: int | None = None
+    topics: tuple[str, ...] = ()
+    messages: int | None = None
+
+    def __str__(self) -> str:
+        """The whole sentence."""
+        place = "" if self.byte_start is None else f"from byte {self.byte_start} on: "
+        if self.byte_start is not None and self.byte_end is not None:
+            place = f"bytes {self.byte_start} … {self.byte_end}: "
+        parts: list[str] = []
+        if self.messages is not None:
+            parts.append("no message is lost" if self.messages == 0 else f"{self.messages} messages")
+        if self.topics:
+            parts.append(f"of {', '.join(self.topics)}")
+        if self.start_ns is not None:
+            parts.append(f"{'from' if self.end_ns is not None else 'after'} {_utc(self.start_ns)}")
+        if self.end_ns is not None:
+            parts.append(f"{'to' if self.start_ns is not None else 'before'} {_utc(self.end_ns)}")
+        return place + self.text + (f" ({' '.join(parts)})" if parts else "")
+
+
+def _utc(time_ns: int) -> str:
+    """Time of day for people; the bare number when it is no time a calendar knows."""
+    try:
+        return f"{datetime.fromtimestamp(time_ns // 10**6 / 1000, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"
+    except (OverflowError, ValueError, OSError):
+        return f"{time_ns} ns"
 
 
 class RawChunk(NamedTuple):
@@ -31,11 +78,16 @@ class Samples:
         sequence: the device's counter, modulo 2**32, uint32.
     """
 
-    def __init__(self, topic: str, heads: NDArray[Any], columns: dict[str, NDArray[Any]]) -> None:
+    def __init__(
+        self,
+        topic: str,
+        time_ns: NDArray[np.int64],
+        log_time_ns: NDArray[np.int64],
+        sequence: NDArray[np.uint32],
+        columns: dict[str, NDArray[Any]],
+    ) -> None:
         self.topic = topic
-        self.time_ns = heads["publish_time"].astype(np.int64)
-        self.log_time_ns = heads["log_time"].astype(np.int64)
-        self.sequence = heads["sequence"].astype(np.uint32)
+        self.time_ns, self.log_time_ns, self.sequence = time_ns, log_time_ns, sequence
         self.columns = columns
 
     @property

@@ -1,85 +1,134 @@
-"""Decoding a log's raw bytes again, through the same pipelines, and comparing with what was decoded live."""
+"""A log decoded again and compared with what was decoded live, bit for bit."""
 
 from __future__ import annotations
 
 import json
-from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from daq.channels import CHANNELS
+from daq.channels import CHANNELS, HEALTH_TOPIC
 from daq.log import Log, open_log
-from daq.stream_items import Batch, Event
-from daq.streams import make_pipelines
-from rig_configs.schema import Rig
+from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
+from daq.replay.stream import decoded, pipelines_of
+from daq.samples import Missing
+from daq.stream_items import Batch
+
+Progress = Callable[[float], None]
+_NEIGHBOURS_NS = 1_000_000_000  # samples are written this long after their bytes at the most, but for a stalled disk
 
 
 @dataclass(frozen=True)
-class ChannelCheck:
-    """One channel compared: samples decoded live and again, and what differs ("" when nothing does)."""
+class Check:
+    """A log decoded again and compared; iterating gives its channels.
 
-    topic: str
-    live: int
-    again: int
-    difference: str
+    Attributes:
+        channels: every sample channel, then the events.
+        until_ns: log time up to which it was compared, because raw bytes are missing from there on; None for all.
+        notes: what a reader of the result must know, sentences.
+    """
 
+    channels: tuple[ChannelCheck, ...]
+    until_ns: int | None
+    notes: tuple[str, ...]
 
-def decode_again(log: Log) -> tuple[dict[str, list[Batch]], list[Event]]:
-    """Batches by topic and events, from the log's raw bytes alone."""
-    rig = Rig.model_validate_json(log.attachments["rig.json"])
-    pipelines = make_pipelines(rig.devices, json.loads(log.attachments["identities.json"]))
-    batches: dict[str, list[Batch]] = defaultdict(list)
-    events: list[Event] = []
-    for device, chunk in log.raw_in_order():
-        for item in pipelines[device].feed(chunk.direction, chunk.data, chunk.host_ns):
-            if isinstance(item, Batch):
-                batches[item.channel.topic].append(item)
-            else:
-                events.append(item)
-    return batches, events
+    @property
+    def identical(self) -> bool:
+        """Nothing that could be compared differs."""
+        return not any(channel.difference for channel in self.channels)
+
+    def __iter__(self) -> Iterator[ChannelCheck]:
+        return iter(self.channels)
 
 
-def check(path: str | Path) -> list[ChannelCheck]:
-    """Decode again and compare every sample channel bit for bit, and the events one by one.
+def check(path: str | Path, progress: Progress | None = None) -> Check:
+    """Decode again and compare every sample and event with the log's own, bit for bit.
 
-    A log that was cut may hold raw bytes whose samples were not yet written: there the samples it has are compared.
+    What a damaged or cut log cannot answer is not asked: from the first place on where raw bytes are missing, decoders
+    and clock maps go other ways than they went live, so the comparison ends there and says so. At the end of a cut log
+    raw bytes may stand whose samples were not written yet; they are counted as extra.
+
+    Args:
+        progress: told the share done, 0 … 1.
 
     Raises:
-        LogError: not a readable log.
+        LogError: not a readable log, or one that cannot be decoded again.
     """
     with open_log(path) as log:
-        batches, events = decode_again(log)
-        rows = [_compare(log, topic, batches.get(topic, [])) for topic in CHANNELS]
-        # threads interleave devices; each device's own order is in its bytes
-        live = Counter((e["kind"], e["device"], e["text"]) for e in log.events)
-        again = Counter((e.kind, e.device, e.text) for e in events)
-        same = live == again if log.complete else live <= again
-        rows.append(ChannelCheck("events", live.total(), again.total(), "" if same else "events differ"))
-        return rows
+        return check_log(log, progress)
 
 
-def _compare(log: Log, topic: str, batches: list[Batch]) -> ChannelCheck:
-    again = sum(len(b.time_ns) for b in batches)
-    if topic not in log.topics or not len(log[topic]):
-        return ChannelCheck(topic, 0, again, "" if again == 0 else "channel missing in the log")
-    live = log[topic]
-    count = len(live)
-    if count > again or (count < again and log.complete):
-        return ChannelCheck(topic, len(live), again, f"{len(live)} samples live, {again} decoded again")
-    columns: dict[str, NDArray[Any]] = {
-        "time_ns": np.concatenate([b.time_ns for b in batches]),
-        "sequence": np.concatenate([b.sequence for b in batches]),
-    }
-    for name, _ in CHANNELS[topic].fields:
-        columns[name] = np.concatenate([b.columns[name] for b in batches])
-    differing = [name for name, values in columns.items() if not _same(live, name, values[:count])]
-    return ChannelCheck(topic, len(live), again, f"differ in {', '.join(differing)}" if differing else "")
+def check_log(log: Log, progress: Progress | None = None) -> Check:
+    """See `check`."""
+    pipelines = pipelines_of(log)
+    log.verify()  # all of it before anything is compared: what is damaged decides how far
+    until_ns = first_hole_ns(log.missing)
+    cut = any(place.messages != 0 for place in log.missing) or "recovered" in log.metadata
+    comparisons = {topic: ChannelComparison(log, topic, until_ns, cut) for topic in CHANNELS}
+    events = EventComparison(log, pipelines, until_ns, cut)
+    share = share_of(log, progress)
+    for _, chunk, items in decoded(log, pipelines):
+        for item in items:
+            if isinstance(item, Batch):
+                comparisons[item.channel.topic].add(item, chunk.host_ns)
+            else:
+                events.add(item, chunk.host_ns)
+        share(chunk.host_ns)
+    rows = (*(comparison.result() for comparison in comparisons.values()), events.result())
+    return Check(rows, until_ns, tuple(_notes(log, set(pipelines), until_ns, rows)))
 
 
-def _same(live: Any, name: str, values: NDArray[Any]) -> bool:
-    stored = live.time_ns if name == "time_ns" else live.sequence if name == "sequence" else live[name]
-    return np.array_equal(stored, values.astype(stored.dtype), equal_nan=stored.dtype.kind == "f")
+def first_hole_ns(missing: list[Missing]) -> int | None:
+    """Log time from which on messages are missing although others follow; None when nothing but the end is.
+
+    A hole that cannot be placed may be anywhere: 0. One known only by its neighbours may hold samples of bytes that
+    stand before it, for a recorder writes raw bytes first: it begins earlier than it seems.
+    """
+    holes = [
+        (place.start_ns or 0) - (_NEIGHBOURS_NS if place.messages is None else 0)
+        for place in missing
+        if place.messages != 0 and place.topics != (HEALTH_TOPIC,) and not _is_the_end(place)
+    ]
+    return min(holes, default=None)
+
+
+def _is_the_end(place: Missing) -> bool:
+    return place.end_ns is None and place.start_ns is not None
+
+
+def share_of(log: Log, progress: Progress | None) -> Callable[[int], None]:
+    """What to call with each log time so that `progress` is told the share done, a thousand times at most."""
+    span = max(1, log.end_ns - log.start_ns)
+    told = -1
+
+    def tell(log_ns: int) -> None:
+        nonlocal told
+        thousandth = (log_ns - log.start_ns) * 1000 // span
+        if progress is not None and thousandth > told:
+            told = thousandth
+            progress(min(1.0, thousandth / 1000))
+
+    return tell
+
+
+def _notes(log: Log, decodable: set[str], until_ns: int | None, rows: tuple[ChannelCheck, ...]) -> Iterator[str]:
+    if until_ns is not None:
+        until_s = max(0, until_ns - log.start_ns) * 1e-9
+        yield f"raw bytes are missing: compared up to {until_s:.3f} s after the log's start, not beyond"
+    for place in log.missing:
+        yield f"missing: {place}"
+    extra = sum(row.extra for row in rows)
+    if extra:
+        yield f"the log is cut: {extra} samples and events are in its raw bytes alone"
+    places = log.metadata.get("recovered", {}).get("missing_places", "0")
+    if places != "0":
+        yield f"recovered from a log with {places} missing places: behind them it differs; compare the log it came from"
+    unknown = sorted(set(log.devices) - decodable)
+    if unknown:
+        yield f"not decoded, this version knows no such device: {', '.join(unknown)}"
+    others = sorted(set(log) - set(CHANNELS))
+    if others:
+        yield f"not compared, not made from raw bytes: {', '.join(others)}"
+    run = log.metadata.get("run", {})
+    if "origin" in run:
+        yield f"this log was itself decoded again from {json.dumps(run['origin'])}"

@@ -142,7 +142,7 @@ def test_an_unfinished_log_is_read_and_said_so(tmp_path):
     log = open_log(write(tmp_path, record(finish=False), "run.mcap.part"))
     assert check_samples(log) == BLOCKS * PER_BLOCK
     assert not log.complete
-    assert "not finished" in " ".join(log.missing)
+    assert "not finished" in " ".join(map(str, log.missing))
 
 
 @pytest.mark.parametrize("kind", ["whole", "plain"])
@@ -166,7 +166,8 @@ def test_a_flipped_bit_is_noticed_and_costs_one_chunk_at_most(tmp_path_factory, 
     bit = first + int(place * (last - first))
     damaged[bit // 8] ^= 1 << bit % 8
     with open_log(write(tmp_path_factory.mktemp("flip"), bytes(damaged))) as log:
-        assert log.missing
+        assert log.verify()
+        assert not log.complete
         # the definitions are in the first chunk and in the summary, so even its loss costs its own samples only
         assert check_samples(log) >= (BLOCKS - 1) * PER_BLOCK
 
@@ -211,7 +212,7 @@ def test_hostile_lengths_cost_no_memory(tmp_path, hostile, whole):
 def test_a_bad_attachment_is_left_out(tmp_path, whole):
     log = open_log(write(tmp_path, whole.replace(b"[rig]\n", b"[Rig]\n", 1)))
     assert log.attachments == {}
-    assert any("rig.toml" in text for text in log.missing)
+    assert any("rig.toml" in str(place) for place in log.missing)
 
 
 @pytest.mark.parametrize("data", [b"", b"\x89MCA", b"time;x\n1;2\n", b"\x00" * 100])
@@ -256,3 +257,20 @@ def test_content_that_is_not_its_schemas(tmp_path):
     for read in (lambda: log["tacho"], lambda: log.events, lambda: log.health, lambda: log["bare"]):
         with pytest.raises(LogError, match="expected"):
             read()
+
+
+@pytest.mark.parametrize("name", [b"\xff______", b"counter", b""], ids=["no UTF-8", "twice", "empty"])
+def test_a_schema_with_impossible_names(tmp_path, name):
+    descriptor = ch.descriptor_pb2.FileDescriptorSet.FromString(ch.LASER_X.file_descriptor_set())
+    descriptor.file[0].message_type[0].field[0].name = "#" * len(name)
+    damaged = descriptor.SerializeToString().replace(b"#" * 7, name)
+    stream = io.BytesIO()
+    writer = BlockWriter(stream)
+    writer.start()
+    channel = writer.register_channel(
+        "laser/x", "protobuf", writer.register_schema("rig.LaserSample", "protobuf", damaged)
+    )
+    writer.add_block(channel, T0, T0, 0, ch.LASER_X.pack(laser(0, 2)))
+    writer.finish()
+    with open_log(write(tmp_path, stream.getvalue())) as log, pytest.raises(LogError, match="expected 1 … 15"):
+        log["laser/x"]

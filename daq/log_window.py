@@ -1,0 +1,94 @@
+"""The messages of a log that lie within a time window: as columns, or chunk by chunk in file order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.channels import RAW_PREFIX, Channel
+from daq.log_columns import Columns, Messages, find_messages, read_columns
+from daq.log_source import IndexWrongError, LogSource
+from daq.mcap_chunks import ChunkTable
+
+
+class LogWindow:
+    """What a file holds between two times; reads only the chunks it needs.
+
+    Where the file's index turns out to be wrong, the file is walked, and reading goes on with what the walk found.
+
+    Args:
+        source: the open file.
+        window_ns: first time and end, ns since 1970; None for the whole file.
+    """
+
+    def __init__(self, source: LogSource, window_ns: tuple[int, int] | None) -> None:
+        self._source, self._window_ns = source, window_ns
+        self._chosen: tuple[ChunkTable, NDArray[np.intp]] | None = None
+
+    def ids(self) -> dict[str, list[int]]:
+        """Channel ids by topic."""
+        ids: dict[str, list[int]] = {}
+        for channel_id, channel in sorted(self._source.contents.definitions.channels.items()):
+            ids.setdefault(channel.topic, []).append(channel_id)
+        return ids
+
+    def columns(self, topic: str, layout: Channel) -> Columns:
+        """Samples of a topic whose own time lies in the window.
+
+        Raises:
+            ValueError: a message is no protobuf of this schema.
+            LogError: the log was closed.
+        """
+        try:
+            columns = read_columns(self._source, self._chunks(), self.ids()[topic], layout)
+        except IndexWrongError:
+            self._source.walk()
+            columns = read_columns(self._source, self._chunks(), self.ids()[topic], layout)
+        if self._window_ns is None:
+            return columns
+        start, end = self._window_ns
+        rows = np.flatnonzero((columns.publish_ns >= start) & (columns.publish_ns < end))
+        if len(rows) and rows[-1] - rows[0] + 1 == len(rows):  # mostly so: no copy
+            return columns.part(slice(rows[0], rows[-1] + 1))
+        return columns.part(rows)
+
+    def messages(self, topics: list[str]) -> Iterator[Messages]:
+        """Messages of some topics chunk by chunk, in file order: raw bytes by their log time, others by their own.
+
+        Raises:
+            LogError: the log was closed.
+        """
+        position = 0
+        while position >= 0:
+            try:
+                for start, messages in self._from(position, topics):
+                    position = start + 1
+                    yield messages
+                position = -1
+            except IndexWrongError:
+                self._source.walk()
+
+    def _chunks(self) -> NDArray[np.intp]:
+        """Chunks that may hold what lies in the window."""
+        table = self._source.contents.table
+        if self._chosen is None or self._chosen[0] is not table:
+            self._chosen = table, table.numbers(self._window_ns)
+        return self._chosen[1]
+
+    def _from(self, position: int, topics: list[str]) -> Iterator[tuple[int, Messages]]:
+        """As `messages`, of the chunks that begin at byte `position` or behind, each with where it begins."""
+        known = self.ids()
+        ids = [channel_id for topic in topics for channel_id in known.get(topic, ())]
+        table, chunks = self._source.contents.table, self._chunks()
+        chunks = chunks[table.start[chunks] >= position]
+        counts = table.messages(chunks, ids)
+        expected = dict(zip(chunks[counts > 0].tolist(), counts[counts > 0].tolist(), strict=True))
+        by_host_time = all(topic.startswith(RAW_PREFIX) for topic in topics)
+        for chunk, data in self._source.each(chunks[counts > 0]):
+            found = find_messages(data, np.array(ids, np.int64), expected[chunk])
+            if self._window_ns is not None:
+                times = found.log_ns if by_host_time else found.publish_ns
+                found = found.part((times >= self._window_ns[0]) & (times < self._window_ns[1]))
+            yield int(table.start[chunk]), found

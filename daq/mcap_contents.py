@@ -1,0 +1,76 @@
+"""What an MCAP file holds; made from its summary here, or by a walk over the whole file in daq.mcap_reader."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from daq.file_bytes import FileBytes
+from daq.mcap_chunks import ChunkTable
+from daq.mcap_records import AttachmentPlace, DamageError, Definitions, Header, read_metadata
+from daq.mcap_summary_reader import Summary
+from daq.mcap_writer import TIMES
+from daq.samples import Missing
+
+
+@dataclass
+class Contents:
+    """What a file holds.
+
+    Attributes:
+        header: who wrote it.
+        table: its chunks.
+        indexed: the table is the summary's, and no chunk has been looked at yet.
+        definitions: schemas and channels by id.
+        counts: messages by channel id.
+        span_ns: first and last log time; zeros when there are no messages.
+        metadata: texts by name of record.
+        attachments: where the attachments stand; not checked yet when `indexed`.
+        missing: what is not there or not right.
+        unchecked: what another writer gave no CRC for.
+    """
+
+    header: Header
+    table: ChunkTable
+    indexed: bool
+    definitions: Definitions
+    counts: dict[int, int]
+    span_ns: tuple[int, int]
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: list[AttachmentPlace] = field(default_factory=list)
+    missing: list[Missing] = field(default_factory=list)
+    unchecked: list[Missing] = field(default_factory=list)
+
+
+def from_summary(file: FileBytes, header: Header, summary: Summary) -> Contents:
+    """What a sound summary says; no chunk and no attachment is looked at."""
+    statistics = summary.statistics
+    counts = {channel: n for channel, n in statistics.channel_message_counts.items() if n} if statistics else {}
+    span = (statistics.message_start_time, statistics.message_end_time) if statistics and counts else (0, 0)
+    contents = Contents(header, summary.table, True, summary.definitions, counts, span)
+    contents.attachments = [AttachmentPlace(index.offset, index.length, index.name) for index in summary.attachments]
+    for index in summary.metadata:
+        try:
+            name, texts = read_metadata(file, index.offset, header.ours)
+            if name != index.name:
+                raise DamageError(f"metadata {name[:80]!r} where {index.name[:80]!r} was expected")
+            contents.metadata[name] = texts
+        except DamageError as damage:
+            end = index.offset + index.length
+            text = f"{damage}: metadata {index.name[:80]!r} was left out"
+            contents.missing.append(Missing(text, index.offset, end, messages=0))
+    contents.table = bounded(summary.table, contents.metadata.pop(TIMES, {}))
+    return contents
+
+
+def bounded(table: ChunkTable, times: Mapping[str, str]) -> ChunkTable:
+    """The table with bounds on sample times, from how late and early samples came; as it is when that is not known."""
+    try:
+        late, early = int(times["most_late_ns"]), int(times["most_early_ns"])
+    except (KeyError, ValueError):
+        return table
+    if not 0 <= late < 2**62 or not 0 <= early < 2**62 or (len(table) and table.end_ns.max() >= 2**62):
+        return table
+    return replace(table, low_ns=table.start_ns - np.int64(late), high_ns=table.end_ns + np.int64(early))

@@ -1,0 +1,101 @@
+"""The table of chunks as a walk finds them, one after the other."""
+
+from __future__ import annotations
+
+import zlib
+from array import array
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.mcap_chunks import ChunkHead, ChunkTable
+from daq.mcap_records import RECORD_HEAD, DamageError, Definitions
+from daq.mcap_scan import definitions, tally
+
+
+@dataclass(frozen=True)
+class TakenChunk:
+    """A good chunk: its records, uint8; messages by channel id; first and last log and publish times, ns."""
+
+    data: NDArray[np.uint8]
+    counts: dict[int, int]
+    times: list[int]
+
+
+class TableBuilder:
+    """Grows a `ChunkTable`.
+
+    Args:
+        known: takes the schemas and channels that stand in the chunks.
+    """
+
+    def __init__(self, known: Definitions) -> None:
+        self._known = known
+        self._counts, self._touched = np.zeros(65536, np.int64), np.empty(65536, np.int64)
+        self._times = np.empty(4, np.uint64)
+        self._rows = array("q")
+        self._entries = array("q")
+        self._first_entry = array("q", [0])
+        self._seen: dict[tuple[int, ...], int] = {}  # CRC, size and times of a chunk: where it stands
+
+    def __len__(self) -> int:
+        return len(self._first_entry) - 1
+
+    @property
+    def starts(self) -> list[int]:
+        """Where the chunks so far begin, bytes."""
+        return self._rows[::10].tolist()
+
+    def count(self, data: NDArray[np.uint8]) -> TakenChunk:
+        """Count the messages of an unpacked chunk, and take over the definitions in it.
+
+        Raises:
+            DamageError: it does not consist of whole records, or defines an id anew.
+        """
+        found, others = tally(data, self._counts, self._touched, self._times)
+        if found < 0:
+            self._counts[:] = 0
+            raise DamageError("a chunk that does not consist of whole records")
+        ids = self._touched[:found]
+        counts = dict(zip(ids.tolist(), self._counts[ids].tolist(), strict=True))
+        self._counts[ids] = 0
+        if others:
+            places = np.empty((others, 2), np.int64)
+            for start, end in places[: definitions(data, places)].tolist():
+                self._known.take(int(data[start]), data[start + RECORD_HEAD.size : end].tobytes())
+        return TakenChunk(data, counts, self._times.tolist() if found else [0] * 4)
+
+    def add(self, start: int, head: ChunkHead, chunk: TakenChunk) -> int | None:
+        """Add a chunk that begins at byte `start`; where the same one stands already, only tell where."""
+        crc = head.crc or zlib.crc32(chunk.data.data)
+        key = crc, len(chunk.data), *chunk.times
+        if chunk.counts and key in self._seen:
+            return self._seen[key]
+        self._seen[key] = start
+        self._rows.extend((start, head.data_at + head.packed, head.packed, head.unpacked, head.kind, crc))
+        self._rows.extend(min(time, 2**63 - 1) for time in chunk.times)
+        for pair in chunk.counts.items():
+            self._entries.extend(pair)
+        self._first_entry.append(len(self._entries) // 2)
+        return None
+
+    def build(self) -> ChunkTable:
+        """The table of all chunks so far."""
+        rows = np.array(self._rows, np.int64).reshape(-1, 10)
+        entries = np.array(self._entries, np.int64).reshape(-1, 2)
+        first_entry = np.array(self._first_entry, np.int64)
+        if (np.diff(rows[:, 0]) < 0).any():  # some were found late
+            order = np.argsort(rows[:, 0])
+            sizes = np.diff(first_entry)[order]
+            begins = np.repeat(first_entry[:-1][order] - np.cumsum(sizes) + sizes, sizes)
+            entries = entries[begins + np.arange(len(begins))]
+            rows, first_entry = rows[order], np.concatenate([[0], np.cumsum(sizes)])
+        start, length, packed, unpacked, kind, crc, first_log, last_log, first_publish, last_publish = (
+            np.ascontiguousarray(column) for column in rows.T
+        )
+        return ChunkTable(
+            start, length, packed, unpacked, kind.astype(np.uint8), first_log, last_log,
+            np.minimum(first_log, first_publish), np.maximum(last_log, last_publish), crc.astype(np.uint32),
+            first_entry, entries[:, 0].astype(np.uint16), entries[:, 1].astype(np.uint32),
+        )  # fmt: skip

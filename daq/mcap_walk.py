@@ -1,0 +1,309 @@
+"""The walk over an MCAP file from its start to its end, which keeps whatever is whole.
+
+Chunks count only with the right CRC, no length in the file is believed before it is held against the bytes that are
+there, and where a record makes no sense the walk looks for the next sound one and goes on.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+from mcap import records
+from mcap.opcode import Opcode
+
+from daq.errors import LogError
+from daq.file_bytes import PIECE_BYTES, FileBytes
+from daq.mcap_chunks import BARE, CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
+from daq.mcap_damage import Damage, Held, Place
+from daq.mcap_records import (
+    RECORD_HEAD,
+    AttachmentPlace,
+    DamageError,
+    Definitions,
+    Header,
+    check_attachment,
+    check_metadata,
+    parse,
+)
+from daq.mcap_scan import loose_messages
+from daq.mcap_table import TableBuilder, TakenChunk
+from daq.mcap_window import Window, indexes_behind
+from daq.mcap_writer import MAGIC, METADATA_CRC
+
+_NOTHING = np.empty(0, np.uint8)
+_METADATA_LIMIT_BYTES = 64 * 2**20
+_STRETCH_BYTES = 4 * PIECE_BYTES
+_KNOWN = frozenset(Opcode)
+_OF_SUMMARY = frozenset(
+    (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX,
+     Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET)
+)  # fmt: skip
+
+
+class Walk:
+    """One pass over the records of a file; `run` fills the attributes.
+
+    Args:
+        file: the file.
+        header: who wrote it.
+        no_summary: why its summary cannot be used, in words; "" when it can.
+        progress: told now and then which share of the file is done.
+
+    Attributes:
+        table: the good chunks.
+        damage: the places that are not what they should be.
+        definitions, metadata, attachments: what else is sound.
+        finished: the file has its end.
+        position: how far the walk came, bytes.
+        announced: messages as a sound summary counts them, None without one.
+        no_crc: how many records of which kind another writer gave no CRC.
+    """
+
+    def __init__(
+        self, file: FileBytes, header: Header, no_summary: str, progress: Callable[[float], None] | None
+    ) -> None:
+        self.file, self.header, self.no_summary = file, header, no_summary
+        self.window = Window(file, header.ours)
+        self.progress = progress
+        self.damage = Damage()
+        self.definitions = Definitions()
+        self.table = TableBuilder(self.definitions)
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.attachments: list[AttachmentPlace] = []
+        self.loose: list[tuple[int, int]] = []
+        self.no_crc: dict[str, int] = {}
+        self.last_data = _NOTHING  # records of the last good chunk: its message indexes follow
+        self.last_counts: dict[int, int] = {}
+        self.indexed: dict[int, int] = {}  # what its message indexes have named so far
+        self.open_place: Place | None = None  # message indexes that come next belong to it
+        self.left_out_end = -1
+        self.search_from = len(MAGIC)  # behind what was right for sure, or behind the last record searched for
+        self.budget = 8 * file.size + 2**28  # bytes that may be looked at in vain; hostile files nest records
+        self.crc: int | None = 0  # of the data section so far; None once a stretch was left out
+        self.data_ended = self.finished = False
+        self.summary_start = 0
+        self.statistics = b""
+        self.announced: int | None = None
+
+    def run(self) -> None:
+        """Go through the file."""
+        position = 0
+        try:
+            self._pass(0, len(MAGIC))
+            position = len(MAGIC)
+            opcode, end = self.window.head(position)
+            if opcode != Opcode.HEADER:
+                raise DamageError("no header")
+            parse(records.Header, bytes(self.window.view(position + 9, min(end, position + PIECE_BYTES))))
+            self._pass(position, end)
+            position = end
+        except DamageError as damage:
+            position = self._resume(position, f"the header is damaged: {damage}")
+        while not self.finished and self.budget > 0:
+            try:
+                if position >= self.file.size:
+                    if self.left_out_end != position:
+                        break
+                    self.left_out_end = -1
+                    raise DamageError("the file ends behind a chunk that was left out")
+                end = self._record(position)
+                self._pass(position, end)
+                position = end
+            except DamageError as damage:
+                position = self._resume(position, str(damage))
+        self.position = position
+        self._keep_loose()
+
+    def _pass(self, position: int, end: int) -> None:
+        """What stands between is as it should be."""
+        if self.crc is not None and not self.data_ended:
+            for at in range(position, end, PIECE_BYTES):
+                self.crc = zlib.crc32(self.window.view(at, min(end, at + PIECE_BYTES)), self.crc)
+        if end != self.left_out_end:
+            self.search_from = max(self.search_from, end)
+        if self.progress is not None:
+            self.progress(end / self.file.size)
+
+    def _resume(self, position: int, why: str) -> int:
+        """Note the damage and find the next sound record; the end of the file when there is none.
+
+        The search begins behind what was right for sure, not here: a wrong length may have jumped over some.
+        """
+        self.crc = None
+        found = self.window.next_credible(self.search_from, self._spend)
+        self._spend(max(0, position - found))
+        self.search_from = found + 1
+        place = self.open_place
+        if place is None or place.end < position:
+            place = self.damage.note(position, position + 1, why, len(self.table))
+        place.start, place.end = min(place.start, found), max(place.end, found)
+        self.open_place = place
+        return found
+
+    def _spend(self, size: int) -> bool:
+        self.budget -= size
+        return self.budget > 0
+
+    def _record(self, position: int) -> int:
+        """Take the record at `position`; returns where the next one starts."""
+        opcode, end = self.window.head(position)
+        if opcode == Opcode.MESSAGE_INDEX:
+            return self._message_indexes(position)
+        self._end_of_indexes(position)
+        if opcode == Opcode.CHUNK:
+            return self._chunk(position, end)
+        if opcode == Opcode.MESSAGE and not self.header.ours:
+            return self._loose(position, end)
+        if opcode == Opcode.METADATA:
+            self._metadata(position, end)
+        elif opcode == Opcode.ATTACHMENT:
+            self.attachments.append(check_attachment(self.file, position, self.header.ours))
+            self._count_without_crc("attachments", int.from_bytes(self.window.view(end - 4, end), "little"))
+        elif opcode == Opcode.DATA_END:
+            self._data_end(position, end)
+        elif opcode == Opcode.FOOTER:
+            self._footer(position, end)
+        elif opcode in _OF_SUMMARY and self.data_ended:
+            if opcode == Opcode.STATISTICS:
+                self.statistics = bytes(self.window.view(position + RECORD_HEAD.size, min(end, position + PIECE_BYTES)))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not self.header.ours:
+            self.definitions.take(opcode, bytes(self.window.view(position + RECORD_HEAD.size, end)))
+        elif opcode == 0 or self.header.ours or opcode in _KNOWN:
+            raise DamageError(f"a record of kind {opcode:#04x}, which may not stand here")
+        self.open_place = None
+        return end
+
+    def _message_indexes(self, position: int) -> int:
+        """The message indexes behind a chunk; behind a damaged one they tell what it held."""
+        end, counts, span, wrong = indexes_behind(self.window, position, self.last_data)
+        fits = wrong < 0 and len(self.last_data) > 0
+        if fits and all(self.last_counts.get(channel) == count for channel, count in counts.items()):
+            self.indexed |= counts
+        elif self.open_place is not None:
+            self.open_place.held = [*(self.open_place.held or []), Held(counts, span)]
+            self.open_place.end = max(self.open_place.end, end)
+        else:
+            place = self.damage.note(position, end, "message indexes that do not fit their chunk", len(self.table))
+            if counts == {channel: n for channel, n in self.last_counts.items() if channel not in self.indexed}:
+                place.held = []
+            self.indexed |= counts
+        return end
+
+    def _end_of_indexes(self, position: int) -> None:
+        """Another record follows the last good chunk and its message indexes: do these name every message?"""
+        lacking = {c: n for c, n in self.last_counts.items() if self.indexed.get(c) != n}
+        if lacking and (self.indexed or self.header.ours):
+            size, place = sum(15 + 16 * n for n in lacking.values()), self.open_place
+            if place is not None and place.end - place.start == size:
+                place.held = []  # the damaged stretch is as long as the indexes that are not there
+            elif place is None:
+                text = "message indexes before this place do not name every message of their chunk"
+                self.damage.note(position, position, text, len(self.table)).held = []
+        self.last_data, self.last_counts, self.indexed = _NOTHING, {}, {}
+
+    def _chunk(self, position: int, end: int) -> int:
+        self.open_place = None
+        head = parse_head(self.window.view(position, min(end, position + HEAD_BYTES)), end - position)
+        try:
+            chunk = self.read_chunk(position, end, head)
+        except DamageError as damage:
+            self._spend(head.packed + min(head.unpacked, CHUNK_LIMIT_BYTES))
+            self.open_place = self.damage.note(position, end, f"{damage}, left out", len(self.table))
+            self.crc = None
+            self.left_out_end = end  # perhaps a wrong length: the search still begins inside
+            return end
+        earlier = self.table.add(position, head, chunk)
+        if earlier is not None:
+            text = f"the chunk of byte {earlier} again, copied over what stood here; taken once"
+            self.open_place = self.damage.note(position, end, text, len(self.table))
+        elif chunk.counts and self.header.ours and chunk.times[:2] != [head.start_ns, head.end_ns]:
+            text = "a chunk whose head tells other times than its messages; these count"
+            self.damage.note(position, end, text, len(self.table)).held = []
+        self._count_without_crc("chunks", head.crc)
+        self.last_data, self.last_counts = chunk.data, chunk.counts
+        return end
+
+    def read_chunk(self, position: int, end: int, head: ChunkHead) -> TakenChunk:
+        """The chunk at `position`, unpacked, checked and counted.
+
+        Raises:
+            DamageError: it is not sound.
+        """
+        if head.packed > CHUNK_LIMIT_BYTES + PIECE_BYTES:
+            raise DamageError(f"a chunk of {head.packed} packed bytes, more than the {CHUNK_LIMIT_BYTES} that are read")
+        packed = self.window.view(position, end)[head.data_at :]
+        return self.table.count(np.frombuffer(unpack(packed, head, self.header.ours), np.uint8))
+
+    def _loose(self, position: int, end: int) -> int:
+        """Messages outside of chunks, where no CRC covers them."""
+        block = self.window.view(position, min(self.file.size, max(end, position + PIECE_BYTES)))
+        length = loose_messages(np.frombuffer(block, np.uint8))
+        if not length:
+            raise DamageError("a message shorter than its own head")
+        if self.loose and self.loose[-1][1] == position and position - self.loose[-1][0] < _STRETCH_BYTES:
+            self.loose[-1] = self.loose[-1][0], position + length
+        else:
+            self.loose.append((position, position + length))
+        return position + length
+
+    def _keep_loose(self) -> None:
+        """Messages outside of chunks count only in a file without chunks; beside chunks they are damaged records."""
+        chunked = len(self.table) > 0
+        for start, end in self.loose:
+            if chunked:
+                self.damage.note(start, end, "messages outside of chunks, left out", len(self.table))
+                continue
+            try:
+                chunk = self.table.count(np.frombuffer(self.file.read(start, end - start), np.uint8))
+                crc = zlib.crc32(chunk.data.data)
+                self.table.add(start, ChunkHead(0, 0, end - start, crc, BARE, "", 0, end - start), chunk)
+                self._count_without_crc("stretches of messages", 0)
+            except (DamageError, LogError) as damage:
+                self.damage.note(start, end, f"{damage}, left out", len(self.table))
+
+    def _metadata(self, position: int, end: int) -> None:
+        if end - position > _METADATA_LIMIT_BYTES:
+            raise DamageError(f"metadata of {end - position} bytes")
+        body = bytes(self.window.view(position + RECORD_HEAD.size, end))
+        name, texts = check_metadata(body, self.header.ours)
+        self.metadata[name] = texts
+        self._count_without_crc("metadata records", 1 if METADATA_CRC in body.decode("latin-1") else 0)
+
+    def _count_without_crc(self, what: str, crc: int) -> None:
+        if not crc:
+            self.no_crc[what] = self.no_crc.get(what, 0) + 1
+
+    def _data_end(self, position: int, end: int) -> None:
+        if end - position != RECORD_HEAD.size + 4:
+            raise DamageError("an end of the data of another length than it has")
+        crc = int.from_bytes(self.window.view(end - 4, end), "little")
+        self._count_without_crc("data sections", crc)
+        if self.crc is not None and crc != self.crc and (crc or self.header.ours):
+            text = "the CRC of the whole data section is wrong, though every chunk in it is right"
+            self.damage.note(0, position, text, len(self.table)).held = []
+        self.data_ended, self.summary_start = True, end
+
+    def _footer(self, position: int, end: int) -> None:
+        if end - position != RECORD_HEAD.size + 20 or not self.data_ended:
+            raise DamageError("a footer of another length than 20 bytes, or before the end of the data")
+        closing = self.window.view(end, min(self.file.size, end + len(MAGIC)))
+        if bytes(closing) != MAGIC:
+            raise DamageError(f"no {MAGIC!r} behind the footer")
+        self.finished = True
+        told, _, crc = struct.unpack("<QQI", self.window.view(position + RECORD_HEAD.size, end))
+        self._count_without_crc("summaries", crc)
+        try:  # a sound summary need not stand where its footer says: the file may have become longer before it
+            right = crc == 0 or self.file.crc(self.summary_start, end - 4) == crc
+        except LogError:
+            right = False
+        if self.statistics and right and (crc or not self.header.ours):
+            self.announced = parse(records.Statistics, self.statistics).message_count
+        if not right or (told not in (0, self.summary_start)) or (self.header.ours and self.no_summary):
+            text = f"the summary cannot be used: {self.no_summary}" if self.no_summary else "the summary is damaged"
+            self.damage.note(self.summary_start, end, text, len(self.table)).held = []
+        if end + len(MAGIC) < self.file.size:
+            text = "bytes behind the end of the log, which do not belong to it"
+            self.damage.note(end + len(MAGIC), self.file.size, text, len(self.table)).held = []

@@ -1,0 +1,158 @@
+"""Going through a file from front to back: a window that reads ahead, and the search for the next sound record."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+from mcap import records
+from mcap.opcode import Opcode
+
+from daq.errors import LogError
+from daq.file_bytes import PIECE_BYTES, FileBytes
+from daq.mcap_chunks import HEAD_BYTES, parse_head
+from daq.mcap_records import RECORD_HEAD, DamageError, check_attachment, check_metadata, parse, read_record
+from daq.mcap_scan import message_indexes
+
+_CREDIBLE = re.compile(
+    rb"\x06(?=.{36}(?:\x04\0\0\0zstd|\0\0\0\0|\x03\0\0\0lz4))|[\x07\x09\x0c](?=.{4}\0{4})|\x0f(?=\x04\0{7})", re.DOTALL
+)
+_LOOK_AHEAD = 64
+_METADATA_BYTES = 2**20
+_SUMMARY_KINDS = frozenset((2, 3, 4, 8, 10, 11, 13, 14))
+
+
+class Window:
+    """Bytes of a file, read ahead.
+
+    Args:
+        file: it.
+        ours: written by this package; decides what counts as a sound record.
+    """
+
+    def __init__(self, file: FileBytes, ours: bool) -> None:
+        self.file, self.ours = file, ours
+        self._base, self._data = 0, memoryview(b"")
+
+    def view(self, start: int, end: int) -> memoryview:
+        """The bytes from `start` to `end`.
+
+        Raises:
+            DamageError: the file is shorter, or the disk refuses them.
+        """
+        if start < self._base or end > self._base + len(self._data):
+            length = min(max(end - start, PIECE_BYTES), self.file.size - start)
+            try:
+                self._data, self._base = memoryview(self.file.read(start, length)), start
+            except LogError:  # perhaps only what lies behind cannot be read
+                try:
+                    return memoryview(self.file.read(start, end - start))
+                except LogError as fault:
+                    raise DamageError(str(fault)) from fault
+            if end - start > length:
+                raise DamageError(f"the file ends inside a record: {end - start} bytes announced, {length} left")
+        return self._data[start - self._base : end - self._base]
+
+    def head(self, position: int) -> tuple[int, int]:
+        """Opcode of the record at `position`, and where it ends.
+
+        Raises:
+            DamageError: the file ends before.
+        """
+        if self.file.size - position < RECORD_HEAD.size:
+            raise DamageError("the file ends inside a record's head")
+        opcode, length = RECORD_HEAD.unpack(self.view(position, position + RECORD_HEAD.size))
+        end = position + RECORD_HEAD.size + length
+        if end > self.file.size:
+            left = self.file.size - position - RECORD_HEAD.size
+            raise DamageError(f"the file ends inside a record: {length} bytes announced, {left} left")
+        return opcode, end
+
+    def next_credible(self, position: int, spend: Callable[[int], bool]) -> int:
+        """Where the next record begins that is what it says, from `position` on; the file's size when there is none.
+
+        Args:
+            position: byte.
+            spend: told how many bytes a closer look costs; returns False when it was enough.
+        """
+        while position < self.file.size:
+            end = min(position + PIECE_BYTES, self.file.size)
+            try:
+                piece = self.file.read(position, min(end + _LOOK_AHEAD, self.file.size) - position)
+            except LogError:  # a bad spot on the disk
+                position = end
+                continue
+            for match in _CREDIBLE.finditer(piece):
+                if match.start() >= end - position:
+                    break
+                if self._credible(position + match.start(), spend):
+                    return position + match.start()
+            position = end
+        return self.file.size
+
+    def _credible(self, position: int, spend: Callable[[int], bool]) -> bool:  # noqa: PLR0911 (one per kind)
+        try:
+            opcode, end = self.head(position)
+            if opcode == Opcode.CHUNK:
+                parse_head(self.view(position, min(end, position + HEAD_BYTES)), end - position)
+                return True
+            if opcode == Opcode.MESSAGE_INDEX:
+                sizes = bytes(self.view(position + 9, min(end, position + 15)))
+                return len(sizes) == 6 and int.from_bytes(sizes[2:], "little") == end - position - 15
+            if opcode == Opcode.DATA_END:
+                return self.head(end)[0] in _SUMMARY_KINDS
+            if not spend(end - position):
+                return False
+            if opcode == Opcode.METADATA:
+                body = read_record(self.file, position, _METADATA_BYTES)[1]
+                return parse(records.Metadata, body) is not None and bool(check_metadata(body, self.ours))
+            check_attachment(self.file, position, True)
+            return True
+        except DamageError:
+            return False
+
+
+def indexes_behind(
+    window: Window, position: int, data: np.ndarray
+) -> tuple[int, dict[int, int], tuple[int, int] | None, int]:
+    """The message index records that stand from `position` on.
+
+    Args:
+        window: the file.
+        position: byte behind a chunk, or of a message index.
+        data: the chunk's records, uint8; empty when they are not to be had.
+
+    Returns:
+        Where they end; messages by channel id; first and last log time; byte of the first one that does not fit the
+        chunk, or -1.
+
+    Raises:
+        DamageError: a message index contradicts itself.
+    """
+    counts: dict[int, int] = {}
+    times = np.array([2**64 - 1, 0], np.uint64)
+    entries = np.empty((256, 2), np.int64)
+    wrong = -1
+    while position < window.file.size:
+        try:
+            opcode, end = window.head(position)
+        except DamageError:
+            if counts:
+                break
+            raise
+        if opcode != Opcode.MESSAGE_INDEX:
+            break
+        block = window.view(position, min(window.file.size, max(end, position + PIECE_BYTES // 4)))
+        taken, found, bad = map(int, message_indexes(np.frombuffer(block, np.uint8), data, entries, times))
+        if not found:
+            if counts:
+                break
+            raise DamageError("a message index of another length than it says")
+        for channel, count in entries[:found].tolist():
+            counts[channel] = counts.get(channel, 0) + count
+        if bad >= 0 and wrong < 0:
+            wrong = position + bad
+        position += taken
+    span = (int(times[0]), int(times[1])) if times[0] <= times[1] < 2**63 else None  # no CRC covers an index
+    return position, counts, span, wrong

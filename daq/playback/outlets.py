@@ -1,0 +1,143 @@
+"""The ports a log is played out on: made here, or there already."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Protocol
+
+from daq.errors import LinkLost, LogError
+from daq.log import Log
+from daq.snapshot import rig_of
+from daq.transports.link import Link, open_link
+from daq.transports.wires import KINDS, make_wire
+
+_DRIVE_BAUD = 115_200  # of the CAN adapter's own serial line
+_PIECE_BYTES = 4096  # offered to a port that takes all or blocks
+
+
+class Outlet(Protocol):
+    """Where one device's bytes go; a Wire is one."""
+
+    port: str
+
+    def offer(self, data: bytes) -> int:
+        """Send what there is room for; how many bytes that were. LinkLost when the reader is gone."""
+        ...
+
+    def receive(self) -> bytes:
+        """What the reader sent; never blocks."""
+        ...
+
+    def connected(self) -> bool:
+        """Whether a reader has the port open, as far as that can be known."""
+        ...
+
+    def descriptor(self) -> int | None:
+        """What to wait on; None when there is nothing to wait on."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the port."""
+        ...
+
+
+class LinkOutlet:
+    """An existing port to write to. Whether somebody listens at its far end cannot be known."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self.port = link.name
+        self._open = True
+
+    def offer(self, data: bytes) -> int:
+        """See Outlet; a port that is full blocks for as long as its link waits, then it is lost."""
+        piece = data[:_PIECE_BYTES]
+        try:
+            self._link.write(piece)
+        except LinkLost:
+            self._open = False
+            raise
+        return len(piece)
+
+    def receive(self) -> bytes:
+        """See Outlet."""
+        try:
+            return self._link.read(0.0) if self._open else b""
+        except LinkLost:
+            self._open = False
+            return b""
+
+    def connected(self) -> bool:
+        """See Outlet."""
+        return self._open
+
+    def descriptor(self) -> int | None:
+        """See Outlet."""
+        return None
+
+    def close(self) -> None:
+        """See Outlet."""
+        self._open = False
+        self._link.close()
+
+
+def open_outlets(log: Log, to: str) -> dict[str, Outlet]:
+    """One outlet for each device to be played.
+
+    Args:
+        to: "pty" or "tcp" for a new port per device of the log, or existing ports as "device=port,device=port", each
+            any port a rig file may name.
+
+    Raises:
+        LogError: a device of which the log has no bytes, or a text that names no port.
+        LinkLost: a port cannot be opened or made.
+    """
+    if not log.devices:
+        raise LogError(f"{log.path}: holds no raw bytes (it was not recorded from devices): nothing to play")
+    if to in KINDS:
+        return _new_ports(log.devices, to)
+    ports = _named_ports(log, to)
+    outlets: dict[str, Outlet] = {}
+    try:
+        for device, port in ports.items():
+            outlets[device] = LinkOutlet(open_link(port, *_line_rate(log, device)))
+    except BaseException:
+        for outlet in outlets.values():
+            outlet.close()
+        raise
+    return outlets
+
+
+def _new_ports(devices: tuple[str, ...], kind: str) -> dict[str, Outlet]:
+    outlets: dict[str, Outlet] = {}
+    try:
+        for device in devices:
+            outlets[device] = make_wire(kind, notice_host=True)
+    except OSError as fault:
+        for outlet in outlets.values():
+            outlet.close()
+        raise LinkLost(f"{len(devices)} {kind} ports are needed, one cannot be made: {fault}") from fault
+    return outlets
+
+
+def _named_ports(log: Log, to: str) -> Mapping[str, str]:
+    ports: dict[str, str] = {}
+    for pair in to.split(","):
+        device, sign, port = (part.strip() for part in pair.partition("="))
+        if not sign or not port:
+            raise LogError(f"{to!r}: expected {', '.join(KINDS)}, or ports like laser_x=PORT,drive=PORT")
+        if device not in log.devices:
+            near = difflib.get_close_matches(device, log.devices, 1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise LogError(f"{log.path}: has raw bytes of {', '.join(log.devices)}, none of {device!r}{hint}")
+        if device in ports:
+            raise LogError(f"{to!r}: {device} is named twice; a device is played to one port")
+        ports[device] = port
+    return ports
+
+
+def _line_rate(log: Log, device: str) -> tuple[int, int | None]:
+    """Baud of the device's serial line and bit rate of its CAN bus, as they were."""
+    config = getattr(rig_of(log).devices, device, None)
+    return getattr(config, "baud", _DRIVE_BAUD), getattr(config, "bitrate", None)

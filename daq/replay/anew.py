@@ -1,0 +1,175 @@
+"""A log decoded anew into another one: the same raw bytes, samples and events by today's decoders and calibration."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from daq.channels import CHANNELS, EVENTS_TOPIC, HEALTH_TOPIC
+from daq.errors import LogError
+from daq.log import Log, open_log
+from daq.log_file import LogFile
+from daq.replay.calibration import Calibration
+from daq.replay.checking import Progress, share_of
+from daq.replay.compare import ChannelCheck, ChannelComparison
+from daq.replay.stream import decoded, pipelines_of
+from daq.snapshot import identities_of, rig_of
+from daq.stream_items import Batch, joined
+from daq.streams import Pipeline, make_pipelines
+from daq.version import software_version
+
+_TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this stand together, as in a recording
+_OURS = ("origin", "origin_sha256", "origin_software", "calibration")
+_WRITTEN_ANEW = ("run", "summary", "times")
+
+
+@dataclass(frozen=True)
+class Anew:
+    """What was made.
+
+    Attributes:
+        path: the new log.
+        moved: by channel, how its values lie against those of the origin; only their distances mean anything here.
+        losses: counted anew, by device and kind.
+        missing: what the origin lacked, sentences.
+    """
+
+    path: Path
+    moved: tuple[ChannelCheck, ...]
+    losses: Mapping[str, Mapping[str, int]]
+    missing: tuple[str, ...]
+
+
+def decode_anew(
+    path: str | Path, out: str | Path, calibration: Calibration | None = None, progress: Progress | None = None
+) -> Anew:
+    """Decode a log's raw bytes into a new log that names its origin.
+
+    Raw bytes, health reports and the host's own events keep their times; samples and events of the devices are made
+    anew, losses counted anew. Nothing is left of a new log that could not be finished.
+
+    Args:
+        calibration: numbers in place of the log's own; None for the log's own.
+        progress: told the share done, 0 … 1.
+
+    Raises:
+        LogError: not a readable log, one without raw bytes, or `out` exists.
+        RigFileError: the calibration does not fit.
+        RecordingError: `out` cannot be written.
+    """
+    with open_log(path) as log:
+        pipelines_of(log)  # says what is lacking before anything is written
+        rig, identities = rig_of(log), identities_of(log)
+        if calibration is not None:
+            rig, identities = calibration.correct(rig), calibration.correct_identities(identities)
+        attachments = {
+            **log.attachments,
+            "rig.json": rig.snapshot_json(),
+            "rig.origin.json": log.attachments["rig.json"],
+        }
+        attachments["identities.json"] = json.dumps(identities).encode()
+        attachments.pop("calibration.toml", None)
+        if calibration is not None:
+            attachments["calibration.toml"] = calibration.text.encode()
+        pipelines = make_pipelines(rig.devices, identities)
+        facts = _facts(log, calibration)
+        new = LogFile(Path(out), facts, attachments, log.devices, time.time_ns())
+        try:
+            copy = _Copy(log, new, pipelines)
+            copy.run(progress)
+            missing = tuple(str(place) for place in log.missing)
+            losses = {device: dict(pipeline.losses) for device, pipeline in pipelines.items()}
+            made = new.finish(_summary(log, losses, missing))
+        except BaseException:
+            new.close()
+            with contextlib.suppress(OSError):
+                new.part.unlink(missing_ok=True)  # its origin is there still: half of it helps nobody
+            raise
+        return Anew(made, copy.moved(), losses, missing)
+
+
+class _Copy:
+    """Moves one log into another, everything in the order it happened."""
+
+    def __init__(self, log: Log, new: LogFile, pipelines: Mapping[str, Pipeline]) -> None:
+        self._log, self._new, self._pipelines = log, new, pipelines
+        self._comparisons = {topic: ChannelComparison(log, topic, None, cut=True) for topic in CHANNELS}
+        self._waiting: dict[str, list[tuple[Batch, int]]] = {}
+        self._since_ns = 0
+
+    def run(self, progress: Progress | None) -> None:
+        notes = [(HEALTH_TOPIC, note) for note in self._log.health]
+        notes += [(EVENTS_TOPIC, note) for note in self._log.events if note.get("device") not in self._pipelines]
+        notes.sort(key=lambda each: each[1]["time_ns"], reverse=True)
+        share = share_of(self._log, progress)
+        for device, chunk, items in decoded(self._log, self._pipelines):
+            while notes and notes[-1][1]["time_ns"] <= chunk.host_ns:
+                self._note(*notes.pop())
+            if chunk.host_ns - self._since_ns > _TOGETHER_NS:
+                self._write_samples()
+                self._since_ns = chunk.host_ns
+            self._new.raw(device, chunk.direction, chunk.data, chunk.host_ns)
+            for item in items:
+                if isinstance(item, Batch):
+                    self._waiting.setdefault(item.channel.topic, []).append((item, chunk.host_ns))
+                    self._comparisons[item.channel.topic].add(item, chunk.host_ns)
+                else:
+                    self._new.event(item, chunk.host_ns)
+            share(chunk.host_ns)
+        self._write_samples()
+        while notes:
+            self._note(*notes.pop())
+
+    def moved(self) -> tuple[ChannelCheck, ...]:
+        return tuple(comparison.result() for comparison in self._comparisons.values())
+
+    def _note(self, topic: str, note: Mapping[str, Any]) -> None:
+        facts = {key: value for key, value in note.items() if key != "time_ns"}
+        self._new.note(topic, facts, note["time_ns"], note["time_ns"])
+
+    def _write_samples(self) -> None:
+        for arrived in self._waiting.values():
+            self._new.batch(*joined(arrived))
+        self._waiting = {}
+
+
+def _facts(log: Log, calibration: Calibration | None) -> dict[str, str]:
+    """The run's facts, and where they come from; what an origin said of its own origin stays under another name."""
+    run = log.metadata.get("run", {})
+    facts = {(f"origin.{key}" if key in _OURS else key): value for key, value in run.items()}
+    others = {name: table for name, table in log.metadata.items() if name not in _WRITTEN_ANEW}
+    facts |= {f"origin.{name}": json.dumps(table, ensure_ascii=False) for name, table in others.items()}
+    try:
+        with log.path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as fault:
+        raise LogError(f"{log.path}: cannot be read any more ({fault}): check the path") from fault
+    facts |= {"origin": log.path.name, "origin_sha256": digest, "software": software_version()}
+    facts["origin_software"] = run.get("software", "unknown")
+    if calibration is not None:
+        facts["calibration"] = calibration.text
+    return facts
+
+
+def _summary(log: Log, losses: Mapping[str, Any], missing: tuple[str, ...]) -> dict[str, Any]:
+    """Losses counted anew; all else as the origin has it, its losses under another name."""
+    old = {key: _value(text) for key, text in log.metadata.get("summary", {}).items()}
+    if "losses" in old:
+        old["losses_of_origin"] = old["losses"]
+    if missing:
+        old["missing_of_origin"] = list(missing)
+    return {**old, "losses": losses}
+
+
+def _value(text: str) -> Any:
+    """What stands in a summary as JSON; a plain text of an older log as it is."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

@@ -1,0 +1,273 @@
+"""Two decodings of the same bytes, the one in the log and the one made now, compared sample by sample in slices."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import channels
+from daq.log import Log
+from daq.replay.stored import StoredRows
+from daq.stream_items import Batch, Event, joined
+
+_SLICE = 65_536  # samples compared at once
+
+Columns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first sample or event that differs.
+
+    Attributes:
+        index: its place in the channel, from 0.
+        time_ns: its time as it stands in the log, ns since 1970.
+        field: which value ("time_ns", "log_time_ns", "sequence" or a field; of an event, a key).
+        stored, decoded: what the log says and what its bytes give; None where one has no such sample.
+    """
+
+    index: int
+    time_ns: int
+    field: str
+    stored: Any
+    decoded: Any
+
+
+@dataclass
+class FieldDifference:
+    """How far one field's values lie apart, over all compared samples of the channel, in the field's own unit.
+
+    Attributes:
+        samples: how many differ.
+        largest: largest distance; 0 when only bits differ that are no distance (NaN, the sign of 0).
+        squares: sum of the squared distances.
+        pairs: samples that have both values.
+    """
+
+    samples: int = 0
+    largest: float = 0.0
+    squares: float = 0.0
+    pairs: int = 0
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the distance over all samples that have both values."""
+        return math.sqrt(self.squares / self.pairs) if self.pairs else math.nan
+
+
+@dataclass(frozen=True)
+class ChannelCheck:
+    """One channel compared.
+
+    Attributes:
+        topic: the channel, or "events".
+        live: samples in the log.
+        again: samples its raw bytes give.
+        compared: pairs that were compared.
+        differing: how many of them differ, and those that the one has and the other not, though it should.
+        extra: samples decoded from raw bytes whose own samples a cut log does not have.
+        first: the first difference.
+        fields: by field, where values differ.
+        missing: the channel has no field that is decoded, or the other way round, by name.
+    """
+
+    topic: str
+    live: int
+    again: int
+    compared: int = 0
+    differing: int = 0
+    extra: int = 0
+    first: Difference | None = None
+    fields: Mapping[str, FieldDifference] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+
+    @property
+    def difference(self) -> str:
+        """What differs in words; empty when nothing does."""
+        if self.missing:
+            return f"the log and this version do not both have {', '.join(self.missing)}"
+        if self.fields:
+            return f"{self.differing} differ in {', '.join(self.fields)}"
+        if self.topic == channels.EVENTS_TOPIC and self.differing:
+            return f"{self.differing} events differ"
+        return f"{self.live} samples live, {self.again} decoded again" if self.differing else ""
+
+
+class ChannelComparison:
+    """Compares one channel as its samples are decoded.
+
+    Args:
+        until_ns: log time from which on nothing is compared, for the log misses raw bytes there; None for all.
+        cut: the log's end is missing, so that raw bytes may be there whose samples are not.
+    """
+
+    def __init__(self, log: Log, topic: str, until_ns: int | None, cut: bool) -> None:
+        self._topic, self._until_ns, self._cut = topic, until_ns, cut
+        self._channel = channels.CHANNELS[topic]
+        self._rows = StoredRows(log, topic)
+        names = set(self._rows.names)
+        self._lacking = tuple(sorted(names ^ set(self._channel.names))) if log.count(topic) else ()
+        self._both = [name for name in self._channel.names if name in names]
+        self._live = log.count(topic)
+        self._again = self._compared = self._differing = self._extra = 0
+        self._first: Difference | None = None
+        self._fields: dict[str, FieldDifference] = {}
+        self._arrived: list[tuple[Batch, int]] = []
+        self._waiting = 0
+
+    def add(self, batch: Batch, host_ns: int) -> None:
+        """The next samples, decoded now."""
+        self._again += len(batch.time_ns)
+        if self._until_ns is not None and host_ns >= self._until_ns:
+            return
+        self._arrived.append((batch, host_ns))
+        self._waiting += len(batch.time_ns)
+        if self._waiting >= _SLICE:
+            self._compare()
+
+    def result(self) -> ChannelCheck:
+        """What was found; call it once, when everything was added."""
+        if self._arrived:
+            self._compare()
+        left = self._rows.take(_SLICE, self._until_ns)
+        while len(left["time_ns"]):  # in the log, and its raw bytes give no such thing
+            self._lone(self._compared + self._extra, left, None)
+            left = self._rows.take(_SLICE, self._until_ns)
+        return ChannelCheck(
+            self._topic, self._live, self._again, self._compared, self._differing, self._extra,
+            self._first, self._fields, self._lacking,
+        )  # fmt: skip
+
+    def _compare(self) -> None:
+        batch, log_time_ns = joined(self._arrived)
+        self._arrived, self._waiting = [], 0
+        packed = self._channel.pack(batch.columns)  # as it would stand in a log
+        decoded: Columns = {"time_ns": batch.time_ns, "log_time_ns": log_time_ns}
+        decoded["sequence"] = (np.asarray(batch.sequence, np.int64) & 0xFFFFFFFF).astype(np.uint32)
+        decoded |= {name: np.ascontiguousarray(packed[name]) for name in self._both}
+        stored = self._rows.take(len(log_time_ns), self._until_ns)
+        pairs = len(stored["time_ns"])
+        if pairs:
+            self._pair(stored, {name: values[:pairs] for name, values in decoded.items()})
+        if pairs < len(log_time_ns):
+            rest = {name: values[pairs:] for name, values in decoded.items()}
+            if self._cut and self._until_ns is None:
+                self._extra += len(log_time_ns) - pairs
+            else:
+                self._lone(self._compared, None, rest)
+
+    def _pair(self, stored: Columns, decoded: Columns) -> None:
+        differs = np.zeros(len(stored["time_ns"]), bool)
+        first: list[tuple[int, str]] = []
+        for name, values in decoded.items():
+            rows = _differing(stored[name], values)
+            found = np.flatnonzero(rows)
+            if len(found):
+                first.append((int(found[0]), name))
+                self._measure(name, stored[name], values, len(found))
+                differs |= rows
+            elif name in self._fields:
+                self._fields[name].pairs += len(values)
+        if first and self._first is None:
+            row, name = min(first, key=lambda pair: pair[0])
+            self._first = Difference(
+                self._compared + row, int(stored["time_ns"][row]), name, stored[name][row].item(),
+                decoded[name][row].item(),
+            )  # fmt: skip
+        self._compared += len(differs)
+        self._differing += int(np.count_nonzero(differs))
+
+    def _measure(self, name: str, stored: NDArray[Any], decoded: NDArray[Any], samples: int) -> None:
+        known = self._fields.setdefault(name, FieldDifference(pairs=self._compared))
+        if stored.dtype.kind == "f":
+            apart = np.abs(decoded.astype(float) - stored.astype(float))
+            apart = apart[~np.isnan(apart)]
+        else:
+            apart = np.abs(decoded.astype(np.int64) - stored.astype(np.int64)).astype(float)
+        known.samples += samples
+        known.largest = max(known.largest, float(apart.max(initial=0.0)))
+        known.squares += float(np.sum(apart**2))
+        known.pairs += len(apart)
+
+    def _lone(self, index: int, stored: Columns | None, decoded: Columns | None) -> None:
+        there = stored if stored is not None else decoded
+        assert there is not None
+        self._differing += len(there["time_ns"])
+        if self._first is None:
+            shown = int(there["sequence"][0])
+            self._first = Difference(index, int(there["time_ns"][0]), "sequence",
+                                     None if stored is None else shown, None if decoded is None else shown)  # fmt: skip
+
+
+def _differing(stored: NDArray[Any], decoded: NDArray[Any]) -> NDArray[np.bool_]:
+    """Rows whose bits differ: NaN equals the same NaN, and −0 is not 0."""
+    kind = f"u{stored.dtype.itemsize}"
+    same_kind = np.ascontiguousarray(decoded.astype(stored.dtype, copy=False))
+    return np.ascontiguousarray(stored).view(kind) != same_kind.view(kind)
+
+
+class EventComparison:
+    """Compares events device by device: threads interleave devices, but each device's own order is in its bytes.
+
+    Args:
+        devices: those with a pipeline; events of others (the host's own) are not made from raw bytes.
+    """
+
+    def __init__(self, log: Log, devices: Iterable[str], until_ns: int | None, cut: bool) -> None:
+        self._until_ns, self._cut = until_ns, cut
+        self._live: dict[str, list[dict[str, Any]]] = {device: [] for device in devices}
+        for event in log.events:
+            if event.get("device") in self._live:
+                self._live[event["device"]].append(event)
+        self._again: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        self._late = 0
+
+    def add(self, event: Event, host_ns: int) -> None:
+        """The next event, made now."""
+        if self._until_ns is not None and host_ns >= self._until_ns:
+            self._late += 1
+            return
+        note = {"kind": event.kind, "device": event.device, "text": event.text, **event.facts}
+        as_stored = json.loads(channels.pack_note(note))
+        self._again[event.device].append(as_stored | {"time_ns": int(event.facts.get("time_ns", host_ns))})
+
+    def result(self) -> ChannelCheck:
+        """What was found."""
+        live = sum(map(len, self._live.values()))
+        again = sum(map(len, self._again.values()))
+        compared = differing = extra = 0
+        firsts: list[Difference] = []
+        for device, stored in self._live.items():
+            made = self._again[device]
+            kept = stored if self._until_ns is None else stored[: len(made)]
+            pairs = min(len(kept), len(made))
+            wrong = [i for i in range(pairs) if kept[i] != made[i]]
+            if wrong:
+                firsts.append(_event_difference(wrong[0], kept[wrong[0]], made[wrong[0]]))
+            lone = len(kept) - pairs
+            if len(made) > pairs and self._cut and self._until_ns is None:
+                extra += len(made) - pairs
+            else:
+                lone += len(made) - pairs
+            if lone and not wrong:
+                there, in_log = (kept[pairs], True) if len(kept) > pairs else (made[pairs], False)
+                text = f"{there['kind']} {device}: {there['text']}"
+                firsts.append(Difference(pairs, there["time_ns"], "kind", text if in_log else None,
+                                         None if in_log else text))  # fmt: skip
+            compared += pairs
+            differing += len(wrong) + lone
+        first = min(firsts, key=lambda d: d.time_ns, default=None)
+        return ChannelCheck(channels.EVENTS_TOPIC, live, again + self._late, compared, differing, extra, first)
+
+
+def _event_difference(index: int, stored: Mapping[str, Any], decoded: Mapping[str, Any]) -> Difference:
+    keys = [key for key in {**stored, **decoded} if stored.get(key) != decoded.get(key)]
+    key = keys[0]
+    return Difference(index, stored["time_ns"], key, stored.get(key), decoded.get(key))

@@ -1,0 +1,100 @@
+"""Replay at a pace: everything at its own time after the start, so that no delay adds up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Protocol
+
+from daq.log import Log
+from daq.replay.stream import Decoded, decoded, pipelines_of
+from daq.transports.host_clock import HostClock
+
+
+class Clock(Protocol):
+    """What a pace needs of a clock; HostClock is one."""
+
+    def now_ns(self) -> int:
+        """Time now, ns."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        ...
+
+
+class Pace:
+    """When what was recorded at some time is due.
+
+    The first instant asked about is due at once and starts the schedule; after a stall everything overdue is due at
+    once, until the schedule is caught up with.
+
+    Attributes:
+        late_s: how late the last thing told to `note` was, s of the clock.
+        most_late_s: the most of it so far.
+
+    Args:
+        speed: seconds of the log per second of the clock; infinite for no waiting at all.
+    """
+
+    def __init__(self, speed: float, clock: Clock) -> None:
+        if not speed > 0:
+            raise ValueError(f"expected a speed above 0, got {speed}")
+        self._speed, self._clock = speed, clock
+        self._start: tuple[int, int] | None = None  # in the log and on the clock, ns
+        self.late_s = self.most_late_s = 0.0
+
+    def left_s(self, log_ns: int) -> float:
+        """How long until it is due, s of the clock; negative when it is overdue, 0 without a schedule."""
+        if math.isinf(self._speed):
+            return 0.0
+        now = self._clock.now_ns()
+        if self._start is None:
+            self._start = (log_ns, now)
+        log_start, start = self._start
+        return ((log_ns - log_start) / self._speed - (now - start)) * 1e-9
+
+    def note(self, log_ns: int) -> None:
+        """It happens now."""
+        self.late_s = max(0.0, -self.left_s(log_ns))
+        self.most_late_s = max(self.most_late_s, self.late_s)
+
+
+class Paced(Iterator[Decoded]):
+    """A log decoded again at a pace; made by `paced`.
+
+    Attributes:
+        pace: how late it is.
+        pipelines: with the losses so far, by device.
+    """
+
+    def __init__(self, log: Log, speed: float, clock: Clock) -> None:
+        self.pipelines = pipelines_of(log)
+        self.pace = Pace(speed, clock)
+        self._clock = clock
+        self._items = decoded(log, self.pipelines)
+
+    def __next__(self) -> Decoded:
+        item = next(self._items)
+        host_ns = item[1].host_ns
+        if (left := self.pace.left_s(host_ns)) > 0:
+            self._clock.sleep(left)
+        self.pace.note(host_ns)
+        return item
+
+
+def paced(log: Log, speed: float = 1.0, clock: Clock | None = None) -> Paced:
+    """Every raw read and write of a log when it is due, with what the device's pipeline makes of it.
+
+    Args:
+        speed: seconds of the log per second; `math.inf` waits for nothing.
+        clock: of the waiting; the host's if None.
+
+    Returns:
+        Iterator over (device, chunk, items).
+
+    Raises:
+        LogError: the log cannot be decoded again.
+        ValueError: a speed of 0 or below.
+    """
+    return Paced(log, speed, clock or HostClock())

@@ -1,0 +1,39 @@
+"""A log's raw bytes through fresh pipelines: what live recording did, done again, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from daq.errors import LogError
+from daq.log import Log
+from daq.samples import RawChunk
+from daq.snapshot import identities_of, rig_of
+from daq.stream_items import Batch, Event
+from daq.streams import Pipeline, make_pipelines
+
+Decoded = tuple[str, RawChunk, list[Batch | Event]]
+"""A device, bytes of one read or write, and what its pipeline made of them."""
+
+
+def pipelines_of(log: Log) -> dict[str, Pipeline]:
+    """Fresh pipelines as they were when the log was recorded.
+
+    Raises:
+        LogError: the log holds no raw bytes, or not what is needed to decode them.
+    """
+    if not log.devices:
+        raise LogError(f"{log.path}: holds no raw bytes (it was not recorded from devices): nothing to decode again")
+    return make_pipelines(rig_of(log).devices, identities_of(log))
+
+
+def decoded(log: Log, pipelines: Mapping[str, Pipeline]) -> Iterator[Decoded]:
+    """Every raw read and write in file order, with what the device's pipeline makes of it.
+
+    Bytes of devices without a pipeline are handed on with nothing made of them.
+
+    Raises:
+        LogError: raw bytes in the log are not what its schema says.
+    """
+    for device, chunk in log.raw_in_order():
+        pipeline = pipelines.get(device)
+        yield device, chunk, [] if pipeline is None else pipeline.feed(chunk.direction, chunk.data, chunk.host_ns)

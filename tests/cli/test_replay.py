@@ -1,0 +1,200 @@
+"""`rig replay`: what it prints, what it exits with, and a whole recording played out and recorded again."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import IO
+
+import pytest
+from cyclopts import App
+
+from cli import replay_view
+from cli.replay import replay
+from daq.errors import LogError
+from daq.log import open_log
+from daq.stream_items import Batch, Event
+from daq.transports import open_link
+from rig_configs.errors import RigFileError
+from tests.daq.replayed_log import write_log
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of one `rig replay`."""
+    app = App()
+    app.default(replay)
+    code = app(arguments, exit_on_error=False, result_action="return_value")
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return write_log(tmp_path / "a.mcap")
+
+
+@pytest.fixture
+def falsified(tmp_path: Path) -> Path:
+    def falsify(number: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, int]:
+        if isinstance(item, Batch) and item.channel.topic == "motor" and number > 150:
+            return Batch(
+                item.channel,
+                item.time_ns,
+                item.sequence,
+                {**item.columns, "speed_rpm": item.columns["speed_rpm"] + 0.5},
+            ), host_ns
+        return item, host_ns
+
+    return write_log(tmp_path / "b.mcap", falsify=falsify)
+
+
+def test_a_true_log_is_identical(capsys: pytest.CaptureFixture[str], log: Path) -> None:
+    code, out, _ = said(capsys, str(log), "--check")
+    assert code == 0
+    assert out.count("identical") == 6
+    code, out, _ = said(capsys, str(log), "--check", "--json")
+    found = json.loads(out)
+    assert (code, found["identical"], found["until_ns"]) == (0, True, None)
+    assert found["channels"][0] == {
+        "topic": "laser/x", "live": 2400, "again": 2400, "compared": 2400, "differing": 0, "extra": 0, "missing": [],
+        "difference": "", "fields": {}, "first": None,
+    }  # fmt: skip
+
+
+def test_where_it_differs_stands_in_a_table(capsys: pytest.CaptureFixture[str], falsified: Path) -> None:
+    code, out, _ = said(capsys, str(falsified), "--check")
+    assert code == 1
+    with open_log(falsified) as opened:
+        speeds, times = opened["motor"].speed_rpm, opened["motor"].time_ns
+    wrong = [i for i, speed in enumerate(speeds) if speed % 1]
+    row = next(
+        line for line in out.splitlines() if line.startswith("motor") and "identical" not in line and "live" not in line
+    )
+    assert row.split() == ["motor", str(len(wrong)), str(wrong[0]), str(times[wrong[0]]), "speed_rpm",
+                           str(speeds[wrong[0]]), str(speeds[wrong[0]] - 0.5)]  # fmt: skip
+    code, out, _ = said(capsys, str(falsified), "--json")
+    assert code == 0  # only --check makes it a verdict
+    motor = next(row for row in json.loads(out)["channels"] if row["topic"] == "motor")
+    assert motor["first"]["stored"] == speeds[wrong[0]]
+    assert motor["fields"]["speed_rpm"] == {
+        "samples": len(wrong),
+        "largest": 0.5,
+        "rms": pytest.approx(0.5 * (len(wrong) / 60) ** 0.5),
+    }
+
+
+def test_a_damaged_log_says_how_far_it_was_compared(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    part = write_log(tmp_path / "c.mcap", finish=False, unwritten_from=200)
+    code, out, _ = said(capsys, str(part), "--check")
+    assert code == 0
+    assert "note: the log is cut" in out
+
+
+def test_a_new_log_with_corrected_calibration(capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path) -> None:
+    (tmp_path / "better.toml").write_text("[devices.laser_x]\nrange_m = 0.0251\n")
+    new = tmp_path / "new.mcap"
+    code, out, _ = said(capsys, str(log), "--calibration", str(tmp_path / "better.toml"), "-o", str(new))
+    assert code == 0
+    assert "laser/x    displacement_m   2400 of 2400 moved" in out
+    assert "laser/y    2400 samples, all as they were" in out
+    code, out, _ = said(capsys, str(new), "--check")
+    assert code == 0
+    code, out, _ = said(capsys, str(log), "-o", str(tmp_path / "third.mcap"), "--json")
+    assert json.loads(out)["channels"]["laser/x"] == {"origin": 2400, "anew": 2400, "moved": {}}
+
+
+def test_watched_at_its_pace_without_a_terminal(
+    capsys: pytest.CaptureFixture[str], log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay_view, "_PLAIN_S", 0.0)
+    code, out, err = said(capsys, str(log), "--speed", "max", "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found["samples"] == {"laser/x": 2400, "laser/y": 2400, "pendulums": 600, "tacho": 60, "motor": 60}
+    assert found["ended"] == "end of the log"
+    assert found["losses"]["laser_y"]["samples"] == 0
+    assert "motor 119 rpm" in err
+    assert "θ4   180.00°" in err
+
+
+def test_ctrl_c_ends_watching_cleanly(
+    capsys: pytest.CaptureFixture[str], log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = [0]
+
+    def interrupted(*_: object) -> None:
+        shown[0] += 1
+        if shown[0] == 30:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(replay_view.ReplayView, "add", interrupted)
+    code, out, _ = said(capsys, str(log), "--speed", "max", "--json")
+    assert code == 0
+    assert json.loads(out)["ended"] == "Ctrl-C"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--speed", "fast"], "expected max or a number"),
+        (["--speed", "0"], "expected max or a number"),
+        (["--calibration", "x.toml"], "-o NEW"),
+        (["--check", "--speed", "1"], "one job at a time"),
+        (["--check", "--to", "tcp"], "one job at a time"),
+        (["-o", "x.mcap", "--speed", "2"], "one job at a time"),
+        (["--linger", "3"], "--to"),
+        (["--to", "laser_z=/dev/x"], "none of 'laser_z'"),
+    ],
+)
+def test_what_does_not_go_together_is_explained(
+    capsys: pytest.CaptureFixture[str], log: Path, arguments: list[str], words: str
+) -> None:
+    with pytest.raises((LogError, RigFileError), match=words):
+        said(capsys, str(log), *arguments)
+
+
+def drained(ports: dict[str, str], got: dict[str, int]) -> None:
+    """Read every port until nothing has come for a while, then close it."""
+    links = {device: open_link(port, 921_600) for device, port in ports.items()}
+    quiet = 0
+    while quiet < 20:
+        read = {device: len(link.read(0.02)) for device, link in links.items()}
+        quiet = 0 if any(read.values()) or not any(got.values()) else quiet + 1
+        for device, count in read.items():
+            got[device] = got.get(device, 0) + count
+    for link in links.values():
+        link.close()
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param("pty", marks=pytest.mark.skipif(sys.platform == "win32", reason="ptys need POSIX")), "tcp"]
+)
+def test_played_to_another_program_from_start_to_end(log: Path, kind: str) -> None:
+    script = "import sys; from cyclopts import App; from cli.replay import replay; a = App(); a.default(replay); a()"
+    command = [sys.executable, "-c", script, str(log), "--to", kind, "--speed", "max", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as player:
+        assert player.stdout is not None
+        assert player.stderr is not None
+        words: list[str] = []
+        listener = threading.Thread(target=words.extend, args=(player.stderr,))
+        listener.start()
+        ready = _line(player.stdout)
+        assert set(ready["ports"]) == {"laser_x", "laser_y", "encoder", "drive"}
+        got: dict[str, int] = {}
+        drained(ready["ports"], got)
+        result = _line(player.stdout)
+        listener.join()
+    assert player.returncode == 0
+    assert result["delivered_bytes"] == got
+    assert not any(result["undelivered_bytes"].values())
+    said = "".join(words)
+    assert "rig record" in said
+    assert "--listen" in said
+    assert "every port is open" in said
+
+
+def _line(stream: IO[str]) -> dict:
+    return json.loads(stream.readline())

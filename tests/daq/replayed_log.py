@@ -1,0 +1,150 @@
+"""A log as a rig would have left it: reads cut anywhere, both directions, health, the host's events; deterministic."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.channels import HEALTH_TOPIC
+from daq.log_file import LogFile
+from daq.protocols import cia402, optoncdt, rotorlink, slcan
+from daq.stream_items import RX, TX, Batch, Event
+from daq.streams import make_pipelines
+from rig_configs import load_rig
+
+START_NS = 1_700_000_000_000_000_000
+STEP_NS = 10_000_000
+WORDS = ["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"]
+IDENTITIES = {
+    "laser_x": {"name": "ILD1420", "serial": "1", "range_m": 0.025, "words": WORDS},
+    "laser_y": {"name": "ILD1420", "serial": "2", "range_m": 0.025, "words": WORDS},
+    "encoder": {"driver": "rotorlink"},
+    "drive": {"driver": "cia402", "node_id": 5},
+}
+
+Read = tuple[str, int, bytes, int]  # device, direction, bytes, host time in ns
+
+
+def _laser(rng: np.random.Generator, step: int, lost: set[int], restarts_at: int | None) -> bytes:
+    number = 40 * step + np.arange(40)
+    codes = optoncdt.code(0.0125 + 1e-3 * np.sin(0.05 * number) + 4e-6 * rng.standard_normal(40), 0.025)
+    if restarts_at is not None and step >= restarts_at:
+        number = number - 40 * restarts_at
+    ticks = 25 * number + 1000
+    words = np.column_stack([codes, number % 2**18, ticks & 0xFFFF, ticks >> 16]).astype(np.uint32)
+    return b"" if step in lost else optoncdt.encode_block(words)
+
+
+def _node(step: int) -> bytes:
+    counts = np.column_stack([10 * step + np.arange(10), np.full(10, 2048)]).astype(np.int32)
+    block = rotorlink.EncoderBlock(1, 2 * step & 0xFFFF, 10 * step, 10_000 * step, 1000, 96, counts)
+    mark = rotorlink.IndexMark(1, (2 * step + 1) & 0xFFFF, 10_000 * step + 9_500, step)
+    return rotorlink.wire(block.pack()) + rotorlink.wire(mark.pack())
+
+
+def _frame(identifier: int, data: bytes) -> bytes:
+    return slcan.encode(slcan.CanFrame(identifier, data))
+
+
+def reads(
+    steps: int, seed: int = 1, lost: frozenset[int] = frozenset(), restarts_at: int | None = None
+) -> Iterator[Read]:
+    """What a host reads and writes in steps of 10 ms.
+
+    Args:
+        lost: steps whose samples of laser y never come.
+        restarts_at: step at which laser x begins its counters anew.
+    """
+    rng = np.random.default_rng(seed)
+    kept: dict[str, bytes] = {}
+    yield "drive", TX, b"\rC\rS6\rO\r", START_NS
+    for step in range(steps):
+        host_ns = START_NS + (step + 1) * STEP_NS
+        if step % 7 == 3:
+            yield "drive", TX, _frame(cia402.cob_rpdo(1, 5), cia402.pack_rpdo1(15, 10 * step % 1000)), host_ns - 200_000
+            yield "drive", TX, _frame(cia402.cob_heartbeat(1), b"\x05"), host_ns - 150_000
+            yield (
+                "encoder",
+                TX,
+                rotorlink.wire(rotorlink.Command(1, step, rotorlink.ACTIONS["lock both"]).pack()),
+                host_ns,
+            )
+        status = _frame(
+            cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237 if step < steps // 2 else 0x0240, 60 + step % 1000)
+        )
+        acknowledge = b"z\r" if step % 7 == 3 else b""
+        came = {
+            "laser_x": _laser(rng, step, set(), restarts_at),
+            "laser_y": _laser(rng, step, set(lost), None),
+            "encoder": _node(step),
+            "drive": acknowledge + status,
+        }
+        for i, (device, new) in enumerate(came.items()):
+            data = kept.get(device, b"") + new
+            cut = len(data) if step == steps - 1 else len(data) - int(rng.integers(0, 12))
+            kept[device] = data[cut:]
+            if data[:cut]:
+                yield device, RX, data[:cut], host_ns + 1000 * i + int(rng.integers(0, 500_000))
+
+
+Falsify = Callable[[int, Batch | Event, int], tuple[Batch | Event, "int | NDArray[np.int64]"] | None]
+
+
+def as_it_is(number: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, int]:
+    """Nothing falsified."""
+    return item, host_ns
+
+
+def write_log(
+    path: Path,
+    steps: int = 60,
+    *,
+    falsify: Falsify = as_it_is,
+    finish: bool = True,
+    unwritten_from: int | None = None,
+    flush_steps: int = 5,
+    **what: Any,
+) -> Path:
+    """Write it with the real pipelines; returns the file there is in the end.
+
+    Args:
+        falsify: given each item's number, the item and its host time; None leaves it out.
+        finish: otherwise it stays a .part.
+        unwritten_from: number of the read from which on raw bytes stand alone, their samples not written any more.
+        what: for `reads`.
+    """
+    rig = load_rig("virtual")
+    attachments = {"rig.json": rig.snapshot_json(), "identities.json": json.dumps(IDENTITIES).encode()}
+    pipelines = make_pipelines(rig.devices, IDENTITIES)
+    facts = {"test": "point-A", "rig": "virtual", "software": "0.0.1", "note": "springs changed"}
+    count = 0
+    with LogFile(path, facts, attachments, tuple(pipelines), START_NS) as log:
+        for number, (device, direction, data, host_ns) in enumerate(reads(steps, **what)):
+            log.raw(device, direction, data, host_ns)
+            for item in pipelines[device].feed(direction, data, host_ns):
+                kept = falsify(count, item, host_ns)
+                count += 1
+                if kept is None or (unwritten_from is not None and number >= unwritten_from):
+                    continue
+                if isinstance(kept[0], Batch):
+                    log.batch(kept[0], kept[1])
+                else:
+                    log.event(kept[0], host_ns)
+            if number % (4 * flush_steps) == 0:
+                losses = {name: pipeline.losses for name, pipeline in pipelines.items()}
+                log.note(
+                    HEALTH_TOPIC, {"kind": "health", "device": "host", "text": "", "losses": losses}, host_ns, host_ns
+                )
+                log.flush()
+            if number == 50:
+                log.event(Event("disk", "host", "the disk is slow", {"backlog_bytes": 7}), host_ns)
+        log.flush()
+        if finish:
+            losses = {name: pipeline.losses for name, pipeline in pipelines.items()}
+            return log.finish({"losses": losses, "ended": "duration", "verdict": {"settled": True}})
+    return log.part

@@ -1,0 +1,233 @@
+"""A few hundred damaged logs of the campaign in benchmarks/damaged_logs.py, and what it once found, one by one."""
+
+import struct
+import zlib
+
+import mcap.writer as library
+import numpy as np
+import pytest
+
+from benchmarks import damaged_logs as campaign
+from daq.log import open_log
+from daq.mcap_writer import MAGIC
+
+SHAPES = campaign.shapes()
+FINISHED = {shape.name: shape for shape in SHAPES if shape.finished}
+SMALL = FINISHED["finished none, 25 samples a chunk"]
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "run.mcap"
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.name)
+def test_undamaged_logs_pass_every_check(path, shape):
+    path.write_bytes(shape.data)
+    assert campaign.check_file(path, shape, None, np.random.default_rng(0)) == "recovered, all samples"
+
+
+@pytest.mark.parametrize("kind", campaign.DAMAGES, ids=lambda kind: kind.__name__)
+def test_nothing_wrong_and_nothing_lost_in_silence(path, kind):
+    for number in range(20):
+        rng = np.random.default_rng([7, number])
+        shape = SHAPES[rng.integers(len(SHAPES))]
+        path.write_bytes(campaign.damaged(shape, kind, rng))
+        campaign.check_file(path, shape, kind, rng)
+
+
+def chunk_places(data):
+    return campaign.chunk_spans(data)
+
+
+def test_a_damaged_chunk_is_told_from_the_index(path):
+    data = bytearray(SMALL.data)
+    start, end = chunk_places(data)[3]
+    data[end - 5] ^= 1
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert log.complete  # nothing was looked at yet
+        assert len(log["laser/x"]) == SMALL.laser - 25
+        (place,) = log.missing
+        assert (place.byte_start, place.byte_end) == (start, end)
+        assert place.start_ns == place.end_ns == campaign.T0 + 4 * 10**7
+        assert (place.topics, place.messages) == (("laser/x", "raw/laser_x", "tacho"), 27)
+        assert log.count("laser/x") == SMALL.laser - 25
+        (again,) = log.verify()
+        assert (again.byte_start, again.topics, again.messages) == (start, place.topics, 27)
+        assert "27 messages of laser/x, raw/laser_x, tacho" in str(again)
+
+
+def test_a_damaged_chunk_of_an_unfinished_log_is_told_from_its_message_indexes(path):
+    shape = next(shape for shape in SHAPES if shape.name == "unfinished zstd, 25 samples a chunk")
+    data = bytearray(shape.data)
+    start, end = chunk_places(data)[3]
+    data[end - 5] ^= 1
+    path.write_bytes(data)
+    with open_log(path) as log:
+        place, cut = log.missing
+        assert place.byte_start == start
+        assert (place.topics, place.messages) == (("laser/x", "raw/laser_x", "tacho"), 27)
+        assert place.start_ns == campaign.T0 + 4 * 10**7
+        assert (cut.byte_start, cut.start_ns, cut.messages) == (len(data), campaign.T0 + 12 * 10**7, None)
+
+
+def test_a_chunk_without_a_trace_is_told_from_its_neighbours(path):
+    shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
+    data = bytearray(shape.data)
+    (start, _), (following, _) = chunk_places(data)[3:5]
+    data[start:following] = b"\xff" * (following - start)
+    path.write_bytes(data)
+    with open_log(path) as log:
+        place = log.missing[0]
+        assert (place.byte_start, place.byte_end) == (start, following)
+        assert (place.start_ns, place.end_ns) == (campaign.T0 + 3 * 10**7, campaign.T0 + 5 * 10**7)
+        assert place.messages is None
+
+
+def test_swapped_chunks_are_found_where_they_stand(path):
+    """Their heads are not what the index says, so the file is walked, and nothing is lost."""
+    data = bytearray(SMALL.data)
+    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
+    assert a_end - a == b_end - b
+    data[a:a_end], data[b:b_end] = data[b:b_end], data[a:a_end]
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert len(log["laser/x"]) == SMALL.laser
+        assert log.missing
+        assert all(place.messages == 0 for place in log.missing)
+
+
+def test_a_chunk_copied_over_another_counts_once(path):
+    data = bytearray(SMALL.data)
+    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
+    data[b:b_end] = data[a:a_end]
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert len(np.unique(log["laser/x"].code)) == len(log["laser/x"]) == SMALL.laser - 25
+        assert any("taken once" in str(place) and place.messages == 27 for place in log.missing)
+
+
+def test_a_missing_crc_is_damage_in_our_own_files(path):
+    data = bytearray(SMALL.data)
+    start, _ = chunk_places(data)[3]
+    data[start + 33 : start + 37] = bytes(4)
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert len(log["laser/x"]) == SMALL.laser - 25
+    header = SMALL.data.index(b"pendulum-balancer-rig")
+    data[header : header + 2] = b"xx"  # a damaged header switches nothing off
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert len(log["laser/x"]) == SMALL.laser - 25
+
+
+@pytest.mark.parametrize("finished", ["finished", "unfinished"])
+def test_a_whole_chunk_behind_a_wrong_length_is_found(path, finished):
+    """A chunk's head copied over a shorter one swallows the next chunk; the search goes on inside."""
+    shape = next(shape for shape in SHAPES if shape.name == f"{finished} zstd, 1000 samples a chunk")
+    data = bytearray(shape.data)
+    spans = chunk_places(data)
+    shorter = min(range(len(spans) - 1), key=lambda k: spans[k][1] - spans[k][0])
+    start, _ = spans[shorter]
+    long = spans[shorter + 1][1] - start + 50
+    head = struct.pack("<BQ", 6, long - 9) + data[start + 9 : start + 45] + struct.pack("<Q", long - 53)
+    data[start : start + 53] = head[:53]
+    path.write_bytes(data)
+    with open_log(path) as log:
+        log.verify()
+        assert len(log["laser/x"]) == shape.laser - 1000
+
+
+def test_nested_heads_are_no_reason_to_search_for_ever(path):
+    """Thousands of nested heads, each of a chunk as long as the rest of the file."""
+    size = 1_500_000
+    body = bytearray(size)
+    for at in range(0, size - 100, 60):
+        length = size - at
+        struct.pack_into("<BQQQQIIQ", body, at, 6, length - 9, 0, 0, length - 49, 1, 0, length - 49)
+    path.write_bytes(SMALL.data[: chunk_places(SMALL.data)[2][0]] + body)
+    with open_log(path) as log:
+        assert len(log["laser/x"]) == 50
+        assert any("the rest was not searched" in str(place) for place in log.missing)
+
+
+def test_swapped_chunks_of_an_unfinished_log_are_not_said_to_be_missing(path):
+    shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
+    data = bytearray(shape.data)
+    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
+    data[a:a_end], data[b:b_end] = data[b:b_end], data[a:a_end]
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert len(log["laser/x"]) == shape.laser
+        assert len(log.missing) > 1
+        assert not any(place.messages for place in log.missing)
+
+
+def test_an_index_that_tells_of_a_swapped_chunk_claims_nothing(path):
+    """A damaged chunk, and behind it the message indexes of another one, which is there."""
+    shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
+    data = bytearray(shape.data)
+    spans = chunk_places(data)
+    (a_start, a_end), (following, _), (_, b_end), (after, _) = spans[2], spans[3], spans[5], spans[6]
+    assert after - b_end == following - a_end
+    data[a_start + 60] ^= 1
+    data[a_end:following] = data[b_end:after]
+    path.write_bytes(data)
+    with open_log(path) as log:
+        place = log.missing[0]
+        assert place.byte_start == a_start
+        assert not place.messages
+
+
+def test_metadata_under_a_damaged_name_is_left_out(path):
+    data = SMALL.data.replace(b"\x03\0\0\0run", b"\x03\0\0\0ruN", 1)
+    path.write_bytes(data)
+    with open_log(path) as log:
+        for _ in range(2):
+            assert set(log.metadata) == {"summary"}
+            assert any("'run' was left out" in str(place) for place in log.missing)
+            log.verify()
+
+
+def test_a_summary_without_its_channels_is_not_believed(path):
+    """Its CRC is right, and yet the channel of the samples has another id in it."""
+    data = bytearray(SMALL.data)
+    footer = len(data) - len(MAGIC) - 29
+    start = struct.unpack_from("<Q", data, footer + 9)[0]
+    channel = next(at for opcode, at, _ in campaign.record_spans(bytes(data)) if opcode == 4 and at > start)
+    data[channel + 9] = 99
+    data[footer + 25 : footer + 29] = zlib.crc32(data[start : footer + 25]).to_bytes(4, "little")
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert len(log["laser/x"]) == SMALL.laser
+        assert "lacks channels" in str(log.missing[0])
+
+
+def test_what_was_read_from_a_foreign_file_without_crcs_is_said(path):
+    with path.open("wb") as stream:
+        writer = library.Writer(stream, enable_crcs=False)
+        writer.start()
+        channel = writer.register_channel("note", "json", 0)
+        writer.add_message(channel, 5, b"{}", 5)
+        writer.finish()
+    with open_log(path) as log:
+        assert log.complete
+        said = [str(place) for place in log.verify()]
+        assert log.complete
+        assert any("1 chunks without a CRC" in text for text in said)
+        assert log.count("note") == 1
+
+
+def test_a_summary_crc_is_not_enough(path):
+    """Statistics that count another number than the index are not believed, however right their CRC is."""
+    data = bytearray(SMALL.data)
+    footer = len(data) - len(MAGIC) - 29
+    start = struct.unpack_from("<Q", data, footer + 9)[0]
+    statistics = next(at for opcode, at, _ in campaign.record_spans(bytes(data)) if opcode == 0x0B)
+    data[statistics + 9] ^= 1
+    data[footer + 25 : footer + 29] = zlib.crc32(data[start : footer + 25]).to_bytes(4, "little")
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert len(log["laser/x"]) == SMALL.laser
+        assert not log.complete

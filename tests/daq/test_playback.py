@@ -1,0 +1,399 @@
+"""Playing a log's bytes out: nothing dropped, nothing out of order, and recorded again they give the same samples."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.channels import CHANNELS
+from daq.drive_stream import DrivePipeline
+from daq.errors import LinkLost, LogError
+from daq.log import Log, open_log
+from daq.log_file import LogFile
+from daq.playback import BACKLOG_BYTES, LinkOutlet, Outlet, Playback, PlayedDevice, open_outlets, played_devices
+from daq.playback.bytes_played import BothWays, WholeBlocks
+from daq.protocols import cia402, slcan
+from daq.samples import RawChunk
+from daq.stream_items import RX, TX, Batch
+from daq.streams import make_pipelines
+from daq.transports import HostClock, Link, open_link
+from daq.transports.wires import PtyWire, TcpWire
+from rig_configs import load_rig
+from tests.daq.replayed_log import IDENTITIES, START_NS, write_log
+from tests.daq.test_replay import FakeClock
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="ptys need POSIX")
+KINDS = [pytest.param("pty", marks=needs_pty), "tcp"]
+
+
+class FakeOutlet:
+    """A reader that takes so many bytes at each offer, and goes away after some."""
+
+    port = "fake"
+
+    def __init__(self, room: int = 10**9, goes_after: int = 10**12) -> None:
+        self.room, self.goes_after = room, goes_after
+        self.got = b""
+        self.open = True
+
+    def offer(self, data: bytes) -> int:
+        if len(self.got) >= self.goes_after:
+            self.open = False
+            raise LinkLost("gone")
+        self.got += data[: self.room]
+        return min(self.room, len(data))
+
+    def receive(self) -> bytes:
+        return b""
+
+    def connected(self) -> bool:
+        return self.open
+
+    def descriptor(self) -> int | None:
+        return None
+
+    def close(self) -> None:
+        self.open = False
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Iterator[Log]:
+    with open_log(write_log(tmp_path / "a.mcap")) as opened:
+        yield opened
+
+
+def from_device(log: Log, device: str) -> bytes:
+    return b"".join(chunk.data for chunk in log.raw(device) if chunk.direction == RX)
+
+
+# --- what is played ----------------------------------------------------------------------------------------------
+
+
+def test_a_serial_line_carries_what_the_device_sent_and_nothing_else(log: Log) -> None:
+    outlets = {device: FakeOutlet() for device in log.devices}
+    state = Playback(outlets, played_devices(log), math.inf, FakeClock()).play(log.raw_in_order())
+    for device in ("laser_x", "laser_y", "encoder"):
+        assert outlets[device].got == from_device(log, device)
+        assert state.delivered[device] == len(outlets[device].got)
+    assert state.waiting_bytes == 0
+    assert not any(state.undelivered.values())
+    assert state.log_ns == log.end_ns
+
+
+def frames_of(data: bytes) -> list[slcan.CanFrame]:
+    return slcan.LineDecoder().feed(data).frames
+
+
+def test_a_bus_carries_the_frames_of_both_each_whole(log: Log) -> None:
+    outlet = FakeOutlet()
+    Playback({"drive": outlet}, played_devices(log), math.inf, FakeClock()).play(log.raw_in_order())
+    found = slcan.LineDecoder().feed(outlet.got)
+    assert found.damaged == 0
+    assert [f for f in found.frames if f.arbitration_id == cia402.cob_tpdo(1, 5)] == frames_of(
+        from_device(log, "drive")
+    )
+    sent = frames_of(b"".join(chunk.data for chunk in log.raw("drive") if chunk.direction == TX))
+    assert [f for f in found.frames if f.arbitration_id != cia402.cob_tpdo(1, 5)] == sent
+    assert len(sent) > 10
+    assert "O" not in found.other_lines  # the host's words to its own adapter are not on the bus
+
+
+@given(
+    st.lists(st.tuples(st.booleans(), st.integers(-2000, 2000)), min_size=1, max_size=30),
+    st.lists(st.integers(1, 40), min_size=1, max_size=60),
+    st.integers(1, 50),
+)
+def test_a_listener_gets_the_target_speeds_the_host_had(
+    frames: list[tuple[bool, int]], cuts: list[int], listens: int
+) -> None:
+    """Any order of frames, any cut into reads, and any cut at the listener."""
+    drive = load_rig("virtual").devices.drive
+    live, listener, played = DrivePipeline("drive", drive), DrivePipeline("drive", drive), BothWays()
+    speeds: list[list[Batch]] = [[], []]
+    bus = pending = b""
+    cut = iter(cuts * 40)
+
+    def take(direction: int, data: bytes) -> None:
+        nonlocal bus
+        bus += played.feed(direction, data)
+        speeds[0] += [x for x in live.feed(direction, data, START_NS) if isinstance(x, Batch)]
+
+    for is_host, rpm in frames:
+        if is_host:
+            take(TX, slcan.encode(slcan.CanFrame(cia402.cob_rpdo(1, 5), cia402.pack_rpdo1(15, rpm))))
+        else:
+            pending += b"z\r" + slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x237, rpm)))
+            size = next(cut)
+            take(RX, pending[:size])
+            pending = pending[size:]
+    take(RX, pending)
+    bus += played.rest()
+    for at in range(0, len(bus), listens):
+        speeds[1] += [x for x in listener.feed(RX, bus[at : at + listens], START_NS) if isinstance(x, Batch)]
+    for name in ("speed_rpm", "target_rpm", "statusword"):
+        one, two = (np.concatenate([b.columns[name] for b in side] or [np.empty(0)]) for side in speeds)
+        assert np.array_equal(one, two)
+    assert listener.losses == live.losses
+
+
+def test_a_line_without_an_end_is_not_held_back_for_ever() -> None:
+    played = BothWays()
+    assert played.feed(RX, b"x" * 5000) == b"x" * 5000
+    assert played.feed(RX, b"t18") == b""
+    assert played.rest() == b"t18"
+
+
+# --- back-pressure and readers that go ---------------------------------------------------------------------------
+
+
+def test_a_slow_reader_is_waited_for_and_gets_everything(log: Log) -> None:
+    slow, quick = FakeOutlet(room=7), FakeOutlet()
+    clock = FakeClock()
+    state = Playback({"laser_x": slow, "laser_y": quick}, played_devices(log), 1.0, clock).play(log.raw_in_order())
+    assert slow.got == from_device(log, "laser_x")
+    assert quick.got == from_device(log, "laser_y")
+    assert state.most_late_s > 1.0
+    assert not state.gone
+
+
+def test_more_than_the_backlog_is_never_held() -> None:
+    slow = FakeOutlet(room=100_000)
+    playback = Playback({"laser_x": slow}, {"laser_x": PlayedDevice()}, math.inf, FakeClock())
+    pieces = [("laser_x", RawChunk(START_NS + i, RX, bytes(65_536))) for i in range(3 * BACKLOG_BYTES // 65_536)]
+    most = 0
+
+    def watch() -> Iterator[tuple[str, RawChunk]]:
+        nonlocal most
+        for piece in pieces:
+            most = max(most, playback.state.waiting_bytes)
+            yield piece
+
+    slow.room = 100
+    playback.play(watch(), lambda state: setattr(slow, "room", 100_000))
+    assert BACKLOG_BYTES - 65_536 < most <= BACKLOG_BYTES
+    assert len(slow.got) == sum(len(chunk.data) for _, chunk in pieces)
+
+
+def test_a_reader_that_goes_away_is_told_and_the_others_are_served(log: Log) -> None:
+    goes, stays = FakeOutlet(goes_after=2000), FakeOutlet()
+    told: set[str] = set()
+    playback = Playback({"laser_x": goes, "laser_y": stays}, played_devices(log), 4.0, FakeClock())
+    state = playback.play(log.raw_in_order(), lambda now: told.update(now.gone))
+    assert stays.got == from_device(log, "laser_y")
+    assert state.gone.keys() == told == {"laser_x"}
+    assert START_NS < state.gone["laser_x"] < log.end_ns
+    assert state.delivered["laser_x"] + state.undelivered["laser_x"] == len(from_device(log, "laser_x"))
+    assert state.delivered["laser_x"] == len(goes.got)
+
+
+def test_without_any_reader_left_it_ends(log: Log) -> None:
+    clock = FakeClock()
+    state = Playback({"laser_x": FakeOutlet(goes_after=1)}, played_devices(log), 0.001, clock).play(log.raw_in_order())
+    assert state.undelivered["laser_x"] > 0
+    assert sum(clock.slept) < 100  # not the ten minutes of the whole log at this speed
+
+
+def test_it_plays_at_the_logs_pace(log: Log) -> None:
+    clock = FakeClock()
+    started = clock.ns
+    outlets = {device: FakeOutlet() for device in log.devices}
+    state = Playback(outlets, played_devices(log), 2.0, clock).play(log.raw_in_order())
+    assert clock.ns - started == pytest.approx((log.end_ns - log.start_ns) / 2, abs=5e5)
+    assert state.most_late_s < 1e-3
+
+
+def test_it_begins_when_every_port_has_been_open_for_a_while() -> None:
+    one, two = FakeOutlet(), FakeOutlet()
+    one.open = two.open = False
+    clock = FakeClock()
+    told: list[list[str]] = []
+    opened_ns = 0
+
+    def opens() -> None:
+        nonlocal opened_ns
+        passed = clock.ns * 1e-9 - 5
+        one.open = passed > 1
+        two.open = 2 < passed < 2.1 or passed > 3  # a look, and then for good
+        opened_ns = opened_ns or (clock.ns if passed > 3 else 0)
+
+    sleep = clock.sleep
+
+    def sleep_and_open(seconds: float) -> None:
+        sleep(seconds)
+        opens()
+
+    clock.sleep = sleep_and_open  # type: ignore[method-assign]
+    silent = {"laser_x": PlayedDevice(), "laser_y": PlayedDevice()}
+    Playback({"laser_x": one, "laser_y": two}, silent, 1.0, clock).wait_for_readers(told.append)
+    assert told == [["laser_x", "laser_y"], ["laser_y"], [], ["laser_y"], []]
+    assert 0.27e9 < clock.ns - opened_ns < 0.4e9
+
+
+def test_at_the_end_ports_are_held_until_their_readers_close_them() -> None:
+    outlet, clock = FakeOutlet(), FakeClock()
+    playback = Playback({"laser_x": outlet}, {"laser_x": PlayedDevice()}, 1.0, clock)
+    sleep = clock.sleep
+
+    def sleep_and_close(seconds: float) -> None:
+        sleep(seconds)
+        outlet.open = clock.ns < 8_000_000_000
+
+    clock.sleep = sleep_and_close  # type: ignore[method-assign]
+    playback.hold()
+    assert clock.ns == pytest.approx(8e9, abs=0.03e9)
+    outlet.open = True
+    clock.sleep = sleep  # type: ignore[method-assign]
+    playback.hold(linger_s=2.0)
+    assert clock.ns == pytest.approx(10e9, abs=0.06e9)
+
+
+# --- real ports --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_port_tells_whether_somebody_has_it_open(kind: str) -> None:
+    wire = PtyWire(notice_host=True) if kind == "pty" else TcpWire()
+    assert not wire.connected()
+    with pytest.raises(LinkLost):
+        wire.offer(b"x")
+    link = open_link(wire.port, 921_600)
+    eventually(wire.connected)
+    assert wire.offer(b"abc") == 3
+    assert link.read(2.0) == b"abc"
+    while wire.offer(bytes(65536)):
+        pass  # full: nothing is taken, nothing is lost
+    assert wire.connected()
+    link.close()
+    eventually(lambda: wire.receive() == b"" and not wire.connected())
+    wire.close()
+    assert not wire.connected()
+
+
+def eventually(condition: object) -> None:
+    """Wait for another thread, process or the kernel."""
+    assert callable(condition)
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def record_what_comes(links: dict[str, Link], path: Path, enough: dict[str, int], slow_s: float) -> None:
+    """A recorder that configures nothing: it listens until it has so many bytes of each device."""
+    rig = load_rig("virtual")
+    pipelines = make_pipelines(rig.devices, IDENTITIES)
+    clock = HostClock()
+    got = dict.fromkeys(links, 0)
+    deadline = time.monotonic() + 30
+    with LogFile(path, {}, {}, tuple(links), clock.now_ns()) as log:
+        while any(got[device] < enough[device] for device in links) and time.monotonic() < deadline:
+            for device, link in links.items():
+                data = link.read(0.001)
+                time.sleep(slow_s)
+                got[device] += len(data)
+                host_ns = clock.now_ns()
+                if data:
+                    log.raw(device, RX, data, host_ns)
+                for item in pipelines[device].feed(RX, data, host_ns) if data else ():
+                    if isinstance(item, Batch):
+                        log.batch(item, host_ns)
+                    else:
+                        log.event(item, host_ns)
+        log.finish({"losses": {name: pipeline.losses for name, pipeline in pipelines.items()}})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("speed", [math.inf, 8.0])
+def test_played_out_and_recorded_again_the_samples_are_the_same(tmp_path: Path, kind: str, speed: float) -> None:
+    path = write_log(tmp_path / "a.mcap", steps=200, lost=frozenset({50, 51}))
+    with open_log(path) as log:
+        measured = Playback(
+            {device: FakeOutlet() for device in log.devices}, played_devices(log), math.inf, FakeClock()
+        )
+        enough = measured.play(log.raw_in_order()).delivered
+        outlets = open_outlets(log, kind)
+        playback = Playback(outlets, played_devices(log), speed)
+        links = {device: open_link(outlet.port, 921_600) for device, outlet in outlets.items()}
+        again = tmp_path / "again.mcap"
+        recorder = threading.Thread(target=record_what_comes, args=(links, again, dict(enough), 0.0))
+        playback.wait_for_readers()
+        recorder.start()
+        state = playback.play(log.raw_in_order())
+        recorder.join()
+        for link in links.values():
+            link.close()
+        playback.hold()
+        playback.close()
+        assert state.delivered == enough
+        assert not any(state.undelivered.values())
+        with open_log(again) as recorded:
+            for topic in CHANNELS:
+                one, two = log[topic], recorded[topic]
+                assert np.array_equal(one.sequence, two.sequence)
+                for name in one.columns:
+                    assert one[name].tobytes() == two[name].tobytes()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_existing_ports_are_written_to(log: Log, kind: str) -> None:
+    far = PtyWire() if kind == "pty" else TcpWire()
+    outlets = open_outlets(log, f"laser_y={far.port}")
+    assert set(outlets) == {"laser_y"}
+    assert isinstance(outlets["laser_y"], LinkOutlet)
+    got: list[bytes] = []
+    enough = len(from_device(log, "laser_y"))
+
+    def read() -> None:
+        deadline = time.monotonic() + 20
+        while sum(map(len, got)) < enough and time.monotonic() < deadline:
+            got.append(far.receive())
+            time.sleep(0.0005)
+
+    far.receive()
+    reader = threading.Thread(target=read)
+    reader.start()
+    playback = Playback(outlets, played_devices(log), math.inf)
+    playback.wait_for_readers()
+    state = playback.play(log.raw_in_order())
+    reader.join()
+    playback.close()
+    far.close()
+    assert b"".join(got) == from_device(log, "laser_y")
+    assert state.delivered == {"laser_y": enough}
+
+
+@pytest.mark.parametrize(
+    ("to", "words"),
+    [
+        ("laser_q=/dev/x", "did you mean 'laser_"),
+        ("serial", "expected pty, tcp, or ports like"),
+        ("laser_x=", "expected pty, tcp, or ports like"),
+        ("laser_x=/dev/x,laser_x=/dev/y", "named twice"),
+    ],
+)
+def test_a_port_that_cannot_be_meant_is_explained(log: Log, to: str, words: str) -> None:
+    with pytest.raises(LogError, match=words):
+        open_outlets(log, to)
+
+
+def test_a_port_that_is_not_there_leaves_none_of_the_others_open(log: Log) -> None:
+    far = TcpWire()
+    with pytest.raises(LinkLost, match="no-such-port"):
+        open_outlets(log, f"laser_x={far.port},laser_y=/dev/no-such-port")
+    eventually(lambda: far.receive() == b"" and not far.connected())
+    far.close()
+
+
+def test_outlets_are_what_playback_takes() -> None:
+    outlets: list[Outlet] = [FakeOutlet(), TcpWire()]
+    for outlet in outlets:
+        outlet.close()

@@ -1,0 +1,249 @@
+"""rig recover: what is sound in a cut or damaged log, whole again; the old file untouched, nothing written over."""
+
+import io
+import json
+import os
+
+import mcap.writer as library
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from benchmarks.damaged_logs import ATTACHMENTS, METADATA, chunk_spans, make_shape
+from cli.recover import recover as command
+from daq import channels as ch
+from daq import recover as module
+from daq.errors import LogError, RecordingError
+from daq.log import open_log
+from daq.mcap_writer import BlockWriter
+from daq.recover import recover
+from tests.daq.small_log import write_small_log
+
+CUT = make_shape("zstd", False, 30, 50, 1, 2**18)
+WHOLE = make_shape("zstd", True, 30, 50, 1, 2**18)
+
+
+@pytest.fixture
+def part(tmp_path):
+    path = tmp_path / "run.mcap.part"
+    path.write_bytes(CUT.data[:-3])
+    return path
+
+
+def test_a_cut_log_becomes_whole(part):
+    before = part.read_bytes()
+    shares = []
+    found = recover(part, progress=shares.append)
+    assert found.path == part.with_name("run.mcap")
+    assert part.read_bytes() == before
+    assert sorted(path.name for path in part.parent.iterdir()) == ["run.mcap", "run.mcap.part"]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    with open_log(part) as old, open_log(found.path) as new:
+        assert not old.complete
+        assert new.verify() == []
+        assert np.array_equal(old["laser/x"].code, new["laser/x"].code)
+        assert np.array_equal(old["laser/x"].time_ns, new["laser/x"].time_ns)
+        assert list(old.raw_in_order()) == list(new.raw_in_order())
+        assert (old.events, old.attachments) == (new.events, ATTACHMENTS)
+        assert new.metadata["run"] == METADATA["run"]
+        assert json.loads(new.metadata["summary"]["ended"]) == "cut; recovered"
+        assert new.metadata["recovered"]["origin"] == part.name
+        assert new.metadata["recovered"]["missing"].split("\n") == [str(place) for place in found.missing]
+        assert found.messages == sum(new.count(topic) for topic in new.topics)
+        assert found.chunks == new.chunk_count - 1  # the definitions stand before the copied ones
+        assert found.seconds == pytest.approx(29 * 0.01)
+
+
+def test_the_library_reads_it_with_every_crc(part):
+    found = recover(part)
+    data = found.path.read_bytes()
+    messages = list(make_reader(io.BytesIO(data), validate_crcs=True).iter_messages())
+    assert len(messages) == found.messages
+    summary = make_reader(io.BytesIO(data)).get_summary()
+    assert summary.statistics.message_count == found.messages
+
+
+def test_chunks_are_copied_byte_for_byte(part):
+    old, new = part.read_bytes(), recover(part).path.read_bytes()
+    copied = [old[start:end] for start, end in chunk_spans(old)]
+    assert len(copied) == 30
+    assert all(chunk in new for chunk in copied)
+
+
+def test_windows_of_it_are_exact(part):
+    with open_log(recover(part).path) as log:
+        times = log["laser/x"].time_ns
+        for low, high in ((100, 900), (0, 1), (1400, 1500)):
+            window = log.between(int(times[low]), int(times[high - 1]) + 1)
+            assert np.array_equal(window["laser/x"].time_ns, times[low:high])
+
+
+def test_the_last_reported_losses_become_the_summary(tmp_path):
+    whole = write_small_log(tmp_path / "whole.mcap")
+    losses = {"laser_x": {"samples": 7}}
+    stream = io.BytesIO()
+    writer = BlockWriter(stream)
+    writer.start()
+    health = writer.register_channel("health", "json", 0)
+    for lost in (3, 7):
+        note = ch.pack_note({"kind": "health", "losses": {"laser_x": {"samples": lost}}})
+        writer.add_message(health, 10, 10, 0, note)
+    writer.flush()
+    part = tmp_path / "cut.mcap.part"
+    part.write_bytes(stream.getvalue())
+    with open_log(recover(part).path) as log:
+        assert json.loads(log.metadata["summary"]["losses"]) == losses
+    with open_log(recover(whole).path) as new, open_log(whole) as old:  # a finished log keeps its own
+        assert new.path.name == "whole.recovered.mcap"
+        assert new.metadata["summary"] == old.metadata["summary"]
+
+
+def test_a_damaged_finished_log(tmp_path):
+    data = bytearray(WHOLE.data)
+    _, end = chunk_spans(WHOLE.data)[4]
+    data[end - 4] ^= 8
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data)
+    found = recover(path, tmp_path / "good.mcap")
+    assert [place.messages for place in found.missing if place.messages] == [53]
+    assert found.messages == 30 * 52 + 8 - 53
+    with open_log(found.path) as log:
+        assert log.metadata["recovered"]["missing_messages"] == "53"
+    again = recover(found.path)
+    with open_log(again.path) as log:
+        assert log.metadata["recovered earlier"]["origin"] == "run.mcap"
+        assert log.metadata["recovered"]["origin"] == "good.mcap"
+        assert again.missing == ()
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_a_file_of_another_writer(tmp_path, chunked):
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as stream:
+        writer = library.Writer(stream, use_chunking=chunked, enable_crcs=False, chunk_size=200)
+        writer.start(library="somebody")
+        channel = writer.register_channel("note", "json", 0)
+        for number in range(40):
+            writer.add_message(channel, number, b'{"number": %d}' % number, number)
+        writer.add_metadata("facts", {"crc32": "mine", "spring": "2"})
+        writer.add_attachment(1, 2, "a.txt", "text/plain", b"abc")
+        writer.finish()
+    path.write_bytes(path.read_bytes()[:-20])
+    found = recover(path)
+    assert found.messages == 40
+    with open_log(found.path) as log:
+        assert log.verify() == []
+        assert log.metadata["facts"] == {"crc32 of origin": "mine", "spring": "2"}
+        assert "summary" not in log.metadata
+        assert log.attachments == {"a.txt": b"abc"}
+    messages = make_reader(io.BytesIO(found.path.read_bytes()), validate_crcs=True).iter_messages()
+    assert [json.loads(message.data)["number"] for _, _, message in messages] == list(range(40))
+
+
+def test_messages_whose_channel_was_lost_are_kept(tmp_path):
+    stream = io.BytesIO()
+    writer = BlockWriter(stream)
+    writer.start()
+    schema = writer.register_schema(ch.TACHO.schema_name, "protobuf", ch.TACHO.file_descriptor_set())
+    tacho = writer.register_channel("tacho", "protobuf", schema)
+    for number in range(3):
+        mark = ch.TACHO.pack({"revolutions": [number], "node_time_us": [number]})
+        writer.add_block(tacho, 10 + number, 10 + number, number, mark)
+        writer.flush()
+    data = bytearray(stream.getvalue())
+    data[chunk_spans(bytes(data))[0][1] - 1] ^= 1  # the only chunk with definitions
+    part = tmp_path / "run.mcap.part"
+    part.write_bytes(data)
+    with open_log(part) as log:
+        assert any("channel 1" in str(place) for place in log.missing)
+    found = recover(part)
+    assert found.messages == 2
+    with open_log(found.path) as log:
+        assert log.count("unknown/1") == 2
+        assert log.verify() == []
+
+
+def test_nothing_is_written_over(part):
+    existing = part.with_name("run.mcap")
+    existing.write_bytes(b"precious")
+    with pytest.raises(LogError, match="exists already"):
+        recover(part)
+    assert existing.read_bytes() == b"precious"
+    with pytest.raises(LogError, match="exists already"):
+        recover(part, part)
+
+
+def test_a_file_that_appears_meanwhile_is_not_written_over(part):
+    out = part.with_name("run.mcap")
+
+    def make(share):
+        if not out.exists():
+            out.write_bytes(b"precious")
+
+    with pytest.raises(LogError, match="exists already"):
+        recover(part, out, make)
+    assert out.read_bytes() == b"precious"
+    assert not list(part.parent.glob("*.recovering"))
+
+
+@pytest.mark.parametrize("data", [b"", b"no log at all, but long enough", CUT.data[:200]])
+def test_nothing_to_recover(tmp_path, data):
+    part = tmp_path / "run.mcap.part"
+    part.write_bytes(data)
+    with pytest.raises(LogError, match="nothing can be recovered"):
+        recover(part)
+    assert list(tmp_path.iterdir()) == [part]
+    with pytest.raises(LogError, match="check the path"):
+        recover(tmp_path / "nowhere.mcap.part")
+
+
+def test_a_file_that_is_still_written_says_so(part):
+    grown = []
+
+    def grow(share):
+        if not grown:
+            grown.append(True)
+            with part.open("ab") as stream:
+                stream.write(bytes(1000))
+
+    found = recover(part, progress=grow)
+    assert any("still being written: it grew by 1000 bytes" in str(place) for place in found.missing)
+
+
+def test_a_full_disk_leaves_nothing_behind(part, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module.os, "fsync", full)
+    with pytest.raises(RecordingError, match="No space left"):
+        recover(part)
+    assert list(part.parent.iterdir()) == [part]
+
+
+def test_without_hard_links_it_is_renamed(part, monkeypatch):
+    def refused(*_):
+        raise OSError(1, "not permitted")
+
+    monkeypatch.setattr(module.os, "link", refused)
+    with open_log(recover(part).path) as log:
+        assert log.verify() == []
+    with pytest.raises(LogError, match="exists already"):
+        recover(part)
+
+
+def test_the_command_says_what_is_missing(part, capsys):
+    assert command(part, json=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["messages"] == 30 * 52 + 8
+    assert "not finished or is cut" in told["missing"][0]["sentence"]
+    os.remove(part.with_name("run.mcap"))
+    assert command(part) == 0
+    out = capsys.readouterr()
+    assert out.out.startswith("missing    ")
+    assert "1568 messages" in out.err
+
+
+def test_the_crc_of_every_copied_chunk_is_there(part):
+    data = recover(part).path.read_bytes()
+    assert all(int.from_bytes(data[start + 33 : start + 37], "little") for start, _ in chunk_spans(data))
