@@ -17,7 +17,7 @@ from can.io.generic import MessageWriter
 from benchmarks.laser_samples import START_NS
 from daq import channels
 from daq.drive_stream import DrivePipeline
-from daq.mcap_writer import BlockWriter
+from daq.mcap.writer import BlockWriter
 from daq.protocols import cia402, slcan
 from daq.stream_items import RX, Batch
 from rig_configs import load_rig

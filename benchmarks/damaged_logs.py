@@ -29,8 +29,8 @@ from numpy.random import Generator
 from daq import channels as ch
 from daq.errors import ChannelMissing, LogError
 from daq.log import Log, open_log
-from daq.mcap_writer import MAGIC, BlockWriter
-from daq.recover import recover
+from daq.log.recover import recover
+from daq.mcap.writer import MAGIC, BlockWriter
 
 T0 = 1_700_000_000_000_000_000
 MOST_SECONDS = 20.0

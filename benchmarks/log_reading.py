@@ -25,7 +25,7 @@ from mcap.reader import make_reader
 
 from daq import channels as ch
 from daq.log import open_log
-from daq.mcap_writer import BlockWriter
+from daq.mcap.writer import BlockWriter
 
 T0 = 1_700_000_000_000_000_000
 FLUSH_NS = 50_000_000

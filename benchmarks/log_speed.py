@@ -33,7 +33,7 @@ from benchmarks import can_frames
 from benchmarks.laser_samples import LaserSamples, laser_samples
 from daq import channels
 from daq.log import open_log
-from daq.mcap_writer import BlockWriter
+from daq.mcap.writer import BlockWriter
 
 LASER = channels.LASER_X
 _sync = getattr(os, "fdatasync", os.fsync)  # macOS and Windows have only fsync

@@ -22,7 +22,7 @@ import numpy as np
 
 from cli.simulated import VirtualRigProcess
 from daq.log import open_log
-from daq.losses import losses_of
+from daq.log.losses import losses_of
 
 _LOAD = ["virtual.drive.report_s=0.001", "virtual.radio.burst_start=0.0"]
 _COUNTERS = (("laser/x", "counter", 2**18), ("laser/y", "counter", 2**18), ("pendulums", "index", 2**32))

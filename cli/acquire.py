@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from cli.console import STDERR, StepProgress, print_json, say
 from cli.options import Json, ParametersPath, Settings, rig_or_log
 from cli.recording import RecordingStatus
-from daq.losses import Losses
+from daq.log.losses import Losses
 from daq.procedure import Procedures, TestDone
 from daq.session import Session
 from daq.transports import HostClock

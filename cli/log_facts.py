@@ -10,10 +10,10 @@ from typing import Any
 from daq.catalogue.facts import counted_losses, has_end, one_line, origin_of, outcome_of, state_of
 from daq.errors import LogError
 from daq.log import Log
-from daq.log_content import EventContent, channel_content, event_content, events_of, last_health, raw_content
-from daq.samples import Missing
-from daq.snapshot import identities_of, snapshot_of
-from daq.verdicts import digest_of, verdict_of
+from daq.log.content import EventContent, channel_content, event_content, events_of, last_health, raw_content
+from daq.log.samples import Missing
+from daq.log.snapshot import identities_of, snapshot_of
+from daq.log.verdicts import digest_of, verdict_of
 
 _PHYSICAL = ("rotor", "imbalance", "pendulums", "suspension")
 

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from cli.log_table import STATES, VERDICTS
 from cli.words import length, local_time, printable, size, stdout_console
-from daq.log_content import seconds
+from daq.log.content import seconds
 
 
 def print_log(facts: Mapping[str, Any]) -> None:

@@ -141,7 +141,7 @@ def _shown_when_needed(stack: ExitStack, text: str) -> Callable[[float], None]:
 
 
 def _print_snapshot(opened: Log, json: bool) -> int:
-    from daq.snapshot import snapshot_of  # noqa: PLC0415
+    from daq.log.snapshot import snapshot_of  # noqa: PLC0415
 
     table = snapshot_of(opened)
     if json:

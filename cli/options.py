@@ -29,7 +29,7 @@ def rig_or_log(source: str, settings: Sequence[str]) -> tuple[Rig, dict[str, Any
     if not source.endswith((".mcap", ".mcap.part")):
         return load_rig(source, settings=settings), {}
     from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
-    from daq.snapshot import identities_of, snapshot_of  # noqa: PLC0415
+    from daq.log.snapshot import identities_of, snapshot_of  # noqa: PLC0415
 
     with open_log(source) as log:
         raw, identities = snapshot_of(log), identities_of(log)

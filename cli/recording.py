@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cli.console import STDERR, say
-from daq.losses import Losses
+from daq.log.losses import Losses
 from daq.recorder import DiskState
 from daq.session import Session
 

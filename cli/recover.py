@@ -15,7 +15,7 @@ def recover(
     part: Path, *, output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None, json: Json = False
 ) -> int:
     """Make a cut or damaged log whole: a new file of all that is sound in it; says what is missing."""
-    from daq.recover import recover as make_whole  # noqa: PLC0415 (numba takes a third of a second to import)
+    from daq.log.recover import recover as make_whole  # noqa: PLC0415 (numba takes a third of a second to import)
 
     with share_progress(f"recovering {part.name}") as progress:
         found = make_whole(part, output, progress)

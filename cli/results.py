@@ -14,8 +14,8 @@ from analysis.plots.fit import FitCurve
 from analysis.report.campaign import ConsistencyCheck, IdentificationResult, TestEstimate
 from analysis.validation import Validation
 from daq.errors import RecordingError
+from daq.log.verdicts import Verdict, digest_of, keep_verdict
 from daq.signals import Run, load_run
-from daq.verdicts import Verdict, digest_of, keep_verdict
 from daq.version import software_version
 from identification import Identification
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters

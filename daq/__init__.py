@@ -11,9 +11,8 @@ __all__ = ["Log", "open_log"]
 
 
 def __getattr__(name: str) -> Any:
-    """Loaded when asked for: drivers need no reader, and the reader takes a third of a second."""
     if name in __all__:
-        from daq import log  # noqa: PLC0415
+        from daq import log  # noqa: PLC0415 (numba, only when a log is opened)
 
         return getattr(log, name)
-    raise AttributeError(f"module 'daq' has no attribute {name!r}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -19,7 +19,7 @@ from typing import Any
 
 from daq import channels
 from daq.errors import LogError, RecordingError
-from daq.log_file import LogFile
+from daq.log.file import LogFile
 from daq.stream_items import Batch, Event, joined
 from daq.transports.host_clock import HostClock
 

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from daq.clock import ClockLine, fit_line
 from daq.errors import LogError
 from daq.log import Log, open_log
-from daq.losses import losses_of
+from daq.log.losses import losses_of
+from daq.log.samples import Samples
+from daq.log.snapshot import identities_of, rig_of
 from daq.protocols import optoncdt
-from daq.samples import Samples
-from daq.snapshot import identities_of, rig_of
 
 
 @dataclass(frozen=True)

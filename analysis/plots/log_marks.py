@@ -11,7 +11,7 @@ from matplotlib.font_manager import findfont, get_font
 from numpy.typing import NDArray
 
 from analysis.plots.style import GREY
-from daq.log_content import seconds
+from daq.log.content import seconds
 
 _LETTER = 0.0082  # width of one of the size below, of the axes' width
 _SIZE = 7.5

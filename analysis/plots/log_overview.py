@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from analysis.plots.log_marks import Marks, drawable
 from analysis.plots.style import GREY, MEASURED, MODEL, drawing, label, save
 from daq.log import Log
-from daq.log_content import stretches
-from daq.samples import Samples
+from daq.log.content import stretches
+from daq.log.samples import Samples
 
 COLUMNS = 900
 _LOST = "#CC3311"

@@ -26,7 +26,7 @@ from mcap.stream_reader import StreamReader
 from benchmarks.laser_samples import laser_samples
 from daq import channels
 from daq.log import open_log
-from daq.mcap_writer import BlockWriter
+from daq.mcap.writer import BlockWriter
 
 _HERE = Path(__file__).parent
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
-from daq.verdicts import Verdict
+from daq.log.verdicts import Verdict
 
 State = Literal["finished", "recovered", "unfinished", "damaged", "foreign", "unreadable"]
 

@@ -11,10 +11,9 @@ from typing import Any
 from daq.catalogue.entry import Entry, State
 from daq.errors import LogError
 from daq.log import Log, open_log
-from daq.losses import Losses, losses_of
-from daq.mcap_writer import MAGIC
+from daq.log.losses import Losses, losses_of
+from daq.mcap.writer import LIBRARY, MAGIC
 
-OUR_LIBRARY = "pendulum-balancer-rig"
 _NO_OUTCOME = ("losses", "stalled", "disk")  # bookkeeping of the recording, not what the test came to
 _MOST_SENTENCES = 5
 _MOST_CHARACTERS = 2000
@@ -74,7 +73,7 @@ def counted_losses(log: Log) -> Losses | None:
 
 def state_of(log: Log, ends: bool) -> State:
     """In which state a log's file is; `ends` as of `has_end`."""
-    if "run" not in log.metadata and not log.library.startswith(OUR_LIBRARY):
+    if "run" not in log.metadata and log.library != LIBRARY:
         return "foreign"
     if not log.complete:
         return "damaged" if ends else "unfinished"

@@ -22,7 +22,7 @@ from daq.catalogue.cache import Row, Stamp
 from daq.catalogue.entry import Entry
 from daq.catalogue.query import Query
 from daq.errors import LogError
-from daq.verdicts import SUFFIX, digest_of, verdict_of, verdict_path
+from daq.log.verdicts import SUFFIX, digest_of, verdict_of, verdict_path
 
 _LOG_SUFFIXES = (".mcap", ".mcap.part")
 _SAVE_S = 5.0  # a first look at thousands of logs that is interrupted need not begin anew

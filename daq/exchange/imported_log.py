@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import Channel
-from daq.log_file import LogFile
+from daq.log.file import LogFile
 from daq.stream_items import Batch, Event
 
 _ROWS_PER_STRETCH = 8192

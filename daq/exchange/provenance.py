@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.log import Log
-from daq.losses import losses_of
+from daq.log.losses import losses_of
 from daq.version import software_version
 
 _BLOCK = 1 << 20

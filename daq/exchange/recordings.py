@@ -112,7 +112,7 @@ def open_recording(path: Path) -> Recording:
     except OSError as fault:
         raise ExchangeError(f"{path}: cannot be read ({fault.strerror}): check the path") from fault
     if not start:
-        raise ExchangeError(f"{path}: expected a recording, the file is empty")
+        raise ExchangeError(f"{path}: expected a recording, the file holds nothing")
     if start.startswith(b"PAR1"):
         return ParquetRecording(path)
     if b"\x89HDF\r\n\x1a\n" in (start[:8], start[512:520]):

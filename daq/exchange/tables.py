@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.exchange.units import unit_of
 from daq.log import Log
-from daq.samples import Samples
+from daq.log.samples import Samples
 from daq.signals import Run
 
 Columns = Mapping[str, NDArray[Any]]

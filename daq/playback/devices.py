@@ -16,6 +16,7 @@ from daq.channels import RX
 from daq.errors import LogError
 from daq.laser_stream import DEFAULT_WORDS
 from daq.log import Log
+from daq.log.snapshot import identities_of, rig_of
 from daq.playback.bytes_played import BothWays, BytesFromDevice, OneWay, WholeBlocks
 from daq.protocols import cia402, optoncdt, rotorlink, slcan
 from daq.protocols.canopen_node import (
@@ -27,7 +28,6 @@ from daq.protocols.canopen_node import (
     drive_objects,
 )
 from daq.protocols.optoncdt_sensor import SensorCommands, info_lines, outputs_of
-from daq.snapshot import identities_of, rig_of
 from rig_configs.schema import Drive, Laser
 
 _UNKNOWN = "unknown"

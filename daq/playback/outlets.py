@@ -8,7 +8,7 @@ from typing import Protocol
 
 from daq.errors import LinkLost, LogError
 from daq.log import Log
-from daq.snapshot import rig_of
+from daq.log.snapshot import rig_of
 from daq.transports.link import Link, open_link
 from daq.transports.wires import KINDS, make_wire
 

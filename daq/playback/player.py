@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from daq.errors import DeviceError, LinkLost
+from daq.log.samples import RawChunk
 from daq.playback.devices import PlayedDevice
 from daq.playback.outlets import Outlet
 from daq.replay.pace import Clock, Pace
-from daq.samples import RawChunk
 from daq.transports.host_clock import HostClock
 
 BACKLOG_BYTES = 4 * 2**20

@@ -14,12 +14,12 @@ from typing import Any
 from daq.channels import CHANNELS, EVENTS_TOPIC, HEALTH_TOPIC
 from daq.errors import LogError
 from daq.log import Log, open_log
-from daq.log_file import LogFile
+from daq.log.file import LogFile
+from daq.log.snapshot import identities_of, rig_of
 from daq.replay.calibration import Calibration
 from daq.replay.checking import Progress, share_of
 from daq.replay.compare import ChannelCheck, ChannelComparison
 from daq.replay.stream import decoded, pipelines_of
-from daq.snapshot import identities_of, rig_of
 from daq.stream_items import Batch, joined
 from daq.streams import Pipeline, make_pipelines
 from daq.version import software_version

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from daq.channels import CHANNELS, HEALTH_TOPIC
 from daq.log import Log, open_log
+from daq.log.samples import Missing
 from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
 from daq.replay.stream import decoded, pipelines_of
-from daq.samples import Missing
 from daq.stream_items import Batch
 
 Progress = Callable[[float], None]

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 
 from daq.errors import LogError
 from daq.log import Log
-from daq.samples import RawChunk
-from daq.snapshot import identities_of, rig_of
+from daq.log.samples import RawChunk
+from daq.log.snapshot import identities_of, rig_of
 from daq.stream_items import Batch, Event
 from daq.streams import Pipeline, make_pipelines
 

@@ -18,10 +18,10 @@ from analysis.errors import BadFigureName
 from analysis.plots import log_overview
 from analysis.plots.log_marks import Marks
 from analysis.plots.log_overview import COLUMNS, Trace, draw_log_overview
-from daq import log_content
 from daq.channels import LASER_X, PENDULUMS, TACHO, Channel
+from daq.log import content as log_content
 from daq.log import open_log
-from daq.log_file import LogFile
+from daq.log.file import LogFile
 from daq.stream_items import Batch, Event
 from tests.daq.small_log import write_small_log
 

@@ -16,8 +16,8 @@ from cli.log_table import print_logs
 from cli.logs import log, logs
 from cli.words import length, printable, size
 from daq.catalogue import Entry
-from daq.log_file import LogFile
-from daq.verdicts import Verdict, digest_of, keep_verdict
+from daq.log.file import LogFile
+from daq.log.verdicts import Verdict, digest_of, keep_verdict
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
 from tests.daq.test_catalogue import make_log
@@ -241,7 +241,7 @@ def test_a_cut_log_is_exit_1_and_shows_what_is_there(said: Any, tmp_path: Path) 
 
 def test_content_that_is_not_its_schemas_is_told_and_the_rest_shown(said: Any, tmp_path: Path) -> None:
     from daq.channels import TACHO
-    from daq.mcap_writer import BlockWriter
+    from daq.mcap.writer import BlockWriter
 
     path = tmp_path / "odd.mcap"
     with open(path, "wb") as file:
@@ -268,7 +268,7 @@ ODD = [None, [], {}, "text", float("nan"), 10**400, -1, True]
 
 @pytest.mark.parametrize("odd", ODD, ids=lambda odd: repr(odd)[:9])
 def test_hostile_content_is_shown_and_harms_nobody(said: Any, tmp_path: Path, odd: Any) -> None:
-    from daq.mcap_writer import BlockWriter
+    from daq.mcap.writer import BlockWriter
 
     path, figure = tmp_path / "odd.mcap", tmp_path / "figure.svg"
     with open(path, "wb") as file:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import HEALTH_TOPIC
-from daq.log_file import LogFile
+from daq.log.file import LogFile
 from daq.protocols import cia402, optoncdt, rotorlink, slcan
 from daq.stream_items import RX, TX, Batch, Event
 from daq.streams import make_pipelines

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import damaged_logs as campaign
 from daq.log import open_log
-from daq.mcap_writer import MAGIC
+from daq.mcap.writer import LIBRARY, MAGIC
 
 SHAPES = campaign.shapes()
 FINISHED = {shape.name: shape for shape in SHAPES if shape.finished}
@@ -115,7 +115,7 @@ def test_a_missing_crc_is_damage_in_our_own_files(path):
     path.write_bytes(data)
     with open_log(path) as log:
         assert len(log["laser/x"]) == SMALL.laser - 25
-    header = SMALL.data.index(b"pendulum-balancer-rig")
+    header = SMALL.data.index(LIBRARY.encode())
     data[header : header + 2] = b"xx"  # a damaged header switches nothing off
     path.write_bytes(data)
     with open_log(path) as log:

@@ -21,7 +21,7 @@ from daq.channels import LASER_X, LASER_Y, MOTOR, PENDULUMS, TACHO
 from daq.exchange import ExchangeError, export_log, mat_file, tables
 from daq.exchange.units import unit_of
 from daq.log import open_log
-from daq.log_file import LogFile
+from daq.log.file import LogFile
 from daq.signals import load_run
 from daq.stream_items import Batch, Event
 from rig_configs import load_rig

@@ -21,7 +21,7 @@ from daq.exchange import ExchangeError, export_log, import_recording, make_recip
 from daq.exchange.recordings import open_recording
 from daq.exchange.rotor_phase import revolutions_of_marks
 from daq.log import open_log
-from daq.losses import losses_of
+from daq.log.losses import losses_of
 from daq.signals import Run, load_run
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
@@ -123,7 +123,7 @@ def test_units_signs_and_scales(tmp_path: Path, column: str, factor: float) -> N
         (rows(",").replace("0.1,", "1_0,", 1), NUMBERS, "got '1_0'"),
         ("t,x\n0,1\n1,2\n", NAMES | {"x": "x:mm"}, "expected at least 20 samples, got 2"),
         ("hello\nworld\n", NUMBERS, "expected columns of numbers, found none"),
-        ("", NUMBERS, "the file is empty"),
+        ("", NUMBERS, "the file holds nothing"),
         ("a\0b", NUMBERS, "expected text, parquet, mat or hdf5"),
         (rows(","), {"x": "2:mm"}, "expected --time COLUMN:UNIT or --rate HZ"),
         (rows(","), {"x": "2:mm", "time": "1:s", "rate_Hz": 10}, "got both"),

@@ -14,8 +14,8 @@ from mcap.reader import make_reader
 from daq import channels as ch
 from daq.errors import ChannelMissing, LogError
 from daq.log import open_log
-from daq.mcap_chunks import CHUNK_LIMIT_BYTES
-from daq.mcap_writer import MAGIC, BlockWriter
+from daq.mcap.chunks import CHUNK_LIMIT_BYTES
+from daq.mcap.writer import MAGIC, BlockWriter
 
 T0 = 1_700_000_000_000_000_000
 BLOCKS, PER_BLOCK = 12, 25
@@ -274,3 +274,21 @@ def test_a_schema_with_impossible_names(tmp_path, name):
     writer.finish()
     with open_log(write(tmp_path, stream.getvalue())) as log, pytest.raises(LogError, match="expected 1 … 15"):
         log["laser/x"]
+
+
+def test_a_log_of_the_layout_before_is_whole(tmp_path):
+    """It has every CRC of the format, none of ours in its metadata, and the package's name as its library."""
+    stream = io.BytesIO()
+    writer = mcap.writer.Writer(stream, compression=mcap.writer.CompressionType.ZSTD, enable_data_crcs=True)
+    writer.start(library="pendulum-balancer-rig")
+    schema = writer.register_schema(ch.LASER_X.schema_name, "protobuf", ch.LASER_X.file_descriptor_set())
+    cid = writer.register_channel("laser/x", "protobuf", schema)
+    writer.add_metadata("run", {"test": "point-A"})
+    for k, message in enumerate(ch.LASER_X.pack(laser(0, 50))):
+        writer.add_message(cid, T0 + k, message.tobytes(), T0 + k * 250_000, k)
+    writer.finish()
+    with open_log(write(tmp_path, stream.getvalue())) as log:
+        assert log.metadata == {"run": {"test": "point-A"}}
+        assert check_samples(log) == 50
+        log.verify()
+        assert log.complete

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq import log_content
 from daq.channels import HEALTH_TOPIC, LASER_X, RX, TX
 from daq.log import Log, open_log
-from daq.log_content import (
+from daq.log import content as log_content
+from daq.log.content import (
     RawContent,
     channel_content,
     event_content,
@@ -22,7 +22,7 @@ from daq.log_content import (
     raw_content,
     stretches,
 )
-from daq.log_file import LogFile
+from daq.log.file import LogFile
 from daq.stream_items import Batch, Event
 
 T0 = 1_700_000_000_000_000_000

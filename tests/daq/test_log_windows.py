@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from daq import channels as ch
 from daq.errors import ChannelMissing, LogError
-from daq.file_bytes import FileBytes
 from daq.log import open_log
-from daq.mcap_writer import BlockWriter
+from daq.mcap.file_bytes import FileBytes
+from daq.mcap.writer import LIBRARY, BlockWriter
 
 T0 = 1_700_000_000_000_000_000
 MS = 10**6
@@ -103,7 +103,7 @@ def test_what_a_log_knows_of_itself(path):
         assert (part.start_ns, part.end_ns) == (T0 + 5 * MS, T0 + 9 * MS)
         assert (part.between(0, 1).start_ns, part.between(0, 1).end_ns) == (0, 0)
         assert (log.size_bytes, log.chunk_count) == (len(data), 2)
-        assert log.library == "pendulum-balancer-rig"
+        assert log.library == LIBRARY
         assert log.channel("tacho").fields == ch.TACHO.fields
         with pytest.raises(ChannelMissing, match="raw/encoder"):
             log.channel("raw/encoder")

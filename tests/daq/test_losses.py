@@ -6,8 +6,8 @@ import pytest
 
 from daq.errors import LogError
 from daq.log import open_log
-from daq.log_file import LogFile
-from daq.losses import losses_of
+from daq.log.file import LogFile
+from daq.log.losses import losses_of
 from daq.stream_items import Event
 
 START = 1_700_000_000_000_000_000

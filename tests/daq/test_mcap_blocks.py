@@ -16,8 +16,8 @@ from mcap.writer import CompressionType, Writer
 
 from daq import channels as ch
 from daq.log import open_log
-from daq.mcap_crc import joined_crc
-from daq.mcap_writer import BlockWriter, metadata_crc
+from daq.mcap.crc import joined_crc
+from daq.mcap.writer import BlockWriter, metadata_crc
 from tests.daq.small_log import write_small_log
 
 T0 = 1_700_000_000_000_000_000
@@ -245,9 +245,9 @@ def test_metadata_carries_its_checksum(table):
     table.pop("crc32", None)
     data = finished(lambda writer, tacho, plain: writer.add_metadata("run", table))
     (found,) = metadata_of(data, "run")
-    text = "".join(f"{key}\0{value}\0" for key, value in sorted(table.items()))
+    text = "run\0" + "".join(f"{key}\0{value}\0" for key, value in sorted(table.items()))
     assert found == {**table, "crc32": f"{zlib.crc32(text.encode()):08x}"}
-    assert metadata_crc(found) == metadata_crc(table) == found["crc32"]
+    assert metadata_crc("run", found) == metadata_crc("run", table) == found["crc32"]
 
 
 def test_a_checksum_of_ones_own_is_refused():

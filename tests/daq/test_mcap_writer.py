@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from daq import channels as ch
-from daq.mcap_writer import RESTATE_EVERY, BlockWriter
+from daq.mcap.writer import RESTATE_EVERY, BlockWriter
 
 T0 = 1_700_000_000_000_000_000
 

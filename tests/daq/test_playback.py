@@ -18,11 +18,11 @@ from daq.channels import CHANNELS
 from daq.drive_stream import DrivePipeline
 from daq.errors import LinkLost, LogError
 from daq.log import Log, open_log
-from daq.log_file import LogFile
+from daq.log.file import LogFile
+from daq.log.samples import RawChunk
 from daq.playback import BACKLOG_BYTES, LinkOutlet, Outlet, Playback, PlayedDevice, open_outlets, played_devices
-from daq.playback.bytes_played import BothWays, WholeBlocks
+from daq.playback.bytes_played import BothWays
 from daq.protocols import cia402, slcan
-from daq.samples import RawChunk
 from daq.stream_items import RX, TX, Batch
 from daq.streams import make_pipelines
 from daq.transports import HostClock, Link, open_link

@@ -16,7 +16,7 @@ from daq import recorder as recorder_module
 from daq.channels import LASER_X
 from daq.errors import LogError, RecordingError
 from daq.log import open_log
-from daq.log_file import LogFile
+from daq.log.file import LogFile
 from daq.recorder import Recorder
 from daq.stream_items import RX, Batch, Event
 from daq.transports import HostClock

@@ -12,11 +12,11 @@ from mcap.reader import make_reader
 from benchmarks.damaged_logs import ATTACHMENTS, METADATA, chunk_spans, make_shape
 from cli.recover import recover as command
 from daq import channels as ch
-from daq import recover as module
 from daq.errors import LogError, RecordingError
 from daq.log import open_log
-from daq.mcap_writer import BlockWriter
-from daq.recover import recover
+from daq.log import recover as module
+from daq.log.recover import recover
+from daq.mcap.writer import BlockWriter
 from tests.daq.small_log import write_small_log
 
 CUT = make_shape("zstd", False, 30, 50, 1, 2**18)

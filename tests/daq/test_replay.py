@@ -14,8 +14,8 @@ import pytest
 from daq.channels import TACHO
 from daq.errors import LogError
 from daq.log import open_log
-from daq.log_file import LogFile
-from daq.losses import losses_of
+from daq.log.file import LogFile
+from daq.log.losses import losses_of
 from daq.replay import check, compare, paced, stored
 from daq.replay.anew import decode_anew
 from daq.replay.calibration import Calibration

@@ -10,7 +10,7 @@ import pytest
 
 from daq.errors import ChannelMissing, LogError
 from daq.exchange.imported_channels import DISPLACEMENT_Y, PENDULUM_ANGLES, ROTOR_MARK, ROTOR_PHASE
-from daq.log_file import LogFile
+from daq.log.file import LogFile
 from daq.signals import load_run
 from daq.stream_items import Batch, Event
 from rig_configs import load_rig

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import RAW_PREFIX, Channel
-from daq.log_columns import Columns, Messages, find_messages, read_columns
-from daq.log_source import IndexWrongError, LogSource
-from daq.mcap_chunks import ChunkTable
+from daq.log.columns import Columns, Messages, find_messages, read_columns
+from daq.log.source import IndexWrongError, LogSource
+from daq.mcap.chunks import ChunkTable
 
 
 class LogWindow:

@@ -20,12 +20,10 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from daq.errors import LogError
-from daq.file_bytes import FileBytes
-from daq.mcap_writer import MAGIC, METADATA_CRC, metadata_crc
+from daq.mcap.file_bytes import FileBytes
+from daq.mcap.writer import LIBRARY, MAGIC, METADATA_CRC, metadata_crc
 
 RECORD_HEAD = struct.Struct("<BQ")
-LIBRARY = "pendulum-balancer-rig"
-"""How the header of our own files begins its library's name."""
 _TEXT_LIMIT_BYTES = 64 * 2**20
 _ALIKE = 0.7
 
@@ -132,9 +130,9 @@ def check_metadata(body: bytes, ours: bool) -> tuple[str, dict[str, str]]:
     metadata = parse(records.Metadata, body)
     texts = dict(metadata.metadata)
     crc = texts.pop(METADATA_CRC, None)
-    if not ours and (crc is None or not re.fullmatch("[0-9a-f]{8}", crc) or crc != metadata_crc(texts)):
+    if not ours and (crc is None or not re.fullmatch("[0-9a-f]{8}", crc) or crc != metadata_crc(metadata.name, texts)):
         return metadata.name, dict(metadata.metadata)  # another writer's, who may mean anything by this key
-    if crc != metadata_crc(texts):
+    if crc != metadata_crc(metadata.name, texts):
         raise DamageError(f"metadata {metadata.name[:80]!r} whose CRC is wrong")
     return metadata.name, texts
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import Channel
-from daq.log_source import IndexWrongError, LogSource
-from daq.mcap_scan import BROKEN, MESSAGE_HEAD_BYTES, OTHER_COUNT, OTHER_LAYOUT, collect, locate
+from daq.log.source import IndexWrongError, LogSource
+from daq.mcap.scan import BROKEN, MESSAGE_HEAD_BYTES, OTHER_COUNT, OTHER_LAYOUT, collect, locate
 
 _RECORD_HEAD_BYTES = 9
 

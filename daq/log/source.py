@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import LogError
-from daq.file_bytes import PIECE_BYTES, FileBytes
-from daq.mcap_chunks import BARE, HEAD_BYTES, ChunkHead, parse_head, unpack
-from daq.mcap_damage import topics_of
-from daq.mcap_reader import survey, walk
-from daq.mcap_records import DamageError, read_attachment
-from daq.samples import Missing
+from daq.log.samples import Missing
+from daq.mcap.chunks import BARE, HEAD_BYTES, ChunkHead, parse_head, unpack
+from daq.mcap.damage import topics_of
+from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
+from daq.mcap.reader import survey, walk
+from daq.mcap.records import DamageError, read_attachment
 
 _CACHE_BYTES = 64 * 2**20
 _THREADS = min(4, os.cpu_count() or 1)

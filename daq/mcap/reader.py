@@ -1,6 +1,6 @@
 """Finds out what an MCAP file holds: finished, unfinished, cut and damaged files alike.
 
-A sound summary tells at once; otherwise the file is walked from its start (daq.mcap_walk) and whatever is whole is
+A sound summary tells at once; otherwise the file is walked from its start (daq.mcap.walk) and whatever is whole is
 kept. Everything a damaged file lacks is said in `Contents.missing`; only a file that is no MCAP at all is an error.
 """
 
@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.file_bytes import FileBytes
-from daq.mcap_chunks import HEAD_BYTES, ChunkTable, parse_head
-from daq.mcap_contents import Contents, from_summary
-from daq.mcap_damage import topics_of
-from daq.mcap_records import DamageError, check_attachment, read_header
-from daq.mcap_summary_reader import Summary, read_summary
-from daq.mcap_walk import Walk
-from daq.mcap_writer import TIMES
-from daq.samples import Missing
+from daq.log.samples import Missing
+from daq.mcap.chunks import HEAD_BYTES, ChunkTable, parse_head
+from daq.mcap.contents import Contents, from_summary
+from daq.mcap.damage import topics_of
+from daq.mcap.file_bytes import FileBytes
+from daq.mcap.records import DamageError, check_attachment, read_header
+from daq.mcap.summary_reader import Summary, read_summary
+from daq.mcap.walk import Walk
+from daq.mcap.writer import TIMES
 
 
 def survey(file: FileBytes) -> Contents:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.mcap_chunks import ChunkTable
-from daq.mcap_records import Definitions
-from daq.samples import Missing
+from daq.log.samples import Missing
+from daq.mcap.chunks import ChunkTable
+from daq.mcap.records import Definitions
 
 
 @dataclass(frozen=True)

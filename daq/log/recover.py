@@ -19,12 +19,12 @@ from mcap import records
 
 from daq.errors import LogError, RecordingError
 from daq.log import Log
-from daq.log_columns import find_messages
-from daq.log_source import LogSource
-from daq.mcap_chunks import BARE, HEAD_BYTES, parse_head
-from daq.mcap_records import DamageError, read_attachment
-from daq.mcap_writer import METADATA_CRC, BlockWriter
-from daq.samples import Missing
+from daq.log.columns import find_messages
+from daq.log.samples import Missing
+from daq.log.source import LogSource
+from daq.mcap.chunks import BARE, HEAD_BYTES, parse_head
+from daq.mcap.records import DamageError, read_attachment
+from daq.mcap.writer import METADATA_CRC, BlockWriter
 from daq.version import software_version
 
 RECOVERED = "recovered"

@@ -1,7 +1,7 @@
 """Opens a finished MCAP file from its summary alone: definitions, statistics, and where every chunk stands.
 
 The summary counts only with the right CRC and when it is consistent in itself and with the file; else the file is to be
-walked from the start (daq.mcap_reader). It is read in pieces, so that an index of many megabytes costs no memory.
+walked from the start (daq.mcap.reader). It is read in pieces, so that an index of many megabytes costs no memory.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from mcap.records import AttachmentIndex, MetadataIndex, Statistics
 from numpy.typing import NDArray
 
 from daq.errors import LogError
-from daq.file_bytes import FileBytes
-from daq.mcap_chunks import EVER_NS, NEVER_NS, ChunkTable
-from daq.mcap_records import RECORD_HEAD, DamageError, Definitions, Header, parse
-from daq.mcap_scan import chunk_indexes
-from daq.mcap_writer import MAGIC
+from daq.mcap.chunks import EVER_NS, NEVER_NS, ChunkTable
+from daq.mcap.file_bytes import FileBytes
+from daq.mcap.records import RECORD_HEAD, DamageError, Definitions, Header, parse
+from daq.mcap.scan import chunk_indexes
+from daq.mcap.writer import MAGIC
 
 _FOOTER_BYTES = RECORD_HEAD.size + 20
 _DATA_END_BYTES = RECORD_HEAD.size + 4

@@ -15,10 +15,10 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from daq.errors import LogError
-from daq.file_bytes import PIECE_BYTES, FileBytes
-from daq.mcap_chunks import BARE, CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
-from daq.mcap_damage import Damage, Held, Place
-from daq.mcap_records import (
+from daq.mcap.chunks import BARE, CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
+from daq.mcap.damage import Damage, Held, Place
+from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
+from daq.mcap.records import (
     RECORD_HEAD,
     AttachmentPlace,
     DamageError,
@@ -28,10 +28,10 @@ from daq.mcap_records import (
     check_metadata,
     parse,
 )
-from daq.mcap_scan import loose_messages
-from daq.mcap_table import TableBuilder, TakenChunk
-from daq.mcap_window import Window, indexes_behind
-from daq.mcap_writer import MAGIC, METADATA_CRC
+from daq.mcap.scan import loose_messages
+from daq.mcap.table import TableBuilder, TakenChunk
+from daq.mcap.window import Window, indexes_behind
+from daq.mcap.writer import MAGIC, METADATA_CRC
 
 _NOTHING = np.empty(0, np.uint8)
 _METADATA_LIMIT_BYTES = 64 * 2**20

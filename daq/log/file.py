@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.errors import LogError, RecordingError
-from daq.mcap_writer import BlockWriter, compile_writer
+from daq.mcap.writer import BlockWriter, compile_writer
 from daq.stream_items import Batch, Event
 
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".csv": "text/csv", ".txt": "text/plain"}

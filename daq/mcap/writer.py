@@ -19,27 +19,30 @@ from mcap import records
 from mcap.opcode import Opcode
 from numpy.typing import ArrayLike, NDArray
 
-from daq.mcap_crc import joined_crc
-from daq.mcap_open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
-from daq.mcap_summary import Summary, encode_record
+from daq.mcap.crc import joined_crc
+from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
+from daq.mcap.summary import Summary, encode_record
 
 MAGIC = b"\x89MCAP0\r\n"
 RESTATE_EVERY = 64
 """Schemas and channels are repeated in every so many-th chunk: a file that lost its first chunk stays readable."""
 METADATA_CRC = "crc32"
 """Key of a metadata record under which its own checksum stands."""
+LIBRARY = "self-balancing rotor rig, log layout 2"
+"""Who wrote a file, as its header says: from it every checksum is expected. Layout 1, which called itself by the
+package's name, had none for metadata; its files are read like those of others."""
 TIMES = "times"
 """Name of the metadata record that says how far sample times and log times are apart."""
 _ZSTD_LEVEL = 3  # a tenth smaller than level 1 for a fifth more time; the levels above cost twice as much for nothing
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
 
 
-def metadata_crc(metadata: Mapping[str, str]) -> str:
-    """Checksum of a table of texts, 8 hex digits; MCAP itself has none for metadata.
+def metadata_crc(name: str, metadata: Mapping[str, str]) -> str:
+    """Checksum of a named table of texts, 8 hex digits; MCAP itself has none for metadata.
 
     A key `METADATA_CRC` among them is left out.
     """
-    text = "".join(f"{key}\0{value}\0" for key, value in sorted(metadata.items()) if key != METADATA_CRC)
+    text = f"{name}\0" + "".join(f"{key}\0{value}\0" for key, value in sorted(metadata.items()) if key != METADATA_CRC)
     return f"{zlib.crc32(text.encode()):08x}"
 
 
@@ -69,7 +72,7 @@ class BlockWriter:
         stream: BinaryIO,
         compression: Literal["zstd", "none"] = "zstd",
         chunk_bytes: int = 256 * 1024,
-        library: str = "pendulum-balancer-rig",
+        library: str = LIBRARY,
     ) -> None:
         if compression not in ("zstd", "none"):
             raise ValueError(f"expected compression 'zstd' or 'none', got {compression!r}")
@@ -214,7 +217,7 @@ class BlockWriter:
         self._check_open()
         if METADATA_CRC in metadata:
             raise ValueError(f"metadata {name!r}: expected no key {METADATA_CRC!r}: it is the record's own checksum")
-        table = {**metadata, METADATA_CRC: metadata_crc(metadata)}
+        table = {**metadata, METADATA_CRC: metadata_crc(name, metadata)}
         record = encode_record(records.Metadata(name=name, metadata=table))
         self._summary.add_metadata(records.MetadataIndex(self._offset, len(record), name))
         self._write(record)

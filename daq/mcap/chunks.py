@@ -12,7 +12,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from daq.mcap_records import RECORD_HEAD, DamageError
+from daq.mcap.records import RECORD_HEAD, DamageError
 
 CHUNK_LIMIT_BYTES = 64 * 2**20
 """Largest chunk that is unpacked; a head that says more is taken as damage."""

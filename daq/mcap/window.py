@@ -10,10 +10,10 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from daq.errors import LogError
-from daq.file_bytes import PIECE_BYTES, FileBytes
-from daq.mcap_chunks import HEAD_BYTES, parse_head
-from daq.mcap_records import RECORD_HEAD, DamageError, check_attachment, check_metadata, parse, read_record
-from daq.mcap_scan import message_indexes
+from daq.mcap.chunks import HEAD_BYTES, parse_head
+from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
+from daq.mcap.records import RECORD_HEAD, DamageError, check_attachment, check_metadata, parse, read_record
+from daq.mcap.scan import message_indexes
 
 _CREDIBLE = re.compile(
     rb"\x06(?=.{36}(?:\x04\0\0\0zstd|\0\0\0\0|\x03\0\0\0lz4))|[\x07\x09\x0c](?=.{4}\0{4})|\x0f(?=\x04\0{7})", re.DOTALL

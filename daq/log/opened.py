@@ -24,9 +24,9 @@ from mcap.records import Schema
 
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, RAW_PREFIX, RAW_SCHEMA_NAME, Channel, unpack_raw
 from daq.errors import ChannelMissing, LogError
-from daq.log_source import LogSource
-from daq.log_window import LogWindow
-from daq.samples import Missing, RawChunk, Samples
+from daq.log.samples import Missing, RawChunk, Samples
+from daq.log.source import LogSource
+from daq.log.window import LogWindow
 
 
 class Log(Mapping[str, Samples]):

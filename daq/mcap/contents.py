@@ -1,4 +1,4 @@
-"""What an MCAP file holds; made from its summary here, or by a walk over the whole file in daq.mcap_reader."""
+"""What an MCAP file holds; made from its summary here, or by a walk over the whole file in daq.mcap.reader."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from daq.file_bytes import FileBytes
-from daq.mcap_chunks import ChunkTable
-from daq.mcap_records import AttachmentPlace, DamageError, Definitions, Header, read_metadata
-from daq.mcap_summary_reader import Summary
-from daq.mcap_writer import TIMES
-from daq.samples import Missing
+from daq.log.samples import Missing
+from daq.mcap.chunks import ChunkTable
+from daq.mcap.file_bytes import FileBytes
+from daq.mcap.records import AttachmentPlace, DamageError, Definitions, Header, read_metadata
+from daq.mcap.summary_reader import Summary
+from daq.mcap.writer import TIMES
 
 
 @dataclass

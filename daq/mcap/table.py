@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.mcap_chunks import ChunkHead, ChunkTable
-from daq.mcap_records import RECORD_HEAD, DamageError, Definitions
-from daq.mcap_scan import definitions, tally
+from daq.mcap.chunks import ChunkHead, ChunkTable
+from daq.mcap.records import RECORD_HEAD, DamageError, Definitions
+from daq.mcap.scan import definitions, tally
 
 
 @dataclass(frozen=True)

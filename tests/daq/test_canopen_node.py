@@ -1,0 +1,93 @@
+"""A CANopen node's end of the bus: a client that is not ours reads and writes it."""
+
+from __future__ import annotations
+
+import struct
+
+import canopen
+import pytest
+from canopen.sdo.exceptions import SdoAbortedError
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.protocols import cia402, slcan
+from daq.protocols.canopen_node import Adapter, NmtState, SdoServer, drive_objects
+
+
+class Wire:
+    """canopen's client, its requests answered at once."""
+
+    def __init__(self, server: SdoServer) -> None:
+        self.node = canopen.RemoteNode(5, canopen.ObjectDictionary())
+        self.network = canopen.Network()
+        self.network.add_node(self.node)
+        self.network.send_message = self._answered  # type: ignore[method-assign]
+        self.server = server
+
+    def _answered(self, identifier: int, data: bytes, remote: bool = False) -> None:
+        assert identifier == cia402.cob_sdo_request(5)
+        answer = self.server.answer(bytes(data).ljust(8, b"\0"))
+        self.network.notify(cia402.cob_sdo_answer(5), bytearray(answer), 0.0)
+
+
+def test_what_a_client_writes_it_reads_again() -> None:
+    written: list[tuple[int, int, int]] = []
+    wire = Wire(SdoServer(drive_objects(), {}, lambda *what: written.append(what)))
+    for index, sub, value in ((0x1017, 0, b"\x64\0"), (0x6060, 0, b"\x02"), (0x6048, 1, b"\xe8\x03\0\0")):
+        wire.node.sdo.download(index, sub, value)
+        assert wire.node.sdo.upload(index, sub) == value
+    assert written == [(0x1017, 0, 100), (0x6060, 0, 2), (0x6048, 1, 1000)]
+
+
+def test_what_is_measured_is_read_from_where_it_is() -> None:
+    wire = Wire(SdoServer({}, {(0x6044, 0): lambda: struct.pack("<h", -7), (0x6041, 0): lambda: None}))
+    assert wire.node.sdo.upload(0x6044, 0) == struct.pack("<h", -7)
+    with pytest.raises(SdoAbortedError, match="0x06020000"):
+        wire.node.sdo.upload(0x6041, 0)
+
+
+@pytest.mark.parametrize(
+    ("index", "data", "code"), [(0x2000, b"\0", "0x06020000"), (0x1017, b"\0\0\0\0", "0x06070010")]
+)
+def test_what_cannot_be_written_is_refused_and_changes_nothing(index: int, data: bytes, code: str) -> None:
+    server = SdoServer(drive_objects(), {})
+    with pytest.raises(SdoAbortedError, match=code):
+        Wire(server).node.sdo.download(index, 0, data)
+    assert server.objects == drive_objects()
+
+
+@given(st.binary(min_size=8, max_size=8))
+def test_any_request_gets_eight_bytes_that_name_its_object(request: bytes) -> None:
+    answer = SdoServer(drive_objects(), {}).answer(request)
+    assert len(answer) == 8
+    assert answer[1:4] == request[1:4]
+
+
+def test_the_network_starts_and_stops_this_node_or_all() -> None:
+    node = NmtState(5)
+    for data, state in (
+        (b"\x01\x05", cia402.Heartbeat.OPERATIONAL),
+        (b"\x80\x06", cia402.Heartbeat.OPERATIONAL),  # another node's
+        (b"\x80\x00", cia402.Heartbeat.PRE_OPERATIONAL),
+        (b"\x01", cia402.Heartbeat.PRE_OPERATIONAL),
+        (b"\x02\x05", cia402.Heartbeat.STOPPED),
+        (b"\x82\x05", cia402.Heartbeat.PRE_OPERATIONAL),
+        (b"\x77\x05", cia402.Heartbeat.PRE_OPERATIONAL),
+    ):
+        heeded = node.heed(slcan.CanFrame(0, data))
+        assert heeded == (data[0] if len(data) == 2 and data[1] in (0, 5) else None)
+        assert node.state == state
+    assert node.heed(slcan.CanFrame(0x205, b"\x01\x05")) is None
+
+
+def test_an_adapter_answers_for_itself() -> None:
+    adapter = Adapter()
+    frames, answers = adapter.receive(b"\rC\rS6\rV\rN\rO\rt1230\rT000001230\rt1\r")
+    assert [frame.arbitration_id for frame in frames] == [0x123, 0x123]
+    assert answers.replace(b"V1013", b"").replace(b"N4F1C", b"").count(b"\r") == len(answers.split(b"\r")) - 1
+    assert b"V1013\rN4F1C\r" in answers
+    assert answers.endswith(b"z\rZ\r")
+    assert answers.count(b"\x07") == 1
+    assert adapter.open
+    adapter.receive(b"C\r")
+    assert not adapter.open
