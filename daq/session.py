@@ -19,6 +19,7 @@ from daq import lasers
 from daq.drive import DriveControl
 from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError
+from daq.laser_blocks import compile_loop
 from daq.protocols import optoncdt, rotorlink
 from daq.recent import Recent
 from daq.recorder import DiskState, Recorder
@@ -119,6 +120,7 @@ class Session:
         return self
 
     def _open_links(self) -> None:
+        compile_loop()
         d = self.rig.devices
         ports = {
             "laser_x": (d.laser_x.port, d.laser_x.baud, None),
