@@ -6,12 +6,13 @@ Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from keyword import iskeyword
 
 from cyclopts import App, CycloptsError
 
 from analysis.errors import AnalysisError
-from cli.console import say
+from cli.console import say, wait_for_compilation
 from daq.errors import LogError, RigError
 from dynamics.errors import DynamicsError
 from rig_configs.errors import RigConfigError
@@ -28,6 +29,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers
     "cli.model": ("predict", "map"),
     "cli.bench": ("bench",),
 }
+_USE_COMPILED = {"check", "record", "test", "log", "replay", "recover", "export", "import", "identify", "validate"}
 for module, verbs in _VERBS.items():
     for verb in verbs:
         app.command(f"{module}:{verb}{'_' if iskeyword(verb) else ''}", name=verb)
@@ -36,7 +38,8 @@ for module, verbs in _VERBS.items():
 def run(arguments: list[str]) -> int:
     """Carry out one command; returns the exit code."""
     try:
-        result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+        with wait_for_compilation("log") if set(arguments[:1]) & _USE_COMPILED else nullcontext():
+            result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
         return result if isinstance(result, int) else 0
     except CycloptsError:
         return 2  # cyclopts has said what is wrong

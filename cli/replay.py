@@ -196,7 +196,7 @@ def _play(path: Path, to: str, speed: float, linger: float | None, json: bool) -
         try:
             ports = {device: outlet.port for device, outlet in outlets.items()}
             _announce(ports, path, speed)
-            ended = _carry_out(playback, log, linger)
+            ended = _carry_out(playback, log, speed, linger)
         finally:
             playback.close()
         state = playback.state
@@ -224,7 +224,7 @@ def _announce(ports: dict[str, str], path: Path, speed: float) -> None:
     say(f"for example: rig record {path} --listen --until-silent 2 -o again.mcap --time-scale {scale:g} {settings}")
 
 
-def _carry_out(playback: Playback, log: Log, linger: float | None) -> str:
+def _carry_out(playback: Playback, log: Log, speed: float, linger: float | None) -> str:
     def ports(devices: list[str]) -> None:
         say(f"waiting for a program to open {', '.join(devices)}" if devices else "every port is open")
 
@@ -235,6 +235,9 @@ def _carry_out(playback: Playback, log: Log, linger: float | None) -> str:
     try:
         playback.wait_for_readers(ports)
         playback.wait_for_setup(setup)
+        if playback.configured and math.isinf(speed):
+            say("warning: what comes before the host begins to record is past then, and at --speed max that is most; "
+                "--speed 1 plays at the log's own pace")  # fmt: skip
         say("playing")
         state = playback.play(log.raw_in_order(), _PlayedLines(log).tell)
         if state.cut_short:

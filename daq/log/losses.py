@@ -30,7 +30,10 @@ class Losses:
 
     @property
     def total(self) -> int:
-        """Everything that did not arrive; readings a sensor itself called invalid did arrive and are not in it."""
+        """All counts added, which says whether anything is lost and how badly; a lost frame and its samples both count.
+
+        Readings that a sensor itself called invalid did arrive and are not in it.
+        """
         return sum(n for kinds in self.by_device.values() for kind, n in kinds.items() if kind not in _SENSORS_OWN)
 
     @property

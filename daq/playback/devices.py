@@ -12,7 +12,6 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-from daq.channels import RX
 from daq.errors import LogError
 from daq.laser_stream import DEFAULT_WORDS
 from daq.log import Log
@@ -146,7 +145,7 @@ class PlayedDrive(PlayedDevice):
         super().__init__(BothWays())
         self._node = config.node_id
         self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
-        self._report = f"t{cia402.cob_tpdo(1, config.node_id):03X}4".encode()  # how its line begins
+        self._report = re.compile(f"t{cia402.cob_tpdo(1, config.node_id):03X}4([0-9A-Fa-f]{{8}})".encode())
         self._reported = bytes(4)
         objects = drive_objects()
         measured = {
@@ -172,13 +171,10 @@ class PlayedDrive(PlayedDevice):
         sent = b"".join(slcan.encode(answer) for frame in frames if (answer := self._answer(frame)) is not None)
         return answers + sent if self._adapter.open else answers
 
-    def play(self, direction: int, data: bytes) -> bytes:
-        """See PlayedDevice."""
-        if direction == RX and (at := data.rfind(self._report)) >= 0:
-            digits = data[at + len(self._report) :][:8]
-            if re.fullmatch(rb"[0-9A-Fa-f]{8}", digits):
-                self._reported = bytes.fromhex(digits.decode())
-        return super().play(direction, data)
+    def _pass(self, data: bytes) -> bytes:
+        if reports := self._report.findall(data):
+            self._reported = bytes.fromhex(reports[-1].decode())
+        return super()._pass(data)
 
     def _answer(self, frame: slcan.CanFrame) -> slcan.CanFrame | None:
         identifier, data = frame.arbitration_id, frame.data

@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 from typing import IO
 
+import numpy as np
 import pytest
 from cyclopts import App
 
@@ -16,10 +17,12 @@ from cli import replay_view
 from cli.replay import replay
 from daq.errors import LogError
 from daq.log import open_log
+from daq.log.samples import Samples
+from daq.replay import check
 from daq.stream_items import Batch, Event
 from daq.transports import open_link
 from rig_configs.errors import RigFileError
-from tests.daq.replayed_log import write_log
+from tests.daq.replayed_log import IDENTITIES, write_log
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -156,6 +159,57 @@ def test_what_does_not_go_together_is_explained(
         said(capsys, str(log), *arguments)
 
 
+# --- played to other programs ------------------------------------------------------------------------------------
+
+
+KINDS = [pytest.param("pty", marks=pytest.mark.skipif(sys.platform == "win32", reason="ptys need POSIX")), "tcp"]
+
+
+class Player:
+    """`rig replay LOG --to …` in its own process.
+
+    Attributes:
+        ports: of each device.
+        code, result, said: how it ended; known at the end of the with block.
+    """
+
+    def __init__(self, log: Path, kind: str, speed: str) -> None:
+        command = [sys.executable, "-m", "cli.main", "replay", str(log), "--to", kind, "--speed", speed, "--json"]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        self._out: IO[str] = self._process.stdout
+        self._words: list[str] = []
+        self._listener = threading.Thread(target=self._words.extend, args=(self._process.stderr,))
+        self._listener.start()
+        self.ports: dict[str, str] = json.loads(self._out.readline())["ports"]
+        self.result: dict = {}
+        self.code: int | None = None
+        self.said = ""
+
+    def __enter__(self) -> Player:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            self._process.kill()
+        else:
+            self.result = json.loads(self._out.readline() or "{}")
+        self.code = self._process.wait(timeout=60)
+        self._listener.join()
+        self.said = "".join(self._words)
+        self._out.close()
+        assert self._process.stderr is not None
+        self._process.stderr.close()
+
+
+def hosted(player: Player, *command: str) -> subprocess.CompletedProcess[str]:
+    """Another `rig` command on the ports of a player, to its end."""
+    settings = [word for device, port in player.ports.items() for word in ("--set", f"devices.{device}.port={port}")]
+    return subprocess.run([sys.executable, "-m", "cli.main", *command, *settings], capture_output=True, text=True,
+                          timeout=60, check=False)  # fmt: skip
+
+
 def drained(ports: dict[str, str], got: dict[str, int]) -> None:
     """Read every port until nothing has come for a while, then close it."""
     links = {device: open_link(port, 921_600) for device, port in ports.items()}
@@ -169,32 +223,82 @@ def drained(ports: dict[str, str], got: dict[str, int]) -> None:
         link.close()
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param("pty", marks=pytest.mark.skipif(sys.platform == "win32", reason="ptys need POSIX")), "tcp"]
-)
+@pytest.mark.parametrize("kind", KINDS)
 def test_played_to_another_program_from_start_to_end(log: Path, kind: str) -> None:
-    script = "import sys; from cyclopts import App; from cli.replay import replay; a = App(); a.default(replay); a()"
-    command = [sys.executable, "-c", script, str(log), "--to", kind, "--speed", "max", "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as player:
-        assert player.stdout is not None
-        assert player.stderr is not None
-        words: list[str] = []
-        listener = threading.Thread(target=words.extend, args=(player.stderr,))
-        listener.start()
-        ready = _line(player.stdout)
-        assert set(ready["ports"]) == {"laser_x", "laser_y", "encoder", "drive"}
-        got: dict[str, int] = {}
-        drained(ready["ports"], got)
-        result = _line(player.stdout)
-        listener.join()
-    assert player.returncode == 0
-    assert result["delivered_bytes"] == got
-    assert not any(result["undelivered_bytes"].values())
-    said = "".join(words)
-    assert "rig record" in said
-    assert "--listen" in said
-    assert "every port is open" in said
+    got: dict[str, int] = {}
+    with Player(log, kind, "max") as player:
+        assert set(player.ports) == {"laser_x", "laser_y", "encoder", "drive"}
+        drained(player.ports, got)
+    assert player.code == 0
+    assert player.result["delivered_bytes"] == got
+    assert not any(player.result["undelivered_bytes"].values())
+    assert not player.result["configured"]
+    assert "rig record" in player.said
+    assert "--listen" in player.said
+    assert "every port is open" in player.said
 
 
-def _line(stream: IO[str]) -> dict:
-    return json.loads(stream.readline())
+@pytest.fixture(scope="module")
+def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten seconds, the rotor at rest in the last two; gaps of one laser in the middle."""
+    path = tmp_path_factory.mktemp("logs") / "long.mcap"
+    return write_log(path, steps=1000, lost=frozenset({400, 401, 403}), rests_from=800)
+
+
+def test_a_check_shows_the_devices_of_the_log(long_log: Path) -> None:
+    with Player(long_log, "tcp", "8") as player:
+        host = hosted(player, "check", "virtual", "--seconds", "2", "--time-scale", "8", "--json")
+    assert host.returncode == 0, host.stderr
+    found = json.loads(host.stdout)
+    for name in ("laser_x", "laser_y"):
+        assert found["identities"][name] == IDENTITIES[name]
+    assert found["rates_Hz"]["laser/x"] == pytest.approx(4000, rel=0.2)
+    assert (player.code, player.result["configured"]) == (0, True)
+    assert "to be started yet: drive (the network's start), laser_x (OUTPUT RS422), laser_y" in player.said
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_host_that_configures_records_again_what_the_log_holds(long_log: Path, kind: str, tmp_path: Path) -> None:
+    again = tmp_path / "again.mcap"
+    with Player(long_log, kind, "4") as player:
+        host = hosted(player, "record", "virtual", "-o", str(again), "--duration", "3", "--time-scale", "4")
+    assert host.returncode == 0, host.stderr
+    assert player.code == 0
+    assert player.result["ended"] == "the host, which stopped its devices and left"
+    assert 3.0 < player.result["played_s"] <= 10.01
+    with open_log(long_log) as one, open_log(again) as two:
+        said = json.loads(two.attachments["identities.json"])
+        assert said["laser_x"] == IDENTITIES["laser_x"]
+        assert check(again).identical
+        for topic, key in (("laser/x", "counter"), ("laser/y", "device_ticks"), ("pendulums", "index"),
+                           ("tacho", "revolutions"), ("motor", "speed_rpm")):  # fmt: skip
+            _same_stretch(one[topic], two[topic], key)
+
+
+def _same_stretch(one: Samples, two: Samples, key: str) -> None:
+    """Everything recorded again is, sample by sample and bit by bit, a stretch of the first recording."""
+    count = len(two.time_ns)
+    assert count > 0.2 * len(one.time_ns)
+    first = int(np.flatnonzero(one[key] == two[key][0])[0])
+    stretch = slice(first, first + count)
+    assert np.array_equal(one.sequence[stretch], two.sequence)
+    for name in one.columns:
+        known = slice(None)
+        if name == "target_rpm":  # what the host of the log said before is not on the bus any more
+            known = slice(int(np.argmax(two[name] != 0)), None)
+            assert known.start <= 8
+        assert one[name][stretch][known].tobytes() == two[name][known].tobytes()
+
+
+def test_a_host_that_gives_up_is_told_what_it_did_not_do(log: Path) -> None:
+    with Player(log, "tcp", "1") as player:
+        links = {device: open_link(port, 921_600) for device, port in player.ports.items()}
+        links["laser_x"].write(b"GETINFO\n")
+        heard = b""
+        while not heard.endswith(b"->"):
+            heard += links["laser_x"].read(5.0)
+        for link in links.values():
+            link.close()
+    assert b"Name: ILD1420" in heard
+    assert player.code == 3
+    assert "closed its ports before it had set up its devices; still expected" in player.said

@@ -21,8 +21,8 @@ START_NS = 1_700_000_000_000_000_000
 STEP_NS = 10_000_000
 WORDS = ["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"]
 IDENTITIES = {
-    "laser_x": {"name": "ILD1420", "serial": "1", "range_m": 0.025, "words": WORDS},
-    "laser_y": {"name": "ILD1420", "serial": "2", "range_m": 0.025, "words": WORDS},
+    "laser_x": {"name": "ILD1420", "serial": "1", "range_m": 0.025, "version": "001.019", "words": WORDS},
+    "laser_y": {"name": "ILD1420", "serial": "2", "range_m": 0.025, "version": "001.020", "words": WORDS},
     "encoder": {"driver": "rotorlink"},
     "drive": {"driver": "cia402", "node_id": 5},
 }
@@ -52,13 +52,18 @@ def _frame(identifier: int, data: bytes) -> bytes:
 
 
 def reads(
-    steps: int, seed: int = 1, lost: frozenset[int] = frozenset(), restarts_at: int | None = None
+    steps: int,
+    seed: int = 1,
+    lost: frozenset[int] = frozenset(),
+    restarts_at: int | None = None,
+    rests_from: int | None = None,
 ) -> Iterator[Read]:
     """What a host reads and writes in steps of 10 ms.
 
     Args:
         lost: steps whose samples of laser y never come.
         restarts_at: step at which laser x begins its counters anew.
+        rests_from: step from which on the rotor stands.
     """
     rng = np.random.default_rng(seed)
     kept: dict[str, bytes] = {}
@@ -74,9 +79,8 @@ def reads(
                 rotorlink.wire(rotorlink.Command(1, step, rotorlink.ACTIONS["lock both"]).pack()),
                 host_ns,
             )
-        status = _frame(
-            cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237 if step < steps // 2 else 0x0240, 60 + step % 1000)
-        )
+        rpm = 0 if rests_from is not None and step >= rests_from else 60 + step % 1000
+        status = _frame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237 if step < steps // 2 else 0x0240, rpm))
         acknowledge = b"z\r" if step % 7 == 3 else b""
         came = {
             "laser_x": _laser(rng, step, set(), restarts_at),

@@ -1,4 +1,4 @@
-"""The sensor's end of the command line: what a host configures is what it answers, whatever comes, however it is cut."""
+"""The sensor's end of the command line: what was configured is what it answers, however the bytes are cut."""
 
 from __future__ import annotations
 

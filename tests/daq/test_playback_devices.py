@@ -1,0 +1,266 @@
+"""What stands in for the devices of a log: bytes in whole blocks and lines, answers as the devices gave them."""
+
+from __future__ import annotations
+
+import queue
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import canopen
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq import lasers
+from daq.drive import DriveControl
+from daq.errors import DeviceError, LogError
+from daq.log import Log, open_log
+from daq.playback import PlayedDevice, played_devices
+from daq.playback.bytes_played import WholeBlocks
+from daq.playback.devices import PlayedDrive, PlayedLaser, PlayedNode
+from daq.protocols import cia402, optoncdt, rotorlink, slcan
+from daq.stream_items import RX, TX
+from daq.transports import HostClock
+from rig_configs import load_rig
+from tests.daq.replayed_log import IDENTITIES, write_log
+
+RIG = load_rig("virtual")
+LASER = RIG.devices.laser_x
+IDENTITY = IDENTITIES["laser_x"]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Iterator[Log]:
+    with open_log(write_log(tmp_path / "a.mcap")) as opened:
+        yield opened
+
+
+def blocks(count: int, words: int = 4) -> bytes:
+    rng = np.random.default_rng(1)
+    return optoncdt.encode_block(rng.integers(0, 2**18, (count, words), dtype=np.uint32))
+
+
+def asking(device: PlayedDevice) -> tuple[Callable[[bytes], None], queue.Queue[str]]:
+    """A host's way to a device and back, through the decoder that reads it."""
+    replies: queue.Queue[str] = queue.Queue()
+    decoder = optoncdt.StreamDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))
+
+    def send(data: bytes) -> None:
+        for line in decoder.feed(device.hear(data)).text:
+            replies.put(line)
+
+    return send, replies
+
+
+# --- a sensor ----------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.integers(1, 5),
+    st.lists(st.integers(1, 40), min_size=1, max_size=40),
+    st.integers(0, 11),
+    st.lists(st.sampled_from([b"", b"OUTPUT NONE ok\r\n->", b"->", b"E200 Unknown command X\r\n->"]), min_size=1),
+)
+def test_an_answer_never_falls_into_a_block(words: int, cuts: list[int], start: int, answers: list[bytes]) -> None:
+    """Any number of words, any cut into reads, a stream that begins anywhere, and answers between any two reads."""
+    stream = blocks(60, words)[start:]
+    names = ("DIST", "A", "B", "C", "D")[:words]
+    alone = optoncdt.StreamDecoder(names).feed(stream)
+    source, decoder = WholeBlocks(words), optoncdt.StreamDecoder(names)
+    rows, text, skipped, rest, played = [], [], 0, stream, b""
+    for number, cut in enumerate(cuts * len(stream)):
+        data = source.feed(RX, rest[:cut]) if rest else source.rest()
+        answer = answers[number % len(answers)]
+        for part in (data, answer):
+            found = decoder.feed(part)
+            rows.append(found.values)
+            text += found.text
+            skipped += found.skipped_bytes
+        played += data
+        if not rest:
+            break
+        rest = rest[cut:]
+    assert played == stream
+    assert np.array_equal(np.concatenate(rows), alone.values)
+    assert skipped == alone.skipped_bytes
+    assert text.count("->") == sum(answer.endswith(b"->") for answer in (answers * (number + 1))[: number + 1])
+
+
+def test_bytes_that_are_no_blocks_are_not_held_back_for_ever() -> None:
+    source = WholeBlocks(4)
+    assert source.feed(RX, b"OUTPUT NONE ok\r\n->") == b"OUTPUT NONE ok\r\n->"
+    assert source.feed(RX, b"abc") == b""
+    assert source.feed(TX, b"OUTPUT NONE\n") == b""
+    assert source.rest() == b"abc"
+    assert source.feed(RX, b"\xff" * 100) == b"\xff" * 100
+
+
+def test_our_own_set_up_finds_the_sensor_of_the_log() -> None:
+    laser = PlayedLaser(IDENTITY, LASER)
+    send, replies = asking(laser)
+    assert not laser.sending
+    assert lasers.configure("laser_x", LASER, send, replies) == IDENTITY
+    assert laser.sending
+    assert laser.commands == 9
+    assert laser.unfollowed == 0
+
+
+def test_a_corrected_range_is_not_what_the_sensor_says() -> None:
+    laser = PlayedLaser({**IDENTITY, "range_m": 0.02503, "told_range_m": 0.025}, LASER)
+    assert b"Measuring range: 25.00mm\r\n" in laser.hear(b"GETINFO\n")
+
+
+def test_of_a_sensor_that_was_never_asked_the_rig_file_tells() -> None:
+    laser = PlayedLaser({}, LASER)
+    send, replies = asking(laser)
+    identity = lasers.configure("laser_x", LASER, send, replies)
+    assert identity == {"name": "unknown", "serial": "unknown", "version": "unknown", "range_m": LASER.range_m,
+                        "words": list(optoncdt.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP"))}  # fmt: skip
+
+
+def test_a_log_has_no_other_rate() -> None:
+    slow = LASER.model_copy(update={"rate_Hz": 1000})
+    send, replies = asking(PlayedLaser(IDENTITY, slow))
+    with pytest.raises(DeviceError, match="Rate 4 kHz not possible, only 1"):
+        lasers.configure("laser_x", LASER, send, replies)
+
+
+def test_it_sends_from_when_it_is_told_until_it_is_told_and_resets_no_counter() -> None:
+    laser = PlayedLaser(IDENTITY, LASER)
+    stream = blocks(40)
+    assert laser.play(RX, stream[:125]) == b""
+    laser.hear(b"RESETCNT MEASCNT\nOUTPUT RS422\n")
+    assert laser.play(RX, stream[125:250]) == stream[120:240]  # from the start of a block to the end of one
+    laser.hear(b"OUTPUT NONE\n")
+    assert laser.play(RX, stream[250:370]) == b""
+    laser.hear(b"OUTPUT RS422\n")
+    assert laser.play(RX, stream[370:]) == stream[360:]
+    assert laser.withheld_bytes == 120 + 120
+    assert laser.rest() == b""
+
+
+@pytest.mark.parametrize(
+    ("identity", "words"),
+    [
+        ({"words": []}, "names of output words"),
+        ({"words": "DIST"}, "names of output words"),
+        ({"words": ["DIST", "X\r\n->"]}, "names of output words"),
+        ({"words": [1, 2]}, "names of output words"),
+        ({"range_m": -1}, "a measuring range in m"),
+        ({"range_m": "25"}, "a measuring range in m"),
+        ({"range_m": float("nan")}, "a measuring range in m"),
+    ],
+)
+def test_an_identity_no_sensor_has_is_refused(identity: dict, words: str) -> None:
+    with pytest.raises(LogError, match=words):
+        PlayedLaser(identity, LASER)
+
+
+# --- the node and the drive --------------------------------------------------------------------------------------
+
+
+def test_a_node_lets_commands_pass_and_counts_them() -> None:
+    node = PlayedNode()
+    frame = rotorlink.wire(rotorlink.Command(1, 7, rotorlink.ACTIONS["release both"]).pack())
+    assert node.hear(frame[:3]) == b""
+    assert node.hear(frame[3:] + frame + b"noise") == b""
+    assert (node.commands, node.unfollowed, node.sending) == (2, 2, True)
+    assert node.play(RX, b"\0abc\0") == b"\0abc\0"
+
+
+class Bus:
+    """Our own drive control on a played drive, its answers brought back at once."""
+
+    def __init__(self, drive: PlayedDrive) -> None:
+        self.drive = drive
+        self.control = DriveControl(RIG.devices.drive, self.send, HostClock())
+        self._lines = slcan.LineDecoder()
+
+    def send(self, data: bytes) -> None:
+        self.bring(self.drive.hear(data))
+
+    def bring(self, data: bytes) -> None:
+        self.control.notice(self._lines.feed(data).frames)
+
+
+def report(status: int, rpm: int) -> bytes:
+    return slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, RIG.devices.drive.node_id), cia402.pack_tpdo1(status, rpm)))
+
+
+def test_our_own_control_starts_and_stops_a_played_drive() -> None:
+    drive = PlayedDrive(RIG.devices.drive)
+    bus = Bus(drive)
+    assert drive.play(RX, report(0x237, 100)) == b""
+    bus.control.start()
+    assert drive.sending
+    bus.bring(drive.play(RX, report(0x237, 300)))
+    assert (bus.control.actual_rpm, bus.control.state) == (300, cia402.OPERATION_ENABLED)
+    bus.control.set_speed(500)
+    bus.bring(drive.play(RX, report(0x240, 0)))
+    bus.control.stop()
+    assert not drive.sending
+    assert drive.play(RX, report(0x237, 100)) == b""
+    assert drive.unfollowed == 1  # the speed; that it was to stop in the end is no wish that was refused
+
+
+def test_what_it_measures_is_what_the_log_said_last() -> None:
+    drive = PlayedDrive(RIG.devices.drive)
+    bus = Bus(drive)
+    bus.control.start()
+    line = report(0x237, -300)
+    drive.play(RX, report(0x240, 1) + b"z\r" + line[:9])
+    drive.play(RX, line[9:] + line[:9])
+    node = canopen.RemoteNode(RIG.devices.drive.node_id, canopen.ObjectDictionary())
+    network = canopen.Network()
+    network.add_node(node)
+
+    def answered(identifier: int, data: bytes, remote: bool = False) -> None:
+        request = slcan.encode(slcan.CanFrame(identifier, bytes(data).ljust(8, b"\0")))
+        for frame in slcan.LineDecoder().feed(drive.hear(request)).frames:
+            network.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
+
+    network.send_message = answered  # type: ignore[method-assign]
+    assert node.sdo.upload(cia402.STATUSWORD, 0) == struct.pack("<H", 0x237)
+    assert node.sdo.upload(cia402.ACTUAL_VELOCITY, 0) == struct.pack("<h", -300)
+    assert node.sdo.upload(cia402.MODE_DISPLAY, 0) == bytes([cia402.MODE_VELOCITY])
+    bus.control.stop()
+
+
+def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
+    drive = PlayedDrive(RIG.devices.drive)
+    drive.hear(b"O\rt0002" + bytes([1, 5]).hex().encode() + b"\r")
+    line = report(0x237, 300)
+    request = slcan.encode(slcan.CanFrame(cia402.cob_sdo_request(5), b"\x40\x41\x60\0\0\0\0\0"))
+    bus = drive.play(RX, line + line[:7]) + drive.hear(request) + drive.play(RX, line[7:])
+    found = slcan.LineDecoder().feed(bus)
+    assert found.damaged == 0
+    assert [frame.arbitration_id for frame in found.frames] == [0x185, cia402.cob_sdo_answer(5), 0x185]
+
+
+@given(st.lists(st.binary(max_size=60), max_size=10))
+def test_whatever_a_host_sends_nothing_breaks(pieces: list[bytes]) -> None:
+    for device in (PlayedLaser(IDENTITY, LASER), PlayedNode(), PlayedDrive(RIG.devices.drive), PlayedDevice()):
+        for piece in pieces:
+            assert isinstance(device.hear(piece), bytes)
+        assert device.rest() == b""
+
+
+# --- those of a log ----------------------------------------------------------------------------------------------
+
+
+def test_every_device_of_a_log_has_its_stand_in(log: Log) -> None:
+    devices = played_devices(log)
+    assert {name: type(device) for name, device in devices.items()} == {
+        "laser_x": PlayedLaser, "laser_y": PlayedLaser, "encoder": PlayedNode, "drive": PlayedDrive,
+    }  # fmt: skip
+    assert b"Serial: 1\r\n" in devices["laser_x"].hear(b"GETINFO\n")
+    assert b"Serial: 2\r\n" in devices["laser_y"].hear(b"GETINFO\n")
+
+
+def test_an_identity_that_cannot_be_is_told_with_log_and_device(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    for table, words in (({"laser_y": {"words": []}}, "laser_y: .*output words"), ({"laser_y": 3}, "a table for")):
+        monkeypatch.setattr("daq.playback.devices.identities_of", lambda _, table=table: table)
+        with pytest.raises(LogError, match=f"a.mcap: .*{words}"):
+            played_devices(log)
