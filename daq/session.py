@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,35 +22,20 @@ from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.laser_blocks import compile_loop
 from daq.protocols import optoncdt, rotorlink
+from daq.reader import DeviceReader
 from daq.recent import Recent
 from daq.recorder import DiskState, Recorder
 from daq.stream_items import RX, TX, Batch, Event
-from daq.streams import Pipeline, make_pipelines
-from daq.transports import HostClock, Link, open_link
+from daq.streams import make_pipelines
+from daq.transports import HostClock, open_link
 from daq.version import software_version
 from rig_configs.schema import Rig
 
 _KEEP_S = 90.0
-_REST_S = 0.01  # rig time between two turns of a reader: what a wake-up costs counts, not the bytes
-_LASER_REST_S = 0.02  # its samples bear their own time, and come without a pause
-_NEXT_S = 0.005  # wall seconds to wait for the next arrival
 _HEALTH_S = 1.0
 _WATCH_S = 0.25  # wall seconds between two looks for silent devices
 _SILENCE_S = 2.0  # wall seconds
 _OUT_OF_RANGE_SAMPLES = 5  # in one read; fewer may be a flash of light
-
-
-class _Device:
-    """One link with its reader thread."""
-
-    def __init__(self, name: str, link: Link, pipeline: Pipeline) -> None:
-        self.name, self.link, self.pipeline = name, link, pipeline
-        self.lock = threading.Lock()  # rx and tx reach pipeline and log in one order
-        self.replies: queue.Queue[str] = queue.Queue()
-        self.rest_s = _LASER_REST_S if name.startswith("laser") else _REST_S
-        self.bytes_in = 0
-        self.heard_s = time.monotonic()
-        self.thread: threading.Thread | None = None
 
 
 class Session:
@@ -70,7 +56,7 @@ class Session:
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
         self.trouble: Exception | None = None
         self._drive: DriveControl | None = None
-        self._devices: dict[str, _Device] = {}
+        self._devices: dict[str, DeviceReader] = {}
         self._recorder: Recorder | None = None
         self._acknowledges: queue.Queue[Event] = queue.Queue()
         self._watchers: list[Callable[[Batch], None]] = [self._guard_amplitude]
@@ -130,13 +116,11 @@ class Session:
         }
         pipelines = make_pipelines(d, {})
         for name, (port, baud, bitrate) in ports.items():
-            self._devices[name] = _Device(name, open_link(port, baud, bitrate), pipelines[name])
+            self._devices[name] = DeviceReader(name, open_link(port, baud, bitrate), pipelines[name], self.clock)
 
     def _start_readers(self) -> None:
         for device in self._devices.values():
-            device.heard_s = time.monotonic()
-            device.thread = threading.Thread(target=self._read, args=(device,), name=device.name, daemon=True)
-            device.thread.start()
+            device.start(partial(self._take, device, RX), self._fail)
 
     def _start_watching(self) -> None:
         threading.Thread(target=self._report_health, name="health", daemon=True).start()
@@ -160,9 +144,7 @@ class Session:
             finally:
                 self._closing = True
                 for device in self._devices.values():
-                    if device.thread is not None:
-                        device.thread.join(timeout=2.0)
-                    device.link.close()
+                    device.stop()
 
     def _stop_devices(self) -> None:
         """Rotor to rest, streams off; a device that is gone does not keep the others from being stopped."""
@@ -187,37 +169,6 @@ class Session:
 
     # --- bytes -------------------------------------------------------------------------------------------------
 
-    def _read(self, device: _Device) -> None:
-        """Take bytes some fifty times a second, each turn stamped with the arrival of its last byte.
-
-        What came while the thread rested is not stamped as it is fetched, which would be late by an unknown part of
-        the rest: it waits for the next arrival, as long as that is near.
-        """
-        rested = b""
-        try:
-            while not self._closing:
-                try:
-                    data = device.link.read(_NEXT_S if rested else 0.1)
-                except LinkLost:
-                    if rested:  # its last bytes are bytes too
-                        self._arrived(device, rested)
-                    raise
-                if rested or data:
-                    self._arrived(device, rested + data)
-                    self.clock.sleep(device.rest_s)
-                    rested = b""  # not twice, should the next line fail
-                    rested = device.link.read(0.0)
-        except Exception as error:  # the device is gone, or a decoder's bug: either must stop the rig, not one thread
-            if not self._closing:
-                self._fail(error)
-
-    def _arrived(self, device: _Device, data: bytes) -> None:
-        host_ns = self.clock.now_ns()
-        with device.lock:
-            device.bytes_in += len(data)
-            device.heard_s = time.monotonic()
-            self._take(device, RX, data, host_ns)
-
     def send(self, name: str, data: bytes) -> None:
         """Write to a device; the bytes go into the log as they go out.
 
@@ -229,7 +180,7 @@ class Session:
             self._take(device, TX, data, self.clock.now_ns())
             device.link.write(data)
 
-    def _take(self, device: _Device, direction: int, data: bytes, host_ns: int) -> None:
+    def _take(self, device: DeviceReader, direction: int, data: bytes, host_ns: int) -> None:
         recorder = self._recorder
         if recorder is not None and not recorder.raw(device.name, direction, data, host_ns):
             recorder = None  # the run has ended; interlocks go on

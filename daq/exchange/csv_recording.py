@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.exchange.columns import Column
 from daq.exchange.csv_dialect import Dialect, is_comment, sniff
 from daq.exchange.errors import ExchangeError
-from daq.exchange.recordings import Column
 
 _BLOCK_ROWS = 50_000
 _LONGEST_SHOWN = 40

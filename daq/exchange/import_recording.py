@@ -14,13 +14,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from daq.exchange.columns import Recording
 from daq.exchange.errors import ExchangeError
 from daq.exchange.imported_log import Part, write_log
 from daq.exchange.imported_parts import DEVICES, Noticed, gap_events, make_parts, release_events
 from daq.exchange.provenance import file_sha256, iso_time
 from daq.exchange.readings import Readings, since_1970
 from daq.exchange.recipe import TESTS, Recipe
-from daq.exchange.recordings import Recording, open_recording
+from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
 from daq.version import software_version
 from rig_configs.schema import Rig

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat, whosmat
 
+from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
-from daq.exchange.recordings import Column, as_column
 
 _MOST_COLUMNS = 256  # of a matrix; more is an image or the like
 _LARGEST = 2**32  # bytes a file may say that one of its variables has

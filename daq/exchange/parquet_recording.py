@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
-from daq.exchange.recordings import Column, as_column
 
 
 class ParquetRecording:

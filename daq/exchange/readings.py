@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.exchange.columns import Column
 from daq.exchange.errors import ExchangeError
-from daq.exchange.recordings import Column
 from daq.exchange.units import UNITS, ColumnChoice, Quantity
 
 LEAST_ROWS = 20

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.exchange.columns import Column, Recording, pick
 from daq.exchange.errors import ExchangeError
 from daq.exchange.readings import Readings, check_rate, check_size, check_small, read_sensor, times_ns
 from daq.exchange.recipe import QUANTITIES, Recipe
-from daq.exchange.recordings import Column, Recording, open_recording, pick
+from daq.exchange.recordings import open_recording
 from daq.exchange.units import ColumnChoice
 from rig_configs.schema import Rig
 

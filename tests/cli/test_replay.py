@@ -240,14 +240,14 @@ def test_played_to_another_program_from_start_to_end(log: Path, kind: str) -> No
 
 @pytest.fixture(scope="module")
 def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten seconds, the rotor at rest in the last two; gaps of one laser in the middle."""
+    """Fourteen seconds, the rotor at rest at their end; gaps of one laser in the middle."""
     path = tmp_path_factory.mktemp("logs") / "long.mcap"
-    return write_log(path, steps=1000, lost=frozenset({400, 401, 403}), rests_from=800)
+    return write_log(path, steps=1400, lost=frozenset({400, 401, 403}), rests_from=1250)
 
 
 def test_a_check_shows_the_devices_of_the_log(long_log: Path) -> None:
-    with Player(long_log, "tcp", "8") as player:
-        host = hosted(player, "check", "virtual", "--seconds", "2", "--time-scale", "8", "--json")
+    with Player(long_log, "tcp", "4") as player:
+        host = hosted(player, "check", "virtual", "--seconds", "1", "--time-scale", "4", "--json")
     assert host.returncode == 0, host.stderr
     found = json.loads(host.stdout)
     for name in ("laser_x", "laser_y"):
@@ -265,7 +265,7 @@ def test_a_host_that_configures_records_again_what_the_log_holds(long_log: Path,
     assert host.returncode == 0, host.stderr
     assert player.code == 0
     assert player.result["ended"] == "the host, which stopped its devices and left"
-    assert 3.0 < player.result["played_s"] <= 10.01
+    assert 3.0 < player.result["played_s"] <= 14.01
     with open_log(long_log) as one, open_log(again) as two:
         said = json.loads(two.attachments["identities.json"])
         assert said["laser_x"] == IDENTITIES["laser_x"]
@@ -278,7 +278,7 @@ def test_a_host_that_configures_records_again_what_the_log_holds(long_log: Path,
 def _same_stretch(one: Samples, two: Samples, key: str) -> None:
     """Everything recorded again is, sample by sample and bit by bit, a stretch of the first recording."""
     count = len(two.time_ns)
-    assert count > 0.2 * len(one.time_ns)
+    assert count > 0.15 * len(one.time_ns)
     first = int(np.flatnonzero(one[key] == two[key][0])[0])
     stretch = slice(first, first + count)
     assert np.array_equal(one.sequence[stretch], two.sequence)

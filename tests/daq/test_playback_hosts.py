@@ -291,3 +291,21 @@ def test_questions_are_answered_while_the_ports_are_held_at_the_end(log: Log, ho
     hosts["laser_x"].says = LASERS[0]
     playback.hold(linger_s=0.1)
     assert hosts["laser_x"].got.endswith(b"OUTPUT NONE ok\r\n->")
+
+
+def test_as_fast_as_it_is_read_commands_are_heard_all_the_same(log: Log, hosts: dict[str, Host]) -> None:
+    clock = FakeClock()
+    playback = set_up(hosts, log, clock)
+    counted: list[int] = []
+
+    def chunks() -> Iterator:
+        for number, chunk in enumerate(log.raw_in_order()):
+            clock.ns += 3_000_000  # handing over takes time, too
+            if number == 100:
+                hosts["laser_x"].says = LASERS[0]
+            counted.append(len(hosts["laser_x"].got))
+            yield chunk
+
+    state = playback.play(chunks())
+    assert state.withheld["laser_x"] > 0
+    assert counted[110] == counted[-1] < len(from_device(log, "laser_x"))

@@ -1,0 +1,95 @@
+"""One device being read: its link, its decoder, and the thread that takes what arrives."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from daq.errors import LinkLost
+from daq.streams import Pipeline
+from daq.transports import HostClock, Link
+
+_REST_S = 0.01  # rig time between two turns: what a wake-up costs counts, not the bytes
+_LASER_REST_S = 0.02  # its samples bear their own time, and come without a pause
+_NEXT_S = 0.005  # wall seconds to wait for the next arrival
+_WAIT_S = 0.1  # wall seconds between two looks whether to end
+
+
+class DeviceReader:
+    """One link with its reader thread.
+
+    Args:
+        name: the device, as in the rig file.
+        pipeline: decodes its bytes; may be exchanged between two reads, under `lock`.
+        clock: stamps arrivals.
+
+    Attributes:
+        lock: held while bytes, in either direction, go to log and pipeline: both see one order.
+        replies: text answers of the device.
+        heard_s: when bytes came last, `time.monotonic`.
+    """
+
+    def __init__(self, name: str, link: Link, pipeline: Pipeline, clock: HostClock) -> None:
+        self.name, self.link, self.pipeline = name, link, pipeline
+        self.lock = threading.Lock()
+        self.replies: queue.Queue[str] = queue.Queue()
+        self.bytes_in = 0
+        self.heard_s = time.monotonic()
+        self._clock = clock
+        self._rest_s = _LASER_REST_S if name.startswith("laser") else _REST_S
+        self._ending = False
+        self._thread: threading.Thread | None = None
+
+    def start(self, take: Callable[[bytes, int], None], fail: Callable[[Exception], None]) -> None:
+        """Begin to read.
+
+        Args:
+            take: called under `lock` with bytes and the host time of the last one's arrival, ns.
+            fail: called once when the device is gone, or with a decoder's bug: either must stop the rig.
+        """
+        self.heard_s = time.monotonic()
+        self._thread = threading.Thread(target=self._run, args=(take, fail), name=self.name, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and let go of the link."""
+        self._ending = True
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+        self.link.close()
+
+    def _run(self, take: Callable[[bytes, int], None], fail: Callable[[Exception], None]) -> None:
+        try:
+            self._read(take)
+        except Exception as error:
+            if not self._ending:
+                fail(error)
+
+    def _read(self, take: Callable[[bytes, int], None]) -> None:
+        """Take bytes some fifty times a second, each turn stamped with the arrival of its last byte.
+
+        What came while the thread rested is not stamped as it is fetched, which would be late by an unknown part of
+        the rest: it waits for the next arrival, as long as that is near.
+        """
+        rested = b""
+        while not self._ending:
+            try:
+                data = self.link.read(_NEXT_S if rested else _WAIT_S)
+            except LinkLost:
+                if rested:  # its last bytes are bytes too
+                    self._arrived(rested, take)
+                raise
+            if rested or data:
+                self._arrived(rested + data, take)
+                self._clock.sleep(self._rest_s)
+                rested = b""  # not twice, should the next line fail
+                rested = self.link.read(0.0)
+
+    def _arrived(self, data: bytes, take: Callable[[bytes, int], None]) -> None:
+        host_ns = self._clock.now_ns()
+        with self.lock:
+            self.bytes_in += len(data)
+            self.heard_s = time.monotonic()
+            take(data, host_ns)
