@@ -140,7 +140,7 @@ class Session:
         finally:
             try:
                 if self._recorder is not None:
-                    self.stop_recording({"ended": "session closed"})
+                    self.stop_recording({"ended": str(self.trouble or "session closed")})
             finally:
                 self._closing = True
                 for device in self._devices.values():

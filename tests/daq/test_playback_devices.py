@@ -84,7 +84,8 @@ def test_an_answer_never_falls_into_a_block(words: int, cuts: list[int], start: 
         rest = rest[cut:]
     assert played == stream
     assert np.array_equal(np.concatenate(rows), alone.values)
-    assert skipped == alone.skipped_bytes
+    assert skipped <= alone.skipped_bytes  # the end of a block whose start is not there may look like text
+    assert skipped == 0 or start > 0
     assert text.count("->") == sum(answer.endswith(b"->") for answer in (answers * (number + 1))[: number + 1])
 
 
