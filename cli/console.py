@@ -9,9 +9,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console
+from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 STDERR = Console(stderr=True, highlight=False)
@@ -79,6 +80,24 @@ class StepProgress:
     def say(self, text: str) -> None:
         """A line that stays."""
         STDERR.print(text)
+
+
+class LiveTable:
+    """A context in which a subclass shows how work goes: on a terminal in place, elsewhere by lines."""
+
+    def __init__(self) -> None:
+        self._live = Live(console=STDERR, auto_refresh=False, transient=True) if STDERR.is_terminal else None
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
 
 
 def say(text: str) -> None:

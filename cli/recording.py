@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from types import TracebackType
 
 import numpy as np
 from rich.console import Group
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from cli.console import STDERR, say
+from cli.console import LiveTable, say
 from daq.log.losses import Losses
 from daq.recorder import DiskState
 from daq.session import Session
@@ -27,24 +25,13 @@ _ROWS = (
 )
 
 
-class RecordingStatus:
+class RecordingStatus(LiveTable):
     """A table that follows a recording on a terminal; where there is none, a line every ten seconds."""
 
     def __init__(self, session: Session) -> None:
+        super().__init__()
         self._session = session
         self._started = self._shown = time.monotonic()
-        self._live = Live(console=STDERR, auto_refresh=False, transient=True) if STDERR.is_terminal else None
-
-    def __enter__(self) -> RecordingStatus:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
 
     def show(self) -> None:
         """Bring it up to date, if it is time."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import Any
 
-from rich.live import Live
 from rich.table import Table
 
-from cli.console import STDERR, say
+from cli.console import LiveTable, say
 from daq.log import Log
+from daq.log.losses import Losses
 from daq.replay.pace import Paced
 from daq.stream_items import Batch, Event
 
@@ -30,10 +29,11 @@ _LAST: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
 }
 
 
-class ReplayView:
+class ReplayView(LiveTable):
     """Counts what is replayed and shows it eight times a second."""
 
     def __init__(self, log: Log, replayed: Paced) -> None:
+        super().__init__()
         self._start_ns, self._span_s = log.start_ns, (log.end_ns - log.start_ns) * 1e-9
         self._replayed = replayed
         self._now_ns = log.start_ns
@@ -42,18 +42,6 @@ class ReplayView:
         self._events: dict[str, int] = {}
         self._rates = dict.fromkeys(_LAST, 0.0)
         self._shown_s, self._shown_ns, self._shown_samples = -math.inf, self._now_ns, dict(self._samples)
-        self._live = Live(console=STDERR, auto_refresh=False, transient=True) if STDERR.is_terminal else None
-
-    def __enter__(self) -> ReplayView:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
 
     def add(self, host_ns: int, items: list[Batch | Event]) -> None:
         """What one read gave."""
@@ -89,15 +77,14 @@ class ReplayView:
         if passed > 0:
             self._rates = {topic: (n - self._shown_samples[topic]) / passed for topic, n in self._samples.items()}
         self._shown_s, self._shown_ns, self._shown_samples = time.monotonic(), self._now_ns, dict(self._samples)
-        lost = ", ".join(f"{device} {n} {kind.replace('_', ' ')}"
-                         for device, kinds in self._losses().items() for kind, n in kinds.items() if n)  # fmt: skip
+        lost = Losses(self._losses(), "events").words()
         late = self._replayed.pace.late_s
         state = f"{self._at_s:.1f} s of {self._span_s:.1f} s" + (f", {late:.2f} s late" if late > 0.1 else "")
         if self._live is None:
             last = "; ".join(f"{topic} {_LAST[topic](values).strip()}" for topic, values in self._last.items())
-            say(f"{state}: {last}; {lost or 'nothing lost'}")
+            say(f"{state}: {last}; {lost}")
             return
-        table = Table(title=state, caption=lost or "nothing lost")
+        table = Table(title=state, caption=lost)
         for name in ("channel", "samples", "Hz in the log", "last"):
             table.add_column(name, justify="left" if name in ("channel", "last") else "right")
         for topic, count in self._samples.items():
