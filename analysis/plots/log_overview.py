@@ -7,9 +7,8 @@ the figure has columns only the least and the largest value of each column are k
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -92,20 +91,24 @@ class Trace:
 
 @dataclass
 class _Tacho:
-    """Speed from the marks of the rotor, across stretches."""
+    """Speed from the marks of the rotor, across stretches.
 
-    last: tuple[float, float] | None = None
-    trace: Any = field(default=None)
+    The node's own clock times the marks: the map to the common clock still learns in a log's first second.
+    """
 
-    def add(self, time: NDArray[np.floating], turns: NDArray[np.floating]) -> None:
+    trace: Trace
+    last: tuple[float, float, float] | None = None
+
+    def add(self, time: NDArray[np.floating], clock: NDArray[np.floating], turns: NDArray[np.floating]) -> None:
+        marks = np.column_stack([time, clock, turns])
         if self.last is not None:
-            time, turns = np.concatenate([[self.last[0]], time]), np.concatenate([[self.last[1]], turns])
-        if len(time):
-            self.last = (float(time[-1]), float(turns[-1]))
-        step = np.diff(time)
-        good = (step > 0) & (step < _SLOWEST_MARK_S)
-        middle, speed = (time[:-1] + step / 2)[good], (60 * np.diff(turns)[good] / step[good])
-        self.trace.add(middle, speed)
+            marks = np.vstack([self.last, marks])
+        if len(marks):
+            self.last = tuple(marks[-1].tolist())
+        steps = np.diff(marks, axis=0)
+        good = (steps[:, 1] > 0) & (steps[:, 1] < _SLOWEST_MARK_S)
+        middle = marks[:-1, 0] + steps[:, 0] / 2
+        self.trace.add(middle[good], 60 * steps[good, 2] / steps[good, 1])
 
 
 def draw_log_overview(log: Log, path: Path, title: str = "", progress: Progress | None = None) -> None:
@@ -155,7 +158,9 @@ def _gather(part: Log, origin_ns: int, traces: dict[str, Trace], tacho: _Tacho) 
     marks = part.get("tacho")
     for field_name, scale in (("revolutions", 1.0), ("phase_rad", 0.5 / np.pi)):
         if marks is not None and field_name in marks.columns:
-            tacho.add(_seconds(marks, origin_ns), scale * marks[field_name].astype(float))
+            time = _seconds(marks, origin_ns)
+            clock = 1e-6 * marks["node_time_us"].astype(float) if "node_time_us" in marks.columns else time
+            tacho.add(time, clock, scale * marks[field_name].astype(float))
 
 
 def _seconds(samples: Samples, origin_ns: int) -> NDArray[np.floating]:

@@ -131,9 +131,9 @@ class LogSource:
         if not len(chunks):
             return []
         starts, ends = table.start[chunks], table.start[chunks] + table.length[chunks]
-        far = np.flatnonzero(starts[1:] - ends[:-1] > PIECE_BYTES // 8) + 1
-        pieces = np.concatenate([[0], np.cumsum((starts[1:] // PIECE_BYTES) != (starts[:-1] // PIECE_BYTES))])
-        cuts = np.union1d(far, np.flatnonzero(np.diff(pieces)) + 1)
+        far = starts[1:] - ends[:-1] > PIECE_BYTES // 8
+        in_next_piece = starts[1:] // PIECE_BYTES != starts[:-1] // PIECE_BYTES
+        cuts = np.flatnonzero(far | in_next_piece) + 1
         return np.split(chunks, cuts)
 
     def _read(self, group: NDArray[np.intp], keep: bool) -> Iterator[tuple[int, NDArray[np.uint8]]]:

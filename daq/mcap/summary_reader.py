@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from mcap import records
@@ -93,10 +94,11 @@ class _Reading:
     def __post_init__(self) -> None:
         # room for the most there can be: pages that are never written cost nothing
         most, entries = (self.end - self.start) // _LEAST_INDEX_BYTES, (self.end - self.start) // _LEAST_ENTRY_BYTES
-        self.numbers = np.empty((6, most), np.int64)
-        self.kinds = np.empty(most, np.uint8)
-        self.first_entry = np.zeros(most + 1, np.int64)
-        self.channels, self.counts = np.empty(entries, np.uint16), np.empty(entries, np.uint32)
+        numbers, self.first_entry, self.counts, self.channels, self.kinds = _in_one_piece(
+            (np.int64, 6 * most), (np.int64, most + 1), (np.uint32, entries), (np.uint16, entries), (np.uint8, most)
+        )
+        self.numbers = numbers.reshape(6, most)
+        self.first_entry[0] = 0
         self.totals = np.zeros(65536, np.int64)
         self.state = np.zeros(3, np.int64)
 
@@ -187,3 +189,12 @@ class _Reading:
 
 def _constant(count: int, value: int) -> NDArray[np.int64]:
     return np.broadcast_to(np.array(value, np.int64), (count,))
+
+
+def _in_one_piece(*wanted: tuple[type[np.generic], int]) -> list[NDArray[Any]]:
+    """Arrays of kinds and lengths, wider kinds first, side by side in memory: the system hands out one large piece with
+    far fewer page faults than several small ones, which cost more than all that is written into them.
+    """
+    ends = np.cumsum([np.dtype(kind).itemsize * length for kind, length in wanted])
+    parts = np.split(np.empty(ends[-1], np.uint8), ends[:-1])
+    return [part.view(kind) for part, (kind, _) in zip(parts, wanted, strict=True)]
