@@ -12,6 +12,7 @@ from cyclopts import Parameter
 from cli.console import STDERR, StepProgress, print_json, say
 from cli.options import Json, ParametersPath, Settings, rig_or_log
 from cli.recording import RecordingStatus
+from daq.log.file import check_name
 from daq.log.losses import Losses
 from daq.procedure import Procedures, TestDone
 from daq.session import Session
@@ -89,6 +90,7 @@ def record(
     json: Json = False,
 ) -> int:
     """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
+    check_name(output)  # before any device is disturbed
     loaded, identities = rig_or_log(rig, settings or [])
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
@@ -124,8 +126,8 @@ def _record_until(
             if until_silent_s is not None and heard and session.silent_s > until_silent_s:
                 return "silence"
             time.sleep(0.05)
-    except KeyboardInterrupt:
-        return "Ctrl-C"
+    except KeyboardInterrupt as stop:
+        return str(stop) or "Ctrl-C"
     return "duration"
 
 

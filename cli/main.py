@@ -5,8 +5,11 @@ Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or
 
 from __future__ import annotations
 
+import signal
 import sys
 from contextlib import nullcontext
+from errno import ENOSPC
+from io import TextIOWrapper
 from keyword import iskeyword
 
 from cyclopts import App, CycloptsError
@@ -17,7 +20,11 @@ from daq.errors import LogError, RigError
 from dynamics.errors import DynamicsError
 from rig_configs.errors import RigConfigError
 
-app = App(name="rig", help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.")
+app = App(
+    name="rig",
+    suppress_keyboard_interrupt=False,
+    help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.",
+)
 _VERBS = {  # imported when called: `rig predict` need not wait for the drivers
     "cli.demo": ("demo",),
     "cli.acquire": ("virtual", "check", "record", "test"),
@@ -43,23 +50,41 @@ def run(arguments: list[str]) -> int:
         return result if isinstance(result, int) else 0
     except CycloptsError:
         return 2  # cyclopts has said what is wrong
-    except (RigConfigError, DynamicsError, LogError, AnalysisError) as error:
-        say(f"rig: {error}")
-        return 2
-    except RigError as error:
-        say(f"rig: {error}")
-        return 3
-    except OSError as error:
-        say(f"rig: {error}")
-        return 3
-    except KeyboardInterrupt:
-        say("rig: interrupted")
+    except KeyboardInterrupt as stop:
+        say(f"rig: interrupted{f' by {stop}' if str(stop) else ''}")
         return 130
+    except Exception as error:
+        code = _exit_code(error)
+        if code is None:
+            raise
+        full = isinstance(error, OSError) and error.errno == ENOSPC
+        say(f"rig: {error}{'; make room on the disk, or use another' if full else ''}")
+        return code
+
+
+def _exit_code(error: Exception) -> int | None:
+    """2 for bad input, 3 for hardware and I/O, None for what nobody raised on purpose."""
+    identification = sys.modules.get("identification")  # it loads fits and statistics: only where they are used
+    if isinstance(error, RigConfigError | DynamicsError | LogError | AnalysisError) or (
+        identification is not None and isinstance(error, identification.IdentificationError)
+    ):
+        return 2
+    return 3 if isinstance(error, RigError | OSError) else None
 
 
 def main() -> None:
-    """Entry point."""
+    """Entry point. A hang-up or a polite kill ends a command as Ctrl-C does: a log is finished, the rotor stopped."""
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):  # Windows has no hang-up
+            signal.signal(getattr(signal, name), _interrupt)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that lacks a Greek letter shows a question mark
     sys.exit(run(sys.argv[1:]))
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt(signal.Signals(number).name)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import shutil
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,7 +93,7 @@ class Recorder:
         self._failure: Exception | None = None  # the disk's: nothing more can be written
         self._log = LogFile(path, metadata, attachments, devices, clock.now_ns())
         self.path, self.part = self._log.path, self._log.part
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._backlog: list[tuple[Any, ...]] = []
         self._backlog_bytes = 0
         self._ending = threading.Event()
@@ -149,6 +150,10 @@ class Recorder:
                 "whole; use a faster disk, or find out what else is writing to this one"
             )
 
+    def together(self) -> AbstractContextManager[Any]:
+        """A context: what is left within it is written together, so a log has bytes and their samples, or neither."""
+        return self._lock
+
     # --- how it goes -------------------------------------------------------------------------------------------
 
     def state(self) -> DiskState:
@@ -168,7 +173,13 @@ class Recorder:
 
     def look(self) -> DiskState:
         """How the disk keeps up, and end the run while there is still room to finish the file."""
-        state = self.state()
+        try:
+            state = self.state()
+            if not self._log.is_there():
+                raise FileNotFoundError(f"{self.part.name} was moved or deleted")
+        except OSError as error:
+            self._fail(error)
+            return DiskState()
         if state.free_bytes < self._spare():
             self._end_because(
                 f"the disk is full ({state.free_bytes / 1e6:.1f} MB left). The log ends here and is whole; make room "
@@ -249,10 +260,12 @@ class Recorder:
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or error
-        self._end_because(
-            f"writing failed ({error}). {self.part.name} is readable up to the last flush and `rig recover` makes it "
-            "whole; make room on the disk, or use another, and repeat the test"
-        )
+        if isinstance(error, FileNotFoundError):
+            what = "the folder or the file in it has gone, and what was recorded with it; look for it, repeat the test"
+        else:
+            room = "make room on the disk, or use another" if isinstance(error, OSError) else "tell the developers"
+            what = f"{self.part.name} is readable up to the last flush and `rig recover` makes it whole; {room}"
+        self._end_because(f"writing failed ({error}). {what}")
 
     def close(self, summary: Mapping[str, Any]) -> Path:
         """Finish the file; the summary (losses, verdicts) goes in as metadata.

@@ -9,7 +9,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -123,7 +123,7 @@ class Session:
             device.start(partial(self._take, device, RX), self._fail)
 
     def _start_watching(self) -> None:
-        threading.Thread(target=self._report_health, name="health", daemon=True).start()
+        threading.Thread(target=self._watch, name="health", daemon=True).start()
 
     def __enter__(self) -> Session:
         return self if self._devices else self.open()
@@ -182,25 +182,24 @@ class Session:
 
     def _take(self, device: DeviceReader, direction: int, data: bytes, host_ns: int) -> None:
         recorder = self._recorder
-        if recorder is not None and not recorder.raw(device.name, direction, data, host_ns):
-            recorder = None  # the run has ended; interlocks go on
-        found = device.pipeline.feed(direction, data, host_ns)
+        with nullcontext() if recorder is None else recorder.together():
+            if recorder is not None and not recorder.raw(device.name, direction, data, host_ns):
+                recorder = None  # the run has ended; interlocks go on
+            found = device.pipeline.feed(direction, data, host_ns)
+            if recorder is not None:
+                for item in found:
+                    recorder.batch(item, host_ns) if isinstance(item, Batch) else recorder.event(item, host_ns)
         for item in found:
             if isinstance(item, Batch):
-                if recorder is not None:
-                    recorder.batch(item, host_ns)
                 self.recent.add(item)
                 for watch in self._watchers:
                     watch(item)
-            else:
-                if recorder is not None:
-                    recorder.event(item, host_ns)
-                if item.kind == "reply":
-                    device.replies.put(item.text)
-                elif item.kind == "acknowledge":
-                    self._acknowledges.put(item)
-                elif item.kind in ("fault", "restart") and self.trouble is None:
-                    self.trouble = DeviceError(f"{item.device}: {item.text}")
+            elif item.kind == "reply":
+                device.replies.put(item.text)
+            elif item.kind == "acknowledge":
+                self._acknowledges.put(item)
+            elif item.kind in ("fault", "restart") and self.trouble is None:
+                self.trouble = DeviceError(f"{item.device}: {item.text}")
         if self._drive is not None and isinstance(device.pipeline, DrivePipeline) and direction == RX:
             self.drive.notice(device.pipeline.frames)
 
@@ -233,6 +232,12 @@ class Session:
                     f"{self.rig.limits.amplitude_m * 1e3:g} mm; the rotor was stopped"
                 )
             )
+
+    def _watch(self) -> None:
+        try:
+            self._report_health()
+        except Exception as error:  # nobody would look at disk and silence any more
+            self._fail(error)
 
     def _report_health(self) -> None:
         due = time.monotonic()

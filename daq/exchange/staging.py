@@ -49,6 +49,8 @@ class Staging:
         return list(self._parts)
 
     def _refuse_existing(self, final: Path) -> None:
+        if final.name.lower().endswith((".mcap", ".part")):
+            raise ExchangeError(f"{final}: expected another ending, this is a log's: no export is written over a log")
         if final.is_dir():
             raise ExchangeError(f"{final}: expected a file's name, this is a folder: name the file in it")
         if final.exists() and not self._force:

@@ -14,7 +14,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -27,6 +28,7 @@ from daq.errors import LogError, RecordingError
 from daq.mcap.writer import BlockWriter, compile_writer
 from daq.stream_items import Batch, Event
 
+_WAITS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".csv": "text/csv", ".txt": "text/plain"}
 
 
@@ -59,11 +61,7 @@ class LogFile:
     ) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
-        self._finished = False
-        if self.path.suffix != ".mcap":
-            raise LogError(f"{self.path}: expected a name that ends in .mcap, got {self.path.name!r}")
-        if self.path.exists():
-            raise LogError(f"{self.path}: exists already; a log is never written over. Give another name")
+        check_name(self.path)
         compile_writer()  # before there is a file: one that is killed must not be found empty
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -76,6 +74,7 @@ class LogFile:
         except OSError as error:
             raise _cannot_create(self.part, error) from error
         try:
+            check_name(self.path)  # again: another recording of this name may just have ended
             self._writer = BlockWriter(self.file, compression)
             self._ids = self._define(devices, sample_channels)
             self._writer.add_metadata("run", dict(metadata))
@@ -135,19 +134,30 @@ class LogFile:
         """Wait until the disk has what was flushed: it survives the end of the machine. Any thread may call it."""
         getattr(os, "fdatasync", os.fsync)(self.file.fileno())  # only POSIX has fdatasync
 
+    def is_there(self) -> bool:
+        """Whether the file still has its name: one that was moved or deleted is written in vain.
+
+        Raises:
+            OSError: its folder is gone.
+        """
+        try:
+            return os.path.samestat(os.stat(self.part), os.fstat(self.file.fileno()))
+        except FileNotFoundError:
+            return False
+
     def finish(self, summary: Mapping[str, Any]) -> Path:
         """Write the summary metadata (losses, verdicts; values as JSON) and the file's end, and give it its name.
 
         Raises:
             OSError: the disk failed; the .part file stays.
+            LogError: another file has taken the name meanwhile; the .part file stays, whole.
         """
         self._writer.add_metadata("summary", {key: _json(value) for key, value in summary.items()})
         self._writer.finish()
         os.fsync(self.file.fileno())
         self.file.close()
-        os.replace(self.part, self.path)
+        give_name(self.part, self.path)
         self._sync_folder()
-        self._finished = True
         return self.path
 
     def close(self) -> None:
@@ -171,6 +181,48 @@ class LogFile:
                 os.fsync(folder)
             finally:
                 os.close(folder)
+
+
+def check_name(path: Path) -> None:
+    """Whether a log of this name can be written.
+
+    Raises:
+        LogError: it does not end in .mcap, or is taken.
+    """
+    if path.suffix != ".mcap":
+        raise LogError(f"{path}: expected a name that ends in .mcap, got {path.name!r}")
+    if path.exists():
+        raise LogError(f"{path}: exists already; a log is never written over. Give another name")
+
+
+def give_name(part: Path, path: Path) -> None:
+    """Rename a finished file, unless the name is taken; on Windows a program that is just reading it is waited for.
+
+    Raises:
+        LogError: the name is taken.
+        OSError: it cannot be renamed.
+    """
+    try:
+        os.link(part, path)  # a rename would write over a file that was made meanwhile
+    except FileExistsError as fault:
+        raise LogError(f"{path}: exists already; a log is never written over. {part.name} is whole: name it") from fault
+    except OSError:  # a file system without links
+        check_name(path)
+        _patiently(lambda: os.rename(part, path))
+    else:
+        _patiently(part.unlink)
+
+
+def _patiently(step: Callable[[], object]) -> None:
+    for wait_s in _WAITS_S:
+        try:
+            step()
+            return
+        except PermissionError:
+            if os.name != "nt":
+                raise
+            time.sleep(wait_s)
+    step()
 
 
 def _json(value: Any) -> str:

@@ -231,3 +231,69 @@ def test_a_small_disk_that_really_fills(tmp_path):
             assert log.count("raw/laser_x") == taken
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_recording_never_takes_a_name_that_was_taken_meanwhile(tmp_path):
+    recorder = begin(tmp_path / "run.mcap")
+    feed(recorder, 3)
+    (tmp_path / "run.mcap").write_bytes(b"someone else's")
+    with pytest.raises(RecordingError, match="exists already"):
+        recorder.close({})
+    assert (tmp_path / "run.mcap").read_bytes() == b"someone else's"
+    with open_log(recorder.part) as log:
+        check_content(log, 3)
+
+
+def test_of_two_that_begin_at_once_the_later_sees_what_the_earlier_has_finished(tmp_path, monkeypatch):
+    """The name is looked at again once the .part is ours: in between the other may have come to its end."""
+    path = tmp_path / "run.mcap"
+
+    def other_ends():
+        path.write_bytes(b"finished")
+
+    monkeypatch.setattr("daq.log.file.compile_writer", other_ends)
+    with pytest.raises(LogError, match="never written over"):
+        begin(path)
+    assert path.read_bytes() == b"finished"
+    assert not path.with_name("run.mcap.part").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="an open file cannot be moved there")
+def test_a_file_that_is_moved_away_ends_the_run_with_the_right_words(tmp_path):
+    recorder = begin(tmp_path / "run.mcap")
+    feed(recorder, 3)
+    recorder.look()
+    assert recorder.trouble is None
+    recorder.part.rename(tmp_path / "moved")
+    recorder.look()
+    assert "moved or deleted" in str(recorder.trouble)
+    assert "room" not in str(recorder.trouble)
+    with pytest.raises(RecordingError, match="moved or deleted"):
+        recorder.close({})
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="an open file's folder cannot be moved there")
+def test_a_folder_that_is_gone_ends_the_run(tmp_path):
+    recorder = begin(tmp_path / "logs" / "run.mcap")
+    feed(recorder, 3)
+    (tmp_path / "logs").rename(tmp_path / "elsewhere")
+    recorder.look()
+    assert recorder.trouble is not None
+    with pytest.raises(RecordingError):
+        recorder.close({})
+
+
+def test_bytes_and_their_samples_are_written_together(tmp_path):
+    """The writer, whenever it wakes, finds both or neither."""
+    recorder = begin(tmp_path / "run.mcap")
+    with recorder.together():
+        recorder.raw("laser_x", RX, b"\0" * 50, START + 10_000_000)
+        writer = threading.Thread(target=recorder._write_all)
+        writer.start()
+        writer.join(0.2)
+        assert writer.is_alive()  # it waits for the samples
+        recorder.batch(batch(0, 40), START + 10_000_000)
+    writer.join()
+    with open_log(recorder.part) as log:
+        check_content(log, 1)
+    recorder.close({})
