@@ -268,7 +268,10 @@ def test_the_virtual_rig_ends_with_whoever_started_it() -> None:
 
 
 @needs_posix
-def test_ctrl_c_ends_a_recording_with_a_whole_log(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
+    virtual_rig: VirtualRigProcess, tmp_path: Path, name: str
+) -> None:
     log = tmp_path / "run.mcap"
     command = [sys.executable, "-m", "cli.main", "record", "virtual", "-o", str(log), "--time-scale", str(TIME_SCALE)]
     for setting in virtual_rig.port_settings():
@@ -277,10 +280,11 @@ def test_ctrl_c_ends_a_recording_with_a_whole_log(virtual_rig: VirtualRigProcess
     part, deadline = log.with_name("run.mcap.part"), time.monotonic() + 30
     while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
         time.sleep(0.02)
-    host.send_signal(signal.SIGINT)
+    host.send_signal(signal.Signals[name])
     out, _ = host.communicate(timeout=30)
     assert host.returncode == 0
     assert json.loads(out)["log"] == str(log)
+    assert json.loads(out)["ended"] == ("Ctrl-C" if name == "SIGINT" else name)
     with open_log(log) as opened:
         assert opened.complete
         assert opened.missing == []
