@@ -4,7 +4,8 @@
 
 A virtual rig in a process of its own sends on ptys at the pace of life; `rig record` records it as a user would.
 Printed: the recorder's share of one core, its resident memory over time, and what was lost: counted by the recorder
-itself, and by the holes in the counters that are in the file. Linux (it reads /proc).
+itself, by the holes in the counters that are in the file, and, for the CAN bus, which has no counters, by the bytes the
+rig could not hand over. (A rig whose simulation stalls sends fewer frames than nominal.) Linux (it reads /proc).
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         result = measure(60 * arguments.minutes, Path(folder))
     print(json.dumps(result, indent=1) if arguments.json else _lines(result))
-    return 1 if result["lost"] else 0
+    return 1 if result["lost"] or result["dropped_by_the_rig_bytes"] else 0
 
 
 def measure(seconds: float, folder: Path) -> dict[str, object]:
@@ -50,6 +51,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
             command += ["--set", setting]
         host = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         usage = _watch(host)
+        usage["dropped_by_the_rig_bytes"] = rig.line.ask("radio")["overrun_bytes"]["drive"]
         if host.returncode != 0:
             raise SystemExit(f"rig record ended with {host.returncode}")
     return {**usage, **_content(path, seconds)}
