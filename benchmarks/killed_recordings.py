@@ -40,8 +40,8 @@ def main() -> int:
     faults: list[str] = []
     with tempfile.TemporaryDirectory() as folder, VirtualRigProcess("virtual", _SETTINGS, 1.0) as rig:
         for number in range(arguments.kills):
-            part, killed_ns = _record_and_kill(rig, Path(folder) / f"{number}.mcap", dice.uniform(0.02, 3.0))
-            missing_ms, trouble = _judge(part, killed_ns)
+            part, *when_ns = _record_and_kill(rig, Path(folder) / f"{number}.mcap", dice.uniform(0.02, 3.0))
+            missing_ms, trouble = _judge(part, *when_ns)
             rows.append(missing_ms)
             faults += [f"kill {number}: {text}" for text in trouble]
             print(f"kill {number:3}: {missing_ms:6.1f} ms missing {'; '.join(trouble)}", flush=True)
@@ -49,7 +49,8 @@ def main() -> int:
     return 1 if faults else 0
 
 
-def _record_and_kill(rig: VirtualRigProcess, path: Path, after_s: float) -> tuple[Path, int]:
+def _record_and_kill(rig: VirtualRigProcess, path: Path, after_s: float) -> tuple[Path, int, int]:
+    """The cut file, when it came into being and when the recorder was killed, ns since 1970."""
     part = path.with_name(path.name + ".part")
     command = [sys.executable, "-m", "cli.main", "record", "virtual", "-o", str(path)]
     for setting in [*_SETTINGS, *rig.port_settings()]:
@@ -58,19 +59,20 @@ def _record_and_kill(rig: VirtualRigProcess, path: Path, after_s: float) -> tupl
     while not part.exists():
         if host.poll() is not None:
             raise SystemExit(f"rig record ended with {host.returncode} before it was killed")
-        time.sleep(0.01)
+        time.sleep(0.001)
+    begun_ns = time.time_ns()
     time.sleep(after_s)
     killed_ns = time.time_ns()
     host.kill()
     host.wait()
-    return part, killed_ns
+    return part, begun_ns, killed_ns
 
 
-def _judge(part: Path, killed_ns: int) -> tuple[float, list[str]]:
+def _judge(part: Path, begun_ns: int, killed_ns: int) -> tuple[float, list[str]]:
     """How much is missing before the kill in the channel that misses most, and what is wrong."""
     faults: list[str] = []
     with open_log(part) as log:
-        missing_ms = max(_missing_ms(log, topic, killed_ns) for topic in _TOPICS)
+        missing_ms = max(_missing_ms(log, topic, begun_ns, killed_ns) for topic in _TOPICS)
         counts = {topic: log.count(topic) for topic in log.topics}
     if missing_ms > _ALLOWED_MS:
         faults.append(f"{missing_ms:.0f} ms missing")
@@ -88,8 +90,11 @@ def _judge(part: Path, killed_ns: int) -> tuple[float, list[str]]:
     return missing_ms, faults + problems
 
 
-def _missing_ms(log: Log, topic: str, killed_ns: int) -> float:
-    if topic.startswith("raw/"):
+def _missing_ms(log: Log, topic: str, begun_ns: int, killed_ns: int) -> float:
+    """Time before the kill of which a channel holds nothing; all of it when the kill came before the first flush."""
+    if log.count(topic) == 0:
+        last = begun_ns
+    elif topic.startswith("raw/"):
         last = log.raw(topic.removeprefix("raw/"))[-1].host_ns
     else:
         last = int(log[topic].log_time_ns[-1])

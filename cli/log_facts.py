@@ -48,6 +48,7 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
         "complete": log.complete,
         "verified": verified is not None,
         "missing": [str(missing) for missing in log.missing],
+        "lost_before": [str(missing) for missing in log.lost_before],
         "unchecked": [str(place) for place in verified or () if place not in log.missing],
         "size_bytes": log.size_bytes,
         "chunks": log.chunk_count,

@@ -61,9 +61,12 @@ _RUN_SHOWN = ("rig", "test", "point", "note", "parameters", "software", "origin"
 def _state(facts: Mapping[str, Any]) -> tuple[str, str]:
     word, style = STATES[facts["state"]]
     word = "cut, or still being recorded" if facts["state"] == "unfinished" else word
-    if facts["missing"]:
+    checked = "every byte checked" if facts["verified"] else "not verified"
+    if len(facts["missing"]) > len(facts["lost_before"]):
         return f"{word}, not whole", "bold red"
-    return f"{word}, " + ("every byte checked" if facts["verified"] else "not verified"), style
+    if facts["lost_before"]:
+        return f"{word}, not whole; of what it holds {checked}", "bold yellow"
+    return f"{word}, {checked}", style
 
 
 def _recorded(facts: Mapping[str, Any]) -> Iterable[str]:
@@ -84,9 +87,10 @@ def _verdict(verdict: Mapping[str, Any]) -> tuple[str, str]:
 
 def _loss_lines(losses: Mapping[str, Any] | None) -> Iterable[tuple[str, str, str]]:
     if losses is None:
-        yield "losses", "unknown: not counted in this log", "yellow"
+        yield "losses", "unknown: it counts none", "yellow"
         return
-    source = {"summary": "", "health": " (up to its last health report)", "events": " (by its events)"}
+    source = {"summary": "", "health": " (up to its last health report)", "events": " (by its events)",
+              "none": ""}  # fmt: skip
     counts = [
         f"{device} {n} {kind.replace('_', ' ')}"
         for device, kinds in losses["by_device"].items()

@@ -82,8 +82,11 @@ def logs(
     found = query.sorted(entry for entry in entries if query.admits(entry))
     if catalogue.cache_trouble:
         say(f"rig logs: {catalogue.cache_trouble}")
+    for trouble in catalogue.unread_folders:
+        say(f"rig logs: {trouble}")
     if json:
-        print_json({"folder": str(folder), "files": len(entries), "logs": [entry.model_dump() for entry in found]})
+        print_json({"folder": str(folder), "files": len(entries), "logs": [entry.model_dump() for entry in found],
+                    "unread_folders": catalogue.unread_folders})  # fmt: skip
     else:
         print_logs(found, len(entries), folder)
     return 0
@@ -98,7 +101,9 @@ def log(
     plot: Path | None = None,
     json: Json = False,
 ) -> int:
-    """What is in one log, and whether it is whole: every byte is checked; exit 1 when something is missing or damaged.
+    """What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or damaged.
+
+    What a recovered log had lost before is told, but is no fault of this file.
 
     Args:
         log: the log, finished or not.
@@ -125,7 +130,8 @@ def log(
         print_json(facts)
     else:
         print_log(facts)
-    return 1 if verify and facts["missing"] else 0
+    damaged = verify and len(facts["missing"]) > len(facts["lost_before"])
+    return 1 if damaged or facts["unreadable"] else 0
 
 
 def _shown_when_needed(stack: ExitStack, text: str) -> Callable[[float], None]:

@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from contextlib import nullcontext
@@ -50,6 +51,9 @@ def run(arguments: list[str]) -> int:
         return result if isinstance(result, int) else 0
     except CycloptsError:
         return 2  # cyclopts has said what is wrong
+    except BrokenPipeError:  # whoever read our output, `head` perhaps, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except KeyboardInterrupt as stop:
         say(f"rig: interrupted{f' by {stop}' if str(stop) else ''}")
         return 130

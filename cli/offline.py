@@ -54,6 +54,7 @@ def validate(
     from analysis.report.write import write_report  # noqa: PLC0415
     from analysis.validation import validate as compare  # noqa: PLC0415
     from cli import results  # noqa: PLC0415
+    from identification.identify import missing_warnings  # noqa: PLC0415
 
     _need(logs, "rig validate RIG LOG…")
     loaded = load_rig(rig, settings=settings or [])
@@ -63,13 +64,18 @@ def validate(
     runs = results.load_runs(logs)
     angle = (axis_angle_deg, axis_angle_std_deg)
     found = compare(runs, loaded, known, angle)
+    warnings = missing_warnings(runs)
+    for warning in warnings:
+        say(f"warning: {warning}")
     for fault in results.keep_verdicts(found, runs, IdentifiedParameters.label(parameters)):
         say(f"warning: {fault}")
     if report is not None:
-        write_report(report, Campaign(f"Validation of {loaded.name}", loaded, runs, IdentificationResult(known), found,
-                                      axis_angle_deg=angle))  # fmt: skip
+        identified = IdentificationResult(known, warnings=warnings)
+        title = f"Validation of {loaded.name}"
+        write_report(report, Campaign(title, loaded, runs, identified, found, axis_angle_deg=angle))
     if json:
-        print_json({**found.to_json(), "passed": found.passed, "report": str(report) if report else None})
+        print_json({**found.to_json(), "passed": found.passed, "warnings": warnings,
+                    "report": str(report) if report else None})  # fmt: skip
     else:
         print_points(found.to_json()["points"])
     return 0 if found.passed else 1

@@ -37,5 +37,5 @@ def recover(
     for place in found.missing:
         print(f"missing    {place}")
     if not found.missing:
-        say(f"nothing is missing in {part}: it needed no recovery")
+        say(f"nothing in {part} is cut or damaged: it needed no recovery")
     return 0

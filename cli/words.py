@@ -10,9 +10,16 @@ from rich.console import Console
 _PLAIN_WIDTH = 400  # where no terminal sets one
 
 
+class _Stdout(Console):
+    """A console that leaves a closed pipe to the command, which knows the exit code."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def stdout_console() -> Console:
     """Standard output: as wide as the terminal, or without an end where there is none."""
-    return Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
+    return _Stdout(highlight=False, markup=False, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
 
 
 def printable(text: object) -> str:

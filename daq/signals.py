@@ -58,8 +58,9 @@ class Run:
         releases: pendulums let go during the run.
         angle_step_rad: quantisation of the angles, rad.
         clock_rate_std: relative standard uncertainty of each device's rate ("laser_x", "laser_y", "encoder").
-        losses: counted losses by "device.kind".
-        metadata: the log's own facts (rig, point, software version, digest …).
+        losses: counted losses by "device.kind"; "log.missing_messages" are those the file itself lacks.
+        metadata: the log's own facts (rig, point, software version, digest …); "missing" lists what the file lacks,
+            sentences.
     """
 
     test: str
@@ -121,6 +122,7 @@ def load_run(path: str | Path) -> Run:
                 **run,
                 "identities": identities_of(log),
                 "complete": log.complete,
+                "missing": [str(place) for place in log.missing],
             },
         )
 

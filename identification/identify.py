@@ -23,6 +23,7 @@ from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 
 Fit = RingDownFit | RunUpFit | TransientFit
+_MOST_TOLD = 5  # missing places of one log
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,7 @@ def identify(
     """
     work = _Work(rig, progress or (lambda _: None), [], [], [])
     given, runs = runs, _take_over(runs, earlier, work)
+    work.warnings += missing_warnings(runs)
     _ring_downs([r for r in runs if r.test.startswith("ring-down")], work)
     for run in runs:
         if run.test == "run-up":
@@ -116,6 +118,18 @@ def identify(
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
     return _finished(given, work)
+
+
+def missing_warnings(runs: Sequence[Run]) -> list[str]:
+    """A sentence for each run whose log is not whole."""
+    warnings: list[str] = []
+    for run in runs:
+        missing = run.metadata.get("missing") or ()
+        if missing:
+            more = [f"and {len(missing) - _MOST_TOLD} more"] if len(missing) > _MOST_TOLD else []
+            told = "; ".join([*missing[:_MOST_TOLD], *more])
+            warnings.append(f"{Path(run.source).name}: the log is not whole: {told}")
+    return warnings
 
 
 def _take_over(runs: Sequence[Run], earlier: Identification | None, work: _Work) -> list[Run]:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 NAME = ".rig-logs.sqlite"
-VERSION = 1
+VERSION = 2
 _TABLE = (
     "CREATE TABLE logs (path TEXT PRIMARY KEY, size_bytes INTEGER, modified_ns INTEGER, changed_ns INTEGER, "
     "verdict_stamp TEXT, looked_ns INTEGER, digest TEXT, entry TEXT, checksum INTEGER)"
@@ -75,14 +75,14 @@ class Row(NamedTuple):
 def load(folder: Path) -> dict[str, Row]:
     """Rows by path; empty when there is no cache, or none that can be used."""
     file = folder / NAME
-    if not file.is_file():
-        return {}
     try:
+        if not file.is_file():
+            return {}
         with closing(sqlite3.connect(file, timeout=_BUSY_S)) as database:
             if not _is_ours(database):
                 return {}
             found = database.execute("SELECT * FROM logs").fetchall()
-    except (sqlite3.Error, OverflowError):
+    except (OSError, sqlite3.Error, OverflowError):
         return {}
     return {path: row for path, row, checksum in map(_unpacked, found) if checksum == _checksum(path, row)}
 

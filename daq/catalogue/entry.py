@@ -19,7 +19,8 @@ class Entry(BaseModel):
         size_bytes: of the file.
         state: "finished"; "recovered"; "unfinished": cut, or still being recorded; "damaged"; "foreign": an MCAP file
             that is no recording of a rig; "unreadable".
-        complete: nothing is known to be missing; known from opening it, which does not read the samples.
+        complete: nothing is known to be missing, in a recovered log also not since before; known from opening it,
+            which does not read the samples.
         why: what is wrong with a file that is not whole, in one line.
         rig, test, point, note, software: as the run's metadata have them.
         started: when the recording began, ISO 8601; `started_ns` the same in ns since 1970.

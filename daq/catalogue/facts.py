@@ -28,9 +28,10 @@ def read_entry(file: Path, path: str, size_bytes: int) -> Entry:
         path: how the catalogue calls it.
         size_bytes: its size.
     """
-    if not file.is_file():  # a named pipe would make a reader wait for ever
-        return Entry(path=path, size_bytes=size_bytes, state="unreadable", why="expected a file, got something else")
     try:
+        if not file.is_file():  # a named pipe would make a reader wait for ever
+            why = "expected a file, got something else"
+            return Entry(path=path, size_bytes=size_bytes, state="unreadable", why=why)
         with open_log(file) as log:
             return _facts(log, path, size_bytes, has_end(file))
     except LogError as fault:
@@ -59,7 +60,7 @@ def origin_of(log: Log) -> str:
 
 
 def counted_losses(log: Log) -> Losses | None:
-    """Losses of a log; None when what should say them says something else."""
+    """Losses of a log; None when nobody counted them, or what should say them says something else."""
     try:
         found = losses_of(log)
         by_device = {
@@ -68,14 +69,15 @@ def counted_losses(log: Log) -> Losses | None:
         }
     except (LogError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
         return None  # a foreign or hostile file has what it likes under these names
-    return Losses(by_device, found.source)
+    return None if found.source == "none" and not found.total else Losses(by_device, found.source)
 
 
 def state_of(log: Log, ends: bool) -> State:
     """In which state a log's file is; `ends` as of `has_end`."""
-    if "run" not in log.metadata and log.library != LIBRARY:
+    library = log.metadata.get("recovered", {}).get("origin_library", log.library)
+    if "run" not in log.metadata and library != LIBRARY:
         return "foreign"
-    if not log.complete:
+    if len(log.missing) > len(log.lost_before):
         return "damaged" if ends else "unfinished"
     return "recovered" if "recovered" in log.metadata else "finished"
 

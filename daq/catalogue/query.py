@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from datetime import datetime, time, timedelta
+from datetime import UTC, date, datetime, time, timedelta
 from typing import Any, Literal
 
 from daq.catalogue.entry import Entry
@@ -90,6 +90,15 @@ class Query:
         return sorted(by_path, key=key, reverse=largest_first is not self.reverse)
 
 
+def _since_1970_ns(instant: datetime) -> int:
+    """ns since 1970; an instant without a zone is local time, summer or winter, or UTC in years without local time."""
+    try:
+        seconds = instant.timestamp()
+    except (ValueError, OverflowError, OSError):
+        seconds = instant.replace(tzinfo=UTC).timestamp()
+    return round(seconds * 1e6) * 1000
+
+
 def parse_instant(text: str, now: datetime, end: bool = False) -> int:
     """An instant as people write it, in ns since 1970.
 
@@ -111,8 +120,8 @@ def parse_instant(text: str, now: datetime, end: bool = False) -> int:
             whole_day = day is not None or re.fullmatch(r"\d{4}-?\d{2}-?\d{2}", word) is not None
             instant = datetime.combine(day, time()) if day is not None else datetime.fromisoformat(word.upper())
             if whole_day and end:
-                instant += timedelta(days=1)
-        return round(instant.timestamp() * 1e6) * 1000  # one without a zone is local time, summer or winter
+                instant = instant + timedelta(days=1) if instant.date() < date.max else datetime.max
+        return _since_1970_ns(instant)
     except (ValueError, OverflowError, OSError) as fault:
         raise ValueError(
             f"expected a date like 2026-03-01, an instant like 2026-03-01T10:00, today, yesterday, or how long ago "

@@ -58,6 +58,7 @@ class Catalogue:
 
     Attributes:
         cache_trouble: why what the last search read could not be remembered; empty when it could.
+        unread_folders: folders below it that the last search could not look into, each with why.
 
     Raises:
         LogError: no such folder.
@@ -66,6 +67,7 @@ class Catalogue:
     def __init__(self, folder: str | Path, now_ns: Callable[[], int] = time.time_ns) -> None:
         self.folder = Path(folder)
         self.cache_trouble = ""
+        self.unread_folders: list[str] = []
         self._now_ns = now_ns
         self._unsaved: dict[str, Row] = {}
         if not self.folder.is_dir():
@@ -77,6 +79,9 @@ class Catalogue:
         Args:
             query: None for all.
             progress: told the share of new and changed files that have been read, 0 … 1; never when there are none.
+
+        Raises:
+            LogError: the folder itself cannot be read.
         """
         query = query or Query()
         return query.sorted(entry for entry in self.entries(progress) if query.admits(entry))
@@ -115,7 +120,7 @@ class Catalogue:
         finally:
             if self._unsaved or gone:
                 self._save(gone)
-        vanished = {path for path in new if not os.path.lexists(files[path].place)}
+        vanished = {path for path in new if _is_gone(files[path].place)}
         return [entries[path] for path in files if path not in vanished], bool(vanished)
 
     def _save(self, gone: set[str]) -> None:
@@ -133,7 +138,8 @@ class Catalogue:
 
     def _files(self) -> Iterator[tuple[str, _File]]:
         """Logs, each by the name the catalogue gives it."""
-        for folder, _, names in os.walk(self.folder):
+        self.unread_folders = []
+        for folder, _, names in os.walk(self.folder, onerror=self._note_unread):
             beside = set(names)
             for name in names:
                 if name.endswith(_LOG_SUFFIXES):
@@ -142,12 +148,29 @@ class Catalogue:
                     path = place.relative_to(self.folder).as_posix()
                     yield path.encode("utf-8", "backslashreplace").decode(), _File(place, _stamp(place), verdict_stamp)
 
+    def _note_unread(self, fault: OSError) -> None:
+        if fault.filename == str(self.folder):
+            raise LogError(f"{self.folder}: cannot be read ({fault.strerror}). Check its permissions") from fault
+        if not isinstance(fault, FileNotFoundError):  # a folder that was removed meanwhile holds no logs
+            self.unread_folders.append(f"{fault.filename}: cannot be read ({fault.strerror}), its logs are not listed")
+
 
 def _stamp(file: Path) -> Stamp | None:
     try:
         return Stamp.of(file.stat())
     except OSError:
         return None
+
+
+def _is_gone(file: Path) -> bool:
+    """Whether there is no such file; one that may not be looked at is there."""
+    try:
+        file.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _entry_in(row: Row) -> Entry | None:

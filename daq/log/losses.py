@@ -8,10 +8,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from daq.channels import EVENTS_TOPIC
 from daq.errors import LogError
 from daq.log import Log
 
 _SENSORS_OWN = ("invalid",)  # arrived in order, but the sensor said that it saw nothing
+_LOG = "log"
 _COUNTED = ("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines")
 
 
@@ -22,11 +24,11 @@ class Losses:
     Attributes:
         by_device: counts by device and kind ("samples", "radio_frames", "damaged_frames", "invalid" …).
         source: where they were found: the summary of a finished log; in a cut one the last health report, which may
-            be a second old, or the events themselves.
+            be a second old, or the events themselves; "none" when the log has nothing that counts.
     """
 
     by_device: Mapping[str, Mapping[str, int]]
-    source: Literal["summary", "health", "events"]
+    source: Literal["summary", "health", "events", "none"]
 
     @property
     def total(self) -> int:
@@ -45,28 +47,41 @@ class Losses:
         """Only what was lost, in one line."""
         found = [f"{device} {n} {kind.replace('_', ' ')}" for device, kinds in self.by_device.items()
                  for kind, n in kinds.items() if n]  # fmt: skip
-        return ", ".join(found) or "nothing lost"
+        return ", ".join(found) or ("unknown: it counts none" if self.source == "none" else "nothing lost")
 
 
 def losses_of(log: Log) -> Losses:
-    """Losses of a log, finished or cut.
+    """Losses of a log, finished or cut: those counted while recording, and as device "log" the messages known to be
+    missing in the file, now or since before it was recovered.
 
     Raises:
         LogError: the log's own count is none: another program's, or a damaged one.
     """
-    summary = log.metadata.get("summary", {})
     try:
-        if "losses" in summary:
-            return Losses(_counts(json.loads(summary["losses"])), "summary")
-        reports = [note["losses"] for note in log.health if isinstance(note.get("losses"), dict)]
-        if reports:
-            return Losses(_counts(reports[-1]), "health")
-        return Losses(_from_events(log.events), "events")
+        counted = _counted(log)
     except (ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError) as fault:
         raise LogError(
             f"{log.path}: expected losses as {{device: {{kind: count}}}}, got something else ({fault!r}). "
             "The log was written by another program"
         ) from fault
+    messages = sum(place.messages or 0 for place in log.missing)
+    if not messages:
+        return counted
+    of_log = {**counted.by_device.get(_LOG, {}), "missing_messages": messages}
+    return Losses({**counted.by_device, _LOG: of_log}, counted.source)
+
+
+def _counted(log: Log) -> Losses:
+    """What was counted while recording."""
+    summary = log.metadata.get("summary", {})
+    if "losses" in summary:
+        return Losses(_counts(json.loads(summary["losses"])), "summary")
+    reports = [note["losses"] for note in log.health if isinstance(note.get("losses"), dict)]
+    if reports:
+        return Losses(_counts(reports[-1]), "health")
+    if EVENTS_TOPIC not in log.topics or not any(log.count(topic) for topic in log.topics):
+        return Losses({}, "none")
+    return Losses(_from_events(log.events), "events")
 
 
 def _counts(found: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int]]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import operator
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -24,6 +25,7 @@ from mcap.records import Schema
 
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, RAW_PREFIX, RAW_SCHEMA_NAME, Channel, unpack_raw
 from daq.errors import ChannelMissing, LogError
+from daq.log.lost_before import read_lost
 from daq.log.samples import Missing, RawChunk, Samples
 from daq.log.source import LogSource
 from daq.log.window import LogWindow
@@ -46,8 +48,15 @@ class Log(Mapping[str, Samples]):
 
     @property
     def missing(self) -> list[Missing]:
-        """What the file lacks or what is damaged, as far as is known; it grows when reading finds more."""
-        return self._source.missing
+        """What the file lacks or what is damaged, as far as is known; longer when reading has found more. In a
+        recovered log, what was lost before is behind it.
+        """
+        return [*self._source.missing, *self.lost_before]
+
+    @property
+    def lost_before(self) -> list[Missing]:
+        """What a recovered log had lost before it was recovered; empty for any other."""
+        return list(read_lost(self._source.contents.metadata))
 
     @property
     def complete(self) -> bool:
@@ -131,7 +140,17 @@ class Log(Mapping[str, Samples]):
     def between(self, start_ns: int, end_ns: int) -> Log:
         """The same log limited to start_ns ≤ time_ns < end_ns: samples, events and health by their own times, raw
         bytes by their host time. Reads only the chunks it needs; open as long as this log is.
+
+        Raises:
+            TypeError: a time is not a whole number; in seconds it would be a time in 1970.
         """
+        try:
+            start_ns, end_ns = operator.index(start_ns), operator.index(end_ns)
+        except TypeError as fault:
+            raise TypeError(
+                f"expected whole numbers of ns since 1970 (int), got {start_ns!r} and {end_ns!r}: "
+                "take times from time_ns, or int(seconds * 1e9)"
+            ) from fault
         low, high = self.window_ns or (start_ns, end_ns)
         return Log(self.path, self._source, (max(low, start_ns), min(high, end_ns)))
 
@@ -143,11 +162,12 @@ class Log(Mapping[str, Samples]):
             progress: told now and then which share is done.
 
         Returns:
-            `missing`, now for certain; behind it what another writer gave no CRC for.
+            What is missing or damaged in this file, now for certain; behind it what another writer gave no CRC for.
+            What a recovered log lost before is in `lost_before` alone.
         """
         self._source.walk(progress)
         self._samples.clear()
-        return [*self.missing, *self._source.contents.unchecked]
+        return [*self._source.missing, *self._source.contents.unchecked]
 
     def __iter__(self) -> Iterator[str]:
         return (topic for topic in self.topics if self._is_samples(topic))
@@ -199,6 +219,17 @@ class Log(Mapping[str, Samples]):
         """Let go of the file; samples already read stay valid. A part made by `between` leaves it open."""
         if self.window_ns is None:
             self._source.close()
+
+    def __bool__(self) -> bool:
+        """True, also without a single sample channel."""
+        return True
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same object: comparing two logs as mappings would read both."""
+        return self is other
+
+    def __hash__(self) -> int:
+        return object.__hash__(self)
 
     def __enter__(self) -> Log:
         return self

@@ -8,6 +8,7 @@ written over.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -20,6 +21,7 @@ from mcap import records
 from daq.errors import LogError, RecordingError
 from daq.log import Log
 from daq.log.columns import find_messages
+from daq.log.lost_before import RECOVERED, read_lost, tell_lost
 from daq.log.samples import Missing
 from daq.log.source import LogSource
 from daq.mcap.chunks import BARE, HEAD_BYTES, parse_head
@@ -27,10 +29,9 @@ from daq.mcap.records import DamageError, read_attachment
 from daq.mcap.writer import METADATA_CRC, BlockWriter
 from daq.version import software_version
 
-RECOVERED = "recovered"
-"""Name of the metadata record that says what a recovered log comes from."""
 _EARLIER = "recovered earlier"
 _SUFFIX = ".recovering"
+_ELSEWHERE = "Give another place with -o"
 _COPYING_FROM = 0.6  # share of the time after which everything is checked
 
 
@@ -55,16 +56,18 @@ class Recovered:
 def recover(part: Path, out: Path | None = None, progress: Callable[[float], None] | None = None) -> Recovered:
     """Make a whole log of what is sound in a cut or damaged one.
 
-    A file that a recorder is still writing is taken as far as it goes; that it grew meanwhile is said among what is
-    missing.
+    A file that a recorder is still writing is taken as far as it goes, but only under a name given for it: NAME.mcap
+    will be the recorder's own. That it grew meanwhile is said among what is missing.
 
     Args:
         part: the old file; it is not touched.
-        out: the new file. Without it NAME.mcap for NAME.mcap.part, NAME.recovered.mcap for anything else.
+        out: the new file, NAME.mcap; its folder is made where there is none. Without it NAME.mcap for NAME.mcap.part,
+            NAME.recovered.mcap for anything else.
         progress: told now and then which share is done.
 
     Raises:
-        LogError: no log, nothing in it can be saved, or the new file exists already.
+        LogError: no log, nothing in it can be saved, it is still being written and the new file would have the
+            recorder's name, or the new file exists already or is no .mcap.
         RecordingError: the new file cannot be written.
     """
     part = Path(part)
@@ -73,6 +76,8 @@ def recover(part: Path, out: Path | None = None, progress: Callable[[float], Non
     for path in (out, made):
         if path.exists():
             raise LogError(f"{path}: exists already; a log is never written over. Move it away or give another name")
+    if out.suffix != ".mcap":
+        raise LogError(f"{out}: expected a name for the new log that ends in .mcap, got {out.name!r}")
     tell = progress or (lambda _: None)
     try:
         source = LogSource(part, lambda share: tell(_COPYING_FROM * share))
@@ -84,18 +89,26 @@ def recover(part: Path, out: Path | None = None, progress: Callable[[float], Non
         if not source.contents.counts:
             raise LogError(f"{part}: expected at least one sound message, found none; nothing can be recovered")
         try:
+            out.parent.mkdir(parents=True, exist_ok=True)
             kept = _write(source, made, tell)
+            if out.absolute() == _default_name(part).absolute():
+                _refuse_growing(source, out)
             _name(made, out)
         except OSError as fault:
-            made.unlink(missing_ok=True)
-            raise RecordingError(
-                f"{out}: cannot be written ({fault}). Is the disk full? Nothing was changed"
-            ) from fault
+            _remove(made)
+            todo = "The disk is full: make room or give another place" if fault.errno == errno.ENOSPC else _ELSEWHERE
+            raise RecordingError(f"{out}: cannot be written ({fault}). {todo}. Nothing was changed") from fault
         except BaseException:
-            made.unlink(missing_ok=True)
+            _remove(made)
             raise
     tell(1.0)
     return replace(kept, path=out)
+
+
+def _remove(made: Path) -> None:
+    """Remove half a file, wherever one could be made."""
+    with contextlib.suppress(OSError):
+        made.unlink()
 
 
 def _default_name(part: Path) -> Path:
@@ -193,6 +206,19 @@ def _copy_chunks(source: LogSource, writer: BlockWriter, tell: Callable[[float],
     return chunks, messages
 
 
+def _refuse_growing(source: LogSource, out: Path) -> None:
+    """Leave its name to a recorder that is still at work.
+
+    Raises:
+        LogError: the file has grown since it was opened.
+    """
+    if _growth(source):
+        raise LogError(
+            f"{source.file.path}: is still being written, and its recorder will name it {out.name} at its end. End the "
+            "recording, or give another name with -o for what there is by now"
+        )
+
+
 def _growth(source: LogSource) -> list[Missing]:
     """That the old file became longer since it was opened: somebody still writes it."""
     grown = os.stat(source.file.path).st_size - source.file.size
@@ -213,7 +239,8 @@ def _origin(source: LogSource, missing: list[Missing], messages: int, chunks: in
         "missing_messages": "unknown" if any(place.messages is None for place in missing)
         else str(sum(place.messages or 0 for place in missing)),
         "missing_places": str(len(missing)),
-        "missing": "\n".join(map(str, missing)),
+        **tell_lost(missing, source.file.path.name, read_lost(source.contents.metadata)),
+        "origin_library": source.contents.header.library,
         "software": software_version(),
     }  # fmt: skip
 

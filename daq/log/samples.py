@@ -1,5 +1,8 @@
 """What a log hands out: the samples of a channel as arrays, raw bytes as they were on a line, and what is missing."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
@@ -70,7 +73,8 @@ class RawChunk(NamedTuple):
 
 
 class Samples:
-    """Samples of one channel in file order; each field is an attribute and an item: an array (n,).
+    """Samples of one channel in file order; each field is an attribute and an item: an array (n,), read-only because
+    the log hands out the same one again. `in` and iteration go over the names of the fields, `len` is n.
 
     Attributes:
         time_ns: sample time on the common clock, ns since 1970, int64.
@@ -86,6 +90,8 @@ class Samples:
         sequence: NDArray[np.uint32],
         columns: dict[str, NDArray[Any]],
     ) -> None:
+        for array in (time_ns, log_time_ns, sequence, *columns.values()):
+            array.setflags(write=False)
         self.topic = topic
         self.time_ns, self.log_time_ns, self.sequence = time_ns, log_time_ns, sequence
         self.columns = columns
@@ -103,10 +109,26 @@ class Samples:
 
         Raises:
             ChannelMissing: the channel has no such field; the text lists those it has.
+            TypeError: not a name.
         """
+        if not isinstance(field, str):
+            name = next(iter(self.columns), "time_ns")
+            raise TypeError(
+                f"{self.topic}: expected the name of a field, one of {list(self.columns)}, got {field!r}; "
+                f"rows are taken of a field, like samples[{name!r}][:5]"
+            )
         if field not in self.columns:
             raise ChannelMissing(f"{self.topic}: expected one of the fields {list(self.columns)}, got {field!r}")
         return self.columns[field]
+
+    def __contains__(self, field: object) -> bool:
+        return field in self.columns
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.columns]
 
     def __getattr__(self, field: str) -> NDArray[Any]:
         if field.startswith("_") or field == "columns":

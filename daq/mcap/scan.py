@@ -265,7 +265,7 @@ def message_indexes(block, data, entries, times):  # pragma: no cover - compiled
     return position, found, wrong
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True)  # a call counts references to its arrays: a fifth of the time
 def _index_entries(block, at, n, chunk_end, following, room, channels, counts, entry, totals):  # pragma: no cover
     """Take the n entries of a chunk index, from the last to the first: each message index ends where the next begins.
 

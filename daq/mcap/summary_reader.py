@@ -66,15 +66,17 @@ def read_summary(file: FileBytes, header: Header) -> Summary:
         end = file.size - len(tail)
         if not len(MAGIC) + _DATA_END_BYTES < start < end:
             raise DamageError("no summary")
+        data_end = file.read(start - _DATA_END_BYTES, _DATA_END_BYTES)
+        if RECORD_HEAD.unpack_from(data_end) != (Opcode.DATA_END, 4):
+            raise DamageError("no end of the data before the summary")
         reading = _Reading(file, start, end)
         reading.run()
         if zlib.crc32(tail[:25], reading.crc) != crc:
             raise DamageError("a summary whose CRC is wrong or missing")
-        data_end = file.read(start - _DATA_END_BYTES, _DATA_END_BYTES)
-        if RECORD_HEAD.unpack_from(data_end) != (Opcode.DATA_END, 4):
-            raise DamageError("no end of the data before the summary")
     except LogError as fault:
         raise DamageError(str(fault)) from fault
+    except MemoryError as fault:
+        raise DamageError("a summary longer than there is memory for") from fault
     return reading.summary(start - _DATA_END_BYTES, header)
 
 

@@ -44,9 +44,9 @@ class Check:
 def check(path: str | Path, progress: Progress | None = None) -> Check:
     """Decode again and compare every sample and event with the log's own, bit for bit.
 
-    What a damaged or cut log cannot answer is not asked: from the first place on where raw bytes are missing, decoders
-    and clock maps go other ways than they went live, so the comparison ends there and says so. At the end of a cut log
-    raw bytes may stand whose samples were not written yet; they are counted as extra.
+    What a damaged, cut or recovered log cannot answer is not asked: from the first place on where raw bytes are
+    missing, decoders and clock maps go other ways than they went live, so the comparison ends there and says so. At
+    the end of a cut log raw bytes may stand whose samples were not written yet; they are counted as extra.
 
     Args:
         progress: told the share done, 0 … 1.
@@ -120,9 +120,6 @@ def _notes(log: Log, decodable: set[str], until_ns: int | None, rows: tuple[Chan
     extra = sum(row.extra for row in rows)
     if extra:
         yield f"the log is cut: {extra} samples and events are in its raw bytes alone"
-    places = log.metadata.get("recovered", {}).get("missing_places", "0")
-    if places != "0":
-        yield f"recovered from a log with {places} missing places: behind them it differs; compare the log it came from"
     unknown = sorted(set(log.devices) - decodable)
     if unknown:
         yield f"not decoded, this version knows no such device: {', '.join(unknown)}"

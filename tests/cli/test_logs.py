@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -128,6 +129,22 @@ def test_bad_use_of_logs_is_explained(said: Any, tmp_path: Path, options: list[s
     code, out, err = said("logs", tmp_path, *options)
     assert (code, out) == (2, "")
     assert words in err
+
+
+def test_a_folder_that_may_not_be_read_is_said(said: Any, shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (shelf / "locked").mkdir()
+    scandir = os.scandir
+
+    def refused(path: Any) -> Any:
+        if str(path).endswith("locked"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refused)
+    code, out, err = said("logs", shelf, "--json")
+    assert code == 0
+    assert len(json.loads(out)["unread_folders"]) == 1
+    assert "locked: cannot be read (Permission denied), its logs are not listed" in err
 
 
 def test_a_folder_that_keeps_nothing_is_said_once(said: Any, shelf: Path) -> None:
@@ -256,7 +273,7 @@ def test_content_that_is_not_its_schemas_is_told_and_the_rest_shown(said: Any, t
         writer.finish()
     code, out, _ = said("log", path, "--json")
     found = json.loads(out)
-    assert code == 0
+    assert code == 1
     assert len(found["unreadable"]) == 5
     assert found["channels"] == {"tacho": None}
     code, out, _ = said("log", path)
@@ -313,6 +330,19 @@ def test_a_log_is_drawn(said: Any, tmp_path: Path, suffix: str) -> None:
     assert code == 0
     assert figure.stat().st_size > 5000
     assert f"drawn: {figure}" in err
+
+
+@pytest.mark.parametrize("keep", [200, 2000])
+def test_a_log_cut_to_nothing_does_not_say_that_nothing_was_lost(said: Any, tmp_path: Path, keep: int) -> None:
+    path = tmp_path / "cut.mcap.part"
+    path.write_bytes(write_small_log(tmp_path / "small.mcap").read_bytes()[:keep])
+    code, out, _ = said("log", path)
+    assert code == 1
+    assert "unknown: it counts none" in out
+    assert "nothing lost" not in out
+    code, out, _ = said("logs", tmp_path, "--json")
+    (entry,) = [entry for entry in json.loads(out)["logs"] if entry["path"] == path.name]
+    assert (entry["lost"], entry["losses_from"]) == (None, "")
 
 
 # --- words -------------------------------------------------------------------------------------------------------

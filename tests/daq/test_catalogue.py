@@ -558,3 +558,61 @@ def test_many_processes_search_while_logs_come_and_go_and_the_cache_is_spoilt(tm
     assert settled_catalogue(folder).entries() == without_cache(folder)
     assert len(without_cache(folder)) == 20
     assert not list(folder.glob(f"{NAME}.*"))
+
+
+def test_the_calendar_s_ends_are_dates_too() -> None:
+    first, last = parse_instant("0001-01-01", NOON), parse_instant("9999-12-31", NOON, end=True)
+    assert first < -6 * 10**19
+    assert last > 25 * 10**19
+    entry = Entry(path="a.mcap", size_bytes=1, state="finished", started_ns=T0)
+    assert Query(since_ns=first, until_ns=last).admits(entry)
+    assert not Query(since_ns=last).admits(entry)
+    assert not Query(until_ns=first).admits(entry)
+
+
+def test_a_cache_that_may_not_be_read_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_log(tmp_path / "run.mcap")
+    catalogue = settled_catalogue(tmp_path)
+    catalogue.search()
+
+    def refused(self: Path) -> bool:
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(cache.Path, "is_file", refused)
+    assert cache.load(tmp_path) == {}
+
+
+def test_folders_that_may_not_be_read_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_log(tmp_path / "run.mcap")
+    make_log(tmp_path / "locked" / "run.mcap")
+    scandir, faults = os.scandir, [PermissionError(13, "Permission denied"), FileNotFoundError(2, "gone")]
+
+    def refused(path: Any) -> Any:
+        if str(path).endswith("locked"):
+            faults[0].filename = str(path)
+            raise faults[0]
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refused)
+    catalogue = settled_catalogue(tmp_path)
+    for told in (1, 0):  # one that was removed meanwhile is no trouble
+        assert [entry.path for entry in catalogue.search()] == ["run.mcap"]
+        assert len(catalogue.unread_folders) == told
+        assert all("locked: cannot be read (Permission denied)" in text for text in catalogue.unread_folders)
+        faults.pop(0)
+
+
+def test_a_folder_that_may_not_be_read_or_entered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_log(tmp_path / "run.mcap")
+
+    def refused(*_: object, **__: object) -> Any:
+        raise PermissionError(13, "Permission denied", str(tmp_path))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "is_file", refused)
+        patched.setattr(os, "lstat", refused)
+        entry = only(tmp_path)
+    assert (entry.state, entry.why) == ("unreadable", "cannot be read (Permission denied)")
+    monkeypatch.setattr(os, "scandir", refused)
+    with pytest.raises(LogError, match=r"cannot be read \(Permission denied\)"):
+        Catalogue(tmp_path).search()

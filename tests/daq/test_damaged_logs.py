@@ -9,6 +9,9 @@ import pytest
 
 from benchmarks import damaged_logs as campaign
 from daq.log import open_log
+from daq.mcap.file_bytes import FileBytes
+from daq.mcap.records import DamageError, Header
+from daq.mcap.summary_reader import read_summary
 from daq.mcap.writer import LIBRARY, MAGIC
 
 SHAPES = campaign.shapes()
@@ -231,3 +234,24 @@ def test_a_summary_crc_is_not_enough(path):
     with open_log(path) as log:
         assert len(log["laser/x"]) == SMALL.laser
         assert not log.complete
+
+
+@pytest.mark.parametrize("has_data_end", [True, False])
+def test_a_summary_as_long_as_memory_is_damage(path, has_data_end):
+    """The footer of a huge file points near its start; what it points at is looked at before room is made for it."""
+    path.write_bytes(SMALL.data)
+    footer = struct.pack("<BQ", 2, 20)
+
+    class Huge(FileBytes):
+        def read(self, start: int, length: int) -> bytes:
+            if start + length == self.size:
+                return footer + struct.pack("<QQI", 100, 0, 1) + MAGIC
+            if start + length == 100 and has_data_end:
+                return struct.pack("<BQI", 0x0F, 4, 0)
+            return bytes(length)
+
+    file = Huge(path)
+    file.size = 2**60
+    with pytest.raises(DamageError, match="longer than there is memory" if has_data_end else "no end of the data"):
+        read_summary(file, Header(LIBRARY, True))
+    file.close()

@@ -52,7 +52,10 @@ def test_a_cut_log_tells_by_its_last_health_report_or_by_its_events(tmp_path):
         assert losses_of(log).by_device == COUNTED
         assert (losses_of(log).source, losses_of(log).total) == ("events", 10)
     with open_log(write(tmp_path / "c.mcap")) as log:
-        assert (losses_of(log).by_device, losses_of(log).words()) == ({}, "nothing lost")
+        assert (losses_of(log).by_device, losses_of(log).words()) == ({}, "unknown: it counts none")
+        assert losses_of(log).source == "none"
+    with open_log(write(tmp_path / "d.mcap", None, (), GAPS[-1:])) as log:
+        assert (losses_of(log).source, losses_of(log).words()) == ("events", "nothing lost")
 
 
 @pytest.mark.parametrize("hostile", [5, [1], {"laser_x": 5}, {"laser_x": {"samples": "many"}}, {"x": {"y": [1]}}])

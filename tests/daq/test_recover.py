@@ -207,7 +207,11 @@ def test_a_file_that_is_still_written_says_so(part):
             with part.open("ab") as stream:
                 stream.write(bytes(1000))
 
-    found = recover(part, progress=grow)
+    with pytest.raises(LogError, match=r"its recorder will name it run\.mcap"):
+        recover(part, progress=grow)
+    assert list(part.parent.iterdir()) == [part]
+    grown.clear()
+    found = recover(part, part.with_name("so-far.mcap"), grow)
     assert any("still being written: it grew by 1000 bytes" in str(place) for place in found.missing)
 
 
@@ -216,9 +220,24 @@ def test_a_full_disk_leaves_nothing_behind(part, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(module.os, "fsync", full)
-    with pytest.raises(RecordingError, match="No space left"):
+    with pytest.raises(RecordingError, match="The disk is full"):
         recover(part)
     assert list(part.parent.iterdir()) == [part]
+
+
+def test_the_folder_is_made_and_the_disk_is_only_full_when_it_is(part, tmp_path):
+    out = tmp_path / "saved" / "today" / "run.mcap"
+    assert recover(part, out).path == out
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(RecordingError, match="Give another place") as told:
+        recover(part, tmp_path / "file" / "run.mcap")
+    assert "full" not in str(told.value)
+
+
+def test_a_recovered_log_ends_in_mcap(part, tmp_path):
+    with pytest.raises(LogError, match=r"ends in \.mcap, got 'out\.txt'"):
+        recover(part, tmp_path / "out.txt")
+    assert list(tmp_path.iterdir()) == [part]
 
 
 def test_without_hard_links_it_is_renamed(part, monkeypatch):

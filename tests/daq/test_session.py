@@ -141,11 +141,9 @@ def test_a_killed_host_loses_little_and_the_drive_stops_by_itself(scale: float, 
         assert stopped_after < 1.0
         with open_log(path.with_name("killed.mcap.part")) as log:
             assert not log.complete
-            last_chunk_s = max(int(log[t].log_time_ns[-1]) for t in ("laser/x", "pendulums")) * 1e-9
-            first_s = int(log["laser/x"].log_time_ns[0]) * 1e-9
-            assert last_chunk_s > first_s
-            # wall time between the last sample kept and the kill: the recording ran `after_s` at least
-            kept_wall_s = (last_chunk_s - first_s) / scale
+            arrived = [log[t].log_time_ns for t in ("laser/x", "pendulums")]
+            # wall time kept: the recording ran `after_s` at least, and may have been killed before its first flush
+            kept_wall_s = max((int(t[-1] - t[0]) * 1e-9 / scale for t in arrived if len(t)), default=0.0)
             assert kept_wall_s > after_s - 0.5
         assert killed_rig_s > 0
         rows = check(path.with_name("killed.mcap.part"))

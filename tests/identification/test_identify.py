@@ -93,6 +93,19 @@ def test_an_empty_log_becomes_a_warning() -> None:
         identify([still], campaign.rig)
 
 
+def test_a_log_that_is_not_whole_is_warned_of_once() -> None:
+    campaign = Campaign(3)
+    runs = [campaign.ring_down("x"), campaign.ring_down("y")]
+    holed = dataclasses.replace(runs[0], metadata={**runs[0].metadata, "missing": [f"place {k}" for k in range(7)]})
+    runs = [holed, runs[1]]
+    found = identify(runs, campaign.rig)
+    again = identify(runs, campaign.rig, earlier=found)
+    for warnings in (found.warnings, again.warnings):
+        (told,) = [w for w in warnings if "not whole" in w]
+        assert told.startswith(f"{holed.source}: ")
+        assert told.endswith("place 4; and 2 more")
+
+
 def test_shared_errors_do_not_average_out() -> None:
     name = ("SP_kg_m",)
     gain = {"gain laser_x": np.array([1e-6])}

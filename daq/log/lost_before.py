@@ -1,0 +1,73 @@
+"""What a log lacked before it was recovered: kept in the recovered log, so that it never passes as whole."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
+from functools import lru_cache
+
+from daq.log.samples import Missing
+
+RECOVERED = "recovered"
+"""Name of the metadata record that says what a recovered log comes from."""
+_PLACES, _SENTENCES = "places", "missing"
+_MOST_PLACES = 10_000
+_BEFORE = "lost before it was recovered: "
+
+
+def tell_lost(lost: Iterable[Missing], origin: str, earlier: Iterable[Missing]) -> dict[str, str]:
+    """Texts for the metadata of a recovered log.
+
+    Args:
+        lost: what its origin, a file of that name, lacked; the bytes are the origin's.
+        earlier: what had been lost before the origin itself was recovered.
+    """
+    lost = list(lost)
+    places = _shortened([*earlier, *(_of_origin(place, origin) for place in lost)])
+    sentences = map(str, _shortened(lost))
+    return {_SENTENCES: "\n".join(sentences), _PLACES: json.dumps([asdict(place) for place in places])}
+
+
+def read_lost(metadata: Mapping[str, Mapping[str, str]]) -> tuple[Missing, ...]:
+    """What was lost before a log was recovered, by its metadata; nothing for any other log."""
+    told = metadata.get(RECOVERED, {})
+    return _parsed(told.get(_PLACES, ""), told.get(_SENTENCES, ""))
+
+
+def _shortened(places: list[Missing]) -> list[Missing]:
+    """The places; when they are too many for a metadata record, the last ones as one."""
+    if len(places) <= _MOST_PLACES:
+        return places
+    rest = places[_MOST_PLACES - 1 :]
+    starts, ends = [place.start_ns for place in rest], [place.end_ns for place in rest]
+    counts = [place.messages for place in rest]
+    together = Missing(
+        f"{len(rest)} more places",
+        start_ns=None if None in starts else min(start for start in starts if start is not None),
+        end_ns=None if None in ends else max(end for end in ends if end is not None),
+        topics=tuple(sorted({topic for place in rest for topic in place.topics})),
+        messages=None if None in counts else sum(count for count in counts if count is not None),
+    )
+    return [*places[: _MOST_PLACES - 1], together]
+
+
+def _of_origin(place: Missing, origin: str) -> Missing:
+    where = ""
+    if place.byte_start is not None:
+        end = "on" if place.byte_end is None else f"to {place.byte_end}"
+        where = f"from byte {place.byte_start} {end} of {origin}: "
+    return replace(place, text=f"{_BEFORE}{where}{place.text}", byte_start=None, byte_end=None)
+
+
+@lru_cache(maxsize=64)
+def _parsed(places: str, sentences: str) -> tuple[Missing, ...]:
+    """The places as they were kept; where that is no list of them, the sentences count."""
+    if not places:
+        return tuple(Missing(_BEFORE + line) for line in sentences.splitlines())
+    from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415 (only recovered logs need it)
+
+    try:
+        return TypeAdapter(tuple[Missing, ...]).validate_json(places)
+    except ValidationError:
+        return tuple(Missing(_BEFORE + line) for line in sentences.splitlines() or ["what, cannot be read any more"])
