@@ -72,10 +72,9 @@ class _Table:
         return rows[np.searchsorted(rows["time_ns"], since_ns) :]
 
     def _make_room(self, count: int, oldest_ns: int) -> None:
-        """Move up what is young enough; a larger table if that is still more than half of it."""
+        """Move up what is young enough; a larger table if that is still most of it."""
         kept = self.since(oldest_ns)
-        rows = self._rows if 2 * (len(kept) + count) <= len(self._rows) else np.empty(
-            4 * (len(kept) + count), self._rows.dtype
-        )  # fmt: skip
+        needed = len(kept) + count
+        rows = self._rows if 4 * needed <= 3 * len(self._rows) else np.empty(2 * needed, self._rows.dtype)
         rows[: len(kept)] = kept.copy()
         self._rows, self.end = rows, len(kept)

@@ -205,7 +205,7 @@ def give_name(part: Path, path: Path) -> None:
     try:
         os.link(part, path)  # a rename would write over a file that was made meanwhile
     except FileExistsError as fault:
-        raise LogError(f"{path}: exists already; a log is never written over. {part.name} is whole: name it") from fault
+        raise LogError(f"{path}: exists already; a log is never written over. Give another name") from fault
     except OSError:  # a file system without links
         check_name(path)
         _patiently(lambda: os.rename(part, path))

@@ -21,6 +21,7 @@ from mcap import records
 from daq.errors import LogError, RecordingError
 from daq.log import Log
 from daq.log.columns import find_messages
+from daq.log.file import give_name
 from daq.log.lost_before import RECOVERED, read_lost, tell_lost
 from daq.log.samples import Missing
 from daq.log.source import LogSource
@@ -93,7 +94,7 @@ def recover(part: Path, out: Path | None = None, progress: Callable[[float], Non
             kept = _write(source, made, tell)
             if out.absolute() == _default_name(part).absolute():
                 _refuse_growing(source, out)
-            _name(made, out)
+            give_name(made, out)
         except OSError as fault:
             _remove(made)
             todo = "The disk is full: make room or give another place" if fault.errno == errno.ENOSPC else _ELSEWHERE
@@ -113,20 +114,6 @@ def _remove(made: Path) -> None:
 
 def _default_name(part: Path) -> Path:
     return part.with_suffix("") if part.name.endswith(".mcap.part") else part.with_name(f"{part.stem}.recovered.mcap")
-
-
-def _name(made: Path, out: Path) -> None:
-    """Give the new file its name, unless it is taken."""
-    try:
-        os.link(made, out)  # a rename would write over a file that was made meanwhile
-    except FileExistsError as fault:
-        raise LogError(f"{out}: exists already; a log is never written over. Give another name") from fault
-    except OSError:  # a file system without links
-        if out.exists():
-            raise LogError(f"{out}: exists already; a log is never written over. Give another name") from None
-        os.rename(made, out)
-    else:
-        made.unlink()
 
 
 def _write(source: LogSource, made: Path, tell: Callable[[float], None]) -> Recovered:
