@@ -87,8 +87,9 @@ def recover(part: Path, out: Path | None = None, progress: Callable[[float], Non
     except LogError as fault:
         raise LogError(f"{part}: {fault}; nothing can be recovered") from fault
     with contextlib.closing(source):
-        if not source.contents.counts:
-            raise LogError(f"{part}: expected at least one sound message, found none; nothing can be recovered")
+        found = source.contents
+        if not (found.counts or found.metadata or found.attachments):
+            raise LogError(f"{part}: expected a message, a fact or an attachment, found none; nothing can be recovered")
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             kept = _write(source, made, tell)
@@ -131,7 +132,7 @@ def _write(source: LogSource, made: Path, tell: Callable[[float], None]) -> Reco
         chunks, messages = _copy_chunks(
             source, writer, lambda share: tell(_COPYING_FROM + 0.9 * share * (1 - _COPYING_FROM))
         )
-        if not messages:
+        if contents.counts and not messages:
             raise LogError(f"{source.file.path}: expected at least one sound message, found none any more")
         missing = [*source.missing, *_growth(source)]
         writer.add_metadata(RECOVERED, _origin(source, missing, messages, chunks))

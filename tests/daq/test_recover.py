@@ -15,6 +15,7 @@ from daq import channels as ch
 from daq.errors import LogError, RecordingError
 from daq.log import open_log
 from daq.log import recover as module
+from daq.log.file import LogFile
 from daq.log.recover import recover
 from daq.mcap.writer import BlockWriter
 from tests.daq.small_log import write_small_log
@@ -187,7 +188,7 @@ def test_a_file_that_appears_meanwhile_is_not_written_over(part):
     assert not list(part.parent.glob("*.recovering"))
 
 
-@pytest.mark.parametrize("data", [b"", b"no log at all, but long enough", CUT.data[:200]])
+@pytest.mark.parametrize("data", [b"", b"no log at all, but long enough", CUT.data[:60]])
 def test_nothing_to_recover(tmp_path, data):
     part = tmp_path / "run.mcap.part"
     part.write_bytes(data)
@@ -266,3 +267,15 @@ def test_the_command_says_what_is_missing(part, capsys):
 def test_the_crc_of_every_copied_chunk_is_there(part):
     data = recover(part).path.read_bytes()
     assert all(int.from_bytes(data[start + 33 : start + 37], "little") for start, _ in chunk_spans(data))
+
+
+def test_a_recording_killed_before_its_first_flush_is_recovered_with_its_facts(tmp_path):
+    log = LogFile(tmp_path / "run.mcap", {"test": "point-A"}, {"rig.json": b"{}"}, ("laser_x",), 10**18)
+    log.close()
+    found = recover(log.part)
+    assert (found.messages, found.seconds) == (0, 0.0)
+    with open_log(found.path) as recovered:
+        assert recovered.metadata["run"] == {"test": "point-A"}
+        assert recovered.attachments == {"rig.json": b"{}"}
+        assert recovered.verify() == []
+        assert (recovered.start_ns, recovered.end_ns) == (0, 0)
