@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +17,19 @@ from daq.transports import HostClock, Link
 _REST_S = 0.01  # rig time between two turns: what a wake-up costs counts, not the bytes
 _LASER_REST_S = 0.02  # its samples bear their own time, and come without a pause
 _NEXT_S = 0.005  # wall seconds to wait for the next arrival
+_M_ARENA_MAX = -8  # malloc.h
 _WAIT_S = 0.1  # wall seconds between two looks whether to end
+
+
+def share_one_heap() -> None:
+    """Have all threads of this process allocate from one heap, where the C library is glibc.
+
+    Readers make arrays that the recorder's thread lets go of. With a heap for each thread, glibc's way, such memory
+    comes back in pieces that fit nothing any more, and a recording would grow by a hundred MB an hour.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):  # another C library
+            ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 class DeviceReader:

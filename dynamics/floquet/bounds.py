@@ -63,8 +63,9 @@ def _moved(values: NDArray[np.complexfloating], coupling: NDArray[np.floating], 
     others = np.flatnonzero(np.arange(len(values)) != i)
     gaps = np.abs(values[others] - values[i])
     mutual = coupling[i, others] * coupling[others, i]
-    if np.all(mutual <= (_SEPARATE * gaps) ** 2):
-        second = np.divide(mutual, gaps, out=np.zeros_like(mutual), where=gaps > 0)
+    left = gaps - coupling[i, i] - np.diag(coupling)[others]  # when first-order moves have brought them nearer
+    if np.all((mutual <= (_SEPARATE * left) ** 2) & ((left > 0) | (mutual == 0))):
+        second = np.divide(mutual, left, out=np.zeros_like(mutual), where=left > 0)
         return float(coupling[i, i] + 2 * second.sum())
     strength = float(np.max(np.append(np.sqrt(mutual), coupling[i, i])))
     product, nearest = strength, np.sort(gaps)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dynamics.balancing import balanced_angles
@@ -244,6 +244,7 @@ def test_the_bound_holds_in_random_draws(seed: int, accuracy: float) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-12, -3), st.floats(-14, 0))
+@example(0, -3.25, -1.25)  # first-order moves of a third of the gap
 def test_eigenvalue_bounds_hold_for_separate_and_merging_pairs(seed: int, size: float, split: float) -> None:
     random = np.random.default_rng(seed)
     n = 5
