@@ -9,6 +9,7 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
+_PIECE_BYTES = 32 * 1024
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _OFFSET_ENTRY = struct.Struct("<HQ")
 
@@ -29,7 +30,10 @@ class Summary:
         self.most_late = self.most_early = 0
         self._counts: dict[int, int] = {}
         self._start_time, self._end_time = 2**64 - 1, 0
-        self._chunk_indexes = bytearray()  # as they will be written: an hour has 72 000 chunks
+        # as they will be written, in pieces: an hour has 72 000 chunks, and one growing array would leave a hole in
+        # the heap each time it moves
+        self._chunk_indexes: list[bytes] = []
+        self._piece = bytearray()
         self._attachment_indexes: list[records.AttachmentIndex] = []
         self._metadata_indexes: list[records.MetadataIndex] = []
 
@@ -50,8 +54,11 @@ class Summary:
         entries = b"".join(_OFFSET_ENTRY.pack(*entry) for entry in indexes.items())
         tail = struct.pack(f"<QI{len(name)}sQQ", indexes_bytes, len(name), name, packed, unpacked)
         size = _CHUNK_INDEX.size - 9 + len(entries) + len(tail)
-        self._chunk_indexes += _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, size, *times, start, length, len(entries))
-        self._chunk_indexes += entries + tail
+        self._piece += _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, size, *times, start, length, len(entries))
+        self._piece += entries + tail
+        if len(self._piece) > _PIECE_BYTES:
+            self._chunk_indexes.append(bytes(self._piece))
+            self._piece.clear()
         self.chunk_count += 1
         if counts:
             self._start_time = min(self._start_time, times[0])
@@ -99,7 +106,7 @@ class Summary:
         kinds: list[Any] = [self.schemas.values(), self.channels.values(), [statistics]]
         definitions = [b"".join(encode_record(record) for record in kind) for kind in kinds]
         rest = [b"".join(map(encode_record, kind)) for kind in (self._attachment_indexes, self._metadata_indexes)]
-        return [*definitions, self._chunk_indexes, *rest]
+        return [*definitions, b"".join([*self._chunk_indexes, self._piece]), *rest]
 
 
 def encode_record(record: records.McapRecord) -> bytes:

@@ -233,3 +233,18 @@ def test_a_short_write_is_an_error():
 
     with pytest.raises(OSError, match="disk full"):
         BlockWriter(Full()).start()
+
+
+def test_the_index_of_many_chunks_is_whole_and_in_order():
+    stream = io.BytesIO()
+    writer = BlockWriter(stream)
+    writer.start()
+    cid = add_tacho(writer)
+    for number in range(700):  # more than one piece of the index as it is kept while writing
+        writer.add_block(cid, T0 + number, T0 + number, number, tacho(1))
+        writer.flush()
+    writer.finish()
+    summary = make_reader(io.BytesIO(stream.getvalue()), validate_crcs=True).get_summary()
+    assert summary is not None
+    assert [index.message_start_time for index in summary.chunk_indexes] == [T0 + number for number in range(700)]
+    assert len(read_back(stream.getvalue())) == 700
