@@ -25,7 +25,7 @@ def share_one_heap() -> None:
     """Have all threads of this process allocate from one heap, where the C library is glibc.
 
     Readers make arrays that the recorder's thread lets go of. With a heap for each thread, glibc's way, such memory
-    comes back in pieces that fit nothing any more, and a recording would grow by a hundred MB an hour.
+    comes back in pieces that fit nothing any more.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):  # another C library
