@@ -5,12 +5,12 @@ from identification.errors import FitFailed, IdentificationError, NotIdentifiabl
 from identification.estimate import Estimate
 from identification.identify import Identification, NamedFit, identify
 from identification.joint import ConsistencyRow, combine
-from identification.pendulum_transient import TransientFit
-from identification.release import fit_release
-from identification.ring_down import RingDownFit, fit_ring_down, fit_ring_down_runs
-from identification.run_up import RunUpFit, fit_run_up, fit_run_up_run
-from identification.spin_down import SpinDownFit, fit_spin_down
-from identification.spin_down_run import fit_spin_down_run
+from identification.pendulums.release import fit_release
+from identification.pendulums.spin_down import SpinDownFit, fit_spin_down
+from identification.pendulums.spin_down_run import fit_spin_down_run
+from identification.pendulums.transient import TransientFit
+from identification.ring_down.fit import RingDownFit, fit_ring_down, fit_ring_down_runs
+from identification.run_up.fit import RunUpFit, fit_run_up, fit_run_up_run
 
 __all__ = [
     "ConsistencyRow",

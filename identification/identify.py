@@ -13,12 +13,12 @@ from daq.signals import Run
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
-from identification.pendulum_transient import TransientFit
-from identification.release import fit_release
-from identification.ring_down import RingDownFit, fit_ring_down, fit_ring_down_runs, ring_down_estimate
-from identification.run_up import RunUpFit, fit_run_up_run, run_up_estimate
-from identification.spin_down_run import damping_estimate, fit_spin_down_run
-from identification.suspension_knowledge import Knowledge
+from identification.pendulums.release import fit_release
+from identification.pendulums.spin_down_run import damping_estimate, fit_spin_down_run
+from identification.pendulums.suspension_knowledge import Knowledge
+from identification.pendulums.transient import TransientFit
+from identification.ring_down.fit import RingDownFit, fit_ring_down, fit_ring_down_runs, ring_down_estimate
+from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 

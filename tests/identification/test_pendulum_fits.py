@@ -9,7 +9,7 @@ import pytest
 from synthetic import STEP, Campaign
 
 from identification import FitFailed, NotIdentifiable, fit_release, fit_spin_down, fit_spin_down_run
-from identification.suspension_knowledge import Knowledge
+from identification.pendulums.suspension_knowledge import Knowledge
 
 
 def run_down(seed: int, friction: float = 0.0, rate: float = 2.0) -> tuple[np.ndarray, np.ndarray]:

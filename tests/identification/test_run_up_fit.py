@@ -8,7 +8,7 @@ from synthetic import Campaign
 
 from dynamics.speed_history import SpeedHistory
 from identification import IdentificationError, fit_run_up, fit_run_up_run
-from identification.run_up import run_up_estimate
+from identification.run_up.fit import run_up_estimate
 
 GAINS = (1e-3, 1e-3)
 

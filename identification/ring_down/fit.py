@@ -1,6 +1,6 @@
 """Ring-down: natural frequencies, damping ratios and the sensors' axis angle from free decays.
 
-Model and estimator: identification.decay_model and docs/theory/identification.md.
+Model and estimator: identification.ring_down.model and docs/theory/identification.md.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import numpy as np
 
 from daq.signals import Run
 from identification.curve import Curve
-from identification.decay_model import SHARED, DecayRecord, model_of, single_block
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.least_squares import Solution, solve_separable
-from identification.modes import damped_periodogram
-from identification.release_instant import release_instant
-from identification.ring_down_start import lone_axis, ring_down_starts
+from identification.ring_down.model import SHARED, DecayRecord, model_of, single_block
+from identification.ring_down.modes import damped_periodogram
+from identification.ring_down.release_instant import release_instant
+from identification.ring_down.start import lone_axis, ring_down_starts
 from identification.samples import Averages, block_averages, clipped, correlation_inflation, white_noise
 
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted

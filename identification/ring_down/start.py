@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.modes import Start, damped_periodogram, without_mode
+from identification.ring_down.modes import Start, damped_periodogram, without_mode
 from identification.samples import Averages
 
 

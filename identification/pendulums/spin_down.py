@@ -3,7 +3,7 @@
 θ = θ0 + A e^{−λt} with λ = c/J, fitted up to 4.5 time constants: in the standstill tail the encoder's error is one
 constant of up to half a step and not noise, which makes intervals too short. Dry friction adds a column linear in
 time as long as the pendulum moves; an F test looks for it. The disk's reaction is left out here: it enters in
-identification.pendulum_transient, which starts from this fit.
+identification.pendulums.transient, which starts from this fit.
 """
 
 from __future__ import annotations

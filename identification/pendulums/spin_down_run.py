@@ -16,7 +16,9 @@ from daq.signals import Run
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.least_squares import Minimum
-from identification.pendulum_transient import (
+from identification.pendulums.spin_down import TIME_CONSTANTS, Decline, angle_averages, find_decline
+from identification.pendulums.suspension_knowledge import Knowledge
+from identification.pendulums.transient import (
     TransientFit,
     TransientProblem,
     free_angles,
@@ -24,10 +26,8 @@ from identification.pendulum_transient import (
     log_suspension,
     step_for,
 )
-from identification.ring_down import clock_rate_std
+from identification.ring_down.fit import clock_rate_std
 from identification.samples import Averages
-from identification.spin_down import TIME_CONSTANTS, Decline, angle_averages, find_decline
-from identification.suspension_knowledge import Knowledge
 
 _COUPLED, _PSI, _DISK, _SUSPENSION = slice(2, 6), 6, slice(7, 11), slice(11, 15)
 _BEFORE_PUSH_S, _WORTH_S = 0.03, 0.08

@@ -20,7 +20,8 @@ from dynamics.integrate import integrate, locked_state
 from dynamics.speed_history import SpeedHistory
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Minimum
-from identification.pendulum_transient import (
+from identification.pendulums.suspension_knowledge import Knowledge
+from identification.pendulums.transient import (
     TransientFit,
     TransientProblem,
     free_angles,
@@ -29,7 +30,6 @@ from identification.pendulum_transient import (
     step_for,
 )
 from identification.samples import Averages, block_averages, encoder_noise
-from identification.suspension_knowledge import Knowledge
 
 _ZEROS, _SHIFT, _DISK, _SUSPENSION, _COUNT = slice(4, 6), 6, slice(7, 11), slice(11, 16), 16
 _BLOCK_S, _OUTPUT_S = 0.004, 0.004

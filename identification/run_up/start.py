@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from dynamics.speed_history import SpeedHistory
 from identification.errors import NotIdentifiable
-from identification.forced_oscillator import STEP_S, Drive
+from identification.run_up.forced_oscillator import STEP_S, Drive
 from identification.samples import Averages
 
 

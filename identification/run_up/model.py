@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.forced_oscillator import Drive, Response, march, response_at
 from identification.least_squares import Block
-from identification.modes import averaged_decay, rate, rate_derivatives
+from identification.ring_down.modes import averaged_decay, rate, rate_derivatives
+from identification.run_up.forced_oscillator import Drive, Response, march, response_at
 from identification.samples import Averages
 
 ANGLE, DELAYS, DRIFTS, PARAMETERS = 4, slice(5, 7), slice(7, 9), 9

@@ -17,8 +17,8 @@ from dynamics.integrate import fastest_rate, integrate
 from dynamics.parameters import RotorParameters
 from identification.curve import Curve
 from identification.least_squares import Minimum, minimise
+from identification.pendulums.suspension_knowledge import Knowledge
 from identification.samples import Averages, correlation_inflation
-from identification.suspension_knowledge import Knowledge
 
 Predict = Callable[[np.ndarray, float], np.ndarray]
 

@@ -17,11 +17,11 @@ from dynamics.speed_history import SpeedHistory
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
-from identification.forced_oscillator import Drive
 from identification.least_squares import Solution, solve_separable
-from identification.ring_down import AXIS_PRIOR_STD, clock_rate_std
-from identification.run_up_model import ANGLE, DELAYS, DRIFTS, PARAMETERS, RunUpRecord, run_up_blocks
-from identification.run_up_start import half_power, transfer_function_start
+from identification.ring_down.fit import AXIS_PRIOR_STD, clock_rate_std
+from identification.run_up.forced_oscillator import Drive
+from identification.run_up.model import ANGLE, DELAYS, DRIFTS, PARAMETERS, RunUpRecord, run_up_blocks
+from identification.run_up.start import half_power, transfer_function_start
 from identification.samples import block_averages, clipped, correlation_inflation, white_noise
 
 _BLOCK_S = 1 / 320.0

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.least_squares import Block
-from identification.modes import averaged_decay, rate, rate_derivatives
+from identification.ring_down.modes import averaged_decay, rate, rate_derivatives
 from identification.samples import Averages
 
 SHARED = 6  # parameters before the delays
