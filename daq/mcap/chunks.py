@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import struct
 import threading
-import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
+from zlib_ng.zlib_ng import crc32
 
 from daq.mcap.records import RECORD_HEAD, DamageError
 
@@ -86,7 +86,7 @@ def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> byte
         raise DamageError(f"a chunk compressed with {head.compression[:20]!r}, not zstd: convert the file with 'mcap'")
     if len(data) != head.unpacked:
         raise DamageError(f"a chunk of {len(data)} bytes instead of {head.unpacked}")
-    if (head.crc or needs_crc) and zlib.crc32(data) != head.crc:
+    if (head.crc or needs_crc) and crc32(data) != head.crc:
         raise DamageError("a chunk whose CRC is wrong")
     return data
 

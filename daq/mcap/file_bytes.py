@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import os
 import threading
-import zlib
 from pathlib import Path
+
+from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
 
@@ -72,7 +73,7 @@ class FileBytes:
             LogError: as `read`.
         """
         for at in range(start, end, PIECE_BYTES):
-            crc = zlib.crc32(self.read(at, min(PIECE_BYTES, end - at)), crc)
+            crc = crc32(self.read(at, min(PIECE_BYTES, end - at)), crc)
         return crc
 
     def close(self) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import struct
-import zlib
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from io import BytesIO
@@ -18,6 +17,7 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
 from daq.mcap.file_bytes import FileBytes
@@ -199,6 +199,6 @@ def read_attachment(file: FileBytes, place: AttachmentPlace, ours: bool) -> reco
     if attachment is None or attachment.name != place.name or len(body) + RECORD_HEAD.size != place.length:
         raise DamageError(f"something else where attachment {place.name[:80]!r} was expected")
     crc = int.from_bytes(body[-4:], "little")
-    if (crc or ours) and zlib.crc32(body[:-4]) != crc:
+    if (crc or ours) and crc32(body[:-4]) != crc:
         raise DamageError(f"attachment {place.name[:80]!r} whose CRC is wrong")
     return attachment

@@ -1,13 +1,13 @@
 """What stands behind a log's data: its definitions again, statistics, and where everything is."""
 
 import struct
-import zlib
 from collections.abc import Mapping
 from typing import Any
 
 from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
+from zlib_ng.zlib_ng import crc32
 
 _PIECE_BYTES = 32 * 1024
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
@@ -88,7 +88,7 @@ class Summary:
                 summary += group
         footer = encode_record(records.Footer(start, start + len(summary), 0))[:-4]
         summary += offsets + footer
-        return bytes(summary) + zlib.crc32(summary).to_bytes(4, "little")
+        return bytes(summary) + crc32(summary).to_bytes(4, "little")
 
     def _groups(self) -> list[bytes | bytearray]:
         """Records of the summary as bytes, one group per kind."""

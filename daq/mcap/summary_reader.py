@@ -6,7 +6,6 @@ walked from the start (daq.mcap.reader). It is read in pieces, so that an index 
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +14,7 @@ from mcap import records
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, MetadataIndex, Statistics
 from numpy.typing import NDArray
+from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
 from daq.mcap.chunks import EVER_NS, NEVER_NS, ChunkTable
@@ -71,7 +71,7 @@ def read_summary(file: FileBytes, header: Header) -> Summary:
             raise DamageError("no end of the data before the summary")
         reading = _Reading(file, start, end)
         reading.run()
-        if zlib.crc32(tail[:25], reading.crc) != crc:
+        if crc32(tail[:25], reading.crc) != crc:
             raise DamageError("a summary whose CRC is wrong or missing")
     except LogError as fault:
         raise DamageError(str(fault)) from fault
@@ -113,7 +113,7 @@ class _Reading:
         position, size, checked = self.start, _PIECE_BYTES, self.start
         while position < self.end:
             piece = self.file.read(position, min(size, self.end - position))
-            self.crc = zlib.crc32(memoryview(piece)[checked - position :], self.crc)
+            self.crc = crc32(memoryview(piece)[checked - position :], self.crc)
             checked, size = position + len(piece), _PIECE_BYTES
             taken = self._take(piece)
             position += taken

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import zlib
 from array import array
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from zlib_ng.zlib_ng import crc32
 
 from daq.mcap.chunks import ChunkHead, ChunkTable
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions
@@ -68,7 +68,7 @@ class TableBuilder:
 
     def add(self, start: int, head: ChunkHead, chunk: TakenChunk) -> int | None:
         """Add a chunk that begins at byte `start`; where the same one stands already, only tell where."""
-        crc = head.crc or zlib.crc32(chunk.data.data)
+        crc = head.crc or crc32(chunk.data.data)
         key = crc, len(chunk.data), *chunk.times
         if chunk.counts and key in self._seen:
             return self._seen[key]

@@ -7,12 +7,12 @@ there, and where a record makes no sense the walk looks for the next sound one a
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable
 
 import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
+from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
 from daq.mcap.chunks import BARE, CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
@@ -121,7 +121,7 @@ class Walk:
         """What stands between is as it should be."""
         if self.crc is not None and not self.data_ended:
             for at in range(position, end, PIECE_BYTES):
-                self.crc = zlib.crc32(self.window.view(at, min(end, at + PIECE_BYTES)), self.crc)
+                self.crc = crc32(self.window.view(at, min(end, at + PIECE_BYTES)), self.crc)
         if end != self.left_out_end:
             self.search_from = max(self.search_from, end)
         if self.progress is not None:
@@ -258,7 +258,7 @@ class Walk:
                 continue
             try:
                 chunk = self.table.count(np.frombuffer(self.file.read(start, end - start), np.uint8))
-                crc = zlib.crc32(chunk.data.data)
+                crc = crc32(chunk.data.data)
                 self.table.add(start, ChunkHead(0, 0, end - start, crc, BARE, "", 0, end - start), chunk)
                 self._count_without_crc("stretches of messages", 0)
             except (DamageError, LogError) as damage:

@@ -9,7 +9,6 @@ Not thread-safe: one thread writes.
 """
 
 import struct
-import zlib
 from collections.abc import Iterable, Mapping
 from typing import Any, BinaryIO, Literal
 
@@ -18,8 +17,8 @@ import zstandard
 from mcap import records
 from mcap.opcode import Opcode
 from numpy.typing import ArrayLike, NDArray
+from zlib_ng.zlib_ng import crc32
 
-from daq.mcap.crc import joined_crc
 from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
 from daq.mcap.summary import Summary, encode_record
 
@@ -43,13 +42,12 @@ def metadata_crc(name: str, metadata: Mapping[str, str]) -> str:
     A key `METADATA_CRC` among them is left out.
     """
     text = f"{name}\0" + "".join(f"{key}\0{value}\0" for key, value in sorted(metadata.items()) if key != METADATA_CRC)
-    return f"{zlib.crc32(text.encode()):08x}"
+    return f"{crc32(text.encode()):08x}"
 
 
 def compile_writer() -> None:
     """Load what is compiled, or compile it: seconds once on a machine, and never while samples wait."""
     compile_loops()
-    joined_crc(0, 0, 1)
 
 
 class BlockWriter:
@@ -288,7 +286,7 @@ class BlockWriter:
         late, early = self._chunk.extremes.tolist()
         packed = self._compressor.compress(data) if self._compressor else None
         name = "zstd" if self._compressor else ""
-        self._put_chunk(packed, name, len(data), zlib.crc32(data), self._chunk.index, (late, early))
+        self._put_chunk(packed, name, len(data), crc32(data), self._chunk.index, (late, early))
         self._chunk.clear()
         self._restated_bytes = 0
         if self._summary.chunk_count % RESTATE_EVERY == 0:
@@ -317,16 +315,14 @@ class BlockWriter:
         indexes, starts, counts = message_indexes(*messages)
         places = {channel_id: start + length + index_start for channel_id, index_start in starts.items()}
         if packed is None:
-            whole_crc = joined_crc(zlib.crc32(head, self._crc), crc, size)
-            self._write(self._chunk.framed(head, indexes), zlib.crc32(indexes, whole_crc))
+            self._write(self._chunk.framed(head, indexes))
         else:
             self._write(b"".join((head, packed, indexes)))
         self._summary.add_chunk(start, length, compression, size, unpacked, times, places, len(indexes), counts)
         self._summary.most_late = max(self._summary.most_late, extremes[0])
         self._summary.most_early = max(self._summary.most_early, extremes[1])
 
-    def _write(self, data: bytes | memoryview, crc: int | None = None) -> None:
-        """Write bytes; `crc` is that of the file up to their end, when it is known already."""
+    def _write(self, data: bytes | memoryview) -> None:
         self._check_open()
         self._closed = "writing it failed before"  # unless this goes well: behind half a record nothing is readable
         written = self._stream.write(data)
@@ -334,7 +330,7 @@ class BlockWriter:
             raise OSError(f"expected {len(data)} bytes to be written, only {written} were: is the disk full?")
         self._closed = ""
         self._offset += len(data)
-        self._crc = zlib.crc32(data, self._crc) if crc is None else crc
+        self._crc = crc32(data, self._crc)
 
 
 def _free_id(known: Mapping[int, Any]) -> int:

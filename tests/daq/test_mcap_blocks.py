@@ -16,7 +16,6 @@ from mcap.writer import CompressionType, Writer
 
 from daq import channels as ch
 from daq.log import open_log
-from daq.mcap.crc import joined_crc
 from daq.mcap.writer import BlockWriter, metadata_crc
 from tests.daq.small_log import write_small_log
 
@@ -314,11 +313,6 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
         finally:
             tracemalloc.stop()
     assert grown < 300_000 + 250 * chunks  # a chunk, and the index of each
-
-
-@given(st.binary(max_size=300), st.binary(max_size=300))
-def test_crcs_are_joined(first, second):
-    assert joined_crc(zlib.crc32(first), zlib.crc32(second), len(second)) == zlib.crc32(first + second)
 
 
 class FullDisk(io.BytesIO):
