@@ -17,19 +17,24 @@ from daq.transports import HostClock, Link
 _REST_S = 0.01  # rig time between two turns: what a wake-up costs counts, not the bytes
 _LASER_REST_S = 0.02  # its samples bear their own time, and come without a pause
 _NEXT_S = 0.005  # wall seconds to wait for the next arrival
-_M_ARENA_MAX = -8  # malloc.h
+_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
+_LARGE_BYTES = 128 * 1024
 _WAIT_S = 0.1  # wall seconds between two looks whether to end
 
 
-def share_one_heap() -> None:
-    """Have all threads of this process allocate from one heap, where the C library is glibc.
+def keep_heap_whole() -> None:
+    """Keep holes out of this process's heap over a run of hours, where the C library is glibc.
 
     Readers make arrays that the recorder's thread lets go of. With a heap for each thread, glibc's way, such memory
-    comes back in pieces that fit nothing any more.
+    comes back in pieces that fit nothing any more; so there is one. And once a large array has been let go of, glibc
+    takes the next ones of that size from the heap too, where the first small thing that settles in the gap makes the
+    heap grow by another such array; so large arrays keep coming from the system and go back to it.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):  # another C library
-            ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
+            mallopt = ctypes.CDLL(None).mallopt
+            mallopt(_M_ARENA_MAX, 1)
+            mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)  # naming one ends its being moved
 
 
 class DeviceReader:

@@ -22,7 +22,7 @@ from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.laser_blocks import compile_loop
 from daq.protocols import optoncdt, rotorlink
-from daq.reader import DeviceReader, share_one_heap
+from daq.reader import DeviceReader, keep_heap_whole
 from daq.recent import Recent
 from daq.recorder import DiskState, Recorder
 from daq.stream_items import RX, TX, Batch, Event
@@ -106,7 +106,7 @@ class Session:
         return self
 
     def _open_links(self) -> None:
-        share_one_heap()
+        keep_heap_whole()
         compile_loop()
         d = self.rig.devices
         ports = {
