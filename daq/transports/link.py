@@ -16,7 +16,7 @@ import serial
 from daq.errors import LinkLost
 from daq.protocols import slcan
 
-_READ_BYTES = 65536
+_READ_BYTES = 65536  # into one buffer: room of this size made anew for every read tears holes into the heap
 _POLL_S = 0.1
 
 
@@ -83,6 +83,7 @@ class SerialLink:
         self._port.open()
         with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
+        self._buffer = memoryview(bytearray(_READ_BYTES))
         self._descriptor = None
         if sys.platform != "win32":
             with contextlib.suppress(OSError, AttributeError, NotImplementedError):
@@ -98,7 +99,7 @@ class SerialLink:
             ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
             if not ready:
                 return b""
-            data = os.read(self._descriptor, _READ_BYTES)
+            data = bytes(self._buffer[: os.readv(self._descriptor, [self._buffer])])
         except (OSError, ValueError, TypeError, serial.SerialException) as error:
             raise LinkLost(f"{self.name}: lost while reading ({error}). Look at cable and power") from error
         if not data:
@@ -126,6 +127,7 @@ class SocketLink:
         self.name = f"socket://{host}:{port}"
         self._socket = socket.create_connection((host, port), timeout=5.0)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._buffer = memoryview(bytearray(_READ_BYTES))
         self._lock = threading.Lock()
 
     def read(self, timeout_s: float) -> bytes:
@@ -134,7 +136,7 @@ class SocketLink:
             ready, _, _ = select.select([self._socket], [], [], timeout_s)
             if not ready:
                 return b""
-            data = self._socket.recv(_READ_BYTES)
+            data = bytes(self._buffer[: self._socket.recv_into(self._buffer)])
         except (OSError, ValueError) as error:
             raise LinkLost(f"{self.name}: lost while reading ({error})") from error
         if not data:
