@@ -15,6 +15,8 @@ import numpy as np
 
 from identification.errors import FitFailed
 
+_SURELY = 1e-9  # a prior's least std: far below what any record tells of an angle, a delay or a logarithm
+
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -139,9 +141,11 @@ def solve_separable(
     Args:
         model: θ to blocks.
         start: θ to begin with, shape (p,).
-        prior, prior_std: independent Gaussian knowledge of θ, shape (p,); std inf where there is none.
+        prior, prior_std: independent Gaussian knowledge of θ, shape (p,); std inf where there is none, 0 where θ is
+            known (two sensors on one clock).
     """
     known = np.isfinite(prior_std)
+    prior_std = np.maximum(prior_std, _SURELY)
     rows = np.eye(len(start))[known] / prior_std[known, None]
 
     def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
