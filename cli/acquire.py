@@ -145,7 +145,7 @@ def test(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Run one guided test: ring-down-x, ring-down-y, spin-down, run-up, or point NAME."""
+    """Run one guided test: ring-down-x, ring-down-y, spin-down, run-up, run-down, or point NAME."""
     loaded = load_rig(rig, parameters, settings or [])
     with Session(loaded, HostClock(time_scale)) as session, StepProgress({name: 1.0}) as progress:
         progress.step(name)
@@ -173,11 +173,12 @@ def run_test(
         return tests.ring_down(name[-1])
     if name == "spin-down":
         return tests.spin_down()
-    if name == "run-up":
+    if name in ("run-up", "run-down"):
         higher = max(rig.physics.natural_frequencies_rad_s) * 30 / math.pi
-        return tests.run_up(top_rpm or min(1.3 * higher, rig.limits.speed_rpm), duration_s)
+        through = tests.run_up if name == "run-up" else tests.run_down
+        return through(top_rpm or min(1.3 * higher, rig.limits.speed_rpm), duration_s)
     point = rig.points.get(name.removeprefix("point-"))
     if point is None or not name.startswith("point-"):
-        known = ["ring-down-x", "ring-down-y", "spin-down", "run-up", *(f"point {p}" for p in rig.points)]
+        known = ["ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down", *(f"point {p}" for p in rig.points)]
         raise RigFileError(f"{name!r}: no such test. Known: {', '.join(known)}")
     return tests.point(name.removeprefix("point-"), rig.physics.speed_rad_s(point.speed_ratio))

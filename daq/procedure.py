@@ -32,6 +32,7 @@ _STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2
 _FLICKED_RAD = 0.5
 _PLUCKED_M = 3e-4  # a displacement that is no longer vibration of the building
 _BEFORE_RELEASE_S = 4.0
+_SLOW_SHARE = 0.03  # of the top speed: below it a run-down has too few index marks to go on
 _AFTER_STEADY_S = 2.5  # so that the analysis, with its own windows and clock lines, sees the steady state as well
 
 Progress = Callable[[str, float | None], None]
@@ -164,22 +165,32 @@ class Procedures:
         self._stop_rotor()
         return done
 
+    def run_down(self, top_rpm: float, duration_s: float) -> TestDone:
+        """Ramp from above both resonances to rest with locked pendulums."""
+        test = "run-down"
+        self._at_rest_and_locked()
+        drive = self._s.drive
+        self._spin_up(test, top_rpm)
+        self._begin(test, {"top_rpm": f"{top_rpm:.0f}", "duration_s": f"{duration_s:g}"})
+        self._clock.sleep(1.0)
+        drive.set_ramp(top_rpm / duration_s)
+        drive.set_speed(0.0)
+
+        def slow() -> bool:
+            self._tell(f"{test}: {drive.actual_rpm:.0f} rpm", 1 - drive.actual_rpm / top_rpm)
+            return drive.actual_rpm < _SLOW_SHARE * top_rpm
+
+        reached = self._look_until(slow, 1.5 * duration_s)
+        done = self._end(test, {"reached_rest": reached})
+        self._stop_rotor()
+        return done
+
     def point(self, name: str, speed_rad_s: float) -> TestDone:
         """Spin up with locked pendulums, wait until the orbit is steady, release, record until all is steady."""
         test = f"point-{name}"
         rpm = speed_rad_s / _RPM
         self._at_rest_and_locked()
-        drive = self._s.drive
-        drive.enable()
-        drive.set_ramp(self._s.rig.devices.drive.ramp_rpm_per_s)
-        drive.set_speed(self._allowed(rpm))
-
-        def at_speed() -> bool:
-            self._tell(f"{test}: spinning up, {drive.actual_rpm:.0f} of {rpm:.0f} rpm", None)
-            return abs(drive.actual_rpm - rpm) < 0.01 * rpm + 2
-
-        if not self._look_until(at_speed, 60.0):
-            raise self._stopped(f"{test}: {drive.actual_rpm:.0f} rpm after 60 s, expected {rpm:.0f}. Look at the drive")
+        self._spin_up(test, rpm)
         steady = self._look_until(lambda: self._locked_steady(test), 60.0)
         self._begin(test, {"point": name, "speed_rpm": f"{rpm:.3f}"})
         self._clock.sleep(_BEFORE_RELEASE_S)
@@ -207,6 +218,19 @@ class Procedures:
         return done
 
     # --- parts -------------------------------------------------------------------------------------------------
+
+    def _spin_up(self, test: str, rpm: float) -> None:
+        drive = self._s.drive
+        drive.enable()
+        drive.set_ramp(self._s.rig.devices.drive.ramp_rpm_per_s)
+        drive.set_speed(self._allowed(rpm))
+
+        def at_speed() -> bool:
+            self._tell(f"{test}: spinning up, {drive.actual_rpm:.0f} of {rpm:.0f} rpm", None)
+            return abs(drive.actual_rpm - rpm) < 0.01 * rpm + 2
+
+        if not self._look_until(at_speed, 60.0):
+            raise self._stopped(f"{test}: {drive.actual_rpm:.0f} rpm after 60 s, expected {rpm:.0f}. Look at the drive")
 
     def _allowed(self, rpm: float) -> float:
         limit = self._s.rig.limits.speed_rpm

@@ -47,7 +47,7 @@ class Run:
     """One recorded test. A channel the log does not have is empty.
 
     Attributes:
-        test: "ring-down-x", "ring-down-y", "spin-down", "run-up" or "point-NAME".
+        test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down" or "point-NAME".
         source: the log's path, for messages.
         start_s: the run's start in seconds since 1970; every other time counts from it.
         x_time_s, x_m: laser x, shape (n,), disk-centre displacement; NaN where the sensor said "invalid".

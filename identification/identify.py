@@ -106,7 +106,7 @@ def identify(
     work.warnings += missing_warnings(runs)
     _ring_downs([r for r in runs if r.test.startswith("ring-down")], work)
     for run in runs:
-        if run.test == "run-up":
+        if run.test in ("run-up", "run-down"):
             _one(run, work, _run_up)
     for run in runs:
         if run.test == "spin-down":

@@ -31,7 +31,8 @@ UNKNOWN_START_NS = 946_684_800_000_000_000
 
 _NEEDED = {
     "ring-down-x": {"laser/x"}, "ring-down-y": {"laser/y"}, "spin-down": {"pendulums"},
-    "run-up": {"laser/x", "laser/y", "tacho"}, "point": {"laser/x", "laser/y", "pendulums", "tacho"},
+    "run-up": {"laser/x", "laser/y", "tacho"}, "run-down": {"laser/x", "laser/y", "tacho"},
+    "point": {"laser/x", "laser/y", "pendulums", "tacho"},
 }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ QUANTITIES: dict[str, Quantity] = {
 }  # fmt: skip
 _ROTOR = ("phase", "marks", "speed")
 _SENSORS = tuple(name for name in QUANTITIES if name != "time")
-TESTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
+TESTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down")
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -27,7 +27,7 @@ class Recipe(BaseModel):
     """Every option of an import. Columns are written ``NAME:UNIT``, see daq.exchange.units.parse_column.
 
     Attributes:
-        test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "point-NAME" or a name of one's own.
+        test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down", "point-NAME" or a name of one's own.
         point: name of a validation point; the test is "point-NAME" where none is given.
         note: the operator's words.
         time: column of the sample times; or else rate_Hz, the rate of the rows.

@@ -59,6 +59,22 @@ def test_a_recorded_test_holds_raw_and_decoded_and_replays_exactly(
             assert b"virtual" not in log.attachments["rig.json"].replace(b'"name":"virtual"', b"")
 
 
+def test_a_run_down_is_recorded_from_the_top_almost_to_rest(
+    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+) -> None:
+    with Session(plugged, HostClock(TIME_SCALE)) as session:
+        done = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).run_down(600.0, 20.0)
+    assert done.summary == {"reached_rest": True}
+    assert virtual_rig.line.ask("state")["speed_rpm"] < 1
+    with open_log(done.log) as log:
+        assert log.metadata["run"]["test"] == "run-down"
+        speed = log["motor"]["speed_rpm"]
+        assert speed[0] > 590
+        assert 0 < speed[-1] < 20
+        turns = log["tacho"]["revolutions"]
+        assert 80 < int(turns[-1]) - int(turns[0]) < 130  # 10 rev/s for 1 s, then falling over 20 s
+
+
 def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(plugged: Rig) -> None:
     wrong = plugged.model_copy(
         update={"devices": plugged.devices.model_copy(
