@@ -20,14 +20,15 @@ STDERR = Console(stderr=True, highlight=False)
 
 def print_json(result: Mapping[str, Any]) -> None:
     """One JSON object; numbers that are not finite become null."""
-    print(json.dumps(_plain(result)), flush=True)
+    print(json.dumps(plain(result)), flush=True)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """The value as JSON takes it: numpy numbers as plain ones, what is not finite as null."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if hasattr(value, "item"):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

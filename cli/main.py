@@ -35,12 +35,14 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers
     "cli.recover": ("recover",),
     "cli.exchange": ("export", "import"),
     "cli.model": ("predict", "map"),
+    "cli.plan": ("plan",),
     "cli.bench": ("bench",),
 }
 _USE_COMPILED = {"check", "record", "test", "log", "replay", "recover", "export", "import", "identify", "validate"}
 for module, verbs in _VERBS.items():
     for verb in verbs:
         app.command(f"{module}:{verb}{'_' if iskeyword(verb) else ''}", name=verb)
+app.command("cli.parameters:app", name="parameters")
 
 
 def run(arguments: list[str]) -> int:

@@ -21,17 +21,25 @@ def identify(
 ) -> int:
     """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml."""
     from cli import results  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from cli.parameters import limit_json  # noqa: PLC0415
     from identification import identify as find  # noqa: PLC0415
+    from identification.joint.limits import limits  # noqa: PLC0415
+    from identification.joint.provenance import with_tests  # noqa: PLC0415
 
     _need(logs, "rig identify LOG…")
     loaded = load_rig(rig, settings=settings or [])
-    found = find(results.load_runs(logs), loaded, STDERR.print)
-    parameters = results.with_version(found.parameters)
+    runs = results.load_runs(logs)
+    found = find(runs, loaded, STDERR.print)
+    parameters = results.with_version(with_tests(found, runs))
     parameters.save(output)
+    limited = limits(found) or []
     if json:
-        print_json({**results.identification_json(found), "file": str(output)})
+        limited_by = {limit.name: limit_json(limit) for limit in limited}
+        print_json({**results.identification_json(found), "limited_by": limited_by, "file": str(output)})
         return 0
-    for line in results.parameter_lines(parameters):
+    from cli.parameters_page import limit_lines  # noqa: PLC0415
+
+    for line in [*results.parameter_lines(parameters), *limit_lines(limited)]:
         print(line)
     for warning in found.warnings:
         say(f"warning: {warning}")

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from analysis.plots.style import GREY, drawing, label
 from dynamics.bench.records import ROUNDING, Measurement
 
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#444444")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#444444")
 _OWN_MARKERS, _PEER_MARKERS = "osD^vPXh", "1234"
 _LEAST = ROUNDING / 10  # errors below are drawn here: rounding, not method
 
@@ -50,15 +50,15 @@ def _panel(axes: Axes, rows: Sequence[Measurement], title: str, error: str, per:
     if not known:
         axes.text(0.5, 0.5, "no reference ran: no true errors", transform=axes.transAxes, ha="center")
         return
-    _front(axes, [r for r in known if r.front], "-")
-    _front(axes, [r for r in known if r.front_of_all], ":")
+    draw_front(axes, [(_shown(r), r.seconds) for r in known if r.front], "-")
+    draw_front(axes, [(_shown(r), r.seconds) for r in known if r.front_of_all], ":")
     methods = dict.fromkeys((r.method, r.peer) for r in known if not r.automatic)
     own = [m for m, peer in methods if not peer]
     peers = [m for m, peer in methods if peer]
     handles = []
     for names, markers, peer in ((own, _OWN_MARKERS, False), (peers, _PEER_MARKERS, True)):
         for i, name in enumerate(names):
-            colour = GREY if peer else _COLOURS[i % len(_COLOURS)]
+            colour = GREY if peer else COLOURS[i % len(COLOURS)]
             look = {"marker": markers[i % len(markers)], "ls": "", "color": colour, "ms": 9 if peer else 5}
             same = [r for r in known if r.method == name and not r.automatic]
             axes.plot([_shown(r) for r in same], [r.seconds for r in same], **look)
@@ -79,7 +79,7 @@ def _shown(row: Measurement) -> float:
     return max(row.true_error or 0.0, _LEAST)
 
 
-def _front(axes: Axes, rows: Sequence[Measurement], dashes: str) -> None:
-    """The front as steps: what the error costs at the least."""
-    front = sorted(rows, key=lambda r: r.seconds)
-    axes.step([_shown(r) for r in front], [r.seconds for r in front], "k", ls=dashes, lw=1.2, where="pre", zorder=1)
+def draw_front(axes: Axes, points: Sequence[tuple[float, float]], dashes: str) -> None:
+    """The front as steps through (error, seconds): what the error costs at the least."""
+    front = sorted(points, key=lambda p: p[1])
+    axes.step([p[0] for p in front], [p[1] for p in front], "k", ls=dashes, lw=1.2, where="pre", zorder=1)

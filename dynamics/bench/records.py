@@ -11,7 +11,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -83,38 +83,76 @@ class Target:
         return {**dataclasses.asdict(self), "met": self.met}
 
 
-def compared(rows: Iterable[Measurement]) -> list[Measurement]:
-    """The rows with fronts and peer ratios, in their order."""
+class Comparable(Protocol):
+    """A row, a frozen dataclass, that fronts and peer ratios can be told of."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def service(self) -> str:
+        """Rows of one service and case are compared with each other."""
+        ...
+
+    @property
+    def case(self) -> str:
+        """See service."""
+        ...
+
+    @property
+    def seconds(self) -> float:
+        """What it cost."""
+        ...
+
+    @property
+    def true_error(self) -> float | None:
+        """What it is worth; None when nobody knows, inf for a method that fails."""
+        ...
+
+    @property
+    def peer(self) -> bool:
+        """Somebody else's work."""
+        ...
+
+
+Row = TypeVar("Row", bound=Comparable)
+
+
+def compared(rows: Iterable[Row], alike: float = ROUNDING) -> list[Row]:
+    """The rows with fronts and peer ratios, in their order.
+
+    Args:
+        alike: errors below this count as equal.
+    """
     rows = list(rows)
     cases: dict[tuple[str, str], list[int]] = defaultdict(list)
     for i, row in enumerate(rows):
         cases[row.service, row.case].append(i)
     for members in cases.values():
-        own = _front(rows, [i for i in members if not rows[i].peer])
-        everyone = _front(rows, members)
+        own = _front(rows, [i for i in members if not rows[i].peer], alike)
+        everyone = _front(rows, members, alike)
         peers = [rows[i] for i in members if rows[i].peer]
         for i in members:
             rows[i] = dataclasses.replace(
-                rows[i], front=i in own, front_of_all=i in everyone, peer_ratio=_peer_ratio(rows[i], peers)
+                rows[i], front=i in own, front_of_all=i in everyone, peer_ratio=_peer_ratio(rows[i], peers, alike)
             )
     return rows
 
 
-def _front(rows: Sequence[Measurement], members: Iterable[int]) -> set[int]:
+def _front(rows: Sequence[Comparable], members: Iterable[int], alike: float) -> set[int]:
     """Members that are more exact than everything faster; empty where nothing has a true error."""
     front, best = set(), math.inf
     known = [(rows[i].seconds, error, i) for i in members if (error := rows[i].true_error) is not None]
     for _, error, i in sorted(known):
-        if max(error, ROUNDING) < best:
+        if max(error, alike) < best:
             front.add(i)
-            best = max(error, ROUNDING)
+            best = max(error, alike)
     return front
 
 
-def _peer_ratio(row: Measurement, peers: Sequence[Measurement]) -> float | None:
-    if row.peer:
+def _peer_ratio(row: Comparable, peers: Sequence[Comparable], alike: float) -> float | None:
+    if row.peer or row.true_error == math.inf:  # nothing is as exact as what failed
         return None
-    allowed = math.inf if row.true_error is None else max(row.true_error, ROUNDING)
+    allowed = math.inf if row.true_error is None else max(row.true_error, alike)
     as_exact = [p.seconds for p in peers if row.true_error is None or (p.true_error or 0.0) <= allowed]
     return row.seconds / min(as_exact) if as_exact else None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from dynamics.bench.records import Measurement, Target
@@ -31,11 +32,16 @@ def blocks(rows: Sequence[Measurement]) -> list[tuple[str, list[tuple[str, ...]]
 
 
 def _cells(row: Measurement) -> tuple[str, ...]:
-    mark = "◉" if row.front_of_all else "●" if row.front else ""
     return (
         row.method, row.setting, duration(row.seconds), _error(row.true_error), _error(row.error_estimate),
-        "" if row.peer_ratio is None else f"{row.peer_ratio:.3g}", f"peer {mark}".strip() if row.peer else mark,
+        *standing(peer=row.peer, front=row.front, front_of_all=row.front_of_all, peer_ratio=row.peer_ratio),
     )  # fmt: skip
+
+
+def standing(*, peer: bool, front: bool, front_of_all: bool, peer_ratio: float | None) -> tuple[str, str]:
+    """The last two cells of a row: time over a peer's, and the mark of the fronts."""
+    mark = "◉" if front_of_all else "●" if front else ""
+    return "" if peer_ratio is None else f"{peer_ratio:.3g}", f"peer {mark}".strip() if peer else mark
 
 
 def _error(value: float | None) -> str:
@@ -58,18 +64,46 @@ def machine_line(machine: Mapping[str, Any]) -> str:
     )
 
 
-def markdown(
+@dataclass(frozen=True)
+class Page:
+    """A whole run, ready to be printed or written.
+
+    Attributes:
+        title: of the page.
+        machine: what it was measured on, as work_precision.machine gives it.
+        notes: what a reader must know about this run.
+        targets: figures against what they are held to.
+        legend: what the columns mean.
+        header: names of the columns.
+        blocks: (what the case is, cells under the header for each of its rows).
+    """
+
+    title: str
+    machine: Mapping[str, Any]
+    notes: Sequence[str]
+    targets: Sequence[Target]
+    legend: str
+    header: tuple[str, ...]
+    blocks: Sequence[tuple[str, Sequence[tuple[str, ...]]]]
+
+
+def page(
     rows: Sequence[Measurement], targets: Sequence[Target], machine: Mapping[str, Any], notes: Sequence[str]
-) -> str:
-    """The whole run as a Markdown page."""
-    lines = ["# Work and precision of the dynamics", "", machine_line(machine), ""]
-    lines += [f"- {note}" for note in notes] + [""] * bool(notes)
-    lines += _table(("figure", "target", "measured", ""), [target_line(t) for t in targets])
-    lines += ["", LEGEND, ""]
+) -> Page:
+    """A run of the dynamics' benchmark."""
+    return Page("Work and precision of the dynamics", machine, notes, targets, LEGEND, HEADER, blocks(rows))
+
+
+def markdown(whole: Page) -> str:
+    """The page in Markdown."""
+    lines = [f"# {whole.title}", "", machine_line(whole.machine), ""]
+    lines += [f"- {note}" for note in whole.notes] + [""] * bool(whole.notes)
+    lines += _table(("figure", "target", "measured", ""), [target_line(t) for t in whole.targets])
+    lines += ["", whole.legend, ""]
     body: list[tuple[str, ...]] = []
-    for case, cells in blocks(rows):
-        body += [(f"**{case}**", *[""] * (len(HEADER) - 1)), *cells]
-    lines += _table(HEADER, body)
+    for case, cells in whole.blocks:
+        body += [(f"**{case}**", *[""] * (len(whole.header) - 1)), *cells]
+    lines += _table(whole.header, body)
     return "\n".join(lines) + "\n"
 
 

@@ -1,27 +1,33 @@
-"""Spin-down on a rotor at rest: a pendulum's damping from the decay of its speed.
+"""Spin-down on a rotor at rest: a pendulum's damping from the decay of its speed, dry friction tested and estimated.
 
-θ = θ0 + A e^{−λt} with λ = c/J, fitted up to 4.5 time constants: in the standstill tail the encoder's error is one
-constant of up to half a step and not noise, which makes intervals too short. Dry friction adds a column linear in
-time as long as the pendulum moves; an F test looks for it. The disk's reaction is left out here: it enters in
-identification.pendulums.transient, which starts from this fit.
+The model is closed (identification.pendulums.run_down). Least squares use the first five time constants: beyond them
+the encoder's rounding is one constant and no noise. What the rounding still does to the estimate is found by sending
+the fitted curve through a quantiser (identification.pendulums.quantiser), and where a decline is only a few dozen
+samples long, dry friction is looked for with the likelihood of whole steps over all of it. The disk's reaction is left
+out here: it enters in identification.pendulums.transient.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.stats import norm
 
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
-from identification.least_squares import Block, solve_separable
-from identification.samples import Averages, block_averages, correlation_inflation, encoder_noise
+from identification.pendulums.decline import decline_of
+from identification.pendulums.quantiser import quantised_posterior
+from identification.pendulums.rounded_fit import FittedRunDown, cut, rounded_fit
+from identification.pendulums.run_down import RunDown, fit_run_down, run_down_angle
+from identification.setting import ModelChoice, Setting
 
-BLOCK_S = 0.008
-TIME_CONSTANTS = 4.5
-_SPEED_S = 0.04  # speeds are differences over this span, so that the encoder's steps do not matter
-_SETTLED_S = 0.03  # left out after the hand has let go
+FRICTION_P = 5e-4  # a chance below it is friction
+_WHOLE = 9.0  # time constants: all that a decline shows
+_SHORT = {"fast": 0, "balanced": 450, "reference": 4000}  # samples up to which whole steps are worth their likelihood
+_SWEEPS = {"fast": 0, "balanced": 250, "reference": 1000}
+_WRONG = 0.02  # residual over travel of a model that is none
 
 
 @dataclass(frozen=True)
@@ -29,9 +35,13 @@ class SpinDownFit:
     """What one pendulum's spin-down says.
 
     Attributes:
-        values: rate_per_s (λ), start_speed_rad_s; with an inertia c_Nms_per_rad.
+        values: rate_per_s (λ), start_speed_rad_s; with an inertia c_Nms_per_rad; where friction is found
+            coulomb_rad_per_s2 (M_c/J) and, with an inertia, coulomb_Nm (M_c).
         covariance: shape (n, n), in the values' order.
-        friction_p: chance of a friction term this large without friction.
+        intervals: 95 % by name.
+        friction_p: chance of friction this large without friction (one-sided).
+        model, model_table: the smallest adequate model in words; the criterion of both is friction_p's complement, see
+            docs/theory/pendulum_damping.md.
         warnings: what a reader must know.
         curve: the fitted stretch.
         start_s, end_s: that stretch.
@@ -40,7 +50,10 @@ class SpinDownFit:
 
     values: dict[str, float]
     covariance: np.ndarray
+    intervals: dict[str, tuple[float, float]]
     friction_p: float
+    model: str
+    model_table: list[ModelChoice]
     warnings: list[str]
     curve: Curve
     start_s: float
@@ -52,124 +65,170 @@ class SpinDownFit:
         """Standard deviations by name."""
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
-
-@dataclass(frozen=True)
-class Decline:
-    """The stretch of a record in which a pendulum runs down, the log-speed line through it, and when its push began."""
-
-    push_s: float
-    start_s: float
-    end_s: float
-    rate_per_s: float
-    speed_rad_s: float
+    @property
+    def curves(self) -> list[Curve]:
+        """The fitted stretch as a list, as every fit has it."""
+        return [self.curve]
 
 
-def fit_spin_down(time_s: np.ndarray, angle_rad: np.ndarray, inertia_kg_m2: float | None = None) -> SpinDownFit:
+def fit_spin_down(
+    time_s: np.ndarray, angle_rad: np.ndarray, inertia_kg_m2: float | None = None, *, setting: Setting = "balanced"
+) -> SpinDownFit:
     """Fit one pendulum's run-down on a rotor at rest.
 
     Args:
-        time_s, angle_rad: shape (n,); unwrapped angle relative to the rotor; NaN is left out. What comes before the
-            fastest instant is ignored.
-        inertia_kg_m2: J; adds the damping c = λ J.
+        time_s, angle_rad: shape (n,); angle relative to the rotor, wrapped or not; NaN is left out. What comes before
+            the fastest instant and after a second push is ignored.
+        inertia_kg_m2: J; adds the damping c = λ J and the friction's torque.
+        setting: fast takes the rounding for white noise and stretches intervals where it is not; balanced sends the
+            curve through the quantiser; reference takes values and intervals from the likelihood of whole steps
+            wherever the decline has at most 4000 samples.
     Raises:
         NotIdentifiable: the pendulum hardly moves, or stops within too few samples.
-        FitFailed: no convergence.
-    Source: docs/theory/identification.md.
+        FitFailed: no convergence, or residuals far above the noise.
+    Source: docs/theory/pendulum_damping.md.
     """
-    whole = angle_averages(np.asarray(time_s, float), np.asarray(angle_rad, float))
-    decline = find_decline(whole)
-    data = whole.between(decline.start_s, decline.end_s)
-    t, weight = data.time_s - decline.start_s, data.weight
-
-    def basis(rate: float, friction: bool) -> np.ndarray:
-        columns = [np.ones_like(t), np.exp(-rate * t) * (1 + 0.5 * data.spread_s2 * rate**2)]
-        return np.column_stack([*columns, t] if friction else columns) * weight[:, None]
-
-    def model(friction: bool):
-        def at(theta: np.ndarray) -> list[Block]:
-            rate = float(np.exp(theta[0]))
-
-            def tangent(c: np.ndarray) -> np.ndarray:
-                curved = 1 + 0.5 * data.spread_s2 * rate**2
-                moved = np.exp(-rate * t) * (data.spread_s2 * rate**2 - rate * t * curved)
-                return (moved * c[1] * weight)[:, None]
-
-            return [Block(data.value * weight, basis(rate, friction), tangent)]
-
-        return at
-
-    start, free = np.log([decline.rate_per_s]), np.array([np.inf])
-    viscous = solve_separable(model(False), start, start, free)
-    dry = solve_separable(model(True), viscous.minimum.theta, start, free)
-    if not viscous.minimum.converged:
-        raise FitFailed(f"spin-down: no convergence, χ²/dof {viscous.chi2_per_dof:.3g}")
-    residual = viscous.residuals[0]
-    correlation = correlation_inflation(residual)
-    friction_p = _friction_p(viscous.minimum.cost, dry.minimum.cost, len(t), correlation)
-    rate = float(np.exp(viscous.minimum.theta[0]))
-    amplitude = float(viscous.coefficients[0][1])
-    jacobian = np.array([[rate, 0, 0], [-amplitude * rate, 0, -rate]])
-    inflation = max(correlation, np.sqrt(max(1.0, viscous.chi2_per_dof)))
-    covariance = jacobian @ viscous.coefficient_covariances[0] @ jacobian.T * inflation**2
-    values = {"rate_per_s": rate, "start_speed_rad_s": -amplitude * rate}
-    if inertia_kg_m2 is not None:
-        values["c_Nms_per_rad"] = rate * inertia_kg_m2
-        grow = np.array([[1, 0], [0, 1], [inertia_kg_m2, 0]])
-        covariance = grow @ covariance @ grow.T
-    warnings = []
-    if friction_p < 1e-3:
-        warnings.append(
-            f"the run-down is not purely viscous (p = {friction_p:.1g}): dry friction or the disk's reaction; "
-            "compare a faster start"
+    whole = decline_of(time_s, angle_rad)
+    start_s, data, theta = _settled(whole)
+    viscous, dry = rounded_fit(data, theta[:3], setting), rounded_fit(data, theta, setting)
+    left, travel = np.sqrt(dry.chi2_per_dof) * data.noise_rad, float(np.ptp(data.angle_rad))
+    if left > _WRONG * travel:
+        raise FitFailed(
+            f"spin-down: a decay with dry friction leaves residuals of {left:.2g} rad of {travel:.3g} rad of travel, "
+            f"the noise is {data.noise_rad:.2g} rad; is the rotor held still?"
         )
-    metres = residual / weight
-    curve = Curve("spin-down", "rad", data.time_s, data.value, data.value - metres)
-    return SpinDownFit(
-        values, covariance, friction_p, warnings, curve, decline.start_s, decline.end_s, viscous.chi2_per_dof
+    p, draws = _friction(data, viscous, dry, setting)
+    found = p < FRICTION_P
+    chosen = dry if found else viscous
+    return _result(chosen, found, p, inertia_kg_m2, start_s, draws, (viscous, dry))
+
+
+def _settled(whole: RunDown) -> tuple[float, RunDown, np.ndarray]:
+    """The decline from where the hand has let go, and a first fit of it."""
+    begin, theta = 0, None
+    for _ in range(60):
+        data = RunDown(whole.time_s[begin:] - whole.time_s[begin], whole.angle_rad[begin:], *_noise(whole))
+        if len(data.time_s) < 40:
+            break
+        theta = first_fit(data)
+        part = cut(data, theta)
+        residual = (part.angle_rad - run_down_angle(part.time_s, theta)[0]) / part.noise_rad
+        m = max(10, len(residual) // 30)
+        level, later = float(np.mean(residual[:m] ** 2)), float(np.mean(residual[m:] ** 2))
+        if level < (1 + 6 * np.sqrt(2 / m)) * max(1.0, later):
+            return float(whole.time_s[begin]), data, theta
+        begin += max(3, m // 2)
+    raise NotIdentifiable("no stretch of the record is a free run-down: the hand never lets go, or the rotor moves")
+
+
+def _noise(data: RunDown) -> tuple[float, float]:
+    return data.noise_rad, data.step_rad
+
+
+def first_fit(data: RunDown) -> np.ndarray:
+    """θ0, v0, ln λ, h from nothing: the time in which the travel left falls to 1/e, then the fit on what that cuts."""
+    t, angle = data.time_s, data.angle_rad
+    left = np.abs(np.mean(angle[-5:]) - angle)
+    tau = max(float(t[np.argmax(left < left[0] / np.e)]), 5 * float(np.median(np.diff(t))))
+    theta = np.r_[angle[0], (np.mean(angle[-5:]) - angle[0]) / tau, -np.log(tau)]
+    for _ in range(3):
+        part = cut(data, theta)
+        if len(part.time_s) < 20:
+            raise NotIdentifiable(f"the pendulum runs down within {len(part.time_s)} samples; flick it harder")
+        theta = fit_run_down(part, theta).theta
+        if not -np.log(20 * (t[-1] + 1e-9)) < theta[2] < np.log(1e6):
+            raise NotIdentifiable("the pendulum's speed does not fall; record longer")
+    return fit_run_down(cut(data, theta), np.r_[theta, 0.0]).theta
+
+
+def _friction(
+    data: RunDown, viscous: FittedRunDown, dry: FittedRunDown, setting: Setting
+) -> tuple[float, np.ndarray | None]:
+    """Chance of this much friction without friction, and draws from the likelihood of whole steps where it was used."""
+    share, spread = float(dry.theta[3]), float(np.sqrt(dry.covariance[3, 3]))
+    p = float(norm.sf(share / spread))
+    whole = data.until(_WHOLE * np.exp(-viscous.theta[2]))
+    if not data.step_rad or len(whole.time_s) > _SHORT[setting] or dry.inflation > 1.5:
+        return p, None
+    draws = quantised_posterior(whole, dry.theta, dry.covariance, _SWEEPS[setting])
+    p = (np.count_nonzero(draws[:, 3] <= 0) + 0.5) / (len(draws) + 1.0)
+    if setting != "reference":
+        return p, None
+    if p >= FRICTION_P:
+        draws = quantised_posterior(whole, viscous.theta, viscous.covariance, _SWEEPS[setting])
+    return p, draws
+
+
+def _reported(inertia: float | None, friction: bool) -> tuple[list[str], Callable[[np.ndarray], np.ndarray]]:
+    """Names, and the map from (θ0, v0, ln λ, h) to their values."""
+    names = ["rate_per_s", "start_speed_rad_s"]
+    names += ["coulomb_rad_per_s2"] if friction else []
+    names += (["c_Nms_per_rad"] + (["coulomb_Nm"] if friction else [])) if inertia is not None else []
+
+    def values(theta: np.ndarray) -> np.ndarray:
+        rate, speed = np.exp(theta[..., 2]), theta[..., 1]
+        out = [rate, speed]
+        dry = rate * theta[..., 3] * np.abs(speed) if friction else np.zeros_like(rate)
+        out += [dry] if friction else []
+        out += ([rate * inertia] + ([dry * inertia] if friction else [])) if inertia is not None else []
+        return np.stack(out, axis=-1)
+
+    return names, values
+
+
+def _result(
+    chosen: FittedRunDown, friction: bool, p: float, inertia: float | None, start_s: float, draws: np.ndarray | None,
+    both: tuple[FittedRunDown, FittedRunDown],
+) -> SpinDownFit:  # fmt: skip
+    names, of = _reported(inertia, friction)
+    if draws is not None:
+        sample = of(draws)
+        values, covariance = sample.mean(axis=0), np.atleast_2d(np.cov(sample.T))
+        low, high = np.quantile(sample, [0.025, 0.975], axis=0)
+    else:
+        theta = np.array(chosen.theta if friction else np.r_[chosen.theta[:3], 0.0])
+        values, jacobian = of(theta), np.zeros((len(names), len(chosen.theta)))
+        for j in range(len(chosen.theta)):  # smooth products of few numbers: a central difference is exact to 1e-10
+            moved = np.zeros(4)
+            moved[j] = 1e-5 * max(1e-3, abs(theta[j]))
+            jacobian[:, j] = (of(theta + moved) - of(theta - moved)) / (2 * moved[j])
+        covariance = jacobian @ chosen.covariance @ jacobian.T
+        half = 1.96 * np.sqrt(np.diag(covariance))
+        low, high = values - half, values + half
+    data = chosen.data
+    curve = Curve(
+        "spin-down", "rad", start_s + data.time_s, data.angle_rad, run_down_angle(data.time_s, chosen.theta)[0]
     )
+    end_s = start_s + float(data.time_s[-1])
+    model = "viscous damping and dry friction" if friction else "viscous damping"
+    return SpinDownFit(
+        dict(zip(names, values.tolist(), strict=True)), covariance,
+        dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True)),
+        p, model, _model_table(*both, p, friction), _warnings(chosen, both[1], friction, p), curve, start_s, end_s,
+        chosen.chi2_per_dof,
+    )  # fmt: skip
 
 
-def _friction_p(cost: float, cost_with: float, n: int, correlation: float) -> float:
-    """F test of one more column, with correlated residuals counting for fewer independent ones."""
-    effective = max(5.0, n / correlation**2)
-    ratio = max(cost - cost_with, 0.0) / max(cost_with, 1e-300) * (effective - 4)
-    return float(f_distribution.sf(ratio, 1, effective - 4))
+def _model_table(viscous: FittedRunDown, dry: FittedRunDown, p: float, friction: bool) -> list[ModelChoice]:
+    limit = dry.theta[3] + 1.645 * np.sqrt(dry.covariance[3, 3])
+    why = f"friction share {dry.theta[3]:.2g} of the first torque, below {limit:.2g} at 95 %; p = {p:.2g}"
+    verdict = f"p {'<' if friction else '≥'} {FRICTION_P:g}"
+    return [
+        ModelChoice("viscous damping", 3, viscous.cost + 2 * 3, not friction, f"{verdict} for friction beside it"),
+        ModelChoice("viscous damping and dry friction", 4, dry.cost + 2 * 4, friction, why),
+    ]
 
 
-def angle_averages(time_s: np.ndarray, angle_rad: np.ndarray) -> Averages:
-    """Block averages of one encoder; the noise is taken where the pendulum moves, so that steps are dithered."""
-    good = np.isfinite(angle_rad)
-    if np.count_nonzero(good) < 200:
-        raise NotIdentifiable(f"{np.count_nonzero(good)} valid encoder samples are too few")
-    t, angle = time_s[good], angle_rad[good]
-    steps = np.abs(np.diff(angle))
-    smallest = float(np.min(steps[steps > 1e-12])) if np.any(steps > 1e-12) else 1e-6
-    return block_averages(t, angle, BLOCK_S, encoder_noise(angle, smallest))
-
-
-def find_decline(angle: Averages) -> Decline:
-    """The run-down after the last push, and the rate of its log-speed line.
-
-    Raises:
-        NotIdentifiable: no motion worth the name, or the speed does not fall.
-    """
-    stride = max(1, round(_SPEED_S / float(np.median(np.diff(angle.time_s)))))
-    t = 0.5 * (angle.time_s[stride:] + angle.time_s[:-stride])
-    speed = np.abs((angle.value[stride:] - angle.value[:-stride]) / (angle.time_s[stride:] - angle.time_s[:-stride]))
-    peak = int(np.argmax(speed))
-    travel = float(np.ptp(angle.value[np.searchsorted(angle.time_s, t[peak]) :]))
-    if travel < 300 * angle.noise:
-        raise NotIdentifiable(f"the pendulum travels only {travel:.2g} rad; flick it harder")
-    start = t[peak] + 0.5 * _SPEED_S + _SETTLED_S
-    slow = np.flatnonzero((t > t[peak]) & (speed < 0.1 * speed[peak]))
-    end = t[slow[0]] if len(slow) else t[-1]
-    line = (t >= start) & (t <= end) & (speed > 0)
-    if np.count_nonzero(line) < 10:
-        raise NotIdentifiable("the pendulum stops within a few samples of its push")
-    slope, _ = np.polyfit(t[line] - start, np.log(speed[line]), 1)
-    if slope >= 0:
-        raise NotIdentifiable("the pendulum's speed does not fall")
-    last = min(float(angle.time_s[-1]), float(start - TIME_CONSTANTS / slope))
-    slow = np.flatnonzero(speed[: peak + 1] < 0.05 * speed[peak])
-    push = t[slow[-1]] if len(slow) else angle.time_s[0]
-    return Decline(float(push), float(start), last, float(-slope), float(speed[peak]))
+def _warnings(chosen: FittedRunDown, dry: FittedRunDown, friction: bool, p: float) -> list[str]:
+    warnings = []
+    if friction:
+        warnings.append(
+            f"the run-down is not purely viscous (p = {p:.1g}): dry friction takes {dry.theta[3]:.2g} ± "
+            f"{np.sqrt(dry.covariance[3, 3]):.1g} of the first torque and is in the fit"
+        )
+    if chosen.inflation > 1.3:
+        warnings.append(
+            f"residuals exceed the encoder's noise or hang together (χ²/dof {chosen.chi2_per_dof:.3g}): the rotor may "
+            f"move; standard deviations are scaled up by {chosen.inflation:.2g}"
+        )
+    return warnings

@@ -13,65 +13,66 @@ from dataclasses import replace
 import numpy as np
 
 from daq.signals import Run
+from dynamics.speed_history import SpeedHistory
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.least_squares import Minimum
-from identification.pendulums.spin_down import TIME_CONSTANTS, Decline, angle_averages, find_decline
+from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
+from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import (
-    TransientFit,
-    TransientProblem,
-    free_angles,
-    laid_over,
-    log_suspension,
-    step_for,
-)
+from identification.pendulums.transient import Readings, TransientFit, TransientProblem, log_intervals
 from identification.ring_down.fit import clock_rate_std
 from identification.samples import Averages
+from identification.setting import ModelChoice, Setting
 
-_COUPLED, _PSI, _DISK, _SUSPENSION = slice(2, 6), 6, slice(7, 11), slice(11, 15)
+_ANGLES, _SPEEDS, _PSI, _DISK, _SUSPENSION, _COUNT = slice(2, 4), slice(4, 6), 6, slice(7, 11), slice(11, 15), 15
 _BEFORE_PUSH_S, _WORTH_S = 0.03, 0.08
 _DAMPING_STD = 1.0  # ln c; a pendulum that does not move yet says nothing of its own
 _DISK_STD_M = 3e-4  # how far a flick may leave the disk shaking
 
 
-def fit_spin_down_run(run: Run, knowledge: Knowledge) -> TransientFit:
+def fit_spin_down_run(run: Run, knowledge: Knowledge, *, setting: Setting = "balanced") -> TransientFit:
     """Both pendulums' damping from one spin-down.
 
     Args:
         run: a "spin-down" run: rotor at rest, both pendulums flicked.
         knowledge: masses, lengths and what is known of the suspension.
+        setting: fast takes the encoders' rounding for white noise, the others its own effect (reference more finely).
     Raises:
         NotIdentifiable: a pendulum hardly moves.
         FitFailed: the model does not follow the angles.
-    Source: docs/theory/identification.md.
+    Source: docs/theory/pendulum_damping.md.
     """
     if run.angle_rad.ndim != 2 or len(run.angle_time_s) < 400:
         raise NotIdentifiable(f"{run.source}: {len(run.angle_time_s)} encoder samples are too few")
-    whole = [angle_averages(run.angle_time_s, run.angle_rad[:, i]) for i in range(2)]
-    declines = [find_decline(w) for w in whole]
-    fits = [_fit_from(run, whole, declines, max(d.start_s for d in declines), np.inf, knowledge)]
+    declines = [find_decline(run.angle_time_s, run.angle_rad[:, i]) for i in range(2)]
+    fastest = max(d.rate_per_s for d in declines)
+    whole = [spin_down_readings(run.angle_time_s, run.angle_rad[:, i], fastest) for i in range(2)]
+    last = max(d.start_s for d in declines)
+    fits = [_fit_from(run, whole, declines, (last, np.inf), knowledge, setting)]
     first = int(np.argmin([d.start_s for d in declines]))
     push = declines[1 - first].push_s - _BEFORE_PUSH_S
     if push - declines[first].start_s > _WORTH_S:  # one pendulum running down before the other is flicked
-        with contextlib.suppress(FitFailed):  # a hand on the second pendulum: the stretch after it stands alone
-            fits.append(_fit_from(run, whole, declines, declines[first].start_s, push, knowledge))
+        with contextlib.suppress(FitFailed, NotIdentifiable):  # a hand on the second: the stretch after it stands alone
+            fits.append(_fit_from(run, whole, declines, (declines[first].start_s, push), knowledge, setting))
     return _together(fits)
 
 
 def _fit_from(
-    run: Run, whole: list[Averages], declines: list[Decline], begin: float, limit: float, knowledge: Knowledge
-) -> TransientFit:
+    run: Run, whole: list[Readings], declines: list[Decline], span: tuple[float, float], knowledge: Knowledge,
+    setting: Setting,
+) -> TransientFit:  # fmt: skip
     """One stretch; begins later while the residual right after its begin stands out."""
-    slowest = min(d.rate_per_s for d in declines)
-    for attempts_left in range(5, -1, -1):
-        end = min(*(float(w.time_s[-1]) for w in whole), begin + TIME_CONSTANTS / slowest, limit)
+    begin, limit = span
+    slowest, fastest = min(d.rate_per_s for d in declines), max(d.rate_per_s for d in declines)
+    for attempts_left in range(8, -1, -1):
+        end = min(*(float(w.averages.time_s[-1]) for w in whole), begin + TIME_CONSTANTS / slowest, limit)
         problem, start = _problem(whole, declines, begin, end, knowledge)
         minimum = _best_phase(problem, start, end)
         if attempts_left and _early_excess(problem, minimum) and end - begin > _WORTH_S:
-            begin += 0.04  # the hand was still there
+            begin += min(0.04, 0.25 / fastest)  # the hand was still there
             continue
-        fit = problem.result(minimum, end, "spin-down", 2)
+        fit = problem.result(minimum, end, "spin-down", 2, setting, _model_table(problem, minimum, declines, end))
         if minimum.converged and fit.chi2_per_dof < 10:
             return fit
         raise FitFailed(
@@ -88,10 +89,11 @@ def _together(fits: list[TransientFit]) -> TransientFit:
     information = [np.linalg.inv(f.covariance) for f in fits]
     covariance = np.linalg.inv(information[0] + information[1])
     pulled = sum(i @ np.array(list(f.values.values())) for i, f in zip(information, fits, strict=True))
-    values = dict(zip(fits[0].values, (covariance @ pulled).tolist(), strict=True))
+    found = covariance @ pulled
     return replace(
-        fits[0], values=values, covariance=covariance, curves=[*fits[0].curves, *fits[1].curves],
-        warnings=fits[0].warnings + fits[1].warnings,
+        fits[0], values=dict(zip(fits[0].values, found.tolist(), strict=True)), covariance=covariance,
+        intervals=log_intervals(found, covariance / np.outer(found, found)),
+        curves=[*fits[0].curves, *fits[1].curves], warnings=fits[0].warnings + fits[1].warnings,
     )  # fmt: skip
 
 
@@ -104,22 +106,21 @@ def damping_estimate(run: Run, fit: TransientFit, method: str) -> Estimate:
 
 
 def _problem(
-    whole: list[Averages], declines: list[Decline], begin: float, end: float, knowledge: Knowledge
+    whole: list[Readings], declines: list[Decline], begin: float, end: float, knowledge: Knowledge
 ) -> tuple[TransientProblem, np.ndarray]:
-    angles = (whole[0].between(begin, end), whole[1].between(begin, end))
+    readings = (whole[0].between(begin, end), whole[1].between(begin, end))
+    angles = [r.averages for r in readings]
+    if min(len(a.time_s) for a in angles) < 12:
+        raise NotIdentifiable(
+            "fewer than 12 blocks of readings between two flicks; flick both at once or a second apart"
+        )
     physics = knowledge.physics
-    step = step_for(physics, 0.0, 0.3)
-    knots = np.array([begin, begin + 1.0])
     inertias = (physics.a.inertia_kg_m2, physics.b.inertia_kg_m2)
 
-    def predict(theta: np.ndarray, end_s: float) -> np.ndarray:
-        cut = (angles[0].between(-np.inf, end_s), angles[1].between(-np.inf, end_s))
-        now = laid_over(knowledge, theta[:2], theta[_SUSPENSION])
-        state = np.r_[theta[7:9], theta[2:4], theta[9:11], theta[4:6]]
-        still = np.array([[theta[_PSI], 0.0, 0.0, 0.0]])
-        return free_angles(now, knots, still, state, begin, cut, step, 0.004)
+    def predict(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
+        return _readings_of(theta, problem.cut(end_s), knowledge, begin)
 
-    start = np.zeros(15)
+    start = np.zeros(_COUNT)
     for i, (channel, decline) in enumerate(zip(angles, declines, strict=True)):
         rate = decline.rate_per_s
         t = channel.time_s - begin
@@ -131,18 +132,64 @@ def _problem(
         start[2 + i], start[4 + i] = rest + amplitude, -rate * amplitude
     start[_SUSPENSION] = log_suspension(physics)[:4]
     omega = np.array(physics.natural_frequencies_rad_s)
-    prior_std = np.full(15, np.inf)
+    prior_std = np.full(_COUNT, np.inf)
     prior_std[:2], prior_std[_PSI] = _DAMPING_STD, np.pi
     prior_std[_DISK] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
     prior_std[_SUSPENSION] = knowledge.log_std[:4]
-    difference = np.full(15, 1e-5)
-    difference[_DISK] = np.r_[1e-7, 1e-7, 1e-7 * omega]
-    return TransientProblem(angles, predict, difference, start.copy(), prior_std), start
+    problem = TransientProblem(readings, predict, start.copy(), prior_std)
+    return problem, start
+
+
+def _readings_of(
+    theta: np.ndarray, cut: tuple[Averages, Averages], knowledge: Knowledge, begin: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both encoders' angles and derivatives on a rotor that stands at ψ."""
+    count = sum(len(c.time_s) for c in cut)
+    if np.max(np.abs(theta[:2])) > 40 or np.max(np.abs(theta[_SUSPENSION])) > 40:
+        return np.full(count, np.nan), np.zeros((count, _COUNT))
+    now = laid_over(knowledge, theta[:2], theta[_SUSPENSION])
+    state = np.r_[theta[7:9], theta[_ANGLES], theta[9:11], theta[_SPEEDS]]
+    still = SpeedHistory.constant(0.0, float(theta[_PSI]), begin)
+    motion = swing(now, still, state, begin, begin, max(float(c.time_s[-1]) for c in cut))
+    if motion is None:
+        return np.full(count, np.nan), np.zeros((count, _COUNT))
+    start_by, log_by = np.zeros((8, _COUNT)), np.zeros((7, _COUNT))
+    start_by[[0, 1, 2, 3, 4, 5, 6, 7], [7, 8, 2, 3, 9, 10, 4, 5]] = 1.0
+    start_by[[2, 3], _PSI] = 1.0  # a turned rotor is two turned pendulums, read from a turned zero
+    log_by[0, 0] = log_by[1, 1] = 1.0
+    log_by[2:6, _SUSPENSION] = np.eye(4)
+    angle, slope = both_angles(motion, cut, start_by, log_by)
+    slope[:, _PSI] -= 1.0
+    return angle, slope
+
+
+def _model_table(
+    problem: TransientProblem, minimum: Minimum, declines: list[Decline], end_s: float
+) -> list[ModelChoice]:
+    """The coupled motion beside what each pendulum would do on a rotor that does not move."""
+    bare, size = 0.0, 0
+    for channel, decline in zip(problem.cut(end_s), declines, strict=True):
+        t = channel.time_s - channel.time_s[0]
+        basis = np.column_stack([np.ones_like(t), np.exp(-decline.rate_per_s * t)]) * channel.weight[:, None]
+        data = channel.value * channel.weight
+        bare += float(np.sum((data - basis @ np.linalg.lstsq(basis, data, rcond=None)[0]) ** 2))
+        size += len(t)
+    coupled = float(minimum.residual[:size] @ minimum.residual[:size])
+    needed = bare + 2 * 6 > coupled + 2 * _COUNT
+    why = f"χ² {bare:.3g} against {coupled:.3g} for {size} blocks: " + (
+        "the disk's push on the pendulums shows" if needed else "the disk's push is below the noise"
+    )
+    return [
+        ModelChoice("bare exponentials, rotor held", 6, bare + 2 * 6, False, why),
+        # also where it is not needed: it contains the other, and its interval what the suspension leaves open
+        ModelChoice("coupled motion of disk and pendulums", _COUNT, coupled + 2 * _COUNT, True, why),
+    ]
 
 
 def _best_phase(problem: TransientProblem, start: np.ndarray, end: float) -> Minimum:
     """The best of several starts in ψ: two steps each on the first part, the winner to the end."""
-    early = problem.angles[0].time_s[0] + 0.35 * (end - problem.angles[0].time_s[0])
+    begin_s = problem.readings[0].averages.time_s[0]
+    early = begin_s + 0.35 * (end - begin_s)
     tries = []
     for psi in np.arange(6) * np.pi / 6:
         begin = start.copy()
@@ -164,7 +211,7 @@ def _best_phase(problem: TransientProblem, start: np.ndarray, end: float) -> Min
 
 def _early_excess(problem: TransientProblem, minimum: Minimum) -> bool:
     at = 0
-    for channel in problem.angles:
+    for channel in (r.averages for r in problem.readings):
         own = minimum.residual[at : at + len(channel.time_s)]
         at += len(own)
         early = channel.time_s < channel.time_s[0] + 0.1

@@ -2,7 +2,8 @@
 
 The pendulums shake the disk and the disk pushes back at the per cent level, so the encoder angles are fitted with the
 nonlinear model itself. What else the motion depends on (suspension, imbalance, start state, encoder zeros) is free
-within what is known of it; the quoted uncertainty contains it.
+within what is known of it; the quoted uncertainty contains it, and what the encoders' rounding does where a pendulum
+hardly moves.
 """
 
 from __future__ import annotations
@@ -11,16 +12,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicSpline
 
-from dynamics.integrate import fastest_rate, integrate
-from dynamics.parameters import RotorParameters
 from identification.curve import Curve
 from identification.least_squares import Minimum, minimise
-from identification.pendulums.suspension_knowledge import Knowledge
+from identification.pendulums.quantiser import rounding_errors
 from identification.samples import Averages, correlation_inflation
+from identification.setting import ModelChoice, Setting
 
-Predict = Callable[[np.ndarray, float], np.ndarray]
+Predict = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+_DRAWS = {"fast": 0, "balanced": 100, "reference": 400}
+_JITTERS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # steps
+_NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
 
 @dataclass(frozen=True)
@@ -30,19 +33,24 @@ class TransientFit:
     Attributes:
         values: c3_Nms_per_rad, c4_Nms_per_rad.
         covariance: shape (2, 2).
+        intervals: 95 % by name, of ln c ± 1.96 standard deviations: never negative.
         curves: both pendulums, measured and fitted.
         chi2_per_dof: residuals against the encoder's white noise.
         horizon_s: length of the fitted stretch.
         start_angles_rad: θ3, θ4 at its beginning.
+        model, model_table: the smallest adequate model in words, and what it was compared with.
         warnings: what a reader must know.
     """
 
     values: dict[str, float]
     covariance: np.ndarray
+    intervals: dict[str, tuple[float, float]]
     curves: list[Curve]
     chi2_per_dof: float
     horizon_s: float
     start_angles_rad: tuple[float, float]
+    model: str
+    model_table: list[ModelChoice]
     warnings: list[str]
 
     @property
@@ -52,25 +60,73 @@ class TransientFit:
 
 
 @dataclass(frozen=True)
+class Readings:
+    """One encoder's samples of a transient, and their block averages.
+
+    Attributes:
+        time_s, angle_rad: of each sample, shape (n,).
+        averages: over blocks of them.
+        step_rad: the encoder's step; 0 when the angle is not quantised.
+    """
+
+    time_s: np.ndarray
+    angle_rad: np.ndarray
+    averages: Averages
+    step_rad: float
+
+    def between(self, start_s: float, end_s: float) -> Readings:
+        """The blocks whose mean times lie inside a span, with their samples."""
+        label = np.repeat(self.averages.time_s, self.averages.count)
+        inside = (label >= start_s) & (label <= end_s)
+        kept = self.averages.between(start_s, end_s)
+        return Readings(self.time_s[inside], self.angle_rad[inside], kept, self.step_rad)
+
+    def rounding(self, curves_rad: np.ndarray, seed: int) -> np.ndarray:
+        """Errors of the block averages that reading such curves makes, in their standard deviations.
+
+        Args:
+            curves_rad: at the blocks' mean times, shape (draws, blocks).
+        """
+        blocks = self.averages
+        samples = CubicSpline(blocks.time_s, curves_rad, axis=1)(self.time_s)
+        errors = rounding_errors(samples, self.step_rad, self._jitter(samples[0]), seed)
+        first = np.r_[0, np.cumsum(blocks.count)[:-1]].astype(np.int64)
+        return np.add.reduceat(errors, first, axis=1) / blocks.count * blocks.weight
+
+    def _jitter(self, curve_rad: np.ndarray) -> float:
+        """Noise before the rounding, rad: that which makes readings of this curve flicker as the record's do.
+
+        A pendulum that creeps through a step shows its jitter only there, so the noise of a moving encoder is no guide.
+        """
+        wanted = float(np.var(np.diff(self.angle_rad, 3)))
+        unit = np.random.default_rng(5).standard_normal(len(curve_rad)) * self.step_rad
+        seen = [
+            float(np.var(np.diff(np.round((curve_rad + j * unit) / self.step_rad) * self.step_rad, 3)))
+            for j in _JITTERS
+        ]
+        return float(np.interp(wanted, np.maximum.accumulate(seen), _JITTERS)) * self.step_rad
+
+
+@dataclass(frozen=True)
 class TransientProblem:
     """One transient as nonlinear least squares; θ begins with ln c3, ln c4.
 
     Attributes:
-        angles: block averages of both encoders from the transient's start on.
-        predict: (θ, last instant) ↦ both angles at every block up to it, one array after the other.
-        difference: step of each parameter's finite difference, shape (p,).
+        readings: both encoders from the transient's start on.
+        predict: (θ, last instant) ↦ both angles at every block up to it, one array after the other, shape (n,), and
+            their derivatives (n, p).
         prior, prior_std: independent Gaussian knowledge of θ, shape (p,); std inf where there is none.
     """
 
-    angles: tuple[Averages, Averages]
+    readings: tuple[Readings, Readings]
     predict: Predict
-    difference: np.ndarray
     prior: np.ndarray
     prior_std: np.ndarray
 
     def cut(self, end_s: float) -> tuple[Averages, Averages]:
         """The data up to an instant."""
-        return self.angles[0].between(-np.inf, end_s), self.angles[1].between(-np.inf, end_s)
+        first, second = (r.averages.between(-np.inf, end_s) for r in self.readings)
+        return first, second
 
     def solve(self, start: np.ndarray, end_s: float, iterations: int = 25) -> Minimum:
         """Least squares on the data up to end_s."""
@@ -81,16 +137,11 @@ class TransientProblem:
         rows = np.eye(len(start))[known] / self.prior_std[known, None]
 
         def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            base = self.predict(theta, end_s)
-            columns = []
-            for j, step in enumerate(self.difference):
-                moved = theta.copy()
-                moved[j] += step
-                columns.append((self.predict(moved, end_s) - base) / step * weight)
-            residual = np.r_[(base - measured) * weight, rows @ (theta - np.where(known, self.prior, 0.0))]
-            if not np.all(np.isfinite(base)):
+            angle, jacobian = self.predict(theta, end_s)
+            residual = np.r_[(angle - measured) * weight, rows @ (theta - np.where(known, self.prior, 0.0))]
+            if not (np.all(np.isfinite(angle)) and np.all(np.isfinite(jacobian))):
                 return np.full(len(residual), np.inf), np.zeros((len(residual), len(theta)))
-            return residual, np.concatenate([np.column_stack(columns), rows])
+            return residual, np.concatenate([jacobian * weight[:, None], rows])
 
         return minimise(evaluate, start, iterations)
 
@@ -100,71 +151,78 @@ class TransientProblem:
         data = minimum.residual[:n]
         return float(data @ data) / max(1, n - 6)
 
-    def result(self, minimum: Minimum, end_s: float, label: str, angles_at: int) -> TransientFit:
+    def misfit(self, minimum: Minimum, end_s: float, draws: int = 12) -> float:
+        """χ²/dof over what noise and the encoders' rounding of this very curve make of it; 1 for a right model."""
+        rounding = self._rounding(minimum, end_s, draws)
+        level = 1.0 if rounding is None else max(1.0, float(np.mean(rounding**2)))
+        return self.chi2_per_dof(minimum, end_s) / level
+
+    def _rounding(self, minimum: Minimum, end_s: float, draws: int) -> np.ndarray | None:
+        """Errors of all block averages, in their standard deviations, for curves like the fitted one; (draws, n)."""
+        parts = [r.between(-np.inf, end_s) for r in self.readings]
+        if draws == 0 or not all(p.step_rad > 0 for p in parts):
+            return None
+        sizes = [len(p.averages.time_s) for p in parts]
+        weight = np.concatenate([p.averages.weight for p in parts])
+        curve = np.concatenate([p.averages.value for p in parts]) + minimum.residual[: sum(sizes)] / weight
+        moves = np.random.default_rng(3).standard_normal((draws, len(minimum.theta))) @ _root(minimum.covariance).T
+        curves = curve + moves @ minimum.jacobian[: sum(sizes)].T / weight
+        both = np.split(curves, [sizes[0]], axis=1)
+        return np.hstack([p.rounding(c, 4 + i) for i, (p, c) in enumerate(zip(parts, both, strict=True))])
+
+    def covariance(self, minimum: Minimum, end_s: float, setting: Setting) -> np.ndarray:
+        """Of ln c3, ln c4, shape (2, 2): knowledge and rounding, stretched where residuals are not noise."""
+        sizes = [len(c.time_s) for c in self.cut(end_s)]
+        n = sum(sizes)
+        own = (slice(0, sizes[0]), slice(sizes[0], n))
+        together = max(correlation_inflation(minimum.residual[part]) for part in own)
+        covariance, white, level = minimum.covariance[:2, :2], 1.0, 1.0
+        errors = self._rounding(minimum, end_s, _DRAWS[setting])
+        if errors is not None:
+            wrong = errors @ (minimum.jacobian[:n] @ minimum.covariance[:, :2])
+            white = max(correlation_inflation(e[part]) for e in errors[:10] for part in own)
+            level = max(1.0, float(np.mean(errors**2)))
+            priors = minimum.jacobian[n:] @ minimum.covariance[:, :2]
+            covariance = wrong.T @ wrong / len(wrong) + priors.T @ priors
+        chi2 = self.chi2_per_dof(minimum, end_s) / level
+        return covariance * max(1.0, together / white) ** 2 * max(1.0, chi2 / (1 + 3 * np.sqrt(2 / n)))
+
+    def result(
+        self, minimum: Minimum, end_s: float, label: str, angles_at: int, setting: Setting, table: list[ModelChoice]
+    ) -> TransientFit:
         """A minimum as the numbers that are reported; angles_at is where θ3 and θ4 stand in θ."""
-        data = self.cut(end_s)
-        chi2 = self.chi2_per_dof(minimum, end_s)
-        inflation, curves, at = np.sqrt(max(1.0, chi2)), [], 0
-        for name, channel in zip("AB", data, strict=True):
+        chi2, misfit = self.chi2_per_dof(minimum, end_s), self.misfit(minimum, end_s)
+        curves, at = [], 0
+        for name, channel in zip("AB", self.cut(end_s), strict=True):
             own = minimum.residual[at : at + len(channel.time_s)]
             at += len(own)
-            inflation = max(inflation, correlation_inflation(own))
             fitted = channel.value + own / channel.weight
             curves.append(Curve(f"{label}: {name}", "rad", channel.time_s, channel.value, fitted))
         c = np.exp(minimum.theta[:2])
-        covariance = minimum.covariance[:2, :2] * np.outer(c, c) * inflation**2
-        values = {"c3_Nms_per_rad": float(c[0]), "c4_Nms_per_rad": float(c[1])}
+        covariance = self.covariance(minimum, end_s, setting)
         start = (float(minimum.theta[angles_at]), float(minimum.theta[angles_at + 1]))
-        horizon = end_s - self.angles[0].time_s[0]
         warnings = []
-        if chi2 > 1.3:
+        if misfit > 1.3:
             warnings.append(
-                f"{label}: residuals exceed the encoder noise: χ²/dof {chi2:.3g}; standard deviations are scaled up"
+                f"{label}: residuals exceed the encoder noise: χ²/dof {chi2:.3g}, {misfit:.3g} times what noise and "
+                "rounding explain; standard deviations are scaled up"
             )
-        return TransientFit(values, covariance, curves, chi2, horizon, start, warnings)
+        model = next((row.name for row in table if row.chosen), "coupled motion of disk and pendulums")
+        return TransientFit(
+            dict(zip(_NAMES, c.tolist(), strict=True)), covariance * np.outer(c, c),
+            log_intervals(c, covariance), curves, chi2, end_s - self.readings[0].averages.time_s[0], start, model,
+            table, warnings,
+        )  # fmt: skip
 
 
-def laid_over(knowledge: Knowledge, damping: np.ndarray, suspension: np.ndarray) -> RotorParameters:
-    """Parameters from ln c3, ln c4 and the logarithms of k1, k2, ζ1, ζ2 and (if there) S_P."""
-    names = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
-    values = dict(zip(names, np.exp(suspension).tolist(), strict=False))
-    c3, c4 = np.exp(damping).tolist()
-    return knowledge.physics.with_values(c3_Nms_per_rad=c3, c4_Nms_per_rad=c4, **values)
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """A matrix whose square is the covariance, whatever its scales; unknown directions stay where they are."""
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
-def log_suspension(physics: RotorParameters) -> np.ndarray:
-    """Logarithms of k1, k2, ζ1, ζ2, S_P, shape (5,)."""
-    p = physics
-    return np.log([p.k1_N_per_m, p.k2_N_per_m, p.zeta1, p.zeta2, p.imbalance_moment_kg_m])
-
-
-def free_angles(
-    physics: RotorParameters,
-    knots: np.ndarray,
-    coefficients: np.ndarray,
-    start: np.ndarray,
-    start_s: float,
-    angles: tuple[Averages, Averages],
-    step_s: float,
-    output_s: float,
-) -> np.ndarray:
-    """Both angles at the blocks' mean times from a state at start_s, both pendulums free; concatenated.
-
-    NaN where the motion cannot be integrated with this step (a trial far outside): the minimiser refuses such a trial.
-    """
-    last = max(float(a.time_s[-1]) for a in angles)
-    grid = start_s + output_s * np.arange(int(np.ceil((last - start_s) / output_s)) + 2)
-    states = integrate(start, grid, step_s, knots, coefficients, physics.packed(), 1.0, 1.0)
-    if not np.all(np.isfinite(states)):
-        return np.full(sum(len(a.time_s) for a in angles), np.nan)
-    out = []
-    for i, channel in enumerate(angles):
-        spline = CubicHermiteSpline(grid, states[:, 2 + i], states[:, 6 + i])
-        curve = spline(channel.time_s, 2)
-        out.append(spline(channel.time_s) + 0.5 * channel.spread_s2 * curve)
-    return np.concatenate(out)
-
-
-def step_for(physics: RotorParameters, speed_rad_s: float, share: float) -> float:
-    """An integration step: a share of the fastest rate's inverse."""
-    return share / fastest_rate(physics, speed_rad_s)
+def log_intervals(c: np.ndarray, covariance: np.ndarray) -> dict[str, tuple[float, float]]:
+    """95 % intervals of c3, c4 from their values and the covariance of their logarithms."""
+    reach = np.exp(1.96 * np.sqrt(np.diag(covariance)))
+    return {name: (float(v / r), float(v * r)) for name, v, r in zip(_NAMES, c, reach, strict=True)}

@@ -1,108 +1,238 @@
-"""The separable model of one or more ring-down records: two modes, two rotated sensors.
+"""The separable models of ring-down records.
 
-In the stiffness axes the motion is x = Re(a1 e^{λ1 t}), y = Re(a2 e^{λ2 t}). Sensor x points at the angle β from
-stiffness x, and laser y's clock lags laser x's by a delay d:
+Turned pair: in the stiffness axes the motion is x = Re(a1 e^{λ1 t}), y = Re(a2 e^{λ2 t}). Sensor x points at an angle β
+from stiffness x, and laser y's clock lags laser x's by a delay δ:
 
-    x_s = x cos β + y sin β,        y_s = ρ (−x sin β + y cos β) at t − d,
+    x_s = x cos β + y sin β,        y_s = ρ (−x sin β + y cos β) at t − δ.
 
-each plus an offset and a slope. ρ is the ratio of the sensors' gains. θ = (ln ω1, ln ζ1, ln ω2, ln ζ2, β, ln ρ, d of
-each record); a1, a2, offsets and slopes are linear and each record's own.
+ρ is the ratio of the sensors' gains. θ = (ln ω1, ζ1, ln ω2, ζ2, β, ln ρ, δ of each record where clocks differ); a1, a2
+are linear and each record's own.
+
+Free modes: every channel has its own complex amplitude of every mode; θ = (ln ω, ζ) of each mode. With one mode it is
+the model of one direction.
+
+Each channel has a drift besides, a polynomial of order 0, 1 or 3. ζ itself, not its logarithm, is the parameter: it is
+then nearly linear in the data, and its interval symmetric, down to where damping drowns in noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from identification.least_squares import Block
-from identification.ring_down.modes import averaged_decay, rate, rate_derivatives
+from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
 
-SHARED = 6  # parameters before the delays
+BETA, RATIO, DELAYS = 4, 5, 6  # places in θ of a turned pair
+_ZETA_LIMIT, _LOG_LIMIT, _GROWTH_LIMIT = 0.95, 12.0, 20.0
 
 
 @dataclass(frozen=True)
 class DecayRecord:
-    """Both channels of one ring-down from its release on."""
+    """The channels of one ring-down from its release on; a turned pair needs two, x and y."""
 
-    x: Averages
-    y: Averages
+    channels: tuple[Averages, ...]
     zero_s: float
 
+    @cached_property
+    def times(self) -> list[np.ndarray]:
+        """Per channel, s since the record's zero."""
+        return [c.time_s - self.zero_s for c in self.channels]
 
-def blocks(records: Sequence[DecayRecord], theta: np.ndarray) -> list[Block]:
-    """The model at θ, one block per record."""
-    return [_block(record, i, len(records), theta) for i, record in enumerate(records)]
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """One over every block's standard deviation, channels one after the other."""
+        return np.concatenate([c.weight for c in self.channels])
+
+    @cached_property
+    def data(self) -> np.ndarray:
+        """Values in standard deviations, channels one after the other."""
+        return np.concatenate([c.value for c in self.channels]) * self.weight
+
+    @cached_property
+    def same_times(self) -> bool:
+        """Whether all channels were sampled, and masked, alike."""
+        first = self.channels[0]
+        return all(
+            np.array_equal(first.time_s, c.time_s) and np.array_equal(first.spread_s2, c.spread_s2)
+            for c in self.channels[1:]
+        )
 
 
-def _block(record: DecayRecord, index: int, count: int, theta: np.ndarray) -> Block:
-    omegas, zetas = np.exp(theta[[0, 2]]), np.exp(theta[[1, 3]])
-    beta, ratio, delay = theta[4], np.exp(theta[5]), theta[SHARED + index]
+@dataclass(frozen=True)
+class DecayModel:
+    """Which terms a fit has.
+
+    Attributes:
+        records: what is fitted.
+        modes: how many.
+        turned: a turned pair; otherwise free modes.
+        drift: order of every channel's polynomial.
+        delays: whether the two channels' clocks may differ, per record.
+    """
+
+    records: tuple[DecayRecord, ...]
+    modes: int
+    turned: bool
+    drift: int = 0
+    delays: bool = False
+
+    @property
+    def size(self) -> int:
+        """Length of θ."""
+        return 2 * self.modes + (2 + (len(self.records) if self.delays else 0) if self.turned else 0)
+
+    @property
+    def linear(self) -> int:
+        """Number of amplitudes and drift coefficients."""
+        channels = sum(len(r.channels) for r in self.records)
+        own = len(self.records) if self.turned else channels
+        return own * 2 * self.modes + channels * (self.drift + 1)
+
+    def __call__(self, theta: np.ndarray) -> list[Block]:
+        """The model at θ, one block per record."""
+        if self.is_absurd(theta):
+            return [self._nowhere(record) for record in self.records]
+        return [self._block(record, i, theta) for i, record in enumerate(self.records)]
+
+    def is_absurd(self, theta: np.ndarray) -> bool:
+        """Whether a step went where the exponentials overflow or oscillate no more."""
+        logs, zetas = theta[0 : 2 * self.modes : 2], theta[1 : 2 * self.modes : 2]
+        if not np.all(np.isfinite(theta)) or np.any(np.abs(zetas) > _ZETA_LIMIT) or np.any(np.abs(logs) > _LOG_LIMIT):
+            return True
+        longest = max(float(t[-1]) for record in self.records for t in record.times)
+        grows = float(np.max(-zetas * np.exp(logs))) * longest > _GROWTH_LIMIT
+        return grows or (self.turned and abs(float(theta[RATIO])) > 1)
+
+    def _nowhere(self, record: DecayRecord) -> Block:
+        """Not a number everywhere: least squares steps back from there."""
+        n, size = len(record.weight), self.size
+        columns = 2 * self.modes * (1 if self.turned else len(record.channels)) + len(record.channels) * (
+            self.drift + 1
+        )
+        return Block(record.data, np.full((n, columns), np.nan), lambda c: np.full((n, size), np.nan))
+
+    def _block(self, record: DecayRecord, index: int, theta: np.ndarray) -> Block:
+        omegas, zetas = np.exp(theta[0 : 2 * self.modes : 2]), theta[1 : 2 * self.modes : 2]
+        lams = [rate(w, z) for w, z in zip(omegas, zetas, strict=True)]
+        moves = [(lam, damping_derivative(w, z)) for lam, w, z in zip(lams, omegas, zetas, strict=True)]
+        delay = theta[DELAYS + index] if self.delays else 0.0
+        waves, slopes = self._waves(record, lams, delay)
+        drift = self.drift_columns(record)
+        if self.turned:
+            mix, turned = rotation(theta[BETA], np.exp(theta[RATIO]))
+            basis = _turned_basis(waves, mix, drift, record.weight)
+            delayed = index if self.delays else None
+
+            def tangent(c: np.ndarray) -> np.ndarray:
+                return (
+                    _turned_tangent(c, waves, slopes, moves, mix, turned, self.size, delayed) * record.weight[:, None]
+                )
+        else:
+            basis = _free_basis(waves, drift, record.weight)
+
+            def tangent(c: np.ndarray) -> np.ndarray:
+                return _free_tangent(c, slopes, moves) * record.weight[:, None]
+
+        return Block(record.data, basis, tangent)
+
+    def _waves(
+        self, record: DecayRecord, lams: Sequence[complex], delay: float
+    ) -> tuple[list[list[np.ndarray]], list[list[np.ndarray]]]:
+        """e^{λt} and ∂/∂λ of it, [mode][channel]."""
+        waves, slopes = [], []
+        alike = record.same_times and not self.delays
+        for lam in lams:
+            parts = []
+            for i, (t, channel) in enumerate(zip(record.times, record.channels, strict=True)):
+                if i and alike:
+                    parts.append(parts[0])
+                else:
+                    parts.append(averaged_decay(lam, t - (delay if i else 0.0), channel.spread_s2))
+            waves.append([p[0] for p in parts])
+            slopes.append([p[1] for p in parts])
+        return waves, slopes
+
+    def drift_columns(self, record: DecayRecord) -> np.ndarray:
+        """Legendre polynomials of each channel's time, shape (n, channels × (order + 1))."""
+        out = np.zeros((len(record.weight), len(record.channels) * (self.drift + 1)))
+        at = 0
+        for i, t in enumerate(record.times):
+            span = max(float(t[-1] - t[0]), 1e-9)
+            columns = np.polynomial.legendre.legvander(2 * (t - t[0]) / span - 1, self.drift)
+            out[at : at + len(t), i * (self.drift + 1) : (i + 1) * (self.drift + 1)] = columns
+            at += len(t)
+        return out
+
+
+def rotation(beta: float, ratio: float) -> tuple[np.ndarray, np.ndarray]:
+    """How each mode (column) enters each sensor (row), shape (2, 2), and its derivative by β."""
     cos, sin = np.cos(beta), np.sin(beta)
-    mix = np.array([[cos, sin], [-ratio * sin, ratio * cos]])
-    turned = np.array([[-sin, cos], [-ratio * cos, -ratio * sin]])  # ∂mix/∂β
-    channels = (record.x, record.y)
-    lams = [rate(w, z) for w, z in zip(omegas, zetas, strict=True)]
-    nx = len(record.x.time_s)
-    waves, slopes, columns = [], [], []
-    for lam in lams:
-        parts = []
-        for channel, shift in zip(channels, (0.0, delay), strict=True):
-            parts.append(averaged_decay(lam, channel.time_s - record.zero_s - shift, channel.spread_s2))
-        waves.append([p[0] for p in parts])
-        slopes.append([p[1] for p in parts])
+    return np.array([[cos, sin], [-ratio * sin, ratio * cos]]), np.array([[-sin, cos], [-ratio * cos, -ratio * sin]])
+
+
+def _turned_basis(waves: list[list[np.ndarray]], mix: np.ndarray, drift: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    out = np.empty((len(weight), 4 + drift.shape[1]))
     for mode in range(2):
         signal = np.concatenate([mix[i, mode] * waves[mode][i] for i in range(2)])
-        columns += [np.real(signal), -np.imag(signal)]
-    weight = np.concatenate([c.weight for c in channels])
-    drift = _drift_columns(record, nx)
-    basis = np.column_stack([*columns, drift]) * weight[:, None]
-    data = np.concatenate([c.value for c in channels]) * weight
-
-    def tangent(c: np.ndarray) -> np.ndarray:
-        out = np.zeros((len(data), SHARED + count))
-        for mode in range(2):
-            amplitude = complex(c[2 * mode], c[2 * mode + 1])
-            d_omega, d_zeta = rate_derivatives(omegas[mode], zetas[mode])
-            moved = np.concatenate([mix[i, mode] * amplitude * slopes[mode][i] for i in range(2)])
-            out[:, 2 * mode] = (d_omega * moved).real
-            out[:, 2 * mode + 1] = (d_zeta * moved).real
-            signal = [(amplitude * wave).real for wave in waves[mode]]
-            out[:, 4] += np.concatenate([turned[i, mode] * signal[i] for i in range(2)])
-            out[nx:, 5] += mix[1, mode] * signal[1]
-            out[nx:, SHARED + index] -= mix[1, mode] * (lams[mode] * amplitude * waves[mode][1]).real
-        return out * weight[:, None]
-
-    return Block(data, basis, tangent)
+        out[:, 2 * mode], out[:, 2 * mode + 1] = np.real(signal), -np.imag(signal)
+    out[:, 4:] = drift
+    return out * weight[:, None]
 
 
-def _drift_columns(record: DecayRecord, nx: int) -> np.ndarray:
-    """Offset and slope of each channel, shape (n, 4)."""
-    t = np.concatenate([record.x.time_s, record.y.time_s]) - record.zero_s
-    out = np.zeros((len(t), 4))
-    out[:nx, 0] = out[nx:, 2] = 1.0
-    out[:nx, 1], out[nx:, 3] = t[:nx], t[nx:]
+def _turned_tangent(
+    c: np.ndarray,
+    waves: list[list[np.ndarray]],
+    slopes: list[list[np.ndarray]],
+    moves: list[tuple[complex, complex]],
+    mix: np.ndarray,
+    turned: np.ndarray,
+    size: int,
+    delayed: int | None,
+) -> np.ndarray:
+    """∂(Φc)/∂θ with the *fitted* motion in every column, β's included: see the module of least squares."""
+    nx = len(waves[0][0])
+    out = np.zeros((nx + len(waves[0][1]), size))
+    for mode in range(2):
+        amplitude = complex(c[2 * mode], c[2 * mode + 1])
+        moved = np.concatenate([mix[i, mode] * amplitude * slopes[mode][i] for i in range(2)])
+        for j, by in enumerate(moves[mode]):
+            out[:, 2 * mode + j] = (by * moved).real
+        signal = [(amplitude * wave).real for wave in waves[mode]]
+        out[:, BETA] += np.concatenate([turned[i, mode] * signal[i] for i in range(2)])
+        out[nx:, RATIO] += mix[1, mode] * signal[1]
+        if delayed is not None:
+            out[nx:, DELAYS + delayed] -= mix[1, mode] * (moves[mode][0] * amplitude * waves[mode][1]).real
     return out
 
 
-def single_block(channel: Averages, zero_s: float, theta: np.ndarray) -> Block:
-    """One mode in one channel: θ = (ln ω, ln ζ); amplitude, offset and slope are linear."""
-    omega, zeta = np.exp(theta)
-    t = channel.time_s - zero_s
-    wave, slope = averaged_decay(rate(omega, zeta), t, channel.spread_s2)
-    weight = channel.weight
-    basis = np.column_stack([np.real(wave), -np.imag(wave), np.ones_like(t), t]) * weight[:, None]
-
-    def tangent(c: np.ndarray) -> np.ndarray:
-        moved = complex(c[0], c[1]) * slope
-        d_omega, d_zeta = rate_derivatives(omega, zeta)
-        return np.column_stack([(d_omega * moved).real, (d_zeta * moved).real]) * weight[:, None]
-
-    return Block(channel.value * weight, basis, tangent)
+def _free_basis(waves: list[list[np.ndarray]], drift: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    count, channels = len(waves), len(waves[0])
+    out = np.zeros((len(weight), 2 * count * channels + drift.shape[1]))
+    at = 0
+    for i in range(channels):
+        rows = slice(at, at + len(waves[0][i]))
+        at = rows.stop
+        for mode in range(count):
+            column = 2 * (i * count + mode)
+            out[rows, column], out[rows, column + 1] = np.real(waves[mode][i]), -np.imag(waves[mode][i])
+    out[:, 2 * count * channels :] = drift
+    return out * weight[:, None]
 
 
-def model_of(records: Sequence[DecayRecord]) -> Callable[[np.ndarray], list[Block]]:
-    """The model as least squares takes it."""
-    return lambda theta: blocks(records, theta)
+def _free_tangent(c: np.ndarray, slopes: list[list[np.ndarray]], moves: list[tuple[complex, complex]]) -> np.ndarray:
+    count, channels = len(slopes), len(slopes[0])
+    parts = []
+    for i in range(channels):
+        own = np.empty((len(slopes[0][i]), 2 * count))
+        for mode in range(count):
+            column = 2 * (i * count + mode)
+            moved = complex(c[column], c[column + 1]) * slopes[mode][i]
+            for j, by in enumerate(moves[mode]):
+                own[:, 2 * mode + j] = (by * moved).real
+        parts.append(own)
+    return np.concatenate(parts)

@@ -1,10 +1,11 @@
-"""Decaying oscillations: complex rates, start values from a damped periodogram.
+"""Decaying oscillations: complex rates, their averages over blocks, the damped periodogram.
 
 A mode of natural frequency ω and damping ratio ζ is Re(a e^{λt}) with λ = −ζω + iω sqrt(1 − ζ²).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,12 @@ def rate(omega: float, zeta: float) -> complex:
 
 def rate_derivatives(omega: float, zeta: float) -> tuple[complex, complex]:
     """∂λ/∂ln ω and ∂λ/∂ln ζ."""
-    return rate(omega, zeta), omega * zeta * complex(-1.0, -zeta / np.sqrt(max(1 - zeta * zeta, 1e-12)))
+    return rate(omega, zeta), zeta * damping_derivative(omega, zeta)
+
+
+def damping_derivative(omega: float, zeta: float) -> complex:
+    """∂λ/∂ζ, which also holds at and below ζ = 0."""
+    return omega * complex(-1.0, -zeta / np.sqrt(max(1 - zeta * zeta, 1e-12)))
 
 
 def averaged_decay(lam: complex, time_s: np.ndarray, spread_s2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -29,54 +35,92 @@ def averaged_decay(lam: complex, time_s: np.ndarray, spread_s2: np.ndarray) -> t
     return wave * curved, wave * (time_s * curved + spread_s2 * lam)
 
 
+_GAPPY = 0.9  # share of the blocks that hold samples
+
+
 @dataclass(frozen=True)
 class Start:
     """A mode to begin with.
 
     Attributes:
         omega, zeta: rad/s and dimensionless.
-        share: part of the signal's energy that the mode explains, 0 to 1.
+        share: part of the signals' energy that the mode explains, 0 to 1.
     """
 
     omega: float
     zeta: float
     share: float
 
+    @property
+    def lam(self) -> complex:
+        """λ in 1/s."""
+        return rate(self.omega, self.zeta)
 
-def damped_periodogram(channel: Averages, lowest_Hz: float = 0.3) -> Start:
-    """The decaying sinusoid that explains most of a channel.
+    @staticmethod
+    def at(lam: complex, share: float = 0.0) -> Start:
+        """The mode with rate λ."""
+        return Start(abs(lam), -lam.real / abs(lam), share)
 
-    S(f, d) = |Σ y e^{−dt} e^{−iωt}|² / Σ e^{−2dt} is the explained energy of a decay rate d; one FFT per d.
+
+def damped_periodogram(records: Sequence[Sequence[Averages]], lowest_Hz: float = 0.3) -> Start:
+    """The decaying sinusoid that explains most of some channels together.
+
+    S(f, d) = |Σ y e^{−dt} e^{−iωt}|² / Σ e^{−2dt} is the energy that a decay rate d explains; one FFT per d. Channels
+    count by their weight, each with its own amplitude and phase; a record's channels start together.
 
     Args:
-        channel: block averages from the release on; gaps count as zero signal.
+        records: block averages from the release on; gaps count as zero signal.
     """
-    t = channel.time_s - channel.time_s[0]
-    step = float(np.median(np.diff(t)))
-    n = round(t[-1] / step) + 1
-    grid = np.zeros(n)
-    at = np.minimum(np.round(t / step).astype(int), n - 1)
-    grid[at] = channel.value - np.mean(channel.value[len(t) // 2 :])
+    channels = [(channel, record[0].time_s[0]) for record in records for channel in record]
+    longest = max(float(c.time_s[-1] - zero) for c, zero in channels)
+    step = max(float(np.median(np.diff(c.time_s))) for c, _ in channels)
+    n = round(longest / step) + 1
+    grids = np.array([_on_grid(channel, zero, step, n) for channel, zero in channels])
+    total = max(float(np.sum(grids**2)), 1e-300)
     time = np.arange(n) * step
-    size = 1 << int(np.ceil(np.log2(4 * n)))
-    frequency = np.fft.rfftfreq(size, step)
-    allowed = frequency >= lowest_Hz
     best = (-1.0, 0.0, 0.0)
-    for decay in np.geomspace(0.2 / t[-1], 0.2 / step / 4, 28):
-        window = np.exp(-decay * time)
-        power = np.abs(np.fft.rfft(grid * window, size)) ** 2 * allowed / np.sum(window**2)
+    for decay in np.geomspace(0.2 / longest, min(0.05 / step, 60.0), 24):
+        used = min(n, int(12 / (decay * step)) + 8)  # beyond, the window is 1e-5
+        size = 1 << int(np.ceil(np.log2(max(2 * used, 512))))
+        frequency = np.arange(size // 2 + 1) / (size * step)
+        window = np.exp(-decay * time[:used])
+        power = np.sum(np.abs(np.fft.rfft(grids[:, :used] * window, size)) ** 2, axis=0) / np.sum(window**2)
+        power[frequency < lowest_Hz] = 0.0
         k = int(np.argmax(power))
         if power[k] > best[0]:
             best = (float(power[k]), float(frequency[k]), float(decay))
     wave = 2 * np.pi * best[1]
-    omega = float(np.hypot(wave, best[2]))
-    return Start(omega, best[2] / omega, min(1.0, 2 * best[0] / max(float(np.sum(grid**2)), 1e-300)))
+    start = Start.at(complex(-best[2], wave), min(1.0, 2 * best[0] / total))
+    sampled = sum(len(c.time_s) for c, _ in channels) / (len(channels) * n)
+    return _fundamental(channels, start) if sampled < _GAPPY else start
 
 
-def without_mode(channel: Averages, start: Start) -> Averages:
-    """The channel with one mode and an offset regressed out."""
-    t = channel.time_s - channel.time_s[0]
-    wave, _ = averaged_decay(rate(start.omega, start.zeta), t, channel.spread_s2)
-    basis = np.column_stack([np.real(wave), np.imag(wave), np.ones_like(t)])
+def _fundamental(channels: Sequence[tuple[Averages, float]], start: Start) -> Start:
+    """Which of a frequency, its half and its third explains most of what was sampled.
+
+    A motion cut off at the rail leaves pieces around its zero crossings; with gaps as zeros their harmonics are strong.
+    """
+    lams = [complex(start.lam.real, start.lam.imag / k) for k in (1, 2, 3)]
+    left = []
+    for lam in lams:
+        rests = [without_modes(channel, [lam], zero) for channel, zero in channels]
+        left.append(sum(float(np.sum((rest.value * rest.weight) ** 2)) for rest in rests))
+    return Start.at(lams[int(np.argmin(left))], start.share)
+
+
+def _on_grid(channel: Averages, zero_s: float, step: float, n: int) -> np.ndarray:
+    """A channel's weighted deviations from its rest on a uniform grid, shape (n,)."""
+    t = channel.time_s - zero_s
+    at = np.clip(np.round(t / step).astype(int), 0, n - 1)
+    out = np.zeros(n)
+    out[at] = (channel.value - np.mean(channel.value[len(t) // 2 :])) / channel.noise
+    return out
+
+
+def without_modes(channel: Averages, lams: Sequence[complex], zero_s: float) -> Averages:
+    """The channel with some modes and an offset regressed out."""
+    t = channel.time_s - zero_s
+    waves = [averaged_decay(lam, t, channel.spread_s2)[0] for lam in lams]
+    basis = np.column_stack([*(part for wave in waves for part in (np.real(wave), np.imag(wave))), np.ones_like(t)])
     fitted = basis @ np.linalg.lstsq(basis, channel.value, rcond=None)[0]
     return Averages(channel.time_s, channel.spread_s2, channel.value - fitted, channel.count, channel.noise)

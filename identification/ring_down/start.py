@@ -1,51 +1,145 @@
-"""Start values of a ring-down's two modes, and whether a record holds two at all.
+"""Start values of a turned pair of modes; nobody has to give any.
 
-Records are lists of two channels, sensors x and y, from the release on.
+Well separated modes are read from the damped periodogram one after the other; a close pair, which has one peak only,
+from a matrix pencil over the decay, and from each sensor alone. Which mode is whose, and how far the axes are turned,
+follows from the modes' shapes. Least squares starts from the candidates that already explain most.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
-from identification.ring_down.modes import Start, damped_periodogram, without_mode
+from identification.least_squares import solve_separable
+from identification.ring_down.model import BETA, DecayModel, DecayRecord
+from identification.ring_down.modes import Start, averaged_decay, damped_periodogram, rate, without_modes
 from identification.samples import Averages
 
+_PENCIL_SAMPLES = 160
+_ANGLES = np.radians(np.arange(-45.0, 45.1, 5.0))
 
-def ring_down_starts(records: list[list[Averages]]) -> tuple[Start, Start]:
-    """Start values of mode 1 (along x) and mode 2 (along y).
 
-    The strongest signal of all gives its axis' mode. The other axis' mode is looked for where its signal is largest
-    against the first; there the first mode is regressed out. When nothing is left both directions are alike.
+def pair_starts(model: DecayModel) -> list[np.ndarray]:
+    """Candidates of θ for a turned pair, the most promising first."""
+    records = model.records
+    plain = [list(r.channels) for r in records]
+    leader = damped_periodogram(plain)
+    pairs: list[tuple[complex, ...]] = [(lam, _follower(records, lam)) for lam in {leader.lam, _refined(model, leader)}]
+    pairs.append(tuple(damped_periodogram([[r.channels[i]] for r in records]).lam for i in range(2)))
+    pairs += pencil_pairs(records, leader)
+    found: list[tuple[float, np.ndarray]] = []
+    for pair in pairs:
+        for order in (pair, pair[::-1]):
+            costs = _costs_over_angle(records, order)
+            k = int(np.argmin(costs))
+            theta = np.zeros(model.size)
+            for i, lam in enumerate(order):
+                theta[2 * i : 2 * i + 2] = np.log(abs(lam)), -lam.real / abs(lam)
+            theta[BETA] = _ANGLES[k]
+            found.append((float(costs[k]), theta))
+    return [theta for _, theta in sorted(found, key=lambda f: f[0])]
+
+
+def _follower(records: Sequence[DecayRecord], lam: complex) -> complex:
+    """The strongest mode once one is taken out."""
+    return damped_periodogram([[without_modes(c, [lam], r.zero_s) for c in r.channels] for r in records]).lam
+
+
+def _refined(model: DecayModel, leader: Start) -> complex:
+    """The leader fitted by itself: its rest must not hide a much fainter mode."""
+    alone = replace(model, modes=1, turned=False, delays=False)
+    free = np.full(2, np.inf)
+    start = np.array([np.log(leader.omega), leader.zeta])
+    theta = solve_separable(alone, start, np.zeros(2), free, max_iterations=8).minimum.theta
+    return rate(float(np.exp(theta[0])), float(theta[1]))
+
+
+def _costs_over_angle(records: Sequence[DecayRecord], pair: Sequence[complex]) -> np.ndarray:
+    """χ² of a pair of rates at each of some axis angles, amplitudes and offsets at their best; shape of _ANGLES.
+
+    Every turned model is a combination of the same ten columns, so their Gram matrix is all that is needed.
     """
-    strong, leader, best, channel = _leader(records)
-    rest = without_mode(channel, leader)
-    follower = damped_periodogram(rest)
-    if np.var(channel.value) > np.var(records[best][strong].value) and np.var(rest.value) < 0.05 * np.var(
-        channel.value
-    ):
-        follower = leader  # a strong signal of its own, yet the leader's mode explains it
-    return (leader, follower) if strong == 0 else (follower, leader)
+    total = np.zeros(len(_ANGLES))
+    for record in records:
+        gram, right, energy = np.zeros((10, 10)), np.zeros(10), 0.0
+        for i, (channel, t) in enumerate(zip(record.channels, record.times, strict=True)):
+            waves = [averaged_decay(lam, t, channel.spread_s2)[0] for lam in pair]
+            basis = np.column_stack([p for w in waves for p in (np.real(w), -np.imag(w))] + [np.ones_like(t)])
+            basis *= channel.weight[:, None]
+            data = (channel.value - channel.value.mean()) * channel.weight
+            own = slice(5 * i, 5 * i + 5)
+            gram[own, own], right[own], energy = basis.T @ basis, basis.T @ data, energy + float(data @ data)
+        for k, beta in enumerate(_ANGLES):
+            turn = _turn(float(beta))
+            normal, side = turn.T @ gram @ turn, turn.T @ right
+            ridge = 1e-11 * np.trace(normal) * np.eye(6)
+            total[k] += energy - float(side @ np.linalg.solve(normal + ridge, side))
+    return total
 
 
-def _leader(records: list[list[Averages]]) -> tuple[int, Start, int, Averages]:
-    """The axis of the strongest signal, its mode, and the record and channel that show the other axis best."""
-    energy = np.array([[np.var(c.value) for c in record] for record in records])
-    record, strong = np.unravel_index(np.argmax(energy), energy.shape)
-    leader = damped_periodogram(records[record][strong])
-    best = int(np.argmax(energy[:, 1 - strong] / energy[:, strong]))
-    return int(strong), leader, best, records[best][1 - strong]
+def _turn(beta: float) -> np.ndarray:
+    """From (a1, a2, both offsets) to each channel's own (mode 1, mode 2, offset), shape (10, 6)."""
+    out = np.zeros((10, 6))
+    for part in range(2):
+        out[part, part], out[2 + part, 2 + part] = np.cos(beta), np.sin(beta)
+        out[5 + part, part], out[7 + part, 2 + part] = -np.sin(beta), np.cos(beta)
+    out[4, 4] = out[9, 5] = 1.0
+    return out
 
 
-def lone_axis(records: list[list[Averages]]) -> tuple[int, str] | None:
-    """The only direction a single record can speak of, with the reason; None when it holds both."""
-    if len(records) > 1:
-        return None
-    strong, leader, _, channel = _leader(records)
-    rest = without_mode(channel, leader)
-    follower = damped_periodogram(rest)
-    floor = channel.noise**2 / float(np.median(channel.count))
-    if np.var(rest.value) < 1.2 * floor or follower.share < 0.15:
-        return strong, f"sensor {'xy'[1 - strong]} shows no mode of its own"
-    if abs(follower.omega - leader.omega) < 3 * leader.zeta * leader.omega:
-        return strong, "both directions ring alike and one record does not tell them apart"
-    return None
+def pencil_pairs(records: Sequence[DecayRecord], leader: Start) -> list[tuple[complex, complex]]:
+    """Two rates by a matrix pencil near the leader's, from each record's two channels together.
+
+    Few cycles in the decay: the signals themselves, with an offset as a fifth exponential. Many: their envelopes,
+    shifted in frequency by the leader and averaged over whole cycles, so that the long record stays a small matrix.
+    """
+    out = []
+    for record in records:
+        decay = max(-leader.lam.real, 1e-6)
+        span = min(*(float(t[-1]) for t in record.times), 4.0 / decay)
+        cycles = span * leader.lam.imag / (2 * np.pi)
+        if cycles < 4 or len(record.channels) < 2:
+            continue
+        if cycles <= 20:
+            step = span / _PENCIL_SAMPLES
+            rows = [_mean_grid(c, t, step, _PENCIL_SAMPLES, 0.0) for c, t in _with_times(record)]
+            poles = _pencil(np.array(rows), 5)
+            rates = [p for p in np.log(poles) / step if p.imag > 0.2 * leader.lam.imag]
+        else:
+            whole = int(np.ceil(cycles / 60))
+            step = whole * 2 * np.pi / leader.lam.imag
+            count = int(span / step)
+            rows = [_mean_grid(c, t, step, count, leader.lam.imag) for c, t in _with_times(record)]
+            rates = list(np.log(_pencil(np.array(rows), 2)) / step + 1j * leader.lam.imag)
+        rates = [r for r in rates if -0.9 * abs(r) < r.real < 0]
+        rates.sort(key=lambda r: abs(r - leader.lam))
+        if len(rates) >= 2:
+            out.append((complex(rates[0]), complex(rates[1])))
+    return out
+
+
+def _with_times(record: DecayRecord) -> list[tuple[Averages, np.ndarray]]:
+    return list(zip(record.channels, record.times, strict=True))
+
+
+def _mean_grid(channel: Averages, t: np.ndarray, step: float, count: int, shift: float) -> np.ndarray:
+    """Means over `count` steps of the channel's deviation from rest, shifted down by a frequency; gaps are zero."""
+    label = np.maximum(np.floor(t / step), 0).astype(int)  # channels start a fraction of a block apart
+    used = label < count
+    value = (channel.value - np.mean(channel.value[3 * len(t) // 4 :]))[used] * np.exp(-1j * shift * t[used])
+    number = np.bincount(label[used], minlength=count)
+    total = np.bincount(label[used], value.real, count) + 1j * np.bincount(label[used], value.imag, count)
+    return total / np.maximum(number, 1)
+
+
+def _pencil(rows: np.ndarray, order: int) -> np.ndarray:
+    """Poles z of signals Σ c z^k that share them, shape (order,); total least squares on the signal subspace."""
+    n = rows.shape[1]
+    length = n // 2
+    blocks = [np.lib.stride_tricks.sliding_window_view(row, length).T for row in rows]
+    left = np.linalg.svd(np.concatenate(blocks, axis=1), full_matrices=False)[0][:, :order]
+    vectors = np.linalg.svd(np.column_stack([left[:-1], left[1:]]))[2].conj().T
+    upper, lower = vectors[:order, order:], vectors[order:, order:]
+    return np.linalg.eigvals(-upper @ np.linalg.pinv(lower)).astype(complex)

@@ -1,252 +1,258 @@
-"""Run-up: both resonances, damping ratios and the imbalance from one passage, whatever the ramp's rate.
+"""Run-up and run-down: both resonances, damping ratios and the imbalance from one passage, whatever the ramp's rate.
 
-The full transient is fitted, so there is no sweep-rate bias; the half-power reading is given beside it for comparison.
-Model and estimator: docs/theory/identification.md.
+The full transient is fitted, so there is no sweep-rate bias; the half-power and the Vold–Kalman reading are given
+beside it for comparison. Model and estimator: docs/theory/run_up.md.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.signals import Run
-from dynamics.errors import OutsideDomain
-from dynamics.parameters import RotorParameters
-from dynamics.speed_history import SpeedHistory
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
-from identification.estimate import Estimate
 from identification.least_squares import Solution, solve_separable
-from identification.ring_down.fit import AXIS_PRIOR_STD, clock_rate_std
+from identification.ring_down.fit import clock_rate_std
+from identification.run_up.choice import Comparison, alike, compare
+from identification.run_up.design import Design, design_at, phase_noise_covariance
 from identification.run_up.forced_oscillator import Drive
-from identification.run_up.model import ANGLE, DELAYS, DRIFTS, PARAMETERS, RunUpRecord, run_up_blocks
-from identification.run_up.start import half_power, transfer_function_start
-from identification.samples import block_averages, clipped, correlation_inflation, white_noise
+from identification.run_up.model import (
+    ANGLE,
+    AXIS_PRIOR_STD,
+    DELAYS,
+    DRIFTS,
+    OMEGAS,
+    PARAMETERS,
+    ZETAS,
+    RunUpRecord,
+    Structure,
+    free_structure,
+    run_up_blocks,
+)
+from identification.run_up.naive import half_power, vold_kalman
+from identification.run_up.profile import intervals
+from identification.run_up.reported import determined, reported
+from identification.run_up.result import RunUpFit, run_up_estimate
+from identification.run_up.rotor_phase import RotorPhase
+from identification.run_up.sensors import sensor_averages
+from identification.run_up.start import RunUpStart, run_up_starts
+from identification.samples import correlation_inflation
+from identification.setting import Setting
 
-_BLOCK_S = 1 / 320.0
-_SKIPPED_MARKS = 2  # the spline's end piece has no neighbour to hold it
-_DELAY_STD_S = 10e-3
-_PAD_S = 0.05
+__all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
+
+DELAY_STD_S = 10e-3  # between devices that keep clocks of their own
+_BLOCKS_PER_TURN = {"fast": 12.0, "balanced": 16.0, "reference": 40.0}
 _LEFT_OVER = 0.1  # share of the signal that marks a model that is none
-
-# Over whole campaigns through real bytes ζ1 scattered 1.07 times as much as the fit's covariance says, with two of 34
-# values near 2.8 (docs/benchmarks.md). Why is not known yet; until it is, the intervals are this much wider.
-_DAMPING_STRETCH = 1.15
+_EXCESS = 1.5  # χ²/dof at which other start values are tried
+_ALIKE = 4.0  # one resonance as a start is worth a fit when it leaves at most so many times the best start's χ²
+_TRIED = 6
+_WANDER = 1e-6  # rad²: a phase that walks farther by itself cannot tell whether the sensors lag
+_PAD_S = 0.05
 
 
 @dataclass(frozen=True)
-class RunUpFit:
-    """What a run-up says.
+class _Clocks:
+    """How well the sensors' clocks agree with the phase's: 1 σ of delay (s) and of rate (relative), per sensor."""
 
-    Attributes:
-        values: f1_Hz, zeta1, f2_Hz, zeta2, axis_angle_deg, amplitude_x_m, amplitude_y_m (eccentricity of everything
-            that turns, as each sensor sees it), delay_x_s, delay_y_s (laser against tachometer).
-        covariance: shape (n, n), in the values' order.
-        warnings: what a reader must know.
-        curves: both sensors.
-        half_power: the naive answer from the peak's width, per sensor: f_Hz and zeta; biased by the sweep.
-        noise, chi2_per_dof: white noise of one sample per sensor (m), residuals against it.
-    """
-
-    values: dict[str, float]
-    covariance: np.ndarray
-    warnings: list[str]
-    curves: list[Curve]
-    half_power: dict[str, tuple[float, float]]
-    noise: list[float]
-    chi2_per_dof: float
+    delay_std_s: float
+    drift_std: tuple[float, float]
 
     @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations by name (statistical; gains and clocks not included)."""
-        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+    def apart(self) -> bool:
+        """Whether there is anything to find."""
+        return self.delay_std_s > 0 or max(self.drift_std) > 0
 
 
-def fit_run_up(time_s: np.ndarray, displacement_m: np.ndarray, phase_rad: np.ndarray) -> RunUpFit:
-    """Fit a run-up sampled on one time base.
+def fit_run_up(
+    time_s: np.ndarray,
+    displacement_m: np.ndarray,
+    phase_rad: np.ndarray,
+    *,
+    delay_std_s: float = 0.0,
+    setting: Setting = "balanced",
+) -> RunUpFit:
+    """Fit a run-up or run-down sampled on one time base.
 
     Args:
-        time_s: shape (n,), s.
-        displacement_m: shape (n, 2), sensors x and y, m; NaN and railed samples are left out.
-        phase_rad: rotor phase ψ at the same samples, shape (n,), unwrapped; ψ = 0 has the imbalance along +x.
+        time_s: shape (n,), ascending, s.
+        displacement_m: shape (n, 2), sensors x and y, m; NaN, railed samples and outliers are left out.
+        phase_rad: measured rotor phase ψ at the same samples, shape (n,), rad; ψ = 0 has the imbalance along +x. It
+            may be wrapped, noisy or quantised; its noise is measured and goes into the intervals.
+        delay_std_s: how far the sensors may lag behind the phase (filters, averaging), 1 σ; at 0 a lag is taken for
+            none unless the data show it.
+        setting: fast skips narrower models and profiles, reference averages least and gives every interval from the
+            likelihood's profile.
     Raises:
-        NotIdentifiable: the speed never passes a resonance, or too few samples.
-        FitFailed: no convergence.
-    Source: docs/theory/identification.md.
+        NotIdentifiable: the speed passes no resonance, or too few samples.
+        FitFailed: no convergence, or a model that leaves much of the signal.
+    Source: docs/theory/run_up.md.
     """
-    signals = np.asarray(displacement_m, float)
-    every = max(1, round(5e-3 / float(np.median(np.diff(time_s)))))
-    moving = np.flatnonzero(np.abs(np.diff(phase_rad[::every])) > 0)
-    first = max(0, int(moving[0]) - 1) * every if len(moving) else 0
-    history = SpeedHistory.from_phases(time_s[first::every], phase_rad[first::every])
-    start, end = history.knots_s[0], history.knots_s[-1]
-    return _fit([(time_s, signals[:, 0]), (time_s, signals[:, 1])], history, start, end, (2e-5, 2e-5))
+    time, signals = np.asarray(time_s, float), np.asarray(displacement_m, float)
+    if signals.shape != (len(time), 2) or np.shape(phase_rad) != (len(time),):
+        raise NotIdentifiable(
+            f"expected n times, displacements of shape (n, 2) and n phases, got {time.shape}, {signals.shape} and "
+            f"{np.shape(phase_rad)}"
+        )
+    phase = RotorPhase.from_samples(time, np.asarray(phase_rad, float))
+    return _fit([(time, signals[:, 0]), (time, signals[:, 1])], phase, _Clocks(delay_std_s, (0.0, 0.0)), setting)
 
 
-def fit_run_up_run(run: Run) -> RunUpFit:
+def fit_run_up_run(run: Run, *, setting: Setting = "balanced") -> RunUpFit:
     """The same on a recorded run: both sensors on their own clocks, the phase from the tachometer marks.
 
     Raises:
         NotIdentifiable: fewer than ten marks, or a passage that holds no resonance.
-        FitFailed: no convergence.
+        FitFailed: no convergence, or a model that leaves much of the signal.
     """
-    if len(run.mark_time_s) < 10:
-        raise NotIdentifiable(f"{run.source}: {len(run.mark_time_s)} tachometer marks; a run-up needs ten")
     try:
-        history = SpeedHistory.from_phases(run.mark_time_s, run.mark_phase_rad)
-    except OutsideDomain as error:
+        phase = RotorPhase.from_marks(run.mark_time_s, run.mark_phase_rad)
+    except NotIdentifiable as error:
         raise NotIdentifiable(f"{run.source}: {error}") from error
     rates = run.clock_rate_std
-    drift = tuple(
-        float(np.hypot(clock_rate_std(rates, d), clock_rate_std(rates, "encoder"))) for d in ("laser_x", "laser_y")
-    )
-    sensors = [(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)]
-    return _fit(sensors, history, run.mark_time_s[_SKIPPED_MARKS], run.mark_time_s[-2], drift)
-
-
-def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std: tuple[float, float]) -> Estimate:
-    """A run's fit as k1, k2, ζ1, ζ2 and S_P.
-
-    The sensors see M_S A = |S_P + S_A e^{iθ3} + S_B e^{iθ4}| with the pendulums' locked angles as measured; S_P is
-    the positive solution. The two sensors are weighted by their statistics and gains together.
-
-    Args:
-        gain_std: relative standard uncertainty of the gains of laser x and y.
-    """
-    mass = physics.total_mass_kg
-    order = [list(fit.values).index(n) for n in ("f1_Hz", "f2_Hz", "zeta1", "zeta2", "amplitude_x_m", "amplitude_y_m")]
-    raw = np.array(list(fit.values.values()))[order]
-    covariance = fit.covariance[np.ix_(order, order)]
-    gains = np.array(gain_std)
-    total = covariance[4:, 4:] + np.diag((gains * raw[4:]) ** 2)
-    weights = np.linalg.solve(total, np.ones(2))
-    weights /= weights.sum()
-    moment = mass * float(weights @ raw[4:])
-    locked = _locked_moment(run, physics)
-    unbalance = float(np.sqrt(max(moment**2 - locked.imag**2, 0.0)) - locked.real)
-    slope = moment / max(unbalance + locked.real, 1e-12)
-    stiffness = mass * (2 * np.pi * raw[:2]) ** 2
-    jacobian = np.zeros((5, 6))
-    jacobian[[0, 1], [0, 1]] = 2 * stiffness / raw[:2]
-    jacobian[[2, 3], [2, 3]] = _DAMPING_STRETCH
-    jacobian[4, 4:] = slope * mass * weights
-    names = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
-    values = np.array([*stiffness, *raw[2:4], unbalance])
-    shared = {"clock encoder": np.r_[2 * stiffness * clock_rate_std(run.clock_rate_std, "encoder"), 0, 0, 0]}
-    for i, axis in enumerate("xy"):
-        shift = slope * mass * weights[i] * raw[4 + i] * gains[i]
-        shared[f"gain laser_{axis}"] = np.array([0, 0, 0, 0, shift])
-    return Estimate(
-        run.test, run.source, names, values, jacobian @ covariance @ jacobian.T, shared,
-        "transient passage through both resonances, separable least squares",
-    )  # fmt: skip
-
-
-def _locked_moment(run: Run, physics: RotorParameters) -> complex:
-    """First mass moment of the locked pendulums in the rotor's frame, kg m."""
-    theta = np.mean(run.angle_rad, axis=0) if len(run.angle_rad) else np.array([0.0, np.pi])
-    a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
-    return complex(a * np.exp(1j * theta[0]) + b * np.exp(1j * theta[1]))
+    x, y = (float(np.hypot(clock_rate_std(rates, d), clock_rate_std(rates, "encoder"))) for d in ("laser_x", "laser_y"))
+    # a recording made elsewhere has one clock for all
+    clocks = _Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
+    return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting)
 
 
 def _fit(
-    sensors: list[tuple[np.ndarray, np.ndarray]],
-    history: SpeedHistory,
-    start: float,
-    end: float,
-    drift_std: tuple[float, ...],
+    sensors: list[tuple[np.ndarray, np.ndarray]], phase: RotorPhase, clocks: _Clocks, setting: Setting
 ) -> RunUpFit:
-    warnings: list[str] = []
-    channels = []
-    start = max(start, *(float(t[0]) for t, _ in sensors))
-    end = min(end, *(float(t[-1]) for t, _ in sensors))
+    start = max(phase.start_s, *(float(t[0]) for t, _ in sensors))
+    end = min(phase.end_s, *(float(t[-1]) for t, _ in sensors))
+    if end - start < 1.0:
+        raise NotIdentifiable(f"sensors and phase share {max(0.0, end - start):.3g} s; a passage takes longer")
+    drive = Drive.from_history(phase.history, start, end)
+    pad = _PAD_S if clocks.apart else 0.0
+    channels, warnings = [], []
     for time, value in sensors:
-        clean = np.array(value, float)
-        noise = white_noise(clean)
-        rail = clipped(clean)
-        if rail.any():
-            warnings.append(f"{np.count_nonzero(rail)} samples at the sensor's rail left out")
-            clean[rail] = np.nan
-        channels.append(block_averages(time, clean, _BLOCK_S, noise).between(start + _PAD_S, end - _PAD_S))
-    if min(len(c.time_s) for c in channels) < 400:
-        raise NotIdentifiable("the run-up holds less than two seconds with a known phase")
-    drive = Drive.from_history(history, start, end)
+        found, told = sensor_averages(
+            time, value, (start + pad, end - pad), drive.top_rad_s, _BLOCKS_PER_TURN[setting]
+        )  # fmt: skip
+        channels.append(found)
+        warnings += told
     record = RunUpRecord(channels[0], channels[1], drive)
-    theta = np.zeros(PARAMETERS)
-    for i, channel in enumerate(channels):
-        theta[2 * i : 2 * i + 2] = np.log(transfer_function_start(channel, drive, imaginary=i == 1))
-    prior_std = np.full(PARAMETERS, np.inf)
-    prior_std[ANGLE], prior_std[DELAYS] = AXIS_PRIOR_STD, _DELAY_STD_S
-    prior_std[DRIFTS] = drift_std
-    top = float(history.phase(end)[0, 1])
-    for i in range(2):
-        if np.exp(theta[2 * i]) > 1.02 * top:
-            raise NotIdentifiable(f"the run-up to {top * 30 / np.pi:.0f} rpm does not pass resonance {i + 1}")
-    solution = solve_separable(lambda t: run_up_blocks(record, t), theta, np.zeros(PARAMETERS), prior_std)
-    return _result(record, solution, history, warnings)
+    structure, solution = _from_starts(record, _structure(drive, clocks))
+    design = design_at(record, structure, solution.minimum.theta)
+    comparison = compare(
+        record,
+        design,
+        clocks.apart or phase.wander_density * (end - start) > _WANDER,
+        bool(np.isfinite(phase.mark_rad)),
+        setting,
+    )
+    if comparison.structure is not structure:
+        phi = comparison.structure.project(structure.theta(solution.minimum.theta))
+        solution = _solve(record, comparison.structure, phi)
+        design = design_at(record, comparison.structure, solution.minimum.theta)
+    return _result(record, phase, solution, design, comparison, warnings, setting)
 
 
-def _result(record: RunUpRecord, solution: Solution, history: SpeedHistory, warnings: list[str]) -> RunUpFit:
-    minimum, theta = solution.minimum, solution.minimum.theta
-    if not minimum.converged or not np.all(np.isfinite(theta)):
+def _structure(drive: Drive, clocks: _Clocks) -> Structure:
+    """Both resonances, turned axes, offset and slope; clocks as far as they are apart."""
+    prior, prior_std = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
+    # so wide that a passed resonance does not feel it; one that is not passed would wander off to infinity
+    prior[list(OMEGAS)], prior_std[list(OMEGAS)] = np.log(drive.top_rad_s), 2.0
+    prior[list(ZETAS)], prior_std[list(ZETAS)] = np.log(0.02), 3.0
+    prior_std[ANGLE] = AXIS_PRIOR_STD
+    # clocks that agree, and ripple, stay at zero unless the data ask for them
+    prior_std[DELAYS], prior_std[DRIFTS] = clocks.delay_std_s, clocks.drift_std
+    return free_structure(prior, prior_std, drift_order=1)
+
+
+def _solve(record: RunUpRecord, structure: Structure, phi: np.ndarray, iterations: int = 40) -> Solution:
+    return solve_separable(
+        lambda p: run_up_blocks(record, structure, p), phi, structure.prior, structure.prior_std, iterations
+    )  # fmt: skip
+
+
+def _from_starts(record: RunUpRecord, structure: Structure) -> tuple[Structure, Solution]:
+    """The best solution; further starts are tried as long as residuals exceed the noise.
+
+    Directions that are alike have no axes: there the angle is left out, as it would wander along a valley.
+    """
+    starts = run_up_starts(record.channels, record.drive)
+    equal = [s for s in starts if s.alike and s.cost < _ALIKE * starts[0].cost]
+    if equal:
+        straight = structure.without(ANGLE)
+        solution = _solve(record, straight, straight.project(_theta(equal[0])))
+        good = solution.minimum.converged and solution.chi2_per_dof < _EXCESS
+        if good and alike(design_at(record, straight, solution.minimum.theta)):
+            return straight, solution
+    best: Solution | None = None
+    for start in _apart(record, starts):
+        solution = _solve(record, structure, structure.project(_theta(start)))
+        if best is None or solution.chi2_per_dof < best.chi2_per_dof:
+            best = solution
+        if best.chi2_per_dof < _EXCESS and best.minimum.converged:
+            break
+    if best is None:
+        raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
+    if not best.minimum.converged or not np.all(np.isfinite(best.minimum.theta)):
         raise FitFailed(
-            f"run-up: no convergence in {minimum.iterations} iterations, χ²/dof {solution.chi2_per_dof:.3g}"
+            f"run-up: no convergence in {best.minimum.iterations} iterations, χ²/dof {best.chi2_per_dof:.3g}; "
+            "is the phase the rotor's, and were the pendulums locked?"
         )
-    if np.exp(max(theta[0], theta[2])) > history.phase(record.drive.end_s)[0, 1]:
-        raise NotIdentifiable("the run-up does not pass both resonances; run it up further")
-    inflation = np.sqrt(max(1.0, solution.chi2_per_dof))
-    curves, naive = [], {}
+    return structure, best
+
+
+def _apart(record: RunUpRecord, starts: list[RunUpStart]) -> Iterator[RunUpStart]:
+    """Starts with two resonances: the best one, and only when that is not enough a thorough search's."""
+    apart = [s for s in starts if not s.alike]
+    yield from apart[:1]
+    thorough = run_up_starts(record.channels, record.drive, thorough=True)
+    yield from [s for s in thorough if not s.alike and s not in apart[:1]][:_TRIED]
+
+
+def _theta(start: RunUpStart) -> np.ndarray:
+    theta = np.zeros(PARAMETERS)
+    theta[list(OMEGAS)], theta[list(ZETAS)] = np.log(start.omegas), np.log(start.zetas)
+    theta[ANGLE] = start.angle_rad
+    return theta
+
+
+def _result(
+    record: RunUpRecord,
+    phase: RotorPhase,
+    solution: Solution,
+    design: Design,
+    comparison: Comparison,
+    warnings: list[str],
+    setting: Setting,
+) -> RunUpFit:
+    warnings = warnings + comparison.warnings
+    curves, correlated = [], 1.0
     for axis, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
         metres = residual / channel.weight
-        if np.std(metres) > _LEFT_OVER * np.std(channel.value):
+        left = np.sqrt(max(0.0, float(np.var(metres) - np.mean(channel.weight**-2.0))))
+        if left > _LEFT_OVER * np.std(channel.value) and left > np.median(1 / channel.weight):
             raise FitFailed(
-                f"run-up: the model leaves {np.std(metres) / np.std(channel.value):.0%} of sensor {axis}'s signal; "
-                "does the run pass both resonances with the pendulums locked?"
+                f"run-up: beyond noise the model leaves {left / np.std(channel.value):.0%} of sensor {axis}'s signal; "
+                "is the phase the rotor's, and were the pendulums locked?"
             )
-        inflation = max(inflation, correlation_inflation(residual))
+        correlated = max(correlated, correlation_inflation(residual))
         curves.append(Curve(f"run-up: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
-        naive[axis] = half_power(channel, history)
-    values, covariance = _values(solution)
-    if solution.chi2_per_dof > 1.3:
+    chi2 = solution.chi2_per_dof
+    names, values, jacobian = reported(design, phase.mark_rad)
+    sensor_part = jacobian @ design.covariance @ jacobian.T * max(chi2, 1e-3) * correlated**2
+    covariance = sensor_part + phase_noise_covariance(record, phase, design, jacobian)
+    keep, told = determined(record.drive, names, values, covariance)
+    warnings += told
+    if chi2 > 1.3:
         warnings.append(
-            f"run-up residuals exceed the sensor noise: χ²/dof {solution.chi2_per_dof:.3g}; "
-            "standard deviations are scaled up"
+            f"run-up residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up"
         )
-    noise = [c.noise for c in record.channels]
-    return RunUpFit(values, covariance * inflation**2, warnings, curves, naive, noise, solution.chi2_per_dof)
-
-
-def _values(solution: Solution) -> tuple[dict[str, float], np.ndarray]:
-    """Reported numbers and their covariance from θ and the two complex amplitudes."""
-    theta = solution.minimum.theta
-    p = len(theta)
-    joint = np.zeros((p + 4, p + 4))
-    for i, both in enumerate(solution.coefficient_covariances):
-        rows = np.r_[np.arange(p), p + 2 * i, p + 2 * i + 1]
-        joint[np.ix_(rows, rows)] = both[: p + 2, : p + 2]
-    # the sensors' amplitudes are correlated only through θ
-    inverse = np.linalg.pinv(joint[:p, :p], hermitian=True)
-    joint[p : p + 2, p + 2 :] = joint[p : p + 2, :p] @ inverse @ joint[:p, p + 2 :]
-    joint[p + 2 :, p : p + 2] = joint[p : p + 2, p + 2 :].T
-    amplitudes = [np.hypot(c[0], c[1]) for c in solution.coefficients]
-    names = [
-        "f1_Hz",
-        "zeta1",
-        "f2_Hz",
-        "zeta2",
-        "axis_angle_deg",
-        "amplitude_x_m",
-        "amplitude_y_m",
-        "delay_x_s",
-        "delay_y_s",
-    ]
-    f = np.exp(theta[:4]) / np.array([2 * np.pi, 1, 2 * np.pi, 1])
-    values = [*f, np.degrees(theta[ANGLE]), *amplitudes, *theta[DELAYS]]
-    jacobian = np.zeros((9, p + 4))
-    jacobian[range(4), range(4)] = f
-    jacobian[4, ANGLE] = np.degrees(1.0)
-    for i, (c, size) in enumerate(zip(solution.coefficients, amplitudes, strict=True)):
-        jacobian[5 + i, p + 2 * i : p + 2 * i + 2] = c[:2] / size
-        jacobian[7 + i, DELAYS.start + i] = 1.0
-    return dict(zip(names, (float(v) for v in values), strict=True)), jacobian @ joint @ jacobian.T
+    if correlated > 1.0:
+        warnings.append(f"run-up residuals are correlated; standard deviations are {correlated:.3g} times as long")
+    names, values, covariance = [names[i] for i in keep], values[keep], covariance[np.ix_(keep, keep)]
+    naive = {a: half_power(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
+    tracked = {a: vold_kalman(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
+    fit = RunUpFit(
+        dict(zip(names, values.tolist(), strict=True)), covariance, warnings, curves, naive,
+        [c.noise for c in record.channels], chi2, tracked, {}, comparison.model, comparison.table,
+    )  # fmt: skip
+    return replace(fit, intervals=intervals(record, design, fit, setting))

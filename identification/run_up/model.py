@@ -1,22 +1,29 @@
-"""The separable model of a run-up: two forced oscillators seen by two rotated, delayed sensors.
+"""The separable model of a passage: two forced oscillators seen by two rotated, delayed sensors.
 
-θ = (ln ω1, ln ζ1, ln ω2, ln ζ2, β, delay x, delay y, drift x, drift y). A sensor's sample stamped t shows the motion at
-t − delay − drift (t − middle): its clock against the tachometer's. Each sensor has its own complex amplitude (gain,
-and what the phase's zero leaves), free oscillations of both modes, offset and slope, all linear.
+The whole θ is (ln ω1, ln ζ1, ln ω2, ln ζ2, β, delay x, delay y, drift x, drift y, Re c1, Im c1, Re c2, Im c2). A
+sensor's sample stamped t shows the motion at t − delay − drift (t − middle): its clock against the phase's. Each sensor
+has its own complex amplitude (gain, and what the phase's zero leaves), free oscillations of both modes and a polynomial
+drift, all linear. A `Structure` says which of θ are free.
+
+c1 and c2 are speed ripple between tachometer marks, which see one instant of each turn only: a phase of
+ψ + 2|c1| sin(ψ + arg c1) + 2|c2| sin(2ψ + arg c2) drives with e^{iψ} + c1 e^{2iψ} − c1* + c2 e^{3iψ} − c2* e^{−iψ}.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.least_squares import Block
-from identification.ring_down.modes import averaged_decay, rate, rate_derivatives
-from identification.run_up.forced_oscillator import Drive, Response, march, response_at
+from identification.ring_down.modes import rate_derivatives
+from identification.run_up.forced_oscillator import Drive, responses_at
 from identification.samples import Averages
 
-ANGLE, DELAYS, DRIFTS, PARAMETERS = 4, slice(5, 7), slice(7, 9), 9
+OMEGAS, ZETAS, ANGLE, DELAYS, DRIFTS, RIPPLE, PARAMETERS = (0, 2), (1, 3), 4, slice(5, 7), slice(7, 9), slice(9, 13), 13
+AXIS_PRIOR_STD = np.radians(30.0)  # the data determine β; this only keeps x from being called y
+CLOCKS = slice(DELAYS.start, DRIFTS.stop)
 
 
 @dataclass(frozen=True)
@@ -32,66 +39,124 @@ class RunUpRecord:
         """x and y."""
         return self.x, self.y
 
+    @property
+    def middle_s(self) -> float:
+        """The middle of the drive's span."""
+        return 0.5 * (self.drive.start_s + self.drive.end_s)
 
-def run_up_blocks(record: RunUpRecord, theta: np.ndarray) -> list[Block]:
-    """The model at θ, one block per sensor."""
-    omegas, zetas = np.exp(theta[[0, 2]]), np.exp(theta[[1, 3]])
-    grids = [march(record.drive, w, z) for w, z in zip(omegas, zetas, strict=True)]
-    return [_sensor_block(record, axis, theta, omegas, zetas, grids) for axis in range(2)]
+
+@dataclass(frozen=True)
+class Structure:
+    """Which model: θ = base + spread @ φ, with a Gaussian prior of φ.
+
+    Attributes:
+        base: shape (13,).
+        spread: shape (13, p), of zeros and ones.
+        prior, prior_std: of φ, shape (p,); std inf where nothing is known.
+        drift_order: of the sensors' polynomial drift.
+    """
+
+    base: np.ndarray
+    spread: np.ndarray
+    prior: np.ndarray
+    prior_std: np.ndarray
+    drift_order: int
+
+    def theta(self, phi: np.ndarray) -> np.ndarray:
+        """The whole θ."""
+        return self.base + self.spread @ phi
+
+    def without(self, *rows: int) -> Structure:
+        """The same with some of θ fixed at zero."""
+        keep = ~self.spread[list(rows)].any(axis=0)
+        return replace(self, spread=self.spread[:, keep], prior=self.prior[keep], prior_std=self.prior_std[keep])
+
+    def with_more(self, rows: slice, std: Sequence[float]) -> Structure:
+        """The same with further θ free, about zero within std."""
+        more = np.eye(PARAMETERS)[:, rows]
+        return replace(
+            self,
+            spread=np.hstack([self.spread, more]),
+            prior=np.r_[self.prior, np.zeros(len(std))],
+            prior_std=np.r_[self.prior_std, std],
+        )
+
+    def only(self, rows: slice, theta: np.ndarray) -> Structure:
+        """Nothing free but these; the others at θ."""
+        more = np.eye(PARAMETERS)[:, rows]
+        base = theta - more @ theta[rows]
+        return replace(self, base=base, spread=more, prior=theta[rows], prior_std=np.full(more.shape[1], np.inf))
+
+    def project(self, theta: np.ndarray) -> np.ndarray:
+        """φ nearest to a θ."""
+        return np.linalg.lstsq(self.spread, theta - self.base, rcond=None)[0]
+
+
+def free_structure(prior: np.ndarray, prior_std: np.ndarray, drift_order: int) -> Structure:
+    """Every θ free whose prior standard deviation is not zero; the others stay at their prior."""
+    free = prior_std > 0
+    base = np.where(free, 0.0, prior)
+    return Structure(base, np.eye(PARAMETERS)[:, free], prior[free], prior_std[free], drift_order)
+
+
+def run_up_blocks(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[Block]:
+    """The model at φ, one block per sensor."""
+    theta = structure.theta(phi)
+    oscillators = [
+        (float(np.exp(np.clip(theta[w], -3.0, 8.0))), float(np.exp(np.clip(theta[z], -16.0, -0.05))))
+        for w, z in zip(OMEGAS, ZETAS, strict=True)
+    ]
+    return [_sensor_block(record, axis, structure, theta, oscillators) for axis in range(2)]
+
+
+def drift_columns(structure: Structure, from_middle: np.ndarray) -> list[np.ndarray]:
+    """1, s, s² … with s from −1 to 1 over the record."""
+    s = from_middle / max(float(np.abs(from_middle).max()), 1e-9)
+    return [s**k for k in range(structure.drift_order + 1)]
+
+
+def _ripple(when_s: np.ndarray, channel: Averages, drive: Drive, oscillators: list[tuple[float, float]]) -> np.ndarray:
+    """∂h/∂(Re c1, Im c1, Re c2, Im c2) of either oscillator, shape (2, 4, n)."""
+    back, second, third = (responses_at(when_s, channel.spread_s2, drive.order(k), oscillators) for k in (-1, 2, 3))
+    return np.array([
+        [s.h, 1j * s.h, t.h - b.h, 1j * (t.h + b.h)] for b, s, t in zip(back, second, third, strict=True)
+    ])  # fmt: skip
 
 
 def _sensor_block(
-    record: RunUpRecord, axis: int, theta: np.ndarray, omegas: np.ndarray, zetas: np.ndarray, grids: list[np.ndarray]
+    record: RunUpRecord, axis: int, structure: Structure, theta: np.ndarray, oscillators: list[tuple[float, float]]
 ) -> Block:
-    channel = record.channels[axis]
-    drive = record.drive
-    from_middle = channel.time_s - 0.5 * (drive.start_s + drive.end_s)
+    channel, drive = record.channels[axis], record.drive
+    from_middle = channel.time_s - record.middle_s
     when = channel.time_s - theta[DELAYS][axis] - theta[DRIFTS][axis] * from_middle
     cos, sin = np.cos(theta[ANGLE]), np.sin(theta[ANGLE])
-    mix = ((cos, sin), (-sin, cos))[axis]
-    turned = ((-sin, cos), (-cos, -sin))[axis]
-    seen = [response_at(when, drive, g, w, z) for g, w, z in zip(grids, omegas, zetas, strict=True)]
-    half = 0.5 * channel.spread_s2
-    forced = [r.h + half * r.curve for r in seen]
-    since = channel.time_s - drive.start_s
-    decays = [averaged_decay(rate(w, z), since, channel.spread_s2) for w, z in zip(omegas, zetas, strict=True)]
-    weight = channel.weight
     # x = Re(A h1), y = Im(A h2) = Re(−i A h2): both are Re(A times a complex signal)
-    signal = mix[0] * forced[0] - 1j * mix[1] * forced[1]
+    mix = ((cos, -1j * sin), (-sin, -1j * cos))[axis]
+    turned = ((-sin, -1j * cos), (-cos, 1j * sin))[axis]
+    seen = responses_at(when, channel.spread_s2, drive, oscillators)
+    ripple = _ripple(when, channel, drive, oscillators) if structure.spread[RIPPLE].any() else np.zeros((2, 4, 1))
+    shown = [seen[mode].h + theta[RIPPLE] @ ripple[mode] for mode in range(2)]
+    signal = mix[0] * shown[0] + mix[1] * shown[1]
     columns = [np.real(signal), -np.imag(signal)]
-    for wave, _ in decays:
-        columns += [np.real(wave), -np.imag(wave)]
-    basis = np.column_stack([*columns, np.ones_like(since), since]) * weight[:, None]
+    for one in seen:
+        columns += [np.real(one.decay), -np.imag(one.decay)]
+    weight = channel.weight
+    basis = np.column_stack([*columns, *drift_columns(structure, from_middle)]) * weight[:, None]
 
     def tangent(c: np.ndarray) -> np.ndarray:
-        return _tangent(c, axis, seen, forced, decays, mix, turned, (omegas, zetas), from_middle) * weight[:, None]
+        amplitude = complex(c[0], c[1])
+        out = np.zeros((PARAMETERS, len(from_middle)))
+        for mode in range(2):
+            factor = amplitude * mix[mode]
+            out[2 * mode] = (factor * seen[mode].by_omega).real
+            out[2 * mode + 1] = (factor * seen[mode].by_zeta).real
+            out[ANGLE] += (amplitude * turned[mode] * shown[mode]).real
+            out[RIPPLE] += (factor * ripple[mode]).real
+            out[DELAYS.start + axis] -= (factor * seen[mode].rate).real
+            free = complex(c[2 + 2 * mode], c[3 + 2 * mode])
+            for k, derivative in enumerate(rate_derivatives(*oscillators[mode])):
+                out[2 * mode + k] += (free * derivative * seen[mode].decay_slope).real
+        out[DRIFTS.start + axis] = out[DELAYS.start + axis] * from_middle
+        return (out.T @ structure.spread) * weight[:, None]
 
     return Block(channel.value * weight, basis, tangent)
-
-
-def _tangent(
-    c: np.ndarray,
-    axis: int,
-    seen: list[Response],
-    forced: list[np.ndarray],
-    decays: list[tuple[np.ndarray, np.ndarray]],
-    mix: tuple[float, float],
-    turned: tuple[float, float],
-    oscillators: tuple[np.ndarray, np.ndarray],
-    from_middle: np.ndarray,
-) -> np.ndarray:
-    amplitude = complex(c[0], c[1])
-    out = np.zeros((len(from_middle), PARAMETERS))
-    moving = np.zeros(len(from_middle))
-    for mode, turn in enumerate((1.0, -1j)):
-        factor = amplitude * turn
-        free = complex(c[2 + 2 * mode], c[3 + 2 * mode])
-        d_omega, d_zeta = rate_derivatives(oscillators[0][mode], oscillators[1][mode])
-        slope = free * decays[mode][1]
-        out[:, 2 * mode] = mix[mode] * (factor * seen[mode].by_omega).real + (d_omega * slope).real
-        out[:, 2 * mode + 1] = mix[mode] * (factor * seen[mode].by_zeta).real + (d_zeta * slope).real
-        out[:, ANGLE] += turned[mode] * (factor * forced[mode]).real
-        moving += mix[mode] * (factor * seen[mode].rate).real
-    out[:, DELAYS.start + axis] = -moving
-    out[:, DRIFTS.start + axis] = -moving * from_middle
-    return out

@@ -1,70 +1,162 @@
-"""Start values for a run-up without any prior guess, and the naive half-power reading beside them."""
+"""Start values for a passage without any prior guess and without sweep bias.
+
+With X and P the Fourier transforms of a signal and of e^{iψ}'s real or imaginary part, oscillators of common
+denominator D(s) = sⁿ + d_{n−1} s^{n−1} + … answer a rotating imbalance with
+
+    D(s) X = −s² Σ N(s) P + E(s),        s = iw,
+
+where E holds what moved before and after the record. It is linear in D, N and E; a few rounds weighted by 1/|D| undo
+the weighting that multiplying the denominator out brought in. It holds for any sweep rate.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from dynamics.speed_history import SpeedHistory
+import numpy as np
+
 from identification.errors import NotIdentifiable
-from identification.run_up.forced_oscillator import STEP_S, Drive
+from identification.run_up.forced_oscillator import Drive, responses_at
 from identification.samples import Averages
 
+_PER_TURN = 16
+_ROUNDS = 8
+_THINNED = 4  # every fourth block will do to compare start values
+_EXPLAINED = 0.03  # of the power left: no need to look further
 
-def transfer_function_start(channel: Averages, drive: Drive, imaginary: bool) -> tuple[float, float]:
-    """ω and ζ of the resonance that dominates a sensor.
 
-    With X, U, V the Fourier transforms of the signal and of the force's real and imaginary part, the oscillator gives
-        X (ω0² − w² + i w γ) = a U + b V + p + i w q
-    where p, q are what motion before and after the record adds. It is linear in (ω0², γ, a, b, p, q); a few rounds
-    weighted by 1/|ω0² − w² + i w γ| undo the weighting that multiplying the denominator out brought in. It holds for
-    any sweep rate.
+@dataclass(frozen=True)
+class RunUpStart:
+    """Where a fit may begin.
 
-    Returns:
-        ω in rad/s, ζ.
+    Attributes:
+        omegas, zetas: of the direction nearest x, then of the one nearest y; rad/s and dimensionless.
+        angle_rad: stiffness axes against sensors.
+        cost: squared residual per block in standard deviations, with everything linear free in both sensors.
     """
-    t = drive.start_s + 8 * STEP_S * np.arange((len(drive.force) - 1) // 16)
-    force = drive.force[::16][: len(t)]
-    signal = np.interp(t, channel.time_s, channel.value) - np.mean(channel.value)
-    top = float(np.abs(drive.force[-1])) ** 0.5
-    w = 2 * np.pi * np.fft.rfftfreq(len(t), 8 * STEP_S)
-    band = (w > 2 * np.pi * 0.5) & (w < 1.1 * top)
-    if np.count_nonzero(band) < 30:
-        raise NotIdentifiable("the run-up is too short to hold a resonance")
-    x, u, v = (np.fft.rfft(s)[band] for s in (signal, np.real(force), np.imag(force)))
-    w = w[band]
-    weight = 1 / (w**2)
-    square, damping = 0.0, 0.0
-    for _ in range(12):
-        one = np.ones_like(x)
-        matrix = np.column_stack([x, 1j * w * x, -u, -v, -one, -1j * w]) * weight[:, None]
-        target = w**2 * x * weight
-        scale = np.linalg.norm(matrix, axis=0) + 1e-300
-        rows = np.concatenate([(matrix / scale).real, (matrix / scale).imag])
-        solution = np.linalg.lstsq(rows, np.concatenate([target.real, target.imag]), rcond=None)[0] / scale
-        square, damping = float(solution[0]), float(solution[1])
-        if square <= 0:
-            raise NotIdentifiable(f"sensor {'xy'[imaginary]} shows no resonance in the run-up")
-        weight = 1 / np.abs(square - w**2 + 1j * w * damping)
-    omega = np.sqrt(square)
-    return float(omega), float(np.clip(damping / (2 * omega), 1e-5, 0.7))
+
+    omegas: tuple[float, float]
+    zetas: tuple[float, float]
+    angle_rad: float
+    cost: float
+
+    @property
+    def alike(self) -> bool:
+        """Whether both directions share one resonance."""
+        return self.omegas[0] == self.omegas[1]
 
 
-def half_power(channel: Averages, history: SpeedHistory) -> tuple[float, float]:
-    """Frequency and damping ratio read off the peak and its width at 1/√2; what a hurried reader would find.
+def run_up_starts(channels: Sequence[Averages], drive: Drive, thorough: bool = False) -> list[RunUpStart]:
+    """Start values from several denominators, best first.
 
-    Returns:
-        f in Hz, ζ; NaN where the curve has no two sides.
+    Args:
+        thorough: look beyond the two sensors' common resonances even where those explain most of the signals.
+    Raises:
+        NotIdentifiable: no resonance in either sensor.
     """
-    psi, speed, _ = history.phase(channel.time_s).T
-    step = float(np.median(np.diff(channel.time_s)))
-    order = 2 * gaussian_filter1d((channel.value - np.mean(channel.value)) * np.exp(-1j * psi), 0.25 / step)
-    size = np.abs(order) / np.maximum(speed, 1.0) ** 2
-    size[speed < 2 * np.pi] = 0.0
-    peak = int(np.argmax(size))
-    below = np.flatnonzero(size[:peak] < size[peak] / np.sqrt(2))
-    above = np.flatnonzero(size[peak:] < size[peak] / np.sqrt(2))
-    if len(below) == 0 or len(above) == 0:
-        return float("nan"), float("nan")
-    width = speed[peak + above[0]] - speed[below[-1]]
-    return float(speed[peak] / (2 * np.pi)), float(width / (2 * speed[peak]))
+    spectra = _Spectra.of(channels, drive)
+    thinned = [c.where(np.arange(len(c.time_s)) % _THINNED == 0) for c in channels]
+    power = float(np.mean([np.mean(((c.value - c.value.mean()) * c.weight) ** 2) for c in thinned]))
+    starts = [_assigned(thinned, drive, pair) for pair in [spectra.modes([0, 1], 2)] if len(pair) == 2]
+    single = spectra.modes([0, 1], 1)
+    pairs = [[mode, mode] for mode in single]
+    if thorough or not starts or starts[0].cost > _EXPLAINED * power:
+        alone = [spectra.modes([i], 1) for i in (0, 1)]
+        pairs += [[a, b] for a in alone[0] for b in alone[1]]
+        # a resonance beyond the speeds passed bends its sensor's signal only slightly
+        pairs += [[m, (1.5 * drive.top_rad_s, 0.02)] for m in dict.fromkeys((*single, *alone[0], *alone[1]))]
+    starts += [_assigned(thinned, drive, pair) for pair in pairs]
+    if not starts:
+        raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
+    return sorted(starts, key=lambda s: s.cost)
+
+
+@dataclass(frozen=True)
+class _Spectra:
+    """What is needed of the signals and the drive, at the frequencies of the speeds passed; s in units of scale."""
+
+    s: np.ndarray
+    scale: float
+    signals: list[np.ndarray]
+    phasor: tuple[np.ndarray, np.ndarray]
+
+    @classmethod
+    def of(cls, channels: Sequence[Averages], drive: Drive) -> _Spectra:
+        step = 2 * np.pi / drive.top_rad_s / _PER_TURN
+        start = max(drive.start_s, *(c.time_s[0] for c in channels))
+        end = min(drive.end_s, *(c.time_s[-1] for c in channels))
+        t = np.arange(start, end, step)
+        w = 2 * np.pi * np.fft.rfftfreq(len(t), step)
+        band = (w > max(0.3 * drive.low_rad_s, 0.1 * drive.top_rad_s)) & (w < 1.15 * drive.top_rad_s)
+        if np.count_nonzero(band) < 30:
+            raise NotIdentifiable("the run-up is too short to hold a resonance")
+        psi = drive.history.phase(t)[:, 0]
+        signals = [
+            np.fft.rfft(np.interp(t, c.time_s, c.value) - np.mean(c.value))[band] / c.noise for c in channels
+        ]  # fmt: skip
+        scale = 0.5 * drive.top_rad_s
+        phasor = tuple(np.fft.rfft(f(psi))[band] for f in (np.cos, np.sin))
+        return cls(1j * w[band] / scale, scale, signals, (phasor[0], phasor[1]))
+
+    def modes(self, sensors: list[int], count: int) -> list[tuple[float, float]]:
+        """(ω, ζ) of up to count resonances common to some sensors."""
+        order = 2 * count
+        powers = self.s[:, None] ** np.arange(order + 1)
+        weight = 1 / np.abs(powers[:, order])
+        denominator = np.zeros(order)
+        for _ in range(_ROUNDS):
+            normal, right = np.zeros((order, order)), np.zeros(order)
+            for i in sensors:
+                signal = self.signals[i][:, None] * powers
+                force = [self.s[:, None] ** 2 * p[:, None] * powers[:, : order - 1] for p in self.phasor]
+                own = _real(np.column_stack([*force, powers[:, :order]]) * weight[:, None])
+                shared = _real(signal * weight[:, None])
+                q, _ = np.linalg.qr(own / (np.linalg.norm(own, axis=0) + 1e-300))
+                shared -= q @ (q.T @ shared)
+                normal += shared[:, :order].T @ shared[:, :order]
+                right -= shared[:, :order].T @ shared[:, order]
+            size = np.sqrt(np.diag(normal)) + 1e-300
+            denominator = np.linalg.lstsq(normal / np.outer(size, size), right / size, rcond=1e-14)[0] / size
+            weight = 1 / np.maximum(np.abs(powers[:, order] + powers[:, :order] @ denominator), 1e-6)
+        roots = np.roots([1.0, *denominator[::-1]]) * self.scale
+        roots = roots[roots.imag > 1e-3 * self.scale]
+        # a slightly negative damping is a small one, badly seen
+        return [(float(abs(r)), float(np.clip(-r.real / abs(r), 3e-4, 0.6))) for r in roots]
+
+
+def _real(columns: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.real(columns), np.imag(columns)])
+
+
+def _assigned(channels: Sequence[Averages], drive: Drive, pair: Sequence[tuple[float, float]]) -> RunUpStart:
+    """Which of two resonances belongs to which direction, and the angle between axes and sensors.
+
+    Each sensor is written as a free sum of both responses; x = cos β Re(A h1) + sin β Im(A h2) and its turned
+    counterpart make their ratios ∓i tan β.
+    """
+    cost, count, parts = 0.0, 0, []
+    for channel in channels:
+        since = channel.time_s - drive.start_s
+        columns: list[np.ndarray] = []
+        for seen in responses_at(channel.time_s, channel.spread_s2, drive, list(dict.fromkeys(pair))):
+            columns += [np.real(seen.h), -np.imag(seen.h), np.real(seen.decay), -np.imag(seen.decay)]
+        basis = np.column_stack([*columns, np.ones_like(since), since]) * channel.weight[:, None]
+        size = np.linalg.norm(basis, axis=0) + 1e-300
+        normal = (basis / size).T @ (basis / size)
+        c = np.linalg.lstsq(normal, (basis / size).T @ (channel.value * channel.weight), rcond=1e-13)[0] / size
+        residual = channel.value * channel.weight - basis @ c
+        cost, count = cost + float(residual @ residual), count + len(residual)
+        parts.append(complex(c[0], c[1]))
+        parts.append(complex(c[4], c[5]) if len(columns) == 8 else 0j)
+    (omega_a, zeta_a), (omega_b, zeta_b) = pair
+    x_a, x_b, y_a, y_b = parts
+    if pair[0] == pair[1]:
+        return RunUpStart((omega_a, omega_a), (zeta_a, zeta_a), 0.0, cost / count)
+    if abs(x_b) * abs(y_a) > abs(x_a) * abs(y_b):
+        omega_a, omega_b, zeta_a, zeta_b = omega_b, omega_a, zeta_b, zeta_a
+        x_a, x_b, y_a, y_b = x_b, x_a, y_b, y_a
+    tangents = [(1j * x_b / x_a).real if x_a else 0.0, (1j * y_a / y_b).real if y_b else 0.0]
+    # the sensor whose ratio is smaller sees its own resonance better
+    angle = float(np.arctan(min(tangents, key=abs)))
+    return RunUpStart((omega_a, omega_b), (zeta_a, zeta_b), angle, cost / count)

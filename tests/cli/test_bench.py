@@ -49,6 +49,38 @@ def test_quick_run_gives_keys_figures_and_small_true_errors(capsys: pytest.Captu
     )
 
 
+def test_identification_writes_every_service_beside_peers(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from identification.bench import precision
+
+    tiny = precision.Size(
+        zetas=(0.02,), damaged_zetas=(), pairs=(), run_up_zetas=(), dampings=(1e-3,), runs=3, damaged_runs=1,
+        pair_runs=1, run_up_runs=1, release_runs=1, release_truths=1, most_s=0.0,
+    )  # fmt: skip
+    monkeypatch.setattr(precision, "QUICK", tiny)
+    monkeypatch.setattr(precision, "_release", lambda physics, size: precision._spin_downs(size)[0])
+    monkeypatch.setattr(precision, "_tracking", lambda physics, size: precision._spin_downs(size)[0])
+    assert run(["bench", "identification", "--quick", "--json", "-o", str(tmp_path)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"what", "machine", "seconds", "notes", "targets", "measurements", "files"}
+    assert any(f"seed {precision.SEED}" in note for note in result["notes"])
+    rows = result["measurements"]
+    for service, ours, peer in (("ring-down", "fit_ring_down", "half-power"), ("spin-down", "fit_spin_down", "line")):
+        methods = {(r["method"], r["setting"]) for r in rows if r["service"] == service}
+        assert {(ours, "fast"), (ours, "balanced"), (ours, "reference")} < methods
+        assert peer in {m for m, _ in methods}
+    for r in rows:
+        if not r["peer"]:
+            assert r["gross"] == 0, r["failure"]
+            assert all(0 < v < 5 for v in r["rms"].values())
+            assert all(c is not None for c in r["coverage"].values())
+    assert sorted(Path(f).suffix for f in result["files"]) == [".json", ".md", ".svg"]
+    assert json.loads((tmp_path / "identification_precision.json").read_text(encoding="utf-8"))["measurements"] == rows
+    assert "ours, balanced" in (tmp_path / "identification_precision.svg").read_text(encoding="utf-8")
+    assert "| fit_ring_down | balanced |" in (tmp_path / "identification_precision.md").read_text(encoding="utf-8")
+
+
 def test_the_reference_knows_the_printed_multipliers() -> None:
     pytest.importorskip("heyoka")
     from rig_configs import load_rig
@@ -107,7 +139,7 @@ def test_over_points_joins_the_automatic_choice_over_its_methods() -> None:
 def test_tables_show_fronts_peers_and_the_cheapest_useful_setting() -> None:
     rows = compared([row("m", t, e) for t, e in ((1.0, 1e-3), (1.5, 1e-2), (2.0, 1e-9), (2.5, 2e-9))])
     assert [r.seconds for r in worth_showing(rows)] == [1.0, 2.0]
-    page = tables.markdown(rows, [Target("t", 2.0, 3.0)], _machine(), [])
+    page = tables.markdown(tables.page(rows, [Target("t", 2.0, 3.0)], _machine(), []))
     assert "| t | ≤ 2 | 3 | missed |" in page
     assert "| m | as is | 2 s | 1.0e-09 |" in page
     assert "**motion: c (time a run)**" in page

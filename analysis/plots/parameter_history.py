@@ -1,0 +1,117 @@
+"""A rig's parameters over time: a panel each, joint values with their 95 % intervals, each log's own values beside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
+from matplotlib.figure import Figure
+
+from analysis.plots.log_marks import drawable
+from analysis.plots.style import GREY, MEASURED, MODEL, drawing, label
+
+_TIMES = 1.96  # standard deviations of a 95 % interval
+_COLUMNS = 2
+_OUT = "#CC3311"
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter's value at an instant.
+
+    Attributes:
+        name: of the parameter, as in parameters.toml.
+        time: when.
+        value, std: SI.
+        text: the file's or test's name; of a marked change, how large it is.
+        left_out: the joint estimate goes without it.
+    """
+
+    name: str
+    time: datetime
+    value: float
+    std: float
+    text: str
+    left_out: bool = False
+
+
+def draw_parameter_history(
+    joint: Sequence[Value], single: Sequence[Value], changes: Sequence[Value], units: Mapping[str, str], rig: str = ""
+) -> Figure:
+    """Panels over time.
+
+    Args:
+        joint: the joint estimates.
+        single: each log's own values, drawn small.
+        changes: significant changes, marked at the instant from which on they are there.
+        units: the parameters to draw, in order, with their units.
+        rig: for the title.
+    """
+    rows = -(-len(units) // _COLUMNS)
+    with drawing(10.4, 1.0 + 1.9 * rows) as figure:
+        grid = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
+        figure.subplots_adjust(
+            left=0.115, right=0.985, top=1 - 0.62 / (1.0 + 1.9 * rows), bottom=0.6 / (1.0 + 1.9 * rows),
+            hspace=0.35, wspace=0.28,
+        )  # fmt: skip
+        panels = list(grid.flat)
+        for axes, (name, unit) in zip(panels, units.items(), strict=False):
+            _panel(axes, name, unit, joint, single, changes)
+        for axes in panels[len(units) :]:
+            axes.set_visible(False)
+        for axes in panels[max(0, len(units) - _COLUMNS) : len(units)]:
+            locator = AutoDateLocator(maxticks=7)
+            axes.xaxis.set_major_locator(locator)
+            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+            axes.tick_params(labelbottom=True)
+        handles, names = panels[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="upper right", ncols=len(names), fontsize=8.5)
+        title = "Parameters over time" + (f": {drawable(rig)}" if rig else "")
+        figure.text(0.012, 0.985, title, va="top", fontsize=11, parse_math=False)
+        return figure
+
+
+def _panel(
+    axes: Axes, name: str, unit: str, joint: Sequence[Value], single: Sequence[Value], changes: Sequence[Value]
+) -> None:
+    own = [v for v in joint if v.name == name]
+    axes.errorbar(
+        _days(own), [v.value for v in own], [_TIMES * v.std for v in own], fmt="o-", color=MEASURED,
+        ms=4.5, lw=0.9, capsize=2.5, label="joint estimate, 95 %", zorder=3,
+    )  # fmt: skip
+    for out, colour, text in ((False, GREY, "one log"), (True, _OUT, "left out")):
+        shown = [v for v in single if v.name == name and v.left_out == out]
+        if shown or not out:
+            axes.errorbar(
+                _days(shown), [v.value for v in shown], [_TIMES * v.std for v in shown], fmt=".",
+                color=colour, ms=3.5, lw=0.6, alpha=0.55, label=text, zorder=2,
+            )  # fmt: skip
+    for change in (c for c in changes if c.name == name):
+        at = _days([change])[0]
+        axes.axvline(at, color=MODEL, lw=1.0, ls=":", zorder=1)
+        axes.annotate(
+            change.text, (at, 1.0), (3, -9), xycoords=("data", "axes fraction"), textcoords="offset points",
+            fontsize=8, color=MODEL, parse_math=False,
+        )  # fmt: skip
+    _around(axes, own)
+    axes.ticklabel_format(axis="y", useOffset=False)
+    short = name.partition("_")[0]
+    label(axes, y="" if unit == "1" else unit, title=short)
+    axes.margins(x=0.04)
+
+
+def _days(values: Sequence[Value]) -> np.ndarray:
+    """Times as matplotlib counts them."""
+    return np.array([date2num(v.time) for v in values])
+
+
+def _around(axes: Axes, own: Sequence[Value]) -> None:
+    """The panel shows the joint estimates; single logs known far worse may leave it."""
+    low = min(v.value - _TIMES * v.std for v in own)
+    high = max(v.value + _TIMES * v.std for v in own)
+    room = 0.25 * (high - low) or 1e-6 * abs(high)
+    axes.set_ylim(low - room, high + room)

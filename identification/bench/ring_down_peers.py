@@ -1,0 +1,209 @@
+"""What people do with a free decay, written plainly; none of it shares code with this package's estimators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+from scipy.linalg import eigh, hankel
+from scipy.optimize import least_squares
+from scipy.signal import butter, find_peaks, hilbert, sosfiltfilt
+
+from identification.bench.decays import Decay
+from identification.bench.trials import Answer
+
+Reading = Callable[[np.ndarray, np.ndarray], tuple[float, float]]
+"""Times and values of one sensor to f in Hz and ζ."""
+
+_FLOOR = 0.2  # share of the amplitude below which the careful readings stop
+_POLES_HZ = 50.0  # block averages the matrix pencil takes: 4 samples a cycle of the fastest mode
+
+
+def log_decrement(record: Decay) -> Answer:
+    """The logarithm of every maximum against its number, as it is told in textbooks."""
+    return _each_channel(record, lambda t, y: _log_line(t, y, *_maxima(t, y - np.mean(y))))
+
+
+def careful_log_decrement(record: Decay) -> Answer:
+    """The same after a low-pass, with minima too, down to a fifth of the amplitude, weighted by the amplitude."""
+
+    def channel(time: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+        step = time[1] - time[0]
+        pole = 3 * _spectral_peak(value, step)
+        smooth = sosfiltfilt(butter(4, pole, fs=1 / step, output="sos"), value - np.mean(value[len(value) // 2 :]))
+        both = [_maxima(time, sign * smooth) for sign in (1, -1)]
+        at, size = (np.concatenate(parts) for parts in zip(*both, strict=True))
+        order = np.argsort(at)
+        at, size = at[order], size[order]
+        keep = size > _FLOOR * np.max(size)
+        count = len(keep) if keep.all() else max(3, int(np.argmin(keep)))
+        return _log_line(time, value, at[:count], size[:count], per_cycle=2)
+
+    return _each_channel(record, channel)
+
+
+def half_power(record: Decay) -> Answer:
+    """The peak of the spectrum and its width at 1/√2."""
+
+    def channel(time: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+        step = time[1] - time[0]
+        size = 8 * len(value)
+        spectrum = np.abs(np.fft.rfft(value - np.mean(value), size))
+        peak = int(np.argmax(spectrum))
+        level = spectrum[peak] / np.sqrt(2)
+        below = peak - int(np.argmax(spectrum[peak::-1] < level))
+        above = peak + int(np.argmax(spectrum[peak:] < level))
+        grid = 1 / (size * step)
+        return peak * grid, (above - below) / (2 * peak)
+
+    return _each_channel(record, channel)
+
+
+def hilbert_envelope(record: Decay) -> Answer:
+    """A band-pass, the analytic signal, and straight lines through its phase and logarithm."""
+
+    def channel(time: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+        step = time[1] - time[0]
+        frequency = _spectral_peak(value, step)
+        band = butter(2, [0.6 * frequency, 1.4 * frequency], "bandpass", fs=1 / step, output="sos")
+        analytic = np.asarray(hilbert(sosfiltfilt(band, value)))
+        size = np.abs(analytic)
+        edge = round(1.0 / (frequency * step))
+        first = edge
+        low = np.flatnonzero(size[first:] < _FLOOR * size[first])
+        last = min(len(size) - edge, first + int(low[0]) if len(low) else len(size))
+        cut = slice(first, last)
+        decay = -np.polyfit(time[cut], np.log(size[cut]), 1)[0]
+        wave = np.polyfit(time[cut], np.unwrap(np.angle(analytic[cut])), 1)[0]
+        return _of_rate(complex(-decay, wave))
+
+    return _each_channel(record, channel)
+
+
+def matrix_pencil(record: Decay) -> Answer:
+    """Poles from the shift of the signal space of a Hankel matrix of block averages (ERA, HTLS, matrix pencil)."""
+    return answer_of_poles(_poles(record))
+
+
+def nonlinear_least_squares(record: Decay) -> Answer:
+    """scipy's least_squares on every sample, started by the matrix pencil, intervals from its Jacobian."""
+    modes = [_of_rate(pole) for pole in _poles(record)]
+    signals = record.displacement_m.reshape(len(record.time_s), -1)
+    channels = signals.shape[1]
+    start = np.array([part for mode in modes for part in mode])
+    linear = np.linalg.lstsq(_waves(start, record.time_s), signals, rcond=None)[0]
+
+    def residual(theta: np.ndarray) -> np.ndarray:
+        fitted = _waves(theta[: len(start)], record.time_s) @ theta[len(start) :].reshape(-1, channels)
+        return (fitted - signals).ravel()
+
+    def jacobian(theta: np.ndarray) -> np.ndarray:
+        waves, columns = _waves(theta[: len(start)], record.time_s), []
+        coefficients = theta[len(start) :].reshape(-1, channels)
+        for j in range(len(start)):
+            moved = theta[: len(start)].copy()
+            h = 1e-6 * abs(moved[j])
+            moved[j] += h
+            columns.append(((_waves(moved, record.time_s) - waves) / h @ coefficients).ravel())
+        return np.column_stack([*columns, np.kron(waves, np.eye(channels))])
+
+    scale = np.concatenate([np.abs(start) * 1e-2, np.full(linear.size, 1e-4)])
+    first, slopes = np.concatenate([start, linear.ravel()]), cast("Any", jacobian)  # scipy's defaults hide its types
+    found = least_squares(residual, first, slopes, method="lm", x_scale=scale)
+    covariance = np.linalg.inv(found.jac.T @ found.jac) * 2 * found.cost / (signals.size - len(found.x))
+    values = dict(zip(_names(len(modes)), found.x[: len(start)].tolist(), strict=True))
+    std = np.sqrt(np.diag(covariance))
+    spans = {n: (v - 1.96 * s, v + 1.96 * s) for (n, v), s in zip(values.items(), std, strict=False)}
+    return Answer(values, spans)
+
+
+def _waves(theta: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Cosine and sine part of every mode and a constant, shape (n, 2 m + 1)."""
+    columns = []
+    for frequency, zeta in theta.reshape(-1, 2):
+        omega = 2 * np.pi * frequency
+        wave = np.exp(omega * (-zeta + 1j * np.sqrt(1 - zeta * zeta + 0j)) * time)
+        columns += [wave.real, wave.imag]
+    return np.column_stack([*columns, np.ones_like(time)])
+
+
+def block_means(record: Decay, rate_Hz: float = _POLES_HZ) -> tuple[float, np.ndarray]:
+    """The step and the means over blocks, shape (n, channels): poles keep their places, noise falls."""
+    step = float(record.time_s[1] - record.time_s[0])
+    width = max(1, round(1 / (rate_Hz * step)))
+    signals = record.displacement_m.reshape(len(record.time_s), -1)
+    count = len(signals) // width
+    return width * step, signals[: count * width].reshape(count, width, -1).mean(axis=1)
+
+
+def _poles(record: Decay) -> list[complex]:
+    """Continuous poles with positive frequency, as many as channels, in order of frequency."""
+    step, means = block_means(record)
+    count, channels = means.shape
+    rows = count // 3
+    order = 2 * channels + 1  # a pair for each mode, one for the offset
+    space = np.concatenate([hankel(m[:rows], m[rows - 1 :]) for m in means.T])
+    top = len(space) - 1
+    vectors = np.asarray(eigh(space @ space.T, subset_by_index=[top - order + 1, top])[1]).reshape(channels, rows, -1)
+    early, late = vectors[:, :-1].reshape(-1, order), vectors[:, 1:].reshape(-1, order)
+    poles = np.log(np.linalg.eigvals(np.linalg.lstsq(early, late, rcond=None)[0]).astype(complex)) / step
+    return strongest(poles, channels)
+
+
+def strongest(poles: np.ndarray, wanted: int, lowest_Hz: float = 0.5) -> list[complex]:
+    """The wanted number of least damped poles above a frequency, in order of frequency.
+
+    Raises:
+        ValueError: there are fewer.
+    """
+    found = sorted((complex(p) for p in poles if p.imag > 2 * np.pi * lowest_Hz), key=lambda p: -p.real)[:wanted]
+    if len(found) < wanted:
+        raise ValueError(f"{len(found)} oscillating poles found, {wanted} wanted")
+    return sorted(found, key=abs)
+
+
+def answer_of_poles(poles: Sequence[complex]) -> Answer:
+    """f and ζ of continuous poles, numbered in their order."""
+    parts = [part for pole in poles for part in _of_rate(pole)]
+    return Answer(dict(zip(_names(len(poles)), parts, strict=True)))
+
+
+def _names(modes: int) -> list[str]:
+    return [name for i in range(1, modes + 1) for name in (f"f{i}_Hz", f"zeta{i}")]
+
+
+def _of_rate(pole: complex) -> tuple[float, float]:
+    """f in Hz and ζ of a continuous pole."""
+    return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
+
+
+def _each_channel(record: Decay, channel: Reading) -> Answer:
+    """A one-mode reading of each sensor on its own: sensor x is mode 1, sensor y mode 2."""
+    signals = record.displacement_m.reshape(len(record.time_s), -1)
+    parts = [part for signal in signals.T for part in channel(record.time_s, signal)]
+    return Answer(dict(zip(_names(signals.shape[1]), (float(p) for p in parts), strict=True)))
+
+
+def _spectral_peak(value: np.ndarray, step: float) -> float:
+    spectrum = np.abs(np.fft.rfft(value - np.mean(value)))
+    return float(np.argmax(spectrum) / (len(value) * step))
+
+
+def _maxima(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times and heights of the maxima, at least 0.7 of a cycle apart."""
+    step = time[1] - time[0]
+    apart = max(1, round(0.7 / (_spectral_peak(value, step) * step)))
+    at = find_peaks(value, height=0, distance=apart)[0]
+    return time[at], value[at]
+
+
+def _log_line(
+    time: np.ndarray, value: np.ndarray, at: np.ndarray, size: np.ndarray, per_cycle: int = 1
+) -> tuple[float, float]:
+    """f and ζ from the line through the logarithms of extremes and through their times."""
+    weight = size if per_cycle > 1 else None
+    number = np.arange(len(at))
+    decay = -np.polyfit(at, np.log(size), 1, w=weight)[0]
+    period = np.polyfit(number, at, 1, w=weight)[0] * per_cycle
+    return _of_rate(complex(-decay, 2 * np.pi / period))

@@ -1,0 +1,163 @@
+"""What a parameters.toml keeps of its tests, so that later readers can tell what limits it and what it shares.
+
+Beside each test's values and method (as `identify` writes them) stand its own covariance, its shared errors, when it
+was recorded and with which devices. Files from before this, or from elsewhere, lack them: then nothing is assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.signals import Run
+from identification.estimate import Estimate
+from identification.joint.combine import JointEstimate, joint_estimate
+from identification.samples import correlation_inflation
+from rig_configs.errors import ParametersFileError
+from rig_configs.parameters_file import IdentifiedParameters
+
+if TYPE_CHECKING:
+    from identification.identify import Identification
+
+
+@dataclass(frozen=True)
+class KeptTest:
+    """One test as a parameters.toml keeps it.
+
+    Attributes:
+        estimate: values with own covariance and shared errors; its source is the log's name.
+        digest: of the log; "" when unknown.
+        recorded: start of the recording; None when unknown.
+        devices: device → its serial number, where it said one.
+        model_share: part of the own variance that is there because residuals are more than sensor noise, 0 to 1.
+        left_out: why the joint estimate goes without it; "" when it does not.
+    """
+
+    estimate: Estimate
+    digest: str
+    recorded: datetime | None
+    devices: Mapping[str, str]
+    model_share: float
+    left_out: str = ""
+
+
+def with_tests(found: Identification, runs: Sequence[Run] = ()) -> IdentifiedParameters:
+    """The parameters of an identification with all that is worth keeping of its tests.
+
+    Args:
+        found: what `identify` returned.
+        runs: the runs it was given, for the times and devices.
+    """
+    joint = joint_estimate(found.estimates)
+    told = found.parameters.provenance.get("tests", [{} for _ in found.estimates])
+    tests = [
+        {**entry, **_entry(i, estimate, joint, found, [r for r in runs if r.source in estimate.source.split(" + ")])}
+        for i, (entry, estimate) in enumerate(zip(told, found.estimates, strict=True))
+    ]
+    facts: dict[str, Any] = {**found.parameters.provenance, "tests": tests}
+    rigs = sorted({str(r.metadata["rig"]) for r in runs if r.metadata.get("rig")})
+    if rigs:
+        facts["rig"] = " + ".join(rigs)
+    if joint.extra_std:
+        facts["widened"] = joint.extra_std
+    return IdentifiedParameters(found.parameters.values, found.parameters.covariance, facts)
+
+
+def _entry(
+    number: int, estimate: Estimate, joint: JointEstimate, found: Identification, runs: Sequence[Run]
+) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "covariance": estimate.covariance.tolist(),
+        "shared": {
+            label: dict(zip(estimate.names, shift.tolist(), strict=True)) for label, shift in estimate.shared.items()
+        },
+        "model_share": model_share(estimate, found),
+    }
+    if number in joint.left_out:
+        entry["left_out"] = joint.left_out[number]
+    started = min((r.start_s for r in runs if r.start_s > 0), default=None)
+    if started is not None:
+        entry["recorded"] = datetime.fromtimestamp(started, UTC).isoformat(timespec="seconds")
+    devices = {
+        device: str(identity["serial"])
+        for run in runs
+        for device, identity in run.metadata.get("identities", {}).items()
+        if isinstance(identity, Mapping) and identity.get("serial")
+    }
+    if devices:
+        entry["devices"] = devices
+    return entry
+
+
+def model_share(estimate: Estimate, found: Identification) -> float:
+    """1 − 1/f², f the factor by which residuals beyond the sensors' noise have widened the test's intervals."""
+    worst = 1.0
+    for named in found.fits:
+        if (named.test, named.source) != (estimate.test, estimate.source):
+            continue
+        worst = max(worst, named.fit.chi2_per_dof)
+        for curve in named.fit.curves:
+            worst = max(worst, correlation_inflation(np.asarray(curve.measured - curve.fitted)) ** 2)
+    return 1.0 - 1.0 / worst
+
+
+def kept_tests(parameters: IdentifiedParameters) -> list[KeptTest] | None:
+    """The tests a parameters file keeps; None when it does not keep enough of them (an older file, another program's).
+
+    Raises:
+        ParametersFileError: a test is there but makes no sense; the message says which key.
+    """
+    told = parameters.provenance.get("tests", [])
+    if not isinstance(told, list) or not told or not all("covariance" in t for t in told):
+        return None
+    return [_kept(entry, number) for number, entry in enumerate(told)]
+
+
+def _kept(entry: Mapping[str, Any], number: int) -> KeptTest:
+    try:
+        names = tuple(entry["values"])
+        shared = {
+            str(label): np.array([float(shift[n]) for n in names]) for label, shift in entry.get("shared", {}).items()
+        }
+        covariance = np.array(entry["covariance"], float)
+        if covariance.shape != (len(names), len(names)):
+            raise ValueError(f"covariance: expected {len(names)} × {len(names)} numbers, got {covariance.shape}")
+        recorded = entry.get("recorded")
+        return KeptTest(
+            Estimate(
+                str(entry["test"]), str(entry["log"]), names, np.array([float(entry["values"][n]) for n in names]),
+                covariance, shared, str(entry.get("method", "")),
+            ),
+            str(entry.get("digest", "")),
+            None if recorded is None else datetime.fromisoformat(str(recorded)),
+            {str(k): str(v) for k, v in entry.get("devices", {}).items()},
+            float(entry.get("model_share", 0.0)),
+            str(entry.get("left_out", "")),
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError, AttributeError) as fault:
+        raise ParametersFileError(
+            f"provenance.tests[{number}]: expected test, log, values, covariance and shared errors by name; "
+            f"problem: {fault!r}. `rig identify` writes the file anew"
+        ) from fault
+
+
+def rebuilt(parameters: IdentifiedParameters) -> tuple[JointEstimate, list[KeptTest]] | None:
+    """How a file's joint estimate came about, from its tests; None when they are not kept or give other values.
+
+    A file written by a version with another rule is taken at its own word: its values are not these.
+    """
+    tests = kept_tests(parameters)
+    if tests is None:
+        return None
+    joint = joint_estimate([t.estimate for t in tests])
+    std = parameters.std
+    same = joint.parameters.values.keys() == parameters.values.keys() and all(
+        abs(value - parameters.values[name]) <= 1e-2 * std[name]
+        and 0.99 < joint.parameters.std[name] / std[name] < 1.01
+        for name, value in joint.parameters.values.items()
+    )
+    return (joint, tests) if same else None

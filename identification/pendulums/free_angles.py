@@ -1,0 +1,118 @@
+"""What the encoders read while both pendulums swing freely, with derivatives, for least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics.integrate import fastest_rate
+from dynamics.kernels import rates
+from dynamics.parameters import RotorParameters
+from dynamics.sensitivities import packed_derivatives
+from dynamics.speed_history import SpeedHistory
+from identification.pendulums.suspension_knowledge import NAMES, Knowledge
+from identification.pendulums.variational import COLUMNS, PARAMETER_COLUMNS, free_motion
+from identification.samples import Averages
+
+_OUTPUT_S = 0.004
+_STEP_SHARE = 0.06  # of the fastest rate's inverse; the motion is then good to a few 1e-6 rad
+
+
+@dataclass(frozen=True)
+class FreeMotion:
+    """A free motion at evenly spaced instants.
+
+    Attributes:
+        time_s: shape (n,).
+        states: shape (n, 8).
+        derivatives: by the start state (8) and by ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P (7), (n, 8, 15).
+        start_rates: ẏ at the start, shape (8,).
+    """
+
+    time_s: np.ndarray
+    states: np.ndarray
+    derivatives: np.ndarray
+    start_rates: np.ndarray
+
+    def angle(self, pendulum: int, blocks: Averages) -> tuple[np.ndarray, np.ndarray]:
+        """Block means of one pendulum's angle (n,) and their derivatives (n, 15).
+
+        Cubic Hermite interpolation, and half the samples' variance of time times the second derivative.
+        """
+        step = self.time_s[1] - self.time_s[0]
+        i = np.clip(((blocks.time_s - self.time_s[0]) / step).astype(np.int64), 0, len(self.time_s) - 2)
+        r = (blocks.time_s - self.time_s[i]) / step
+        v = 0.5 * blocks.spread_s2 / step**2
+        weights = (
+            (1 + 2 * r) * (1 - r) ** 2 + v * (12 * r - 6),
+            step * (r * (1 - r) ** 2 + v * (6 * r - 4)),
+            r * r * (3 - 2 * r) - v * (12 * r - 6),
+            step * (r * r * (r - 1) + v * (6 * r - 2)),
+        )
+        parts = ((i, 2 + pendulum), (i, 6 + pendulum), (i + 1, 2 + pendulum), (i + 1, 6 + pendulum))
+        angle = sum(w * self.states[at, row] for w, (at, row) in zip(weights, parts, strict=True))
+        slope = sum(w[:, None] * self.derivatives[at, row] for w, (at, row) in zip(weights, parts, strict=True))
+        return np.asarray(angle), np.asarray(slope)
+
+
+def laid_over(knowledge: Knowledge, damping: np.ndarray, suspension: np.ndarray) -> RotorParameters:
+    """Parameters from ln c3, ln c4 and the logarithms of k1, k2, ζ1, ζ2 and (if there) S_P."""
+    values = dict(zip(NAMES, np.exp(suspension).tolist(), strict=False))
+    c3, c4 = np.exp(damping).tolist()
+    return knowledge.physics.with_values(c3_Nms_per_rad=c3, c4_Nms_per_rad=c4, **values)
+
+
+def log_suspension(physics: RotorParameters) -> np.ndarray:
+    """Logarithms of k1, k2, ζ1, ζ2, S_P, shape (5,)."""
+    p = physics
+    return np.log([p.k1_N_per_m, p.k2_N_per_m, p.zeta1, p.zeta2, p.imbalance_moment_kg_m])
+
+
+def swing(
+    physics: RotorParameters, history: SpeedHistory, start: np.ndarray, start_s: float, first_s: float, last_s: float
+) -> FreeMotion | None:
+    """Both pendulums free from a state (8,) at start_s; output from first_s (not before it) to past last_s.
+
+    None where the motion cannot be integrated: a trial far outside, which a minimiser refuses.
+    """
+    if not start_s <= first_s or not np.all(np.isfinite(start)):
+        return None
+    speed = float(np.max(np.abs(history.phase(np.linspace(start_s, last_s, 16))[:, 1])))
+    step = _STEP_SHARE / fastest_rate(physics, speed + float(np.max(np.abs(start[6:]))) * 0.5)
+    step = max(step, (last_s - start_s) / 400_000)
+    times = first_s + _OUTPUT_S * np.arange(int(np.ceil((last_s - first_s) / _OUTPUT_S)) + 2)
+    packed = physics.packed()
+    states, raw = free_motion(start, start_s, times, step, history.knots_s, history.coefficients, packed)
+    if not np.all(np.isfinite(states)):
+        return None
+    rate = np.empty(8)
+    psi, omega, alpha = history.phase(start_s)[0]
+    rates(start, psi, omega, alpha, packed, 1.0, 1.0, rate)
+    derivatives = np.empty_like(raw)
+    derivatives[:, :, :8] = raw[:, :, :8]
+    derivatives[:, :, 8:] = raw[:, :, 8:] @ _chain(physics)
+    return FreeMotion(times, states, derivatives, rate)
+
+
+def _chain(physics: RotorParameters) -> np.ndarray:
+    """∂(packed parameters)/∂(ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P), shape (7, 7)."""
+    by, values = packed_derivatives(physics), physics.identified()
+    names = ("c3_Nms_per_rad", "c4_Nms_per_rad", *NAMES)
+    columns = list(PARAMETER_COLUMNS)
+    return np.column_stack([by[n][columns] * values[n] for n in names])
+
+
+def both_angles(
+    motion: FreeMotion, blocks: tuple[Averages, Averages], start_by: np.ndarray, log_by: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both encoders' block means (n,) and derivatives (n, p) by a fit's own parameters.
+
+    Args:
+        start_by: derivative of the start state by them, shape (8, p).
+        log_by: derivative of (ln c3, ln c4, ln k1 …) by them, shape (7, p).
+    """
+    chain = np.vstack([start_by, log_by])
+    assert len(chain) == COLUMNS
+    pairs = [motion.angle(i, channel) for i, channel in enumerate(blocks)]
+    return np.concatenate([a for a, _ in pairs]), np.concatenate([d @ chain for _, d in pairs])

@@ -1,0 +1,122 @@
+"""State of the rig at the release: both pendulums locked, the disk driven by the imbalance through the recorded speed.
+
+The locked rig is two linear oscillators, ḧ + 2ζω ḣ + ω² h = (ψ̇² − iψ̈) e^{iψ} per direction, x = Re(A h1),
+y = Im(A h2), A = (S_P + S_A e^{iθ3} + S_B e^{iθ4})/M_S. h does not depend on the locked angles or the imbalance, so
+the state's derivatives by them are products; those by stiffness and damping take h at neighbouring ω and ζ.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+
+from dynamics.parameters import RotorParameters
+from dynamics.speed_history import SpeedHistory
+
+_STEP_S = 2e-3
+_DIFFERENCE = 1e-5  # of ln ω and ln ζ
+
+
+@dataclass(frozen=True)
+class LockedStart:
+    """The drive of the locked rig up to a release.
+
+    Attributes:
+        history: the recorded speed.
+        begin_s, release_s: from where on it is known, and the release as told.
+    """
+
+    history: SpeedHistory
+    begin_s: float
+    release_s: float
+
+    def at(
+        self, physics: RotorParameters, theta3_rad: float, theta4_rad: float, shift_s: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """State at the release and its derivatives.
+
+        Args:
+            physics: the rig; its suspension and imbalance count.
+            theta3_rad, theta4_rad: true locked angles.
+            shift_s: of the release against release_s.
+        Returns:
+            State (8,), and derivatives (8, 8) by θ3, θ4, shift, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P.
+        """
+        p, turn = physics, np.exp(1j * np.array([theta3_rad, theta4_rad]))
+        moments = np.array([p.a.first_moment_kg_m, p.b.first_moment_kg_m]) * turn
+        moment, mass = (p.forcing_moment_kg_m + moments.sum()) / p.total_mass_kg, p.total_mass_kg
+        by_moment = np.r_[1j * moments, p.imbalance_moment_kg_m] / mass  # by θ3, θ4, ln S_P
+        state, derivatives = np.zeros(8), np.zeros((8, 8))
+        state[2:4] = theta3_rad, theta4_rad
+        derivatives[2, 0] = derivatives[3, 1] = 1.0
+        for axis, (w, zeta) in enumerate(zip(p.natural_frequencies_rad_s, (p.zeta1, p.zeta2), strict=True)):
+            h, by_omega, by_zeta = self._response(w, zeta, shift_s)
+            for row, order in ((axis, 0), (4 + axis, 1)):
+                state[row] = _part(axis, moment * h[order])
+                derivatives[row, [0, 1, 7]] = [_part(axis, b * h[order]) for b in by_moment]
+                derivatives[row, 2] = _part(axis, moment * h[order + 1])
+                derivatives[row, 3 + axis] = 0.5 * _part(axis, moment * by_omega[order])
+                derivatives[row, 5 + axis] = _part(axis, moment * by_zeta[order])
+        sag = mass * p.gravity_m_per_s2 / p.k2_N_per_m
+        state[1] -= sag
+        derivatives[1, 4] += sag
+        return state, derivatives
+
+    def _response(self, omega: float, zeta: float, shift_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """h, ḣ, ḧ at the release and the first two's derivatives by ln ω and ln ζ, complex."""
+        base = self._march(omega, zeta, shift_s)
+        more = np.exp(_DIFFERENCE)
+        by_omega = (self._march(omega * more, zeta, shift_s) - base) / _DIFFERENCE
+        by_zeta = (self._march(omega, zeta * more, shift_s) - base) / _DIFFERENCE
+        return base, by_omega[:2], by_zeta[:2]
+
+    def _march(self, omega: float, zeta: float, shift_s: float) -> np.ndarray:
+        """h, ḣ, ḧ at the release, from the steady orbit at the beginning."""
+        force, step = self._force
+        psi, speed, _ = self.history.phase(self.begin_s)[0]
+        g = 2 * zeta * omega
+        turn = np.exp(1j * psi) * speed**2 / (omega**2 - speed**2 + 1j * g * speed)
+        h, rate = _oscillate(force, step, omega**2, g, turn, 1j * speed * turn)
+        if shift_s:
+            last = self._drive(self.release_s + shift_s * np.array([0.0, 0.5, 1.0]))
+            h, rate = _oscillate(last, shift_s, omega**2, g, h, rate)
+            return np.array([h, rate, last[2] - g * rate - omega**2 * h])
+        return np.array([h, rate, force[-1] - g * rate - omega**2 * h])
+
+    @cached_property
+    def _force(self) -> tuple[np.ndarray, float]:
+        """The drive on a grid of half steps, the same for every trial, and the step."""
+        n = max(1, int(np.ceil((self.release_s - self.begin_s) / _STEP_S)))
+        step = (self.release_s - self.begin_s) / n
+        return self._drive(self.begin_s + 0.5 * step * np.arange(2 * n + 1)), step
+
+    def _drive(self, time_s: np.ndarray) -> np.ndarray:
+        psi, speed, acceleration = self.history.phase(time_s).T
+        return (speed**2 - 1j * acceleration) * np.exp(1j * psi)
+
+
+def _part(axis: int, value: complex) -> float:
+    return float(value.imag if axis else value.real)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _oscillate(force, step, w2, g, h, rate):
+    """h, ḣ after all of the force's steps (classical Runge–Kutta; force holds middles too)."""
+    for i in range((len(force) - 1) // 2):
+        u0, u1, u2 = force[2 * i], force[2 * i + 1], force[2 * i + 2]
+        a1 = u0 - g * rate - w2 * h
+        r2 = rate + 0.5 * step * a1
+        a2 = u1 - g * r2 - w2 * (h + 0.5 * step * rate)
+        r3 = rate + 0.5 * step * a2
+        a3 = u1 - g * r3 - w2 * (h + 0.5 * step * r2)
+        r4 = rate + step * a3
+        a4 = u2 - g * r4 - w2 * (h + step * r3)
+        h += step / 6.0 * (rate + 2.0 * r2 + 2.0 * r3 + r4)
+        rate += step / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    return h, rate

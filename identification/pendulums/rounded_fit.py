@@ -1,0 +1,112 @@
+"""Least squares on a run-down, with the covariance that the encoder's rounding and the model's misfit give them.
+
+The stretch is chosen: a longer one holds more information as long as rounding is noise, and less where it is not. The
+fitted curve, sent through a quantiser, tells which.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.errors import FitFailed
+from identification.least_squares import Minimum, inverse_normal
+from identification.pendulums.quantiser import rounding_errors
+from identification.pendulums.run_down import RunDown, fit_run_down, run_down_angle
+from identification.samples import correlation_inflation
+from identification.setting import Setting
+
+TIME_CONSTANTS = 5.0
+_STRETCHES = (4.5, 5.0, 5.5, 6.0, 7.0, 8.0)  # time constants; where rounding is no noise a longer one is worse
+_ROUNDED = {"fast": 0, "balanced": 1_500_000, "reference": 4_000_000}  # readings sent through the quantiser
+
+
+@dataclass(frozen=True)
+class FittedRunDown:
+    """One model on one stretch: θ0, v0, ln λ (and h), their covariance with rounding and misfit in it."""
+
+    data: RunDown
+    theta: np.ndarray
+    covariance: np.ndarray
+    chi2_per_dof: float
+    inflation: float
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared residuals in noise standard deviations."""
+        return self.chi2_per_dof * max(1, len(self.data.time_s) - len(self.theta))
+
+
+def cut(data: RunDown, theta: np.ndarray, time_constants: float = TIME_CONSTANTS) -> RunDown:
+    """The stretch of so many time constants."""
+    return data.until(time_constants * float(np.exp(-theta[2])))
+
+
+def rounded_fit(data: RunDown, start: np.ndarray, setting: Setting) -> FittedRunDown:
+    """Least squares on the stretch that knows the damping best, with the covariance rounding and misfit give them."""
+    minimum = _converged(cut(data, start), start)
+    first = cut(data, start)
+    if not (data.step_rad and _ROUNDED[setting]):
+        return _with_misfit(first, minimum, minimum.covariance, 1.0)
+    longest = cut(data, minimum.theta, max(_STRETCHES))
+    draws = int(np.clip(_ROUNDED[setting] / len(longest.time_s), 150, 1000))
+    errors = _rounding(longest, first, minimum, draws)
+    best = None
+    for time_constants in _STRETCHES:
+        part = cut(longest, minimum.theta, time_constants)
+        n = len(part.time_s)
+        if best is not None and n == len(best[0].time_s):
+            continue
+        jacobian = run_down_angle(part.time_s, minimum.theta)[1][:, : len(start)] / data.noise_rad
+        covariance, white = _through_the_quantiser(jacobian, errors[:, :n])
+        if best is None or covariance[2, 2] < best[1][2, 2]:
+            best = part, covariance, white
+    assert best is not None
+    part, covariance, white = best
+    return _with_misfit(part, _converged(part, minimum.theta), covariance, white)
+
+
+def _converged(data: RunDown, start: np.ndarray) -> Minimum:
+    minimum = fit_run_down(data, start)
+    if not minimum.converged:
+        raise FitFailed(
+            f"spin-down: no convergence in {minimum.iterations} steps, χ²/dof {minimum.cost / len(data.time_s):.3g}"
+        )
+    return minimum
+
+
+def _rounding(longest: RunDown, fitted: RunDown, minimum: Minimum, draws: int) -> np.ndarray:
+    """Rounding errors of curves like the fitted one, in noise standard deviations, shape (draws, n).
+
+    Jitter is what residuals hold beyond a step's rounding. Curves are drawn from the fit's own covariance: where in a
+    step the standstill lies is not known.
+    """
+    spread = minimum.cost / max(1, len(fitted.time_s) - len(minimum.theta)) * longest.noise_rad**2
+    jitter = float(np.sqrt(np.clip(spread - longest.step_rad**2 / 12, 0.0, longest.noise_rad**2)))
+    angle, jacobian = run_down_angle(longest.time_s, minimum.theta)
+    moves = np.random.default_rng(2).multivariate_normal(np.zeros(len(minimum.theta)), minimum.covariance, draws)
+    curves = angle + moves @ jacobian[:, : len(minimum.theta)].T
+    return rounding_errors(curves, longest.step_rad, jitter, 1) / longest.noise_rad
+
+
+def _through_the_quantiser(jacobian: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, float]:
+    """Covariance of the least-squares answer to such errors, and how much their own residuals hang together.
+
+    Without jitter the answers are bounded and 95 % of them lie within less than 1.96 standard deviations; the
+    covariance is scaled so that 1.96 of its standard deviations hold 95 % of the rate's answers.
+    """
+    wrong = errors @ (jacobian @ inverse_normal(jacobian))
+    white = max(correlation_inflation(e - jacobian @ w) for e, w in zip(errors[:20], wrong, strict=False))
+    spread = wrong.T @ wrong / len(wrong)
+    reach = float(np.quantile(np.abs(wrong[:, 2]), 0.95)) / (1.96 * np.sqrt(spread[2, 2]))
+    return spread * reach**2, white
+
+
+def _with_misfit(data: RunDown, minimum: Minimum, covariance: np.ndarray, white: float) -> FittedRunDown:
+    """Residuals that are larger or hang together more than rounding explains are a model that is not quite right."""
+    n = len(data.time_s)
+    chi2 = minimum.cost / max(1, n - len(minimum.theta))
+    together = max(1.0, correlation_inflation(minimum.residual) / white)
+    inflation = together * float(np.sqrt(max(1.0, chi2 / (1 + 3 / np.sqrt(n)))))
+    return FittedRunDown(data, minimum.theta, covariance * inflation**2, chi2, inflation)

@@ -1,0 +1,212 @@
+"""One attempt at a fit: start values, block length, drift as far as the data ask for it, outliers masked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors, refuse_too_short, solve, width_for
+from identification.ring_down.model import BETA
+from identification.ring_down.modes import Start, damped_periodogram, rate
+from identification.ring_down.outliers import suspicious, trimmed
+from identification.ring_down.residuals import gain_of, spectral_stretch
+from identification.ring_down.start import pair_starts
+from identification.setting import Setting
+
+BLOCKS_PER_CYCLE: dict[Setting, int] = {"fast": 12, "balanced": 20, "reference": 64}
+"""Averaging over 1/n of a cycle loses (2π/n)²/12 of the information: 2.3 %, 0.8 %, 0.08 %."""
+
+_STARTS: dict[Setting, int] = {"fast": 1, "balanced": 2, "reference": 6}
+_TRIMS = 12
+_CUT_AT = 8.0  # decay times; beyond, a mode is below 1/3000 of its start
+_COLOURED = 1.15
+_SECOND_MODE_GAIN = 20.0  # of χ², above what BIC asks: noise's largest peak of thousands stays below
+_APART = 3.0  # half-bandwidths
+_FASTEST_SECOND = 6.0  # beyond so many times the first mode's frequency it is no mode of the suspension
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be fitted.
+
+    Attributes:
+        turned: a turned pair; otherwise one mode, free in every channel.
+        setting: speed against accuracy.
+        priors: of a turned pair.
+        valid: per record and channel the samples that may be used at all.
+    """
+
+    turned: bool
+    setting: Setting
+    priors: Priors
+    valid: tuple[tuple[np.ndarray, ...], ...]
+
+    def __call__(self, decay: Decay) -> Fitted:
+        """Fit without any start value.
+
+        Raises:
+            NotIdentifiable: too little is left after the release.
+        """
+        coarse = decay.model(COARSE_S, 2 if self.turned else 1, self.turned, 0, self.priors.delay_s > 0)
+        if self.turned:
+            starts = pair_starts(coarse)[: _STARTS[self.setting]]
+            fastest = max(float(np.exp(max(s[0], s[2]))) for s in starts)
+        else:
+            start = damped_periodogram([list(r.channels) for r in coarse.records])
+            starts, fastest = [theta_of([start])], start.omega
+        fitted = self.refitted(decay, starts, fastest, 0)
+        refuse_too_short(fitted)
+        fitted, _ = self.without_outliers(fitted)
+        return fitted if self.turned else self.with_second_mode(fitted)
+
+    def refitted(
+        self, decay: Decay, starts: Sequence[np.ndarray], fastest: float, drift: int, modes: int = 0
+    ) -> Fitted:
+        """Fit from start values; fastest in rad/s sets the blocks, modes counts free ones (0: as planned)."""
+        width = width_for(fastest, BLOCKS_PER_CYCLE[self.setting])
+        count = modes or (2 if self.turned else 1)
+        model = decay.model(width, count, self.turned, drift, self.priors.delay_s > 0)
+        return solve(decay, model, starts, self.priors)
+
+    def labelled(self, fitted: Fitted) -> Fitted:
+        """Mode 1 is the one nearer to sensor x: an angle beyond 45° is another name for the other order."""
+        beta = float(fitted.theta[BETA]) if self.turned else 0.0
+        if abs(beta) <= np.pi / 4:
+            return fitted
+        theta = fitted.theta.copy()
+        theta[:BETA] = theta[[2, 3, 0, 1]]
+        theta[BETA] = beta - np.sign(beta) * np.pi / 2
+        fastest, drift = float(np.max(fitted.omegas)), fitted.model.drift
+        other = self.refitted(fitted.decay, [theta], fastest, drift)
+        return other if abs(float(other.theta[BETA])) < abs(beta) else fitted
+
+    def again(self, fitted: Fitted, decay: Decay | None = None, drift: int | None = None) -> Fitted:
+        """The same fit on another span or with another drift, from its own parameters."""
+        order = fitted.model.drift if drift is None else drift
+        fastest = float(np.max(fitted.omegas))
+        return self.refitted(decay or fitted.decay, [fitted.theta], fastest, order, fitted.model.modes)
+
+    def with_drift(self, fitted: Fitted) -> Fitted:
+        """The smallest drift that the data do not contradict, by BIC."""
+        choices = drift_criteria(fitted)
+        order = min(choices, key=lambda k: choices[k])
+        return fitted if order == fitted.model.drift else self.again(fitted, drift=order)
+
+    def with_second_mode(self, fitted: Fitted) -> Fitted:
+        """Two modes in one sensor where residuals ask for it; the stronger comes first."""
+        dof = fitted.count - fitted.model.linear - fitted.model.size
+        if fitted.solution.chi2_per_dof < 1 + 4 * np.sqrt(2 / dof):
+            return fitted
+        rest = []
+        for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True):
+            pairs = zip(record.channels, residuals, strict=True)
+            rest.append([replace(c, value=r / c.weight) for c, r in pairs])
+        second = damped_periodogram(rest)
+        theta = np.r_[fitted.theta, theta_of([second])]
+        fastest = max(float(np.max(fitted.omegas)), second.omega)
+        first = rate(float(fitted.omegas[0]), float(fitted.zetas[0]))
+        # nearer than that, two decays are a decay that is not exponential
+        apart = abs(second.lam - first) > _APART * max(-first.real, -second.lam.real)
+        if not apart or not 1 / _FASTEST_SECOND < second.omega / abs(first) < _FASTEST_SECOND:
+            return fitted
+        both = self.refitted(fitted.decay, [theta], fastest, fitted.model.drift, modes=2)
+        both = _stronger_first(both)
+        return both if self.with_fewest_modes(both) is both else fitted
+
+    def with_fewest_modes(self, fitted: Fitted) -> Fitted:
+        """One mode in one sensor unless a second is worth its parameters by far."""
+        if self.turned or fitted.model.modes == 1:
+            return fitted
+        fastest = float(np.max(fitted.omegas))
+        single = self.refitted(fitted.decay, [fitted.theta[:2]], fastest, fitted.model.drift, modes=1)
+        gain = (single.chi2 - fitted.chi2) / max(1.0, fitted.solution.chi2_per_dof)
+        lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+        apart = abs(lams[0] - lams[1]) > _APART * max(-lams[0].real, -lams[1].real)
+        worth = gain > 4 * np.log(fitted.count) + _SECOND_MODE_GAIN and np.all(fitted.zetas > 0) and apart
+        return fitted if worth else single
+
+    def without_outliers(self, fitted: Fitted) -> tuple[Fitted, int]:
+        """Masks what no noise explains until nothing changes; the fit with its drift chosen, and how many masked."""
+        count = 0
+        if suspicious(fitted) or not _same(fitted.decay, self.valid):
+            for _ in range(_TRIMS):
+                records, count, changed = trimmed(fitted, self.valid)
+                if not changed:
+                    break
+                fitted = self.again(fitted, replace(fitted.decay, records=tuple(records)))
+        return self.with_drift(fitted), count
+
+    def shortened(self, fitted: Fitted) -> Fitted:
+        """Where wander widens the intervals: the record cut at 8 decay times and cubic drift, if that narrows them."""
+        stretch = stretches(fitted)
+        slowest = float(np.min(fitted.zetas * fitted.omegas))
+        if float(np.max(stretch[: 2 * fitted.model.modes])) < _COLOURED or slowest <= 0:
+            return fitted
+        ends = tuple(min(e, b + _CUT_AT / slowest) for b, e in zip(fitted.decay.begins, fitted.decay.ends, strict=True))
+        if all(e > 0.9 * old for e, old in zip(ends, fitted.decay.ends, strict=True)):
+            return fitted
+        short = self.again(fitted, replace(fitted.decay, ends=ends), drift=3)
+        ours, theirs = (np.sqrt(np.diag(f.solution.minimum.covariance)) * stretches(f) for f in (short, fitted))
+        places = np.arange(2 * fitted.model.modes)
+        return short if np.all(ours[places] < theirs[places]) else fitted
+
+
+def _stronger_first(fitted: Fitted) -> Fitted:
+    """Two free modes in the order of their energies in the first channel."""
+    energy = [abs(fitted.amplitude(0, 0, m)) ** 2 / max(fitted.zetas[m], 1e-6) / fitted.omegas[m] for m in range(2)]
+    if energy[0] >= energy[1]:
+        return fitted
+    swapped = fitted.theta[[2, 3, 0, 1]]
+    return solve(fitted.decay, fitted.model, [swapped], Priors())
+
+
+def theta_of(starts: Sequence[Start]) -> np.ndarray:
+    """θ of free modes."""
+    return np.array([v for s in starts for v in (np.log(s.omega), s.zeta)])
+
+
+def stretches(fitted: Fitted) -> np.ndarray:
+    """By how much each parameter's std must be multiplied because residuals are larger than, or not, white noise."""
+    residuals = [r for record in fitted.channel_residuals() for r in record]
+    influence = fitted.solution.minimum.jacobian[: fitted.count] @ fitted.solution.minimum.covariance
+    edges = np.cumsum([len(r) for r in residuals])[:-1]
+    return spectral_stretch(residuals, np.split(influence, edges), fitted.solution.chi2_per_dof)
+
+
+def known_columns(fitted: Fitted) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Per record the columns that the fit moves along and its residual."""
+    known, residuals = [], []
+    for block, c in zip(fitted.model(fitted.theta), fitted.solution.coefficients, strict=True):
+        known.append(np.column_stack([block.basis, block.tangent(c)]))
+        residuals.append(block.data - block.basis @ c)
+    return known, residuals
+
+
+def drift_criteria(fitted: Fitted) -> dict[int, float]:
+    """BIC relative to the fit's own drift, by order of the drift; only orders from the fit's own on."""
+    known, residuals = known_columns(fitted)
+    noise = max(1.0, fitted.solution.chi2_per_dof)
+    out = {fitted.model.drift: 0.0}
+    for order in (1, 3):
+        if order <= fitted.model.drift:
+            continue
+        higher = replace(fitted.model, drift=order)
+        gain, channels = 0.0, 0
+        for record, columns, residual in zip(fitted.model.records, known, residuals, strict=True):
+            extra = higher.drift_columns(record) * record.weight[:, None]
+            gain += gain_of(residual, columns, extra)
+            channels += len(record.channels)
+        out[order] = (order - fitted.model.drift) * channels * np.log(fitted.count) - gain / noise
+    return out
+
+
+def _same(decay: Decay, valid: tuple[tuple[np.ndarray, ...], ...]) -> bool:
+    """Whether every usable sample within the spans is in use."""
+    for channels, masks, begin, end in zip(decay.records, valid, decay.begins, decay.ends, strict=True):
+        for channel, mask in zip(channels, masks, strict=True):
+            first, last = np.searchsorted(channel.time_s, (begin, end))
+            if not np.array_equal(channel.keep[first:last], mask[first:last]):
+                return False
+    return True

@@ -1,0 +1,199 @@
+"""A ring-down under examination: its channels, the span that is fitted, and one fit of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.errors import FitFailed, NotIdentifiable
+from identification.least_squares import Solution, solve_separable
+from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
+from identification.ring_down.record import Channel
+from identification.samples import Averages
+
+COARSE_S = 1 / 250.0  # blocks for start values: 20 a cycle up to 12.5 Hz
+_LEAST_BLOCKS, _LEAST_CYCLES = 24, 1.5
+_MOST_ITERATIONS = 100  # along the valley of a close pair
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is known of a turned pair before: standard deviations about zero.
+
+    Attributes:
+        axis_rad: of the axis angle, how well the sensors may be mounted at worst.
+        ratio: of the sensors' gains, ln.
+        delay_s: between the two lasers' clocks; 0 when they share one.
+    """
+
+    axis_rad: float = np.radians(30.0)
+    ratio: float = 2e-3
+    delay_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Decay:
+    """Channels of every record with the spans to be fitted, s."""
+
+    records: tuple[tuple[Channel, ...], ...]
+    begins: tuple[float, ...]
+    ends: tuple[float, ...]
+
+    def averages(self, width_s: float) -> list[list[Averages]]:
+        """Blocks of every record's channels within its span.
+
+        Raises:
+            NotIdentifiable: too little is left.
+        """
+        out = []
+        for channels, begin, end in zip(self.records, self.begins, self.ends, strict=True):
+            own = [c.averages(width_s, begin, end) for c in channels]
+            if any(len(a.time_s) < _LEAST_BLOCKS for a in own):
+                span = min(float(a.time_s[-1] - a.time_s[0]) for a in own)
+                raise NotIdentifiable(
+                    f"only {span:.2g} s after the release at {begin:.4g} s; record at least a few cycles of the decay"
+                )
+            out.append(own)
+        return out
+
+    def model(self, width_s: float, modes: int, turned: bool, drift: int = 0, delays: bool = False) -> DecayModel:
+        """The model over this decay's blocks."""
+        records = [DecayRecord(tuple(own), float(own[0].time_s[0])) for own in self.averages(width_s)]
+        return DecayModel(tuple(records), modes, turned, drift, delays and turned)
+
+    def only(self, axis: int) -> Decay:
+        """One sensor of every record."""
+        return replace(self, records=tuple((r[axis],) for r in self.records))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One solved model of a decay."""
+
+    decay: Decay
+    model: DecayModel
+    solution: Solution
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Nonlinear parameters."""
+        return self.solution.minimum.theta
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals, in noise variances."""
+        return sum(float(r @ r) for r in self.solution.residuals)
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return sum(len(r) for r in self.solution.residuals)
+
+    def channel_residuals(self) -> list[list[np.ndarray]]:
+        """[record][channel], in standard deviations."""
+        out = []
+        for record, residual in zip(self.model.records, self.solution.residuals, strict=True):
+            edges = np.cumsum([len(t) for t in record.times])[:-1]
+            out.append(np.split(residual, edges))
+        return out
+
+    def amplitude(self, record: int, axis: int, mode: int) -> complex:
+        """Complex amplitude of a mode in a sensor at the record's zero, m."""
+        c = self.solution.coefficients[record]
+        if self.model.turned:
+            mix, _ = rotation(float(self.theta[BETA]), float(np.exp(self.theta[RATIO])))
+            return complex(mix[axis, mode] * complex(c[2 * mode], c[2 * mode + 1]))
+        at = 2 * (axis * self.model.modes + mode)
+        return complex(c[at], c[at + 1])
+
+    @property
+    def omegas(self) -> np.ndarray:
+        """Natural frequencies, rad/s."""
+        return np.exp(self.theta[0 : 2 * self.model.modes : 2])
+
+    @property
+    def zetas(self) -> np.ndarray:
+        """Damping ratios."""
+        return self.theta[1 : 2 * self.model.modes : 2]
+
+
+def solve(decay: Decay, model: DecayModel, starts: Sequence[np.ndarray], priors: Priors) -> Fitted:
+    """The best minimum from some starts."""
+    std = np.full(model.size, np.inf)
+    if model.turned:
+        std[BETA], std[RATIO] = priors.axis_rad, priors.ratio
+        std[DELAYS:] = priors.delay_s
+    best: Solution | None = None
+    for start in starts:
+        if model.is_absurd(start):
+            continue
+        found = solve_separable(model, start, np.zeros(model.size), std, _MOST_ITERATIONS)
+        if best is None or found.minimum.cost < best.minimum.cost:
+            best = found
+    if best is None:
+        raise FitFailed("ring-down: no start value describes a decaying oscillation; does the record hold one?")
+    if model.turned and not best.minimum.converged:
+        best = _at_one_of_some_angles(model, best, best.minimum.theta, std)
+    return Fitted(decay, model, best)
+
+
+def second_mode_gain(fitted: Fitted) -> tuple[float, np.ndarray]:
+    """χ² that a turned pair gains over one mode free in every channel, in noise variances, and that mode's θ."""
+    alone = replace(fitted.model, modes=1, turned=False, delays=False)
+    start = 0.5 * (fitted.theta[0:2] + fitted.theta[2:4])
+    single = min(
+        (solve(fitted.decay, alone, [s], Priors()) for s in (start, fitted.theta[0:2], fitted.theta[2:4])),
+        key=lambda f: f.chi2,
+    )
+    return (single.chi2 - fitted.chi2) / max(1.0, fitted.solution.chi2_per_dof), single.theta
+
+
+def both_alike(fitted: Fitted, single: np.ndarray, priors: Priors) -> Fitted:
+    """A turned pair where one mode explains both sensors: from that mode, at the best of some angles."""
+    theta = np.r_[single, single, fitted.theta[BETA:]]
+    std = np.r_[
+        np.full(BETA, np.inf), priors.axis_rad, priors.ratio, np.full(fitted.model.size - DELAYS, priors.delay_s)
+    ]
+    found = _at_one_of_some_angles(fitted.model, fitted.solution, theta, std)
+    return replace(fitted, solution=found)
+
+
+def _at_one_of_some_angles(model: DecayModel, lost: Solution, near: np.ndarray, std: np.ndarray) -> Solution:
+    """Where least squares wanders along a valley in β: the best of some fixed angles, still not converged in β.
+
+    At the angle in which the motion of equal modes is polarised one mode has no amplitude and its rate is anything;
+    any other angle is as good, and well behaved.
+    """
+    best = lost
+    for beta in np.radians((-30.0, -15.0, 0.0, 15.0, 30.0)):
+        held, centre, theta = std.copy(), np.zeros(model.size), near.copy()
+        held[BETA], centre[BETA], theta[BETA] = 1e-7, beta, beta
+        mean = 0.5 * (near[0:2] + near[2:4])
+        for start in (theta, np.r_[mean, mean, theta[4:]]):
+            if model.is_absurd(start):
+                continue
+            found = solve_separable(model, start, centre, held)
+            if found.minimum.converged and (best is lost or found.minimum.cost < best.minimum.cost):
+                best = found
+    if best is lost:
+        return lost
+    return solve_separable(model, best.minimum.theta, np.zeros(model.size), std, max_iterations=1)
+
+
+def width_for(omega: float, blocks_per_cycle: int) -> float:
+    """Block length, s."""
+    return 2 * np.pi / omega / blocks_per_cycle
+
+
+def refuse_too_short(fitted: Fitted) -> None:
+    """Raises NotIdentifiable when the record shows less than one and a half cycles of the slowest mode."""
+    slowest = float(np.min(fitted.omegas)) / (2 * np.pi)
+    for record in fitted.model.records:
+        span = min(float(t[-1] - t[0]) for t in record.times)
+        if span * slowest < _LEAST_CYCLES:
+            raise NotIdentifiable(
+                f"the record shows {span * slowest:.2g} cycles of {slowest:.3g} Hz after the release; "
+                f"at least {_LEAST_CYCLES} are needed, five or more are better"
+            )

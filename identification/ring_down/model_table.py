@@ -1,0 +1,95 @@
+"""The nested models of a ring-down side by side, by BIC.
+
+BIC = χ²/s + parameters · ln(blocks), s the larger of 1 and χ²/dof. Terms above the fitted model are judged by a score
+test: by how much χ² would fall if they were added. Terms below it were judged on the way up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.ring_down.attempt import drift_criteria, known_columns
+from identification.ring_down.decay import Fitted
+from identification.ring_down.modes import averaged_decay, rate
+from identification.ring_down.residuals import gain_of
+from identification.ring_down.resolution import Resolution
+from identification.setting import ModelChoice
+
+_DRIFTS = {0: "offset", 1: "offset and slope", 3: "offset and cubic drift"}
+_CLEARLY = 10.0  # of BIC: very strong evidence
+
+
+def model_table(fitted: Fitted, found: Resolution | None) -> list[ModelChoice]:
+    """Rows for the chosen model and its neighbours; the chosen one's `why` starts with "but " when a neighbour that
+    was not fitted is clearly better."""
+    base = fitted.model.size + fitted.model.linear
+    motion = _motion(fitted, found)
+    drift = fitted.model.drift
+    rows, better = [], []
+    for order, criterion in drift_criteria(fitted).items():
+        if order != drift:
+            channels = sum(len(r.channels) for r in fitted.model.records)
+            more = (order - drift) * channels
+            rows.append(_row(f"{motion}, {_DRIFTS[order]}", base + more, criterion))
+    for name, extra in _additions(fitted).items():
+        gain, count = extra
+        criterion = count * float(np.log(fitted.count)) - gain / max(1.0, fitted.solution.chi2_per_dof)
+        rows.append(_row(f"{motion}, {name}", base + count, criterion))
+        if criterion < -_CLEARLY:
+            better.append(name)
+    why = "smallest that nothing above it beats"
+    if better:
+        why = f"but the residuals ask for more: {' and '.join(better)}"
+    return [ModelChoice(f"{motion}, {_DRIFTS[drift]}", base, 0.0, True, why), *rows]
+
+
+def _row(name: str, parameters: int, criterion: float) -> ModelChoice:
+    why = "not worth its parameters" if criterion >= 0 else "the data ask for it; not fitted"
+    return ModelChoice(name, parameters, float(criterion), False, why)
+
+
+def _motion(fitted: Fitted, found: Resolution | None) -> str:
+    if found is not None:
+        return "two modes along turned axes" if found.resolved else "two modes along axes that are not resolved"
+    return "one mode" if fitted.model.modes == 1 else "two modes in one sensor"
+
+
+def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
+    """χ² gained and parameters needed by terms that no fit here has."""
+    known, residuals = known_columns(fitted)
+    lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+    out: dict[str, tuple[float, int]] = {}
+    bent = [0.0, 0]
+    shaped = [0.0, 0]
+    for record, columns, residual in zip(fitted.model.records, known, residuals, strict=True):
+        waves = [
+            [averaged_decay(lam, t, c.spread_s2)[0] for lam in lams]
+            for t, c in zip(record.times, record.channels, strict=True)
+        ]
+        faded = [
+            [averaged_decay(lam + lam.real, t, c.spread_s2)[0] for lam in lams]
+            for t, c in zip(record.times, record.channels, strict=True)
+        ]
+        extra = _own_columns(faded, record.weight)
+        bent[0] += gain_of(residual, columns, extra)
+        bent[1] += extra.shape[1]
+        if fitted.model.turned:
+            extra = _own_columns(waves, record.weight)
+            shaped[0] += gain_of(residual, columns, extra)
+            shaped[1] += extra.shape[1] // 2
+    out["amplitude-dependent rates"] = (bent[0], int(bent[1]))
+    if fitted.model.turned:
+        out["modes out of phase between sensors"] = (shaped[0], int(shaped[1]))
+    return out
+
+
+def _own_columns(waves: list[list[np.ndarray]], weight: np.ndarray) -> np.ndarray:
+    """Real and imaginary part of every mode in every channel by itself."""
+    out = np.zeros((len(weight), 2 * sum(len(w) for w in waves)))
+    at = column = 0
+    for own in waves:
+        for wave in own:
+            out[at : at + len(wave), column], out[at : at + len(wave), column + 1] = np.real(wave), np.imag(wave)
+            column += 2
+        at += len(own[0])
+    return out * weight[:, None]

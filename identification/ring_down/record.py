@@ -1,0 +1,216 @@
+"""From a sensor's samples to block averages: what is left out, the noise, sample residuals against a smooth model.
+
+Masked samples (rail, NaN, outliers) get weight zero and are never filled in. The work that goes over every sample is
+compiled, so that ten times the sampling rate costs little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from identification.errors import NotIdentifiable
+from identification.samples import Averages, clipped, white_noise
+
+_NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # noise is known to 1 % from so many
+_STUCK_REPEATS, _STUCK_CHANCE = 4, 1e-2
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One sensor's record.
+
+    Attributes:
+        time_s: shape (n,), ascending.
+        value_m: shape (n,).
+        keep: shape (n,), false where a sample is left out.
+        noise: white noise of one sample, m.
+        rail_m: lower and upper value at which the sensor saturated; ∓inf where it never did.
+    """
+
+    time_s: np.ndarray
+    value_m: np.ndarray
+    keep: np.ndarray
+    noise: float
+    rail_m: tuple[float, float]
+
+    def averages(self, width_s: float, begin_s: float = -np.inf, end_s: float = np.inf) -> Averages:
+        """Block means of the kept samples in a span of time.
+
+        Raises:
+            NotIdentifiable: no sample is left.
+        """
+        first, last = np.searchsorted(self.time_s, (begin_s, end_s))
+        if not self.keep[first:last].any():
+            raise NotIdentifiable(f"no valid sample between {begin_s:.4g} and {end_s:.4g} s; is the sensor connected?")
+        mean, spread, value, count = _average(
+            self.time_s[first:last], self.value_m[first:last], self.keep[first:last], width_s
+        )
+        return Averages(mean, spread, value, count, self.noise)
+
+    def with_noise(self, noise: float) -> Channel:
+        """The same samples, their noise better known."""
+        return replace(self, noise=noise)
+
+
+def read_channel(time_s: np.ndarray, value_m: np.ndarray) -> tuple[Channel, list[str]]:
+    """A channel with rail and invalid samples masked, and remarks on what was left out.
+
+    Raises:
+        NotIdentifiable: lengths differ, time does not ascend, or hardly any sample is valid.
+    """
+    time, value = np.ascontiguousarray(time_s, float), np.array(value_m, float)
+    if time.shape != value.shape or time.ndim != 1:
+        raise NotIdentifiable(
+            f"expected times and displacements of one length, got shapes {time.shape} and {value.shape}"
+        )
+    timed = np.isfinite(time)
+    if not timed.all():
+        time, value = time[timed], value[timed]
+    if len(time) > 1 and np.any(np.diff(time) < 0):
+        at = int(np.argmax(np.diff(time) < 0))
+        raise NotIdentifiable(f"time runs backwards after sample {at} ({time[at]:.6g} s); sort the recording by time")
+    railed, stuck = clipped(value), stuck_samples(value)
+    if stuck.any():
+        railed |= stuck & ((value == np.nanmax(value)) | (value == np.nanmin(value)))
+    if not railed.any():
+        railed = noisy_rail(value)
+    keep = np.isfinite(value) & ~railed & ~stuck
+    if np.count_nonzero(keep) < 40:
+        raise NotIdentifiable(
+            f"only {np.count_nonzero(keep)} of {len(value)} samples are valid; at least 40 are needed"
+        )
+    remarks = []
+    if np.any(stuck & ~railed):
+        remarks.append(f"{np.count_nonzero(stuck & ~railed)} samples that repeat one value left out")
+    rail = (-np.inf, np.inf)
+    if railed.any():
+        remarks.append(f"{np.count_nonzero(railed)} samples at the sensor's rail left out")
+        middle = float(np.median(value[keep]))
+        low, high = value[railed & (value < middle)], value[railed & (value > middle)]
+        rail = (float(np.median(low)) if len(low) else -np.inf, float(np.median(high)) if len(high) else np.inf)
+    value[~np.isfinite(value)] = 0.0  # never read; keeps the compiled loops free of NaN
+    return Channel(time, value, keep, sample_noise(value[keep]), rail), remarks
+
+
+def stuck_samples(value: np.ndarray) -> np.ndarray:
+    """Where a sensor repeats one value more often than chance allows: dropouts to zero, to a rail, to the last value.
+
+    Coarse steps repeat values too; how often, the pairs outside long runs tell.
+
+    Returns:
+        shape (n,), true for samples to leave out.
+    """
+    mask = np.zeros(len(value), bool)
+    same = np.r_[False, value[1:] == value[:-1], False]
+    edges = np.flatnonzero(same[1:] != same[:-1])
+    first, length = edges[::2], edges[1::2] - edges[::2]
+    long = length >= _STUCK_REPEATS
+    if not long.any():
+        return mask
+    usual = (np.count_nonzero(same) - int(length[long].sum())) / max(len(value) - int(length[long].sum()), 1)
+    if len(value) * usual**_STUCK_REPEATS > _STUCK_CHANCE:
+        return mask
+    for a, n in zip(first[long], length[long], strict=True):
+        mask[a : a + n + 1] = True
+    return mask
+
+
+def noisy_rail(value: np.ndarray) -> np.ndarray:
+    """Where a sensor whose noise comes after its limiter sat at the limit: a level at which values pile up.
+
+    Within ±4σ of the level must lie three times as many samples as in the 36σ below, where any oscillation has more;
+    hardly any may lie above, and the level must have been reached at least three times.
+
+    Returns:
+        shape (n,), true for samples to leave out.
+    """
+    mask = np.zeros(len(value), bool)
+    good = np.flatnonzero(np.isfinite(value))
+    if len(good) < 1000:
+        return mask
+    sigma = sample_noise(value[good])
+    for sign in (1.0, -1.0):
+        own = sign * value[good]
+        top = np.partition(own, len(own) - len(own) // 50)[-(len(own) // 50) :]
+        level = float(np.median(top))
+        if level - float(np.median(own)) < 40 * sigma:
+            continue  # that is where the noise itself has its top
+        near = np.abs(own - level) < 4 * sigma
+        below = np.count_nonzero((own < level - 4 * sigma) & (own > level - 40 * sigma))
+        above = np.count_nonzero(own > level + 5 * sigma)
+        visits = np.count_nonzero(np.diff(np.flatnonzero(near)) > 20) + 1
+        if np.count_nonzero(near) > 3 * max(below, 1) and above < 1e-3 * len(own) and visits >= 3:
+            mask[good[own > level - 4.5 * sigma]] = True
+    return mask
+
+
+def sample_noise(value: np.ndarray) -> float:
+    """White noise of one sample, from chunks that together are enough; shape (n,) in time order, NaN-free."""
+    if len(value) <= _NOISE_SAMPLES:
+        return max(white_noise(value), 1e-12 * float(np.ptp(value)) + 1e-300)
+    size = _NOISE_SAMPLES // _NOISE_CHUNKS
+    starts = np.linspace(0, len(value) - size, _NOISE_CHUNKS).astype(int)
+    chunks = [white_noise(value[a : a + size]) for a in starts]
+    return max(float(np.median(chunks)), 1e-12 * float(np.ptp(value)) + 1e-300)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _average(
+    time: np.ndarray, value: np.ndarray, keep: np.ndarray, width: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Mean time, its variance, mean value and count per block of `width` from the first kept sample on."""
+    n = len(time)
+    mean, spread, level = np.empty(n), np.empty(n), np.empty(n)
+    count = np.empty(n, np.int64)
+    blocks, label, base, m = -1, -1, 0.0, 0
+    sum_t = sum_tt = sum_v = 0.0
+    zero = np.nan
+    for i in range(n):
+        if not keep[i]:
+            continue
+        if np.isnan(zero):
+            zero = time[i]
+        # a sampling interval that divides the width must not straddle an edge by rounding
+        own = int(np.floor((time[i] - zero) / width + 1e-6))
+        if own != label:
+            if m > 0:
+                mean[blocks], level[blocks], count[blocks] = base + sum_t / m, sum_v / m, m
+                spread[blocks] = max(sum_tt / m - (sum_t / m) ** 2, 0.0)
+            blocks, label, base, m = blocks + 1, own, time[i], 0
+            sum_t = sum_tt = sum_v = 0.0
+        local = time[i] - base
+        sum_t += local
+        sum_tt += local * local
+        sum_v += value[i]
+        m += 1
+    if m > 0:
+        mean[blocks], level[blocks], count[blocks] = base + sum_t / m, sum_v / m, m
+        spread[blocks] = max(sum_tt / m - (sum_t / m) ** 2, 0.0)
+    used = blocks + 1
+    return mean[:used].copy(), spread[:used].copy(), level[:used].copy(), count[:used].copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def taylor_at_samples(time: np.ndarray, centre: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
+    """A smooth function at every sample from its value and derivatives at block centres.
+
+    Args:
+        time: shape (n,), ascending.
+        centre: shape (m,), ascending.
+        derivatives: of order 0 to 4 at the centres, shape (5, m).
+    Returns:
+        shape (n,); with blocks of a twentieth of a cycle exact to 1e-6 of the amplitude.
+    """
+    out = np.empty(len(time))
+    j, last = 0, len(centre) - 1
+    for i in range(len(time)):
+        while j < last and abs(centre[j + 1] - time[i]) <= abs(centre[j] - time[i]):
+            j += 1
+        u = time[i] - centre[j]
+        out[i] = derivatives[0, j] + u * (
+            derivatives[1, j] + u / 2 * (derivatives[2, j] + u / 3 * (derivatives[3, j] + u / 4 * derivatives[4, j]))
+        )
+    return out

@@ -1,0 +1,104 @@
+"""Whether a record speaks of both directions, and whether their axes can be told apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.errors import IdentificationError
+from identification.ring_down.attempt import Plan
+from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors
+from identification.ring_down.model import BETA
+from identification.ring_down.modes import damped_periodogram, rate, without_modes
+from identification.samples import Averages
+
+RESOLVED_SPLIT = 0.1  # of a half-bandwidth
+RESOLVED_GAIN = 100.0
+WALD_STD = np.radians(3.0)  # beyond, the axis angle's interval is no ellipse
+_NOTICED = 45.0  # of χ²: noise alone explains 2 ln of the number of cells searched, about 25
+_WEAK = 0.25  # amplitude of the weaker sensor against the stronger
+
+
+@dataclass(frozen=True)
+class Lone:
+    """The only direction that a record can speak of."""
+
+    axis: int
+    sentence: str
+
+
+def lone_direction(decay: Decay) -> Lone | None:
+    """The direction when one sensor shows nothing of its own; None when the record, or several, hold both.
+
+    The weaker sensor is asked whether anything is left once the stronger one's mode is taken out of it.
+    """
+    if len(decay.records) > 1:
+        return None
+    coarse = decay.averages(COARSE_S)[0]
+    energy = [float(np.var(c.value)) - c.noise**2 / float(np.median(c.count)) for c in coarse]
+    strong = int(np.argmax(energy))
+    if max(energy[1 - strong], 0.0) > _WEAK**2 * energy[strong]:
+        return None
+    try:
+        fitted = _alone(decay, strong)
+    except IdentificationError:
+        return None
+    weak = coarse[1 - strong]
+    rest = without_modes(weak, [complex(rate(float(fitted.omegas[0]), float(fitted.zetas[0])))], weak.time_s[0])
+    if _explained(rest) > _NOTICED * max(1.0, fitted.solution.chi2_per_dof):
+        return None
+    axis = "xy"[1 - strong]
+    if _explained(weak) > _NOTICED:
+        reason = f"axes not resolved: sensor {axis} shows the other's mode and none of its own"
+    else:
+        reason = f"sensor {axis} shows no mode of its own"
+    return Lone(strong, f"{reason}; direction {strong + 1} alone is fitted. Add a ring-down along {axis}")
+
+
+def _alone(decay: Decay, axis: int) -> Fitted:
+    """One free mode in one sensor."""
+    own = decay.only(axis)
+    valid = tuple(tuple(c.keep for c in channels) for channels in own.records)
+    return Plan(False, "fast", Priors(), valid)(own)
+
+
+def _explained(channel: Averages) -> float:
+    """χ² that the best decaying sinusoid explains."""
+    centred = channel.value - channel.value.mean()
+    return damped_periodogram([[channel]]).share * float(np.sum((centred * channel.weight) ** 2))
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Whether a turned pair's axes can be told apart.
+
+    Attributes:
+        split: |λ1 − λ2| over the mean half-bandwidth ζω.
+        axis_std_rad: of the axis angle, from the data alone.
+        gain: of χ², over one mode in both sensors. An angle known to 3° makes it some hundreds; a small one means that
+            the second mode follows noise.
+    """
+
+    split: float
+    axis_std_rad: float
+    gain: float
+
+    @property
+    def resolved(self) -> bool:
+        """Two axes, with an angle known to 3° or better."""
+        return self.split >= RESOLVED_SPLIT and self.axis_std_rad <= WALD_STD and self.gain >= RESOLVED_GAIN
+
+
+def resolution(fitted: Fitted, priors: Priors, stretch: float, gain: float) -> Resolution:
+    """How far apart the two modes are and how well their axes are known.
+
+    Args:
+        stretch: noise above white, as a factor of standard deviations.
+        gain: of χ², over one mode in both sensors.
+    """
+    lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+    half_bandwidth = float(np.mean([max(-lam.real, 1e-12) for lam in lams]))
+    precision = 1 / float(fitted.solution.minimum.covariance[BETA, BETA]) - 1 / priors.axis_rad**2
+    std = np.inf if precision <= 0 else precision**-0.5
+    return Resolution(abs(lams[0] - lams[1]) / half_bandwidth, float(std) * stretch, gain)

@@ -1,0 +1,278 @@
+"""A solved ring-down made into what a reader gets: values, intervals, the chosen model and what speaks against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.curve import Curve
+from identification.errors import FitFailed, NotIdentifiable
+from identification.ring_down.amplitude import AmplitudeDependence, amplitude_dependence
+from identification.ring_down.attempt import stretches
+from identification.ring_down.decay import Fitted, Priors
+from identification.ring_down.model import BETA
+from identification.ring_down.model_table import model_table
+from identification.ring_down.profile import profile_axis, profile_parameter
+from identification.ring_down.residuals import Whiteness, whiteness
+from identification.ring_down.resolution import Resolution, resolution
+from identification.setting import ModelChoice, Setting
+
+_LEFT_OVER, _WRONG_CHI2 = 0.1, 10.0  # share of the signal and χ²/dof that mark a model that is none
+_NORMAL_95 = 1.959964
+_WHITE_P = 1e-4
+
+
+@dataclass(frozen=True)
+class RingDownFit:
+    """What a ring-down says.
+
+    Attributes:
+        values: f1_Hz, zeta1 and, with a second mode, f2_Hz, zeta2, axis_angle_deg; with a mass k1_N_per_m, k2_N_per_m.
+        covariance: of the values in their order, shape (n, n).
+        warnings: what a reader must know.
+        curves: per record and channel, from the release on.
+        noise: white noise of one sample per channel, m.
+        residual_rms: rms of the block averages' residuals per channel, m.
+        chi2_per_dof: residuals against the white noise; 1 when the model is right.
+        release_s: where each record's fit begins.
+        intervals: 95 % interval of every value; from the profile likelihood where the covariance would mislead.
+        model: the smallest adequate model in words.
+        model_table: the models compared; criterion is BIC relative to the chosen one.
+        verdict: whether the residuals bear the model out, a sentence.
+        whiteness: of the residuals.
+        axes_resolved: with two modes, whether their axes can be told apart.
+        amplitude: per mode, damping and frequency over amplitude, where the decay is long enough.
+        setting: what was asked for.
+    """
+
+    values: dict[str, float]
+    covariance: np.ndarray
+    warnings: list[str]
+    curves: list[Curve]
+    noise: list[float]
+    residual_rms: list[float]
+    chi2_per_dof: float
+    release_s: list[float]
+    intervals: dict[str, tuple[float, float]]
+    model: str
+    model_table: list[ModelChoice]
+    verdict: str
+    whiteness: Whiteness
+    axes_resolved: bool
+    amplitude: list[AmplitudeDependence]
+    setting: Setting
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by name (statistical; clocks not included)."""
+        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+@dataclass
+class Findings:
+    """What was asked for, and what was noticed on the way."""
+
+    setting: Setting
+    priors: Priors
+    mass_kg: float | None
+    warnings: list[str]
+
+    def tell_left_out(self, count: int) -> None:
+        """Note outliers."""
+        if count:
+            self.warnings.append(f"{count} samples that no noise explains left out")
+
+
+@dataclass
+class _Numbers:
+    """Values of θ's physical part in reported units."""
+
+    names: list[str]
+    values: np.ndarray
+    covariance: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: float = np.inf) -> RingDownFit:
+    """The fit as a reader gets it.
+
+    Args:
+        labels: the directions' numbers, "1" or "2" or both.
+        gain: of χ², that the second mode brings over one mode in both sensors.
+    Raises:
+        FitFailed: no convergence, or the model leaves a good part of the signal.
+        NotIdentifiable: damping drowns in noise.
+    """
+    minimum = fitted.solution.minimum
+    chi2 = fitted.solution.chi2_per_dof
+    stretch = stretches(fitted)
+    warnings = list(findings.warnings)
+    found: Resolution | None = None
+    if fitted.model.turned:
+        found = resolution(fitted, findings.priors, float(stretch[BETA]), gain)
+    lost = not minimum.converged and (found is None or found.resolved)  # an angle that is anything has no minimum
+    if lost or not np.all(np.isfinite(minimum.theta)):
+        raise FitFailed(
+            f"ring-down: no convergence in {minimum.iterations} iterations, χ²/dof {chi2:.3g}; "
+            "is it a free decay, and in metres?"
+        )
+    curves, rms = _curves(fitted, chi2)
+    numbers = _numbers(fitted, findings, labels, stretch, found)
+    dependence = _amplitudes(fitted, len(labels), stretch) if findings.setting != "fast" else []
+    warnings += _widen_for_amplitude(numbers, dependence, labels)
+    for label, i in zip(labels, range(1, 2 * len(labels), 2), strict=True):
+        warnings += _damping_remark(numbers, label, i)
+    if found is not None and not found.resolved:
+        warnings.append(_unresolved(found))
+    white = whiteness([r for record in fitted.channel_residuals() for r in record])
+    table = model_table(fitted, found)
+    warnings += [choice.why for choice in table if choice.chosen and choice.why.startswith("but ")]
+    if chi2 > 1.3:
+        warnings.append(f"residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up")
+    numbers = _with_stiffness(numbers, findings.mass_kg)
+    return RingDownFit(
+        values=dict(zip(numbers.names, numbers.values.tolist(), strict=True)),
+        covariance=numbers.covariance,
+        warnings=warnings,
+        curves=curves,
+        noise=[c.noise for record in fitted.model.records for c in record.channels],
+        residual_rms=rms,
+        chi2_per_dof=chi2,
+        release_s=list(fitted.decay.begins),
+        intervals={n: (float(a), float(b)) for n, a, b in zip(numbers.names, numbers.low, numbers.high, strict=True)},
+        model=next(choice.name for choice in table if choice.chosen),
+        model_table=table,
+        verdict=_verdict(white, chi2, stretch, warnings),
+        whiteness=white,
+        axes_resolved=found is None or found.resolved,
+        amplitude=dependence,
+        setting=findings.setting,
+    )
+
+
+def _curves(fitted: Fitted, chi2: float) -> tuple[list[Curve], list[float]]:
+    curves, rms = [], []
+    for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.channel_residuals(), strict=True)):
+        for axis, channel, own in zip("xy", record.channels, residuals, strict=False):
+            metres = own / channel.weight
+            left_over = float(np.std(metres) / np.std(channel.value))
+            white = float(np.std(1 / channel.weight) + np.mean(1 / channel.weight)) / float(np.std(channel.value))
+            if left_over > max(_LEFT_OVER, 2 * white) and chi2 > _WRONG_CHI2:
+                raise FitFailed(f"ring-down: the model leaves {left_over:.0%} of sensor {axis}'s signal")
+            rms.append(float(np.sqrt(np.mean(metres**2))))
+            curves.append(
+                Curve(f"ring-down {number + 1}: {axis}", "m", channel.time_s, channel.value, channel.value - metres)
+            )
+    return curves, rms
+
+
+def _numbers(
+    fitted: Fitted, findings: Findings, labels: tuple[str, ...], stretch: np.ndarray, found: Resolution | None
+) -> _Numbers:
+    names = [name for label in labels for name in (f"f{label}_Hz", f"zeta{label}")]
+    theta = fitted.theta
+    if found is not None:
+        names.append("axis_angle_deg")
+    n = len(names)
+    covariance = fitted.solution.minimum.covariance[:n, :n] * np.outer(stretch[:n], stretch[:n])
+    std = np.sqrt(np.diag(covariance))
+    low, high = theta[:n] - _NORMAL_95 * std, theta[:n] + _NORMAL_95 * std
+    if found is not None and (not found.resolved or findings.setting == "reference"):
+        factor = float(np.max(stretch[:n]))
+        profile = profile_axis(fitted, findings.priors, factor)
+        low, high = profile.low, profile.high
+        if not found.resolved:
+            wider = np.sqrt(np.maximum(1.0, np.diag(profile.covariance) / np.diag(covariance)))
+            covariance = covariance * np.outer(wider, wider)
+    elif findings.setting == "reference":
+        low, high = np.array([profile_parameter(fitted, findings.priors, i, float(stretch[i])) for i in range(n)]).T
+    values, lows, highs, scale = theta[:n].copy(), low.copy(), high.copy(), np.ones(n)
+    for i, name in enumerate(names):
+        if name.endswith("_Hz"):
+            values[i], lows[i], highs[i] = (float(np.exp(v)) / (2 * np.pi) for v in (theta[i], low[i], high[i]))
+            scale[i] = values[i]
+        elif name.endswith("_deg"):
+            scale[i] = np.degrees(1.0)
+            values[i], lows[i], highs[i] = np.degrees([theta[i], low[i], high[i]])
+    return _Numbers(names, values, covariance * np.outer(scale, scale), lows, highs)
+
+
+def _amplitudes(fitted: Fitted, count: int, stretch: np.ndarray) -> list[AmplitudeDependence]:
+    found = [amplitude_dependence(fitted, mode, float(stretch[2 * mode + 1])) for mode in range(count)]
+    return [f for f in found if f is not None]
+
+
+def _widen_for_amplitude(
+    numbers: _Numbers, dependence: list[AmplitudeDependence], labels: tuple[str, ...]
+) -> list[str]:
+    """A change over amplitude makes one number for all amplitudes uncertain by its range over sqrt(12)."""
+    out = []
+    for one in dependence:
+        label, i = labels[one.mode - 1], 2 * (one.mode - 1)
+        top, bottom = 1e3 * float(one.amplitude_m[0]), 1e3 * float(one.amplitude_m[-1])
+        for at, name, matters, span, slope in (
+            (i + 1, f"zeta{label}", one.zeta_matters, one.zeta_range, one.zeta_slope_per_m),
+            (i, f"f{label}", one.f_matters, one.f_range_Hz, one.f_slope_Hz_per_m),
+        ):
+            extra = span / np.sqrt(12)
+            if not matters or extra < 0.5 * np.sqrt(numbers.covariance[at, at]):
+                continue
+            out.append(
+                f"{name} depends on amplitude: {slope * 1e-3:+.3g} per mm from {top:.3g} to {bottom:.3g} mm, "
+                f"a change of {span / abs(numbers.values[at]):.2%}; the value is a mean, its interval covers the change"
+            )
+            numbers.covariance[at, at] += extra**2
+            numbers.low[at] -= _NORMAL_95 * extra
+            numbers.high[at] += _NORMAL_95 * extra
+    return out
+
+
+def _damping_remark(numbers: _Numbers, label: str, at: int) -> list[str]:
+    value, std = float(numbers.values[at]), float(np.sqrt(numbers.covariance[at, at]))
+    if value <= 0:
+        raise NotIdentifiable(
+            f"the decay of direction {label} is lost in noise: ζ is below {value + 2 * std:.2g} (95 %); "
+            "record longer or pull farther"
+        )
+    numbers.low[at] = max(float(numbers.low[at]), 0.0)
+    if value < 2 * std:
+        return [f"zeta{label} is not distinguishable from zero: {value:.2g} ± {std:.2g}; record longer"]
+    return []
+
+
+def _unresolved(found: Resolution) -> str:
+    angle = f"{min(np.degrees(found.axis_std_rad), 90.0):.2g}°"
+    return (
+        f"axes not resolved: the modes are {found.split:.2g} half-bandwidths apart and the axis angle stays uncertain "
+        f"by {angle}; both directions ring alike, intervals are from the profile likelihood over the angle"
+    )
+
+
+def _verdict(white: Whiteness, chi2: float, stretch: np.ndarray, warnings: list[str]) -> str:
+    if any("depends on amplitude" in w for w in warnings):
+        return "not adequate: the decay is not exponential; see damping over amplitude"
+    if white.p >= _WHITE_P and chi2 < 1.3:
+        return f"adequate: residuals are white (p = {white.p:.2g}, χ²/dof {chi2:.3g})"
+    widest = float(np.max(stretch))
+    how = f"p = {white.p:.1g}, largest autocorrelation {white.correlation:+.2f}, χ²/dof {chi2:.3g}"
+    if widest > 1.05:
+        return f"doubtful: residuals are not white ({how}); intervals are {widest:.2g} times as wide for it"
+    return f"adequate: residuals are not white ({how}), but not in the modes' band"
+
+
+def _with_stiffness(numbers: _Numbers, mass: float | None) -> _Numbers:
+    """k = M (2π f)² beside the frequencies."""
+    if mass is None:
+        return numbers
+    names, rows = list(numbers.names), [np.eye(len(numbers.names))]
+    values, low, high = list(numbers.values), list(numbers.low), list(numbers.high)
+    for i, name in enumerate(numbers.names):
+        if name.endswith("_Hz"):
+            names.append(f"k{name[1]}_N_per_m")
+            for target, source in ((values, numbers.values), (low, numbers.low), (high, numbers.high)):
+                target.append(mass * (2 * np.pi * float(source[i])) ** 2)
+            rows.append(np.eye(len(numbers.names))[i : i + 1] * 2 * mass * (2 * np.pi) ** 2 * numbers.values[i])
+    full = np.concatenate(rows)
+    return _Numbers(names, np.array(values), full @ numbers.covariance @ full.T, np.array(low), np.array(high))

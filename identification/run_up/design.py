@@ -1,0 +1,155 @@
+"""Covariance at the solution: sensor noise, tests of wider and narrower models, and what the phase's noise adds.
+
+All unknowns stand in one design matrix X, (φ, linear unknowns of x, of y); in standard deviations of the data an
+error r of the data moves them by C Xᵀ r with C = (XᵀX + prior)⁻¹. A phase error δψ(s) moves the data by what the
+oscillators make of i p δψ; its effect on an estimate is the same filter run backwards over the estimate's row of
+C Xᵀ.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from identification.ring_down.modes import rate
+from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Structure, run_up_blocks
+from identification.run_up.rotor_phase import RotorPhase
+
+
+@dataclass(frozen=True)
+class Design:
+    """The linearised problem at a solution.
+
+    Attributes:
+        structure, phi: where; θ = structure.theta(φ).
+        matrix: X, shape (n, p + kx + ky); rows of x, then of y, in standard deviations.
+        residual: shape (n,).
+        covariance: C, priors included.
+        coefficients: linear unknowns of x and y.
+    """
+
+    structure: Structure
+    phi: np.ndarray
+    matrix: np.ndarray
+    residual: np.ndarray
+    covariance: np.ndarray
+    coefficients: tuple[np.ndarray, np.ndarray]
+
+    @property
+    def nonlinear(self) -> int:
+        """How many of the unknowns are φ."""
+        return len(self.phi)
+
+    @property
+    def chi2(self) -> float:
+        """Squared residual, without priors."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def unknowns(self) -> int:
+        """Columns of X."""
+        return self.matrix.shape[1]
+
+    def wald(self, contrast: np.ndarray, offset: np.ndarray) -> float:
+        """χ² by which a narrower model would fit worse: contrast @ unknowns = offset at the solution, wanted zero."""
+        spread = contrast @ self.covariance @ contrast.T
+        return float(offset @ np.linalg.lstsq(spread, offset, rcond=1e-12)[0])
+
+    def score(self, more: np.ndarray) -> float:
+        """χ² by which further columns, shape (n, m), would fit better."""
+        clean = more - self.matrix @ (self.covariance @ (self.matrix.T @ more))
+        size = np.linalg.norm(clean, axis=0) + 1e-300
+        keep = size > 1e-9 * (np.linalg.norm(more, axis=0) + 1e-300)
+        clean = clean[:, keep] / size[keep]
+        pull = clean.T @ self.residual
+        return float(pull @ np.linalg.lstsq(clean.T @ clean, pull, rcond=1e-10)[0])
+
+
+def design_at(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> Design:
+    """The linearised problem at φ."""
+    blocks = run_up_blocks(record, structure, phi)
+    p = len(phi)
+    counts = [len(b.data) for b in blocks]
+    widths = [b.basis.shape[1] for b in blocks]
+    matrix = np.zeros((sum(counts), p + sum(widths)))
+    residual, coefficients = np.empty(sum(counts)), []
+    row, column = 0, p
+    for block, count, width in zip(blocks, counts, widths, strict=True):
+        c = _solve(block.basis, block.data)
+        rows = slice(row, row + count)
+        matrix[rows, :p] = block.tangent(c)
+        matrix[rows, column : column + width] = block.basis
+        residual[rows] = block.data - block.basis @ c
+        coefficients.append(c)
+        row, column = row + count, column + width
+    normal = matrix.T @ matrix
+    known = np.isfinite(structure.prior_std)
+    normal[range(p), range(p)] += np.where(known, structure.prior_std, np.inf) ** -2.0
+    size = np.sqrt(np.diag(normal)) + 1e-150
+    covariance = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-14, hermitian=True) / np.outer(size, size)
+    return Design(structure, phi, matrix, residual, covariance, (coefficients[0], coefficients[1]))
+
+
+def _solve(basis: np.ndarray, data: np.ndarray) -> np.ndarray:
+    size = np.linalg.norm(basis, axis=0) + 1e-300
+    return np.linalg.lstsq(basis / size, data, rcond=1e-12)[0] / size
+
+
+def further_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray, rows: slice) -> np.ndarray:
+    """How further θ, so far zero, would move the data; shape (n, len(rows)), in standard deviations."""
+    theta = structure.theta(phi)
+    only = structure.only(rows, theta)
+    blocks = run_up_blocks(record, only, theta[rows])
+    return np.concatenate([block.tangent(_solve(block.basis, block.data)) for block in blocks])
+
+
+def phase_noise_covariance(record: RunUpRecord, phase: RotorPhase, design: Design, jacobian: np.ndarray) -> np.ndarray:
+    """What the phase's noise adds to the covariance of jacobian @ unknowns, shape (k, k)."""
+    theta = design.structure.theta(design.phi)
+    rows = jacobian @ design.covariance @ design.matrix.T
+    cos, sin = np.cos(theta[ANGLE]), np.sin(theta[ANGLE])
+    x = record.x
+    effect = np.zeros((len(jacobian), len(x.time_s)))
+    begin = 0
+    for axis, channel in enumerate(record.channels):
+        share = rows[:, begin : begin + len(channel.time_s)] * channel.weight
+        begin += len(channel.time_s)
+        amplitude = complex(*design.coefficients[axis][:2])
+        mix = ((cos, sin), (-sin, cos))[axis]
+        phasor = np.exp(1j * record.drive.history.phase(channel.time_s)[:, 0])
+        own = np.zeros_like(share)
+        for mode, turn in enumerate((1.0, -1j)):
+            lam = rate(np.exp(theta[OMEGAS[mode]]), np.exp(theta[ZETAS[mode]]))
+            own += _backwards(share, np.gradient(channel.time_s), phasor, lam, mix[mode] * turn * amplitude)
+        for k in range(len(effect)):
+            effect[k] += own[k] if axis == 0 else np.interp(x.time_s, channel.time_s, own[k])
+    width = np.gradient(x.time_s)
+    variance = np.interp(x.time_s, phase.noise_time_s, phase.noise_density) / width
+    # a step of a random walk moves everything after it
+    later = np.cumsum(effect[:, ::-1], axis=1)[:, ::-1]
+    return (effect * variance) @ effect.T + (later * (phase.wander_density * width)) @ later.T
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _backwards(share, width, phasor, lam, factor):
+    """Σ_j share_j ∂signal_j/∂ψ_i for every block i; share of shape (k, n)."""
+    count, n = share.shape
+    out = np.empty((count, n))
+    other = np.conj(lam)
+    gap = lam - other
+    decay = np.empty((n, 2), dtype=np.complex128)
+    for i in range(n):
+        decay[i, 0], decay[i, 1] = np.exp(lam * width[i]), np.exp(other * width[i])
+    for k in range(count):
+        b0, b1 = 0j, 0j
+        for i in range(n - 1, -1, -1):
+            b0 = share[k, i] + decay[i, 0] * b0
+            b1 = share[k, i] + decay[i, 1] * b1
+            answer = -(lam * lam * b0 - other * other * b1) / gap * width[i] - share[k, i]
+            out[k, i] = (factor * 1j * phasor[i] * answer).real
+    return out

@@ -1,0 +1,73 @@
+"""Which numbers a passage reports: the unknowns in a reader's units, and which of them it determines."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.errors import NotIdentifiable
+from identification.run_up.design import Design
+from identification.run_up.forced_oscillator import Drive
+from identification.run_up.model import ANGLE, AXIS_PRIOR_STD, DELAYS, RIPPLE
+
+
+def reported(design: Design, mark_rad: float) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Names, values and ∂values/∂unknowns, shape (k, unknowns)."""
+    structure, p = design.structure, design.nonlinear
+    theta = structure.theta(design.phi)
+    names = ["f1_Hz", "zeta1", "f2_Hz", "zeta2", "axis_angle_deg"]
+    scale = np.r_[np.exp(theta[:4]) / np.array([2 * np.pi, 1, 2 * np.pi, 1]), np.degrees(1.0)]
+    values = [*scale[:4], np.degrees(theta[ANGLE])]
+    rows = list(np.pad(scale[:, None] * structure.spread[:5], ((0, 0), (0, design.unknowns - p))))
+    at = p
+    sizes, turns = [], []
+    # the marks hold the phase where they are; ripple between them is counted from there
+    pull = 2 * np.array([np.sin(mark_rad), np.cos(mark_rad), np.sin(2 * mark_rad), np.cos(2 * mark_rad)])
+    pull = np.degrees(np.nan_to_num(pull))
+    for c in design.coefficients:
+        size = float(np.hypot(c[0], c[1]))
+        for unit in (np.array([c[0], c[1]]) / size, np.degrees(1.0) * np.array([-c[1], c[0]]) / size**2):
+            row = np.zeros(design.unknowns)
+            row[at : at + 2] = unit
+            rows.append(row)
+        rows[-1][:p] += pull @ structure.spread[RIPPLE]
+        sizes.append(size)
+        turns.append(float(np.degrees(np.arctan2(c[1], c[0])) + pull @ theta[RIPPLE]))
+        at += len(c)
+    names += ["amplitude_x_m", "phase_x_deg", "amplitude_y_m", "phase_y_deg"]
+    values += [sizes[0], turns[0], sizes[1], turns[1]]
+    for i, name in enumerate(("delay_x_s", "delay_y_s")):
+        if structure.spread[DELAYS.start + i].any():
+            names.append(name)
+            values.append(theta[DELAYS][i])
+            rows.append(np.pad(structure.spread[DELAYS.start + i], (0, design.unknowns - p)))
+    return names, np.array(values), np.array(rows)
+
+
+def determined(
+    drive: Drive, names: list[str], values: np.ndarray, covariance: np.ndarray
+) -> tuple[list[int], list[str]]:
+    """Which of the values the passage determines, and a sentence for each that it does not."""
+    value = dict(zip(names, values, strict=True))
+    std = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
+    left_out: set[str] = set()
+    warnings = []
+    for i in (1, 2):
+        omega, zeta = 2 * np.pi * value[f"f{i}_Hz"], value[f"zeta{i}"]
+        sure = std[f"f{i}_Hz"] < 0.03 * value[f"f{i}_Hz"] and std[f"zeta{i}"] < 0.5 * zeta
+        passed = drive.low_rad_s <= omega * (1 + zeta) and omega <= drive.top_rad_s * (1 + zeta)
+        if not (sure and passed):
+            axis = "xy"[i - 1]
+            left_out |= {f"f{i}_Hz", f"zeta{i}", f"amplitude_{axis}_m", f"phase_{axis}_deg", f"delay_{axis}_s"}
+            warnings.append(
+                f"resonance {i} (sensor {axis}) is not identifiable: the speed goes from "
+                f"{drive.low_rad_s * 30 / np.pi:.0f} to {drive.top_rad_s * 30 / np.pi:.0f} rpm and does not pass it; "
+                "record a passage that does"
+            )
+    if {"f1_Hz", "f2_Hz"} <= left_out:
+        raise NotIdentifiable(f"the record determines neither resonance: {'; '.join(warnings)}")
+    if std["axis_angle_deg"] == 0.0:  # left out of the model
+        left_out.add("axis_angle_deg")
+    elif std["axis_angle_deg"] > 0.5 * np.degrees(AXIS_PRIOR_STD):
+        left_out.add("axis_angle_deg")
+        warnings.append("axes not resolved: both directions are too much alike to tell their angle to the sensors")
+    return [i for i, n in enumerate(names) if n not in left_out], warnings

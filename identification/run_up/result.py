@@ -1,0 +1,106 @@
+"""What a passage says, and its translation into the rig's parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from daq.signals import Run
+from dynamics.parameters import RotorParameters
+from identification.curve import Curve
+from identification.errors import NotIdentifiable
+from identification.estimate import Estimate
+from identification.ring_down.fit import clock_rate_std
+from identification.setting import ModelChoice
+
+
+@dataclass(frozen=True)
+class RunUpFit:
+    """What a run-up or run-down says.
+
+    Attributes:
+        values: f1_Hz, zeta1, f2_Hz, zeta2 (of the stiffness axes nearest sensor x and y), axis_angle_deg,
+            amplitude_x_m, amplitude_y_m (eccentricity of everything that turns, as each sensor sees it), phase_x_deg,
+            phase_y_deg (of that eccentricity against ψ, seen from the first stiffness axis) and, where sensors and
+            phase keep different clocks, delay_x_s, delay_y_s (laser against phase). What the passage does not
+            determine is absent, and a warning says so.
+        covariance: shape (n, n), in the values' order; statistical, the phase's own noise included.
+        warnings: what a reader must know.
+        curves: both sensors.
+        half_power: the naive answer from the peak's width, per sensor: f_Hz and zeta; biased by the sweep.
+        noise, chi2_per_dof: white noise of one sample per sensor (m), residuals against it.
+        vold_kalman: per sensor f_Hz and zeta of a steady-state curve through the Vold–Kalman amplitude; biased too.
+        intervals: 95 % of each value, from the likelihood's profile where the axes are badly resolved.
+        model, model_table: the smallest adequate model, and what it was compared with (χ² + k ln n).
+    """
+
+    values: dict[str, float]
+    covariance: np.ndarray
+    warnings: list[str]
+    curves: list[Curve]
+    half_power: dict[str, tuple[float, float]]
+    noise: list[float]
+    chi2_per_dof: float
+    vold_kalman: dict[str, tuple[float, float]] = field(default_factory=dict)
+    intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
+    model: str = ""
+    model_table: list[ModelChoice] = field(default_factory=list)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by name (gains and clock rates not included)."""
+        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std: tuple[float, float]) -> Estimate:
+    """A run's fit as k1, k2, ζ1, ζ2 and S_P; what the passage does not determine is absent.
+
+    The sensors see M_S A = |S_P + S_A e^{iθ3} + S_B e^{iθ4}| with the pendulums' locked angles as measured; S_P is
+    the positive solution. The sensors are weighted by their statistics and gains together.
+
+    Args:
+        gain_std: relative standard uncertainty of the gains of laser x and y.
+    Raises:
+        NotIdentifiable: the fit has no amplitude.
+    """
+    mass = physics.total_mass_kg
+    seen = [i for i in range(2) if f"amplitude_{'xy'[i]}_m" in fit.values]
+    modes = [i for i in range(2) if f"f{i + 1}_Hz" in fit.values]
+    if not seen or not modes:
+        raise NotIdentifiable(f"{run.source}: the passage determines no resonance")
+    wanted = [f"f{i + 1}_Hz" for i in modes] + [f"zeta{i + 1}" for i in modes]
+    order = [list(fit.values).index(n) for n in (*wanted, *(f"amplitude_{'xy'[i]}_m" for i in seen))]
+    raw = np.array(list(fit.values.values()))[order]
+    covariance = fit.covariance[np.ix_(order, order)]
+    m, amplitudes = len(modes), raw[2 * len(modes) :]
+    gains = np.array([gain_std[i] for i in seen])
+    weights = np.linalg.solve(covariance[2 * m :, 2 * m :] + np.diag((gains * amplitudes) ** 2), np.ones(len(seen)))
+    weights /= weights.sum()
+    moment = mass * float(weights @ amplitudes)
+    locked = _locked_moment(run, physics)
+    unbalance = float(np.sqrt(max(moment**2 - locked.imag**2, 0.0)) - locked.real)
+    slope = moment / max(unbalance + locked.real, 1e-12)
+    stiffness = mass * (2 * np.pi * raw[:m]) ** 2
+    jacobian = np.zeros((2 * m + 1, len(order)))
+    jacobian[range(m), range(m)] = 2 * stiffness / raw[:m]
+    jacobian[range(m, 2 * m), range(m, 2 * m)] = 1.0
+    jacobian[2 * m, 2 * m :] = slope * mass * weights
+    names = (*(f"k{i + 1}_N_per_m" for i in modes), *(f"zeta{i + 1}" for i in modes), "SP_kg_m")
+    values = np.array([*stiffness, *raw[m : 2 * m], unbalance])
+    rate_std = clock_rate_std(run.clock_rate_std, "encoder")
+    shared = {"clock encoder": np.r_[2 * stiffness * rate_std, np.zeros(m + 1)]}
+    for k, i in enumerate(seen):
+        shift = slope * mass * weights[k] * amplitudes[k] * gains[k]
+        shared[f"gain laser_{'xy'[i]}"] = np.r_[np.zeros(2 * m), shift]
+    return Estimate(
+        run.test, run.source, names, values, jacobian @ covariance @ jacobian.T, shared,
+        f"transient passage, separable least squares: {fit.model}",
+    )  # fmt: skip
+
+
+def _locked_moment(run: Run, physics: RotorParameters) -> complex:
+    """First mass moment of the locked pendulums in the rotor's frame, kg m."""
+    theta = np.mean(run.angle_rad, axis=0) if len(run.angle_rad) else np.array([0.0, np.pi])
+    a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
+    return complex(a * np.exp(1j * theta[0]) + b * np.exp(1j * theta[1]))

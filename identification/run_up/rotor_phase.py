@@ -1,0 +1,163 @@
+"""The measured rotor phase of a passage: smooth enough to drive the model, with the noise it brings along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics.errors import OutsideDomain
+from dynamics.speed_history import SpeedHistory
+from identification.errors import NotIdentifiable
+from identification.samples import white_noise
+
+_KNOTS_PER_TURN = 40  # a ripple of twice per revolution keeps twenty
+_MARKS = 10
+_FEW = 80  # fifth differences
+_SKIPPED_MARKS = 2  # the spline's end piece has no neighbour to hold it
+_BEYOND_WHITE = 1.5  # the speed's noise over what the phase's white noise explains; chance is a tenth of the excess
+_FIFTH, _FOURTH = 252.0, 70.0  # variance of a fifth and a fourth difference of white noise
+_TRIMMED = (
+    0.6616  # root mean square of the smaller four fifths of a Gaussian's values; stamps are too coarse for a median
+)
+
+
+@dataclass(frozen=True)
+class RotorPhase:
+    """A phase history and how noisy it is.
+
+    Attributes:
+        history: ψ(t), twice differentiable.
+        start_s, end_s: where it can be trusted.
+        noise_time_s, noise_density: the phase's white noise as a power density (standard deviation² × spacing of the
+            readings) at some instants, shapes (m,), rad² s.
+        mark_rad: ψ modulo a turn where it is known at that angle only, so that ripple within a turn is unseen; NaN
+            where it is known throughout.
+        wander_density: of a random walk in the phase, rad²/s; what integrating a noisy speed leaves.
+    """
+
+    history: SpeedHistory
+    start_s: float
+    end_s: float
+    noise_time_s: np.ndarray
+    noise_density: np.ndarray
+    mark_rad: float = float("nan")
+    wander_density: float = 0.0
+
+    @classmethod
+    def from_samples(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> RotorPhase:
+        """From a phase sampled at some thousand instants, wrapped or not; NaN is left out.
+
+        Readings are averaged over a fortieth of the fastest turn, with the mean of a curved phase set right.
+        """
+        good = np.isfinite(phase_rad) & np.isfinite(time_s)
+        time, phase = np.asarray(time_s, float)[good], np.asarray(phase_rad, float)[good]
+        if len(time) < 200:
+            raise NotIdentifiable(f"the phase has {len(time)} valid samples; a passage needs at least 200")
+        if np.any(np.diff(time) <= 0):
+            raise NotIdentifiable("the times of a run-up must rise from sample to sample")
+        phase = np.unwrap(phase) if _is_wrapped(phase) else phase
+        noise = white_noise(phase)
+        fastest = float(np.quantile(np.abs(phase[20:] - phase[:-20]) / (time[20:] - time[:-20]), 0.995))
+        if fastest * (time[-1] - time[0]) < 4 * np.pi:
+            raise NotIdentifiable("the rotor turns less than twice in this record; record the whole passage")
+        width = 2 * np.pi / fastest / _KNOTS_PER_TURN
+        first = np.flatnonzero(np.r_[True, np.diff(np.floor((time - time[0]) / width)) != 0])
+        count = np.diff(np.r_[first, len(time)])
+        middle, spread = _means(time - time[0], first, count)
+        mean, _ = _means(phase - phase[0], first, count)
+        middle, mean = middle + time[0], mean + phase[0]
+        if count.max() > 1:
+            bent = SpeedHistory.from_phases(middle, mean).phase(middle)[:, 2]
+            mean = mean - 0.5 * spread * bent
+        history = SpeedHistory.from_phases(middle, mean)
+        density = np.full(2, noise**2 * float(np.median(np.diff(time))))
+        wander = _wander(middle, mean, fastest / (2 * np.pi), float(density[0]))
+        return cls(history, float(middle[0]), float(middle[-1]), time[[0, -1]], density, wander_density=wander)
+
+    @classmethod
+    def from_marks(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> RotorPhase:
+        """From tachometer marks: times at which the phase was known.
+
+        Raises:
+            NotIdentifiable: fewer than ten marks, or marks that do not ascend.
+        """
+        if len(time_s) < _MARKS:
+            raise NotIdentifiable(f"{len(time_s)} tachometer marks; a run-up needs ten")
+        try:
+            history = SpeedHistory.from_phases(time_s, phase_rad)
+        except OutsideDomain as error:
+            raise NotIdentifiable(str(error)) from error
+        middle = 0.5 * (time_s[1:] + time_s[:-1])
+        speed = np.diff(phase_rad) / np.diff(time_s)
+        jitter, wander = _mark_noise(time_s, phase_rad)
+        density = (speed * jitter) ** 2 * np.diff(time_s)
+        start, end = float(time_s[_SKIPPED_MARKS]), float(time_s[-_SKIPPED_MARKS])
+        once = float(np.median(np.abs(np.diff(phase_rad)))) > np.pi
+        mark = float(phase_rad[0] % (2 * np.pi)) if once else float("nan")
+        return cls(history, start, end, middle, density, mark, wander)
+
+
+def _is_wrapped(phase: np.ndarray) -> bool:
+    return float(np.ptp(phase)) < 2.2 * np.pi and bool(np.any(np.abs(np.diff(phase)) > np.pi))
+
+
+def _means(value: np.ndarray, first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance of each stretch."""
+    base = value[first]
+    local = value - np.repeat(base, count)
+    mean = np.add.reduceat(local, first) / count
+    square = np.add.reduceat(local * local, first) / count
+    return base + mean, np.maximum(square - mean * mean, 0.0)
+
+
+def _wander(time_s: np.ndarray, phase_rad: np.ndarray, top_Hz: float, white: float) -> float:
+    """Density of white noise in the speed, (rad/s)²/Hz, beyond what white noise of the phase makes there.
+
+    Read above three times the fastest turn, where neither a ramp nor ripple reaches. White noise of the phase rises
+    with the frequency's square there; a speed that was integrated is flat.
+    """
+    step = float(np.mean(np.diff(time_s)))
+    low, high = 3 * top_Hz + 10.0, min(6 * top_Hz + 20.0, 0.3 / step)
+    even = np.interp(np.arange(time_s[0], time_s[-1], step), time_s, phase_rad)
+    speed = np.diff(even) / step
+    window = np.hanning(len(speed))
+    frequency = np.fft.rfftfreq(len(speed), step)
+    band = (frequency > low) & (frequency < high)
+    if np.count_nonzero(band) < 50:
+        return 0.0
+    power = step * np.abs(np.fft.rfft((speed - speed.mean()) * window)[band]) ** 2 / np.sum(window**2)
+    known = white * (2 * np.pi * frequency[band]) ** 2
+    return float(np.mean(power - known)) if np.mean(power) > _BEYOND_WHITE * np.mean(known) else 0.0
+
+
+def _mark_noise(time_s: np.ndarray, phase_rad: np.ndarray) -> tuple[float, float]:
+    """White error of a mark's time (s) and density of a random walk in the phase (rad²/s); zero is what it is not.
+
+    From fifth differences over neighbouring turns: a smooth passage leaves nothing there; wander that the marks are too
+    sparse to follow does, and counts as the error that interpolation then makes. Over every second turn white errors
+    stay what they were, a random walk doubles.
+    """
+    step = np.median(np.diff(phase_rad))
+    sizes: list[tuple[float, float]] = []
+    whole = np.empty(0, int)
+    for stride in (1, 2):
+        shifted = [np.roll(time_s, -stride * k) for k in range(6)]
+        fifth = np.array([-1.0, 5.0, -10.0, 10.0, -5.0, 1.0]) @ shifted
+        turns = (np.roll(phase_rad, -5 * stride) - phase_rad) / step
+        whole = np.flatnonzero(np.abs(turns - 5 * stride) < 1e-3 * stride)
+        if len(whole) < 10:
+            return 0.0, 0.0
+        span = (time_s[whole + 5 * stride] - time_s[whole]) / (5 * stride)
+        quick = span <= np.median(span)  # where slow wander is slowest against the turns
+        whole, span = whole[quick], span[quick]
+        sizes.append((_trimmed_rms(fifth[whole]), _trimmed_rms(fifth[whole] * abs(step) / span**1.5)))
+    white, walk = sizes[0][0] / np.sqrt(_FIFTH), sizes[0][1] ** 2 / _FOURTH
+    if len(whole) < _FEW:  # too few to tell the two apart: both are taken for real
+        return white, walk
+    return (0.0, walk) if sizes[1][0] ** 2 > 1.5 * sizes[0][0] ** 2 else (white, 0.0)
+
+
+def _trimmed_rms(value: np.ndarray) -> float:
+    left = np.sort(np.abs(value))[: int(0.8 * len(value))]
+    return float(np.sqrt(np.mean(left**2)) / _TRIMMED)

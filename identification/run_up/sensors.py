@@ -1,0 +1,94 @@
+"""From a laser's samples in a passage to block averages: rail, dropouts and outliers masked, noise known."""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from identification.errors import NotIdentifiable
+from identification.samples import Averages, block_averages, clipped, white_noise
+
+_FEWEST_BLOCKS = 200
+_OUTLIER = 7.0  # robust standard deviations
+
+
+def sensor_averages(
+    time_s: np.ndarray, value_m: np.ndarray, span_s: tuple[float, float], top_rad_s: float, per_turn: float
+) -> tuple[Averages, list[str]]:
+    """One sensor's block averages over a span.
+
+    Args:
+        time_s, value_m: samples, shape (n,), s and m; NaN is left out, and so are railed samples and outliers.
+        span_s: first and last instant wanted.
+        top_rad_s: fastest speed; sets what a smooth signal can do between samples.
+        per_turn: blocks per fastest turn.
+    Returns:
+        The averages and what a reader should know.
+    Raises:
+        NotIdentifiable: too few valid samples in the span.
+    """
+    inside = (time_s >= span_s[0]) & (time_s <= span_s[1]) & np.isfinite(value_m)
+    time, value = np.asarray(time_s, float)[inside], np.asarray(value_m, float)[inside]
+    if len(time) < _FEWEST_BLOCKS:
+        raise NotIdentifiable(f"a sensor has {len(time)} valid samples with a known phase; a passage needs hundreds")
+    warnings = []
+    rail = clipped(value)
+    if rail.any():
+        warnings.append(f"{np.count_nonzero(rail)} samples at the sensor's rail left out")
+        time, value = time[~rail], value[~rail]
+    step = float(np.median(np.diff(time)))
+    value = value.copy()
+    outliers = _without_outliers(value, float(np.median(value)), 2 * (top_rad_s * step) ** 2, _OUTLIER)
+    if outliers > 3 + 1e-4 * len(value):
+        warnings.append(f"{outliers} outliers left out")
+    noise = white_noise(value)
+    if noise == 0.0:
+        raise NotIdentifiable("a sensor shows no noise and no motion at all; is it connected?")
+    averages = block_averages(time, value, 2 * np.pi / top_rad_s / per_turn, noise)
+    if len(averages.time_s) < _FEWEST_BLOCKS:
+        raise NotIdentifiable(f"a sensor gives {len(averages.time_s)} block averages; record the passage longer")
+    return averages, warnings
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _median5(v, a, b, c, d, e):
+    """The middle one of five samples v[a] … v[e]."""
+    w = np.empty(5)
+    w[0], w[1], w[2], w[3], w[4] = v[a], v[b], v[c], v[d], v[e]
+    for i in range(1, 5):
+        x = w[i]
+        j = i - 1
+        while j >= 0 and w[j] > x:
+            w[j + 1] = w[j]
+            j -= 1
+        w[j + 1] = x
+    return w[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _without_outliers(value, middle, bend, factor):
+    """Set to NaN what stands off its four neighbours' median; returns how many.
+
+    A smooth signal stands off by at most bend times its own size, where it turns round.
+    """
+    n = len(value)
+    centre = np.empty(n)
+    off = np.empty(n)
+    for i in range(n):
+        k = min(max(i, 2), n - 3)
+        centre[i] = _median5(value, k - 2, k - 1, k, k + 1, k + 2)
+        off[i] = max(0.0, abs(value[i] - centre[i]) - bend * abs(centre[i] - middle))
+    # of white noise against the median of five: two thirds of the time it is not the median itself
+    every = max(1, n // 20000)
+    moved = off[::every]
+    moved = moved[moved > 0]
+    limit = factor * np.median(moved) / 0.6745 if len(moved) else np.inf
+    count = 0
+    for i in range(2, n - 2):
+        if off[i] > limit:
+            value[i] = np.nan
+            count += 1
+    return count

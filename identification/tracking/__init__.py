@@ -1,0 +1,1 @@
+"""The rig while it runs: states and pendulum damping by a compiled unscented Kalman filter."""

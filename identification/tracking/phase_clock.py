@@ -1,0 +1,72 @@
+"""The rotor's phase now, from index marks as they come."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_KEPT = 64
+_STALE_TURNS = 5.0
+_FASTEST_RAD_S = 2000.0  # no rotor here turns faster
+_RESTART_AFTER = 4
+
+
+class PhaseClock:
+    """Phase, speed and acceleration between marks and a little beyond the last one.
+
+    Between two marks the phase is the parabola through both and the one before; beyond the last it goes on at the last
+    speed. A mark that does not follow (out of order, or beyond any speed) is left out and counted; several in a
+    row begin anew.
+    """
+
+    def __init__(self) -> None:
+        self._time_s: list[float] = []
+        self._phase_rad: list[float] = []
+        self.refused, self._in_a_row = 0, 0
+
+    def feed(self, time_s: np.ndarray, phase_rad: np.ndarray) -> None:
+        """Marks, shapes (n,), in s on the readings' clock and rad, unwrapped."""
+        for t, phase in zip(np.atleast_1d(time_s).tolist(), np.atleast_1d(phase_rad).tolist(), strict=True):
+            if not (np.isfinite(t) and np.isfinite(phase)) or not self._follows(t, phase):
+                self.refused += 1
+                self._in_a_row += 1
+                if self._in_a_row > _RESTART_AFTER:  # it is the earlier ones that do not fit
+                    self._time_s.clear()
+                    self._phase_rad.clear()
+                    self._in_a_row = 0
+                continue
+            self._in_a_row = 0
+            self._time_s.append(t)
+            self._phase_rad.append(phase)
+        del self._time_s[:-_KEPT], self._phase_rad[:-_KEPT]
+
+    def _follows(self, t: float, phase: float) -> bool:
+        if not self._time_s:
+            return True
+        span = t - self._time_s[-1]
+        return span > 0 and abs(phase - self._phase_rad[-1]) < _FASTEST_RAD_S * span
+
+    def at(self, time_s: np.ndarray) -> np.ndarray:
+        """ψ, ω, α at the times, shape (n, 3); zeros for a rotor without marks."""
+        out = np.zeros((len(time_s), 3))
+        if len(self._time_s) < 2:
+            return out
+        t, phase = np.array(self._time_s), np.array(self._phase_rad)
+        speed = np.diff(phase) / np.diff(t)
+        middle = 0.5 * (t[1:] + t[:-1])
+        change = np.diff(speed) / np.diff(middle) if len(speed) > 1 else np.zeros(1)
+        i = np.clip(np.searchsorted(t, time_s) - 1, 0, len(t) - 2)
+        change = change[np.clip(i - 1, 0, len(change) - 1)]
+        beyond = time_s > t[-1]
+        since = time_s - t[i]
+        curve = np.where(beyond, 0.0, change)
+        # through both marks: ψ = ψi + ω̄ s + ½ α s (s − width)
+        width = t[i + 1] - t[i]
+        out[:, 0] = phase[i] + speed[i] * since + 0.5 * curve * since * (since - width)
+        out[:, 1] = speed[i] + curve * (since - 0.5 * width)
+        out[:, 2] = curve
+        end_speed = speed[-1] + 0.5 * change[-1] * (t[-1] - t[-2])
+        ahead = time_s[beyond] - t[-1]
+        out[beyond, 0], out[beyond, 1] = phase[-1] + end_speed * ahead, end_speed
+        stopped = beyond & (time_s - t[-1] > _STALE_TURNS * (t[-1] - t[-2]) + 1.0)
+        out[stopped, 1] = 0.0
+        return out

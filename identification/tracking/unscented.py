@@ -1,0 +1,214 @@
+"""An unscented Kalman filter of the rig, compiled whole: no Python between two readings.
+
+State (10): x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4, ln c3, ln c4. Sigma points lie at ± sqrt(n) columns of the covariance's
+Cholesky factor with equal weights (the cubature set, whose weights are all positive, so a mean of angles needs no
+reference and a covariance cannot turn indefinite by a negative weight). The covariance update is Joseph's with the
+statistically linearised reading H = Pxzᵀ P⁻¹, symmetrised; a factorisation that fails is repaired by a growing
+diagonal. Nothing in here raises: a state that is no longer finite makes the caller start anew.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from dynamics.kernels import CA, CB, JA, JB
+from dynamics.quick_rates import quick_rates
+
+STATES, READINGS = 10, 4
+X, Y, THETA3, THETA4, LN_C3, LN_C4 = 0, 1, 2, 3, 8, 9
+_LEAST_LN_C, _STIFFEST = -25.0, 2.0
+_MOST_REPAIRS = 40
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _factorise(p, out):
+    """Lower factor of p (n, n) into out; False when p is not positive definite."""
+    for i in range(p.shape[0]):
+        for j in range(i + 1):
+            total = p[i, j]
+            for k in range(j):
+                total -= out[i, k] * out[j, k]
+            if i != j:
+                out[i, j] = total / out[j, j]
+            elif total > 1e-14 * abs(p[i, i]) and total < np.inf:
+                out[i, i] = math.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def cholesky(p, out):
+    """Lower factor of a covariance (n, n) into out; a matrix that is not positive definite is repaired in place.
+
+    Returns:
+        How often the diagonal had to grow.
+    """
+    n = p.shape[0]
+    for attempt in range(_MOST_REPAIRS):
+        if _factorise(p, out):
+            return attempt
+        for i in range(n):
+            p[i, i] = abs(p[i, i]) * (1.0 + 1e-12 * 10.0 ** min(attempt, 12)) + 1e-30 * 10.0 ** min(attempt, 24)
+    for i in range(n):  # nothing is known of how they go together
+        for j in range(n):
+            if i != j:
+                p[i, j] = out[i, j] = 0.0
+        p[i, i] = abs(p[i, i]) if 0.0 < abs(p[i, i]) < np.inf else 1.0
+        out[i, i] = math.sqrt(p[i, i])
+    return _MOST_REPAIRS
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _step(points, k, work, h, steps, psi, speed, alpha, p, free_a, free_b):
+    """Classical Runge–Kutta steps of every sigma point; a locked pendulum stays where it is."""
+    for i in range(points.shape[0]):
+        y = points[i]
+        if free_a == 0.0:
+            y[6] = 0.0
+        if free_b == 0.0:
+            y[7] = 0.0
+        # a sigma point far out may be stiffer than the steps can follow; what it does there does not matter
+        p[CA] = min(math.exp(max(y[LN_C3], _LEAST_LN_C)), _STIFFEST * p[JA] / h)
+        p[CB] = min(math.exp(max(y[LN_C4], _LEAST_LN_C)), _STIFFEST * p[JB] / h)
+        for s in range(steps):
+            t = s * h
+            a0 = psi + t * (speed + 0.5 * t * alpha)
+            w0 = speed + t * alpha
+            m = 0.5 * h
+            a1, w1 = a0 + m * (w0 + 0.5 * m * alpha), w0 + m * alpha
+            a2, w2 = a0 + h * (w0 + 0.5 * h * alpha), w0 + h * alpha
+            quick_rates(y, a0, w0, alpha, p, free_a, free_b, k, 0)
+            for j in range(8):
+                work[j] = y[j] + m * k[0, j]
+            quick_rates(work, a1, w1, alpha, p, free_a, free_b, k, 1)
+            for j in range(8):
+                work[j] = y[j] + m * k[1, j]
+            quick_rates(work, a1, w1, alpha, p, free_a, free_b, k, 2)
+            for j in range(8):
+                work[j] = y[j] + h * k[2, j]
+            quick_rates(work, a2, w2, alpha, p, free_a, free_b, k, 3)
+            for j in range(8):
+                y[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def predict(mean, cov, h, steps, phase, p, free, noise, factor, points, k, work):
+    """Carry mean (10,) and cov (10, 10) over steps × h in place.
+
+    Args:
+        phase: ψ, ω, α at the begin, shape (3,).
+        p: packed parameters (its dampings are overwritten), shape (18,).
+        free: 1.0 for a released pendulum, shape (2,).
+        noise: growth of each variance per second, shape (10,).
+        factor, points, k, work: scratch, shapes (10, 10), (20, 10), (4, 8), (8,).
+    Returns:
+        How often the covariance had to be repaired.
+    """
+    n = STATES
+    repairs = cholesky(cov, factor)
+    root = math.sqrt(float(n))
+    for i in range(n):
+        for j in range(n):
+            d = root * factor[j, i] if j >= i else 0.0
+            points[i, j] = mean[j] + d
+            points[n + i, j] = mean[j] - d
+    _step(points, k, work, h, steps, phase[0], phase[1], phase[2], p, free[0], free[1])
+    weight = 1.0 / (2 * n)
+    for j in range(n):
+        total = 0.0
+        for i in range(2 * n):
+            total += points[i, j]
+        mean[j] = total * weight
+    for i in range(2 * n):
+        for j in range(n):
+            points[i, j] -= mean[j]
+    for a in range(n):
+        for b in range(a + 1):
+            total = 0.0
+            for i in range(2 * n):
+                total += points[i, a] * points[i, b]
+            cov[a, b] = total * weight
+            cov[b, a] = cov[a, b]
+        cov[a, a] += noise[a] * h * steps
+    return repairs
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def update(mean, cov, index, reading, late, variance, gate, work):
+    """One scalar reading of one state component; readings with independent noise one after the other are exact.
+
+    A reading of a component is linear, so its sigma points would give back row `index` of the covariance itself.
+
+    Args:
+        index: which component was read (0 … 3).
+        late: how long after the state's instant, s; the component's own rate carries it there.
+        gate: innovations beyond so many standard deviations are refused.
+        work: scratch, shape (10,).
+    Returns:
+        The innovation over its standard deviation; NaN for a reading that was refused as not finite.
+    """
+    n = STATES
+    if not math.isfinite(reading):
+        return np.nan
+    total = cov[index, index] + variance
+    innovation = reading - mean[index] - late * mean[index + 4]
+    z = innovation / math.sqrt(total) if total > 0.0 else np.nan
+    if not abs(z) <= gate:
+        return z
+    for i in range(n):
+        work[i] = cov[i, index] / total
+    own = cov[index].copy()
+    # Joseph: (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, written out for H = unit row
+    for i in range(n):
+        for j in range(i + 1):
+            value = cov[i, j] - work[i] * own[j] - work[j] * own[i] + work[i] * work[j] * (own[index] + variance)
+            cov[i, j] = value
+            cov[j, i] = value
+    for i in range(n):
+        mean[i] += work[i] * innovation
+    return z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def filter_readings(
+    mean, cov, times, late, indices, readings, variances, phases, released, p, noise, longest, gate, tally, z
+):
+    """Run through readings in time order; mean and cov change in place.
+
+    Args:
+        times: tick of each reading, shape (n,), ascending; late: its own instant less the tick.
+        indices, readings, variances: what was read, its value and variance, shape (n,).
+        phases: ψ, ω, α at the previous reading's tick, shape (n, 3).
+        released: 1.0 for a released pendulum, shape (n, 2).
+        p: packed parameters (18,).
+        noise: growth of variances per second (10,).
+        longest: longest Runge–Kutta step, s.
+        gate: as for `update`.
+        tally: state's instant, refused readings, repairs, refusals in a row; shape (4,), changed in place.
+        z: innovations over their standard deviations, shape (n,), written.
+    """
+    factor, points = np.zeros((STATES, STATES)), np.empty((2 * STATES, STATES))
+    k, work = np.empty((4, 8)), np.empty(STATES)
+    own = p.copy()
+    for i in range(len(times)):
+        span = times[i] - tally[0]
+        if span > 1e-9:
+            steps = max(1, math.ceil(span / longest - 1e-9))
+            repairs = predict(
+                mean, cov, span / steps, steps, phases[i], own, released[i], noise, factor, points, k, work
+            )
+            tally[2] += repairs
+            tally[0] = times[i]
+        z[i] = update(mean, cov, indices[i], readings[i], late[i], variances[i], gate, work)
+        if abs(z[i]) <= gate:
+            tally[3] = 0.0
+        else:
+            tally[1] += 1.0
+            tally[3] += 1.0 if math.isfinite(readings[i]) else 0.0

@@ -1,0 +1,264 @@
+"""What changed, how sure, what limits it, and the history over files."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from synthetic import Campaign
+from test_joint import OWN, TRUTH, draw, spoilt
+
+from identification import Estimate, NotIdentifiable, identify
+from identification.compare import compare, holm, in_words
+from identification.history import history
+from identification.identify import Identification
+from identification.joint import joint_estimate
+from identification.joint.limits import SOURCES, limits
+from identification.joint.provenance import kept_tests, rebuilt, with_tests
+from rig_configs import IdentifiedParameters, ParametersFileError
+
+NAN = float("nan")
+GAINS = np.array([4e-4, -7e-4])  # of lasers that stay the same
+
+
+def parameters_of(
+    estimates: list[Estimate], serial: str | None = "L1", day: int = 1, rig: str = "bench"
+) -> IdentifiedParameters:
+    """A parameters file's content as `rig identify` keeps it."""
+    joint = joint_estimate(estimates)
+    found = Identification(joint.parameters, NAN, NAN, estimates, [], joint.rows, [])
+    kept = with_tests(found)
+    tests = [
+        {
+            **test, "test": e.test, "log": e.source, "digest": f"{day}-{e.source}", "method": "made up",
+            "values": dict(zip(e.names, e.values.tolist(), strict=True)),
+            "recorded": f"2026-03-{day:02d}T10:00:00+00:00",
+            **({"devices": {"laser_x": f"{serial}x", "laser_y": f"{serial}y"}} if serial else {}),
+        }
+        for test, e in zip(kept.provenance["tests"], estimates, strict=True)
+    ]  # fmt: skip
+    return IdentifiedParameters(kept.values, kept.covariance, {**kept.provenance, "tests": tests, "rig": rig})
+
+
+def changed(estimates: list[Estimate], name: str, share: float) -> list[Estimate]:
+    """The same with a parameter of the rig changed: every test that shows it moves."""
+    for i, estimate in enumerate(estimates):
+        if name in estimate.names:
+            estimates = spoilt(estimates, i, name, share)
+    return estimates
+
+
+def test_a_changed_spring_is_said_in_plain_words() -> None:
+    rng = np.random.default_rng(1)
+    old, new = (
+        parameters_of(draw(rng, gains=GAINS)[0]),
+        parameters_of(changed(draw(rng, gains=GAINS)[0], "k2_N_per_m", 0.05), day=2),
+    )
+    found = compare(old, new)
+    (change,) = found.significant()
+    assert change.name == "k2_N_per_m"
+    assert abs(change.relative - 0.05) < 4 * change.relative_std
+    assert change.level == 0.001
+    assert found.p < 1e-6
+    words = in_words(found)
+    assert re.match(r"k2 grew by (4.99|5.00)\d* ± 0.00\d+ %; ", words)
+    assert words.endswith("nothing else changed significantly")
+
+
+def test_no_change_is_called_one_in_few_of_many_pairs() -> None:
+    """Holm keeps the chance of any false "changed" at its level: 5 % of 200 pairs, and the overall test too."""
+    rng = np.random.default_rng(2)
+    single = overall = 0
+    for _ in range(200):
+        found = compare(parameters_of(draw(rng)[0], None), parameters_of(draw(rng)[0], None))
+        single += bool(found.significant(0.05))
+        overall += found.p < 0.05
+    assert single <= 18
+    assert 2 <= overall <= 20
+
+
+def test_changes_that_go_together_are_found_though_each_is_small() -> None:
+    names = ("k1_N_per_m", "zeta1")
+    close = np.array([[1.0, 0.99], [0.99, 1.0]])
+    unit = np.array([0.1, 1e-6])
+    covariance = close * np.outer(unit, unit)
+    old = IdentifiedParameters(dict(zip(names, (2600.0, 0.02), strict=True)), covariance)
+    new = IdentifiedParameters(dict(zip(names, (2600.1, 0.02 - 1e-6), strict=True)), covariance)
+    found = compare(old, new)
+    assert found.significant() == []
+    assert found.p < 1e-6
+    assert "all together they did" in in_words(found)
+    assert sum(c.share for c in found.changes) == pytest.approx(1)
+
+
+def test_the_same_laser_s_gain_is_no_change() -> None:
+    rng = np.random.default_rng(4)
+    first, second = draw(rng, ("run-up",), gains=GAINS)[0], draw(rng, ("run-up",), gains=GAINS)[0]
+    same = compare(parameters_of(first, "A"), parameters_of(second, "A", 2))
+    other = compare(parameters_of(first, "A"), parameters_of(second, "B", 2))
+    unknown = compare(parameters_of(first, None), parameters_of(second, None, 2))
+    std = [next(c.std for c in found.changes if c.name == "SP_kg_m") for found in (same, other, unknown)]
+    own = np.sqrt(2) * 1e-4 * TRUTH["SP_kg_m"]
+    gain = np.sqrt(2 * 2) * 0.5e-3 * TRUTH["SP_kg_m"]
+    assert std[0] == pytest.approx(own, rel=1e-3)
+    assert std[1] == std[2] == pytest.approx(np.hypot(own, gain), rel=1e-3)
+    assert any("cancels" in note for note in same.notes)
+    assert any("another laser_x" in note for note in other.notes)
+    assert any("not known" in note for note in unknown.notes)
+
+
+def test_the_std_of_a_change_with_shared_logs_is_what_many_draws_show() -> None:
+    """Two logs in both, one more in NEW: the change comes from that one alone."""
+    rng = np.random.default_rng(5)
+    z, alone = [], []
+    for _ in range(300):
+        estimates, _ = draw(rng, ("spin-down", "spin-down", "point-E"))
+        old = parameters_of(estimates[:2])
+        new = parameters_of(estimates)
+        found = compare(old, new)
+        change = next(c for c in found.changes if c.name == "c3_Nms_per_rad")
+        z.append(change.z)
+        alone.append(change.change / np.hypot(old.std[change.name], new.std[change.name]))
+    assert 0.9 < np.std(z) < 1.1
+    assert np.std(alone) < 0.8  # as independent the change would look too sure to be there
+
+
+def test_a_file_against_itself_has_not_changed() -> None:
+    parameters = parameters_of(draw(np.random.default_rng(6))[0])
+    found = compare(parameters, parameters)
+    assert found.chi2 == 0
+    assert found.p == 1
+    assert in_words(found) == "nothing changed significantly"
+
+
+def test_files_without_tests_count_all_errors_as_independent() -> None:
+    parameters = parameters_of(draw(np.random.default_rng(6))[0])
+    bare = IdentifiedParameters(parameters.values, parameters.covariance)
+    found = compare(bare, parameters)
+    assert [c.std for c in found.changes] == pytest.approx([np.sqrt(2) * s for s in bare.std.values()])
+    assert found.notes[0].startswith("OLD keeps too little")
+    with pytest.raises(NotIdentifiable, match="nothing to compare"):
+        compare(bare, IdentifiedParameters({}, np.zeros((0, 0))))
+
+
+def test_holm_of_known_values() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.9]) == pytest.approx([0.04, 0.09, 0.09, 0.9])
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=12))
+def test_holm_is_monotone_and_between_p_and_bonferroni(p: list[float]) -> None:
+    found = holm(p)
+    assert np.all(found >= np.array(p) - 1e-15)
+    assert np.all(found <= np.minimum(1, len(p) * np.array(p)) + 1e-15)
+    assert np.all(np.diff(found[np.argsort(p, kind="stable")]) >= -1e-15)
+
+
+def test_limits_are_the_variance_s_parts() -> None:
+    estimates, _ = draw(np.random.default_rng(7))
+    parameters = parameters_of(estimates)
+    (sp,) = [limit for limit in limits(parameters_of(estimates[2:3])) or [] if limit.name == "SP_kg_m"]
+    assert sp.shares["noise"] == pytest.approx(1e-8 / (1e-8 + 2 * 0.25e-6), rel=1e-6)
+    found = {limit.name: limit for limit in limits(parameters) or []}
+    assert found.keys() == TRUTH.keys()
+    for limit in found.values():
+        assert tuple(limit.shares) == SOURCES
+        assert sum(limit.shares.values()) == pytest.approx(1)
+        assert limit.std == pytest.approx(parameters.std[limit.name])
+    sp = found["SP_kg_m"]
+    assert sp.main == "gain"
+    assert "lasers" in sp.advice
+    assert found["k1_N_per_m"].main == "clock"
+    assert found["zeta1"].main == "noise"
+    heavy = {limit.name: limit for limit in limits(parameters, mass_std=1e-3) or []}
+    assert heavy["k1_N_per_m"].main == "mass"
+    assert heavy["zeta1"].shares["mass"] == 0
+    bare = IdentifiedParameters(parameters.values, parameters.covariance)
+    assert limits(bare) is None
+
+
+def test_disagreement_is_a_limit_of_its_own() -> None:
+    estimates = spoilt(draw(np.random.default_rng(8), ("spin-down", "point-E"))[0], 1, "c3_Nms_per_rad", 0.03)
+    found = {limit.name: limit for limit in limits(parameters_of(estimates)) or []}
+    assert found["c3_Nms_per_rad"].main == "disagreement"
+    assert found["c3_Nms_per_rad"].shares["disagreement"] > 0.9
+    assert found["c4_Nms_per_rad"].main == "noise"
+
+
+def test_what_a_file_keeps_gives_the_same_joint_estimate_again(tmp_path: Path) -> None:
+    campaign = Campaign(3)
+    runs = [campaign.ring_down("x"), campaign.ring_down("y")]
+    identities = {"laser_x": {"serial": "123", "name": "ILD"}, "laser_y": {"serial": "124"}}
+    runs = [
+        dataclasses.replace(r, start_s=1.77e9 + i, metadata={"identities": identities, "rig": "virtual"})
+        for i, r in enumerate(runs)
+    ]
+    found = identify(runs, campaign.rig)
+    with_tests(found, runs).save(tmp_path / "p.toml")
+    loaded = IdentifiedParameters.load(tmp_path / "p.toml")
+    again = rebuilt(loaded)
+    assert again is not None
+    assert again[0].parameters.values == pytest.approx(found.parameters.values, rel=1e-12)
+    assert [t.estimate.test for t in again[1]] == [e.test for e in found.estimates]
+    assert again[1][0].devices == {"laser_x": "123", "laser_y": "124"}
+    assert again[1][0].recorded is not None
+    assert loaded.provenance["rig"] == "virtual"
+    direct, kept = limits(found) or [], limits(loaded) or []
+    assert [d.shares for d in direct] == [pytest.approx(k.shares) for k in kept]
+
+
+def test_a_file_written_by_another_rule_is_taken_at_its_word() -> None:
+    parameters = parameters_of(draw(np.random.default_rng(9))[0])
+    wider = IdentifiedParameters(parameters.values, 4 * parameters.covariance, parameters.provenance)
+    assert rebuilt(wider) is None
+    damaged = {**parameters.provenance["tests"][0], "covariance": [[1.0]]}
+    broken = IdentifiedParameters(parameters.values, parameters.covariance, {"tests": [damaged]})
+    with pytest.raises(ParametersFileError, match=r"tests\[0\].*4 × 4"):
+        kept_tests(broken)
+
+
+def test_history_finds_the_files_and_marks_the_change(tmp_path: Path) -> None:
+    rng = np.random.default_rng(10)
+    for day in (3, 1, 2, 4):
+        estimates = draw(rng, gains=GAINS)[0]
+        if day >= 3:
+            estimates = changed(estimates, "zeta1", 0.2)
+        parameters_of(estimates, day=day).save(tmp_path / f"day{day}.toml")
+    (tmp_path / "rig.toml").write_text("name = 'x'\n")
+    found = history([tmp_path])
+    assert [i.path.name for i in found.instants] == ["day1.toml", "day2.toml", "day3.toml", "day4.toml"]
+    assert len(found.skipped) == 1
+    marked = {(i, c.name) for i, step in enumerate(found.steps) if step for c in step.significant()}
+    assert marked == {(2, "zeta1")}
+    assert all(i.time_known and len(i.tests) == len(OWN) for i in found.instants)
+
+
+def test_history_asks_which_rig_and_refuses_logs(tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for rig in ("one", "two"):
+        parameters_of(draw(rng)[0], rig=rig).save(tmp_path / f"{rig}.toml")
+    with pytest.raises(ParametersFileError, match="--rig"):
+        history([tmp_path])
+    assert len(history([tmp_path], "two").instants) == 1
+    with pytest.raises(ParametersFileError, match="'three'"):
+        history([tmp_path], "three")
+    with pytest.raises(ParametersFileError, match="rig identify"):
+        history([tmp_path / "a.mcap"])
+    with pytest.raises(NotIdentifiable, match="no parameters file"):
+        history([empty])
+
+
+def test_a_file_that_does_not_say_when_has_its_own_time(tmp_path: Path) -> None:
+    parameters = parameters_of(draw(np.random.default_rng(12))[0])
+    IdentifiedParameters(parameters.values, parameters.covariance).save(tmp_path / "p.toml")
+    os.utime(tmp_path / "p.toml", (1.7e9, 1.7e9))
+    (instant,) = history([tmp_path / "p.toml"]).instants
+    assert not instant.time_known
+    assert instant.time.timestamp() == 1.7e9

@@ -1,0 +1,369 @@
+"""Passages of every kind against a simulator that shares nothing with the estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
+
+from daq.signals import Run
+from dynamics.speed_history import SpeedHistory
+from identification import FitFailed, IdentificationError, NotIdentifiable, RunUpFit, fit_run_up, fit_run_up_run
+from identification.run_up.forced_oscillator import Drive, responses_at
+from identification.run_up.rotor_phase import RotorPhase
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
+Speed = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+def ramp(first_Hz: float, last_Hz: float, seconds: float) -> Speed:
+    """ψ, ψ̇, ψ̈ of a linear ramp."""
+    a, b = 2 * np.pi * first_Hz, 2 * np.pi * (last_Hz - first_Hz) / seconds
+    return lambda t: (a * t + 0.5 * b * t * t, a + b * t, b + 0 * t)
+
+
+def coast(first_Hz: float, tau_s: float) -> Speed:
+    """A rotor left alone."""
+    a = 2 * np.pi * first_Hz
+    return lambda t: (a * tau_s * (1 - np.exp(-t / tau_s)), a * np.exp(-t / tau_s), -a / tau_s * np.exp(-t / tau_s))
+
+
+def rippled(speed: Speed, once: float, twice: float) -> Speed:
+    """Ripple of the speed once and twice a revolution."""
+
+    def phase(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        p, v, a = speed(t)
+        k = 1 + once * np.cos(p) + twice * np.cos(2 * p + 1)
+        dk = -once * np.sin(p) - 2 * twice * np.sin(2 * p + 1)
+        return p + once * np.sin(p) + 0.5 * twice * np.sin(2 * p + 1), v * k, a * k + v * v * dk
+
+    return phase
+
+
+@dataclass
+class Passage:
+    """A record to be: drawn noise, known truth."""
+
+    speed: Speed
+    seconds: float
+    f_Hz: tuple[float, float] = (3.0, 5.0)
+    zeta: tuple[float, float] = (0.01, 0.02)
+    angle_deg: float = 12.0
+    eccentricity_m: float = 100e-6
+    direction_rad: float = 0.7
+    noise_m: float = 10e-6
+    rate_Hz: float = 1000.0
+    seed: int = 0
+    time: np.ndarray = field(init=False)
+    signal: np.ndarray = field(init=False)
+    phase: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+        step = 1 / self.rate_Hz
+        self.time = step * np.arange(round(self.seconds * self.rate_Hz))
+        psi, rate, bend = self.speed(self.time[:-1, None] + 0.5 * step * (NODES + 1))
+        force = (rate**2 - 1j * bend) * np.exp(1j * psi)
+        h = [self._response(force, f, z) for f, z in zip(self.f_Hz, self.zeta, strict=True)]
+        amplitude = self.eccentricity_m * np.exp(1j * self.direction_rad)
+        x, y = (amplitude * h[0]).real, (amplitude * h[1]).imag
+        c, s = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
+        clean = np.column_stack([c * x + s * y, c * y - s * x]) + np.array([1e-3, -5e-4])
+        self.signal = clean + self.noise_m * self.rng.normal(size=clean.shape)
+        self.phase = self.speed(self.time)[0]
+
+    def _response(self, force: np.ndarray, f_Hz: float, zeta: float) -> np.ndarray:
+        """h from rest: two first-order filters with Gauss points inside every interval."""
+        step = 1 / self.rate_Hz
+        lam = 2 * np.pi * f_Hz * complex(-zeta, np.sqrt(1 - zeta**2))
+        q = []
+        for one in (lam, np.conj(lam)):
+            push = force @ (0.5 * step * WEIGHTS * np.exp(one * 0.5 * step * (1 - NODES)))
+            q.append(lfilter([1.0], [1.0, -np.exp(one * step)], np.r_[0.0, push]))
+        return (q[0] - q[1]) / (lam - np.conj(lam))
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """By the fit's names."""
+        return {
+            "f1_Hz": self.f_Hz[0], "zeta1": self.zeta[0], "f2_Hz": self.f_Hz[1], "zeta2": self.zeta[1],
+            "axis_angle_deg": self.angle_deg, "amplitude_x_m": self.eccentricity_m,
+            "amplitude_y_m": self.eccentricity_m, "phase_x_deg": np.degrees(self.direction_rad),
+            "phase_y_deg": np.degrees(self.direction_rad),
+        }  # fmt: skip
+
+    def fit(self, **options: object) -> RunUpFit:
+        return fit_run_up(self.time, self.signal, self.phase, **options)  # type: ignore[arg-type]
+
+    def run(self, every: int = 1) -> Run:
+        """As imported: one clock for all, the phase at whole turns only."""
+        turns = 2 * np.pi * np.arange(1, np.floor(self.phase[-1] / (2 * np.pi)) + 1)[::every]
+        marks = np.interp(turns, self.phase, self.time)
+        for _ in range(3):
+            p, v, _ = self.speed(marks)
+            marks -= (p - turns) / v
+        none, t = np.empty(0), self.time
+        rates = dict.fromkeys(("laser_x", "laser_y", "encoder"), 0.0)
+        return Run(
+            "run-up", "imported.mcap", 0.0, t, self.signal[:, 0], t, self.signal[:, 1], none, np.empty((0, 2)),
+            marks, turns, clock_rate_std=rates,
+        )  # fmt: skip
+
+
+def z_scores(passage: Passage, fit: RunUpFit) -> np.ndarray:
+    return np.array([(fit.values[n] - true) / fit.std[n] for n, true in passage.truth.items() if n in fit.values])
+
+
+def assert_covers(passage: Passage, fit: RunUpFit, count: int = 9) -> None:
+    z = z_scores(passage, fit)
+    assert len(z) == count
+    assert np.abs(z).max() < 4.0, dict(zip(fit.values, z.round(2), strict=False))
+
+
+PASSAGES = {
+    "severe": Passage(rippled(ramp(0.5, 7.0, 60.0), 0.002, 0.003), 60.0, zeta=(0.001, 0.001)),
+    "heavy damping": Passage(rippled(ramp(0.5, 7.0, 40.0), 0.003, 0.002), 40.0, zeta=(0.2, 0.2), angle_deg=-20.0),
+    "far apart": Passage(ramp(0.5, 14.0, 40.0), 40.0, f_Hz=(3.0, 11.6), zeta=(0.001, 0.02), angle_deg=20.0),
+    "coast-down": Passage(coast(7.0, 15.0), 30.0, zeta=(0.001, 0.01)),
+    "run-down": Passage(ramp(8.0, 0.2, 30.0), 30.0),
+    "starts in resonance": Passage(ramp(2.98, 7.0, 30.0), 30.0),
+    "second below first": Passage(ramp(0.5, 7.0, 30.0), 30.0, f_Hz=(5.0, 3.0)),
+    "turning backwards": Passage(ramp(-0.5, -7.0, 30.0), 30.0),
+    "close": Passage(ramp(0.5, 7.0, 40.0), 40.0, f_Hz=(3.0, 3.05), zeta=(0.02, 0.02)),
+    "250 Hz": Passage(ramp(0.5, 7.0, 40.0), 40.0, rate_Hz=250.0),
+}
+
+
+@pytest.mark.parametrize("name", PASSAGES)
+def test_passage_covers_the_truth(name: str) -> None:
+    passage = PASSAGES[name]
+    fit = passage.fit()
+    assert_covers(passage, fit)
+    assert fit.warnings == []
+    assert 0.9 < fit.chi2_per_dof < 1.1
+
+
+def test_severe_passage_is_within_the_goal() -> None:
+    fit = PASSAGES["severe"].fit()
+    assert fit.values["f1_Hz"] == pytest.approx(3.0, rel=1e-5)
+    assert fit.values["zeta1"] == pytest.approx(0.001, rel=5e-3)
+    assert fit.half_power["x"][1] > 0.02
+    assert fit.vold_kalman["x"][1] > 0.01
+
+
+def test_intervals_cover_over_many_draws() -> None:
+    z = np.concatenate([
+        z_scores(p, p.fit(setting="fast"))
+        for p in (Passage(ramp(0.5, 7.0, 12.0), 12.0, seed=s, angle_deg=s - 15.0) for s in range(30))
+    ])  # fmt: skip
+    assert 0.88 < np.mean(np.abs(z) < 1.96) < 0.99
+    assert 0.85 < np.std(z) < 1.15
+
+
+def test_forced_response_is_the_differential_equations() -> None:
+    speed = rippled(ramp(0.5, 7.0, 20.0), 0.003, 0.002)
+    t = np.arange(0.0, 20.0, 1e-3)
+    history = SpeedHistory.from_phases(t, speed(t)[0])
+    drive = Drive.from_history(history, 0.0, 19.9)
+    omega, zeta = 2 * np.pi * 3.0, 0.003
+    at = np.sort(np.random.default_rng(0).uniform(0.1, 19.8, 200))
+    response = responses_at(at, 0 * at, drive, [(omega, zeta)])[0]
+
+    def slope(s: float, y: np.ndarray) -> list[complex]:
+        p, v, a = speed(np.array(s))
+        return [y[1], (v * v - 1j * a) * np.exp(1j * p) - 2 * zeta * omega * y[1] - omega**2 * y[0]]
+
+    p, v, _ = speed(np.array(0.0))
+    phasor = complex(np.exp(1j * p))
+    begin = np.array([-phasor, 2 * zeta * omega * phasor - 1j * v * phasor])
+    exact = solve_ivp(slope, (0.0, 19.9), begin, "DOP853", at, rtol=1e-10, atol=1e-12).y
+    assert np.abs(response.h - exact[0]).max() < 1e-6 * np.abs(exact[0]).max()
+    assert np.abs(response.rate - exact[1]).max() < 1e-6 * np.abs(exact[1]).max()
+    for derivative, shifted in (
+        (response.by_omega, (omega * np.exp(1e-6), zeta)),
+        (response.by_zeta, (omega, zeta * np.exp(1e-6))),
+    ):
+        change = (responses_at(at, 0 * at, drive, [shifted])[0].h - response.h) / 1e-6
+        assert np.abs(change - derivative).max() < 1e-3 * np.abs(derivative).max()
+
+
+def test_directions_alike_have_no_axes() -> None:
+    passage = Passage(ramp(0.5, 7.0, 30.0), 30.0, f_Hz=(3.0, 3.0), zeta=(0.01, 0.01), angle_deg=0.0)
+    fit = passage.fit()
+    assert "axis_angle_deg" not in fit.values
+    assert any("axes not resolved" in w for w in fit.warnings)
+    assert "one resonance" in fit.model
+    assert np.abs(z_scores(passage, fit)).max() < 4
+
+
+def test_second_resonance_out_of_reach_is_said() -> None:
+    passage = Passage(ramp(0.5, 7.0, 40.0), 40.0, f_Hz=(3.0, 11.6))
+    fit = passage.fit()
+    assert {"f2_Hz", "zeta2", "amplitude_y_m"}.isdisjoint(fit.values)
+    assert any("resonance 2 (sensor y) is not identifiable" in w for w in fit.warnings)
+    assert np.abs(z_scores(passage, fit)).max() < 4
+
+
+def test_first_resonance_left_below_is_said() -> None:
+    passage = Passage(ramp(3.6, 7.0, 30.0), 30.0, f_Hz=(2.0, 5.0), angle_deg=5.0)
+    fit = passage.fit()
+    assert "f1_Hz" not in fit.values
+    assert abs(fit.values["f2_Hz"] - 5.0) < 4 * fit.std["f2_Hz"]
+
+
+def test_speeds_below_both_are_refused() -> None:
+    with pytest.raises(NotIdentifiable):
+        Passage(ramp(0.2, 1.5, 30.0), 30.0).fit()
+
+
+@pytest.mark.parametrize("resolution", [2 * np.pi / 4096, 2 * np.pi / 360])
+def test_quantised_phase(resolution: float) -> None:
+    passage = Passage(ramp(0.5, 7.0, 30.0), 30.0)
+    passage.phase = np.round(passage.phase / resolution) * resolution
+    assert_covers(passage, passage.fit())
+
+
+def test_noise_of_the_phase_lengthens_intervals() -> None:
+    z, longer = [], []
+    for seed in range(8):
+        passage = Passage(ramp(0.5, 7.0, 20.0), 20.0, seed=seed)
+        clean = passage.fit(setting="fast")
+        passage.phase = passage.phase + 0.02 * passage.rng.normal(size=len(passage.phase))
+        noisy = passage.fit(setting="fast")
+        z.append(z_scores(passage, noisy))
+        longer.append(noisy.std["zeta1"] / clean.std["zeta1"])
+    assert min(longer) > 2.0
+    assert np.mean(np.abs(np.concatenate(z)) < 1.96) > 0.85
+
+
+@pytest.mark.parametrize("by_marks", [False, True])
+def test_an_integrated_noisy_speed_lengthens_intervals(by_marks: bool) -> None:
+    z, longer = [], []
+    for seed in range(6):
+        passage = Passage(ramp(0.5, 7.0, 20.0), 20.0, seed=seed)
+        clean = passage.fit(setting="fast")
+        speed = passage.speed(passage.time)[1] + 0.1 * passage.rng.normal(size=len(passage.time))
+        passage.phase = np.r_[0.0, np.cumsum(0.5e-3 * (speed[1:] + speed[:-1]))]
+        if by_marks:
+            turns = 2 * np.pi * np.arange(1, np.floor(passage.phase[-1] / (2 * np.pi)) + 1)
+            marks = np.interp(turns, passage.phase, passage.time)
+            noisy = fit_run_up_run(replace(passage.run(), mark_time_s=marks, mark_phase_rad=turns), setting="fast")
+        else:
+            noisy = passage.fit(setting="fast")
+        names = ["f1_Hz", "zeta1", "f2_Hz", "zeta2"]
+        z += [(noisy.values[n] - passage.truth[n]) / noisy.std[n] for n in names]
+        longer.append(noisy.std["f1_Hz"] / clean.std["f1_Hz"])
+    assert np.median(longer) > 2.0
+    assert np.mean(np.abs(z) < 1.96) > 0.8
+    assert np.max(np.abs(z)) < 5
+
+
+def test_wrapped_phase() -> None:
+    passage = Passage(ramp(0.5, 7.0, 20.0), 20.0)
+    whole = passage.fit().values
+    passage.phase = np.angle(np.exp(1j * passage.phase))
+    assert passage.fit().values["f1_Hz"] == pytest.approx(whole["f1_Hz"], rel=1e-9)
+
+
+def test_outliers_rail_and_gaps_are_left_out() -> None:
+    passage = Passage(ramp(0.5, 7.0, 30.0), 30.0)
+    rail = 1e-3 + 0.6 * (passage.signal[:, 0].max() - 1e-3)
+    rng = np.random.default_rng(1)
+    hit = rng.random(passage.signal.shape) < 0.02
+    passage.signal[hit] += 5e-3 * rng.normal(size=np.count_nonzero(hit))
+    passage.signal[rng.random(len(passage.time)) < 0.02] = np.nan
+    passage.signal[8000:8600, 0] = np.nan
+    passage.signal[:, 0] = np.clip(passage.signal[:, 0], -1.0, rail)
+    fit = passage.fit()
+    assert_covers(passage, fit)
+    assert any("outliers" in w for w in fit.warnings)
+    assert any("rail" in w for w in fit.warnings)
+
+
+def test_lag_of_the_sensors_is_found() -> None:
+    passage = Passage(ramp(0.5, 7.0, 30.0), 30.0, zeta=(0.05, 0.05))
+    lag = 3
+    passage.signal, passage.time, passage.phase = passage.signal[:-lag], passage.time[lag:], passage.phase[lag:]
+    fit = passage.fit()
+    assert any("clocks are apart" in w for w in fit.warnings)
+    assert fit.values["delay_x_s"] == pytest.approx(lag * 1e-3, abs=4 * fit.std["delay_x_s"])
+    assert np.abs(z_scores(passage, fit)).max() < 4
+
+
+def test_ripple_between_marks_is_found() -> None:
+    for once, twice, size in ((0.003, 0.002, 100e-6), (0.0, 0.005, 300e-6)):
+        speed = rippled(coast(7.0, 15.0), once, twice)
+        passage = Passage(speed, 30.0, zeta=(0.001, 0.001), eccentricity_m=size)
+        fit = fit_run_up_run(passage.run())
+        assert "ripple" in fit.model
+        assert np.abs(z_scores(passage, fit)).max() < 4.5
+    assert "ripple" not in fit_run_up_run(Passage(coast(7.0, 15.0), 30.0, zeta=(0.001, 0.001)).run()).model
+
+
+def test_smallest_model_is_named() -> None:
+    straight = Passage(ramp(0.5, 7.0, 20.0), 20.0, angle_deg=0.0).fit()
+    assert "axes along the sensors" in straight.model
+    assert straight.std["axis_angle_deg"] > 0
+    turned = Passage(ramp(0.5, 7.0, 20.0), 20.0, angle_deg=3.0).fit()
+    assert "axes turned" in turned.model
+    drifting = Passage(ramp(0.5, 7.0, 20.0), 20.0)
+    drifting.signal += 1e-4 * np.linspace(-1, 1, len(drifting.time))[:, None] ** 3
+    found = drifting.fit()
+    assert "cubic drift" in found.model
+    assert_covers(drifting, found)
+    assert {row.name for row in found.model_table if row.chosen} == {"cubic drift"}
+
+
+def test_settings_agree() -> None:
+    passage = Passage(ramp(0.5, 7.0, 20.0), 20.0)
+    fits = {s: passage.fit(setting=s) for s in ("fast", "balanced", "reference")}
+    for name, reference in fits["reference"].values.items():
+        for fit in fits.values():
+            assert abs(fit.values[name] - reference) < 0.3 * fit.std[name]
+    low, high = fits["reference"].intervals["zeta1"]
+    assert high - low == pytest.approx(2 * 1.96 * fits["reference"].std["zeta1"], rel=0.1)
+
+
+def test_ten_kilohertz_say_the_same() -> None:
+    slow = Passage(ramp(0.5, 7.0, 15.0), 15.0).fit()
+    quick = Passage(ramp(0.5, 7.0, 15.0), 15.0, rate_Hz=10000.0, noise_m=10e-6 * 10**0.5).fit()
+    assert quick.std["zeta1"] == pytest.approx(slow.std["zeta1"], rel=0.05)
+
+
+def test_another_rotors_phase_is_refused() -> None:
+    passage = Passage(ramp(0.5, 7.0, 30.0), 30.0)
+    with pytest.raises(FitFailed, match="is the phase the rotor's"):
+        fit_run_up(passage.time, passage.signal, ramp(0.5, 7.7, 30.0)(passage.time)[0])
+
+
+def test_noise_alone_is_refused() -> None:
+    passage = Passage(ramp(0.5, 7.0, 20.0), 20.0, eccentricity_m=1e-12)
+    with pytest.raises(IdentificationError):
+        passage.fit()
+
+
+def test_a_standing_rotor_is_refused() -> None:
+    time = np.arange(0.0, 10.0, 1e-3)
+    noise = 1e-5 * np.random.default_rng(0).normal(size=(len(time), 2))
+    with pytest.raises(NotIdentifiable, match="less than twice"):
+        fit_run_up(time, noise, 0 * time)
+
+
+def test_shapes_that_do_not_match_are_refused() -> None:
+    with pytest.raises(NotIdentifiable, match="expected n times"):
+        fit_run_up(np.arange(10.0), np.zeros((9, 2)), np.zeros(10))
+
+
+def test_jitter_of_marks_is_measured() -> None:
+    rng = np.random.default_rng(0)
+    turns = 2 * np.pi * np.arange(1, 200)
+    marks = np.sqrt(2 * turns / 2.0)
+    quiet = RotorPhase.from_marks(marks, turns)
+    noisy = RotorPhase.from_marks(marks + 2e-4 * rng.normal(size=len(marks)), turns)
+    jitter = np.sqrt(np.median(noisy.noise_density / np.diff(marks))) / np.median(2 * np.pi / np.diff(marks))
+    assert jitter == pytest.approx(2e-4, rel=0.3)
+    assert quiet.noise_density.max() < 1e-3 * noisy.noise_density.max()
