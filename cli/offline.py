@@ -24,13 +24,12 @@ def identify(
     from cli.parameters import limit_json  # noqa: PLC0415
     from identification import identify as find  # noqa: PLC0415
     from identification.joint.limits import limits  # noqa: PLC0415
-    from identification.joint.provenance import with_tests  # noqa: PLC0415
 
     _need(logs, "rig identify LOG…")
     loaded = load_rig(rig, settings=settings or [])
     runs = results.load_runs(logs)
     found = find(runs, loaded, STDERR.print)
-    parameters = results.with_version(with_tests(found, runs))
+    parameters = results.with_version(found.parameters)
     parameters.save(output)
     limited = limits(found) or []
     if json:

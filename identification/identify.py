@@ -13,6 +13,7 @@ from daq.signals import Run
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
+from identification.joint.provenance import with_tests
 from identification.pendulums.release import fit_release
 from identification.pendulums.spin_down_run import damping_estimate, fit_spin_down_run
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -235,10 +236,11 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
         warnings.append(f"not identified: {', '.join(missing)}; {_advice(missing)}")
     facts = _provenance(runs, work, rows)
     angle, std = _axis_angle(work.fits)
-    return Identification(
+    found = Identification(
         IdentifiedParameters(parameters.values, parameters.covariance, facts), angle, std,
         work.estimates, work.fits, rows, work.warnings + warnings,
     )  # fmt: skip
+    return replace(found, parameters=with_tests(found, runs))
 
 
 def _advice(missing: list[str]) -> str:
