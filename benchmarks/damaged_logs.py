@@ -325,6 +325,8 @@ def check_file(path: Path, shape: Shape, kind: Damager | None, rng: Generator) -
         assert read[0] <= verified[0], "samples handed out that are not there"
         if not (whole and facts):
             assert said, "something is gone, and nothing was said"
+        if not whole:
+            assert any(place.messages != 0 for place in said), "samples are gone, and no message was said to be lost"
         if changed:
             assert said, "bytes were changed, and nothing was said"
         # one damaged place is told exactly; of several, indexes that do not fit may claim more than was lost

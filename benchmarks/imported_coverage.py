@@ -82,7 +82,7 @@ class Rig:
 
     @property
     def truth(self) -> dict[str, float]:
-        names = "k1_N_per_m k2_N_per_m zeta1 zeta2 c3_Nms_per_rad c4_Nms_per_rad SP_kg_m".split()
+        names = ["k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "c3_Nms_per_rad", "c4_Nms_per_rad", "SP_kg_m"]
         return dict(zip(names, [*self.k, *self.zeta, *self.c, self.imbalance], strict=True))
 
     def move(self, start, times, motion, free):
@@ -124,7 +124,7 @@ class Rig:
         return self.write(t, state, np.tile(start[2:4], (len(t), 1)), np.zeros(len(t)))
 
     def locks(self):
-        return np.radians([0.0, 180.0] + self.rng.uniform(-0.2, 0.2, 2))
+        return np.radians(np.array([0.0, 180.0]) + self.rng.uniform(-0.2, 0.2, 2))
 
     def run_up(self) -> Path:
         seconds, top = 50.0, 15.0 * 2 * np.pi

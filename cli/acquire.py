@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -141,19 +142,34 @@ def test(
     note: str = "",
     top_rpm: float | None = None,
     duration: float = 40.0,
+    track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
     """Run one guided test: ring-down-x, ring-down-y, spin-down, run-up, run-down, or point NAME."""
     loaded = load_rig(rig, parameters, settings or [])
-    with Session(loaded, HostClock(time_scale)) as session, StepProgress({name: 1.0}) as progress:
+    with ExitStack() as stack:
+        session = stack.enter_context(Session(loaded, HostClock(time_scale)))
+        progress = stack.enter_context(StepProgress({name: 1.0}))
         progress.step(name)
-        tests = Procedures(session, TerminalOperator(), out, progress.tell, note)
+        following = None
+        if track:
+            from cli.tracking import LiveTracking  # noqa: PLC0415 (numba takes seconds to import)
+
+            following = stack.enter_context(LiveTracking(session))
+
+        def tell(text: str, share: float | None) -> None:
+            words = following.words() if following is not None else ""
+            progress.tell(f"{text}; {words}" if words else text, share)
+
+        tests = Procedures(session, TerminalOperator(), out, tell, note)
         if parameters is not None:
             tests.parameters = IdentifiedParameters.label(parameters)
         done = run_test(tests, loaded, name if point is None else f"point-{point}", top_rpm, duration)
     result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary}
+    if following is not None:
+        result["tracked"] = following.facts()
     if json:
         print_json(result)
     else:

@@ -61,6 +61,7 @@ class Run:
         losses: counted losses by "device.kind"; "log.missing_messages" are those the file itself lacks.
         metadata: the log's own facts (rig, point, software version, digest …); "missing" lists what the file lacks,
             sentences.
+        phase_time_s, phase_rad: ψ between the marks too, shape (l,), where a recording has it.
     """
 
     test: str
@@ -79,6 +80,8 @@ class Run:
     clock_rate_std: Mapping[str, float] = field(default_factory=dict)
     losses: Mapping[str, int] = field(default_factory=dict)
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    phase_time_s: np.ndarray = field(default_factory=lambda: np.empty(0))
+    phase_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
 def load_run(path: str | Path) -> Run:
@@ -98,6 +101,7 @@ def load_run(path: str | Path) -> Run:
         line = _node_line(log, devices.encoder.clock_tolerance_ppm, start_s, shared)
         angle_time_s, angle_rad = _angles(log, line, start_s)
         mark_time_s, mark_phase_rad = _marks(log, line, math.radians(devices.encoder.index_angle_deg), start_s)
+        phase_time_s, phase_rad = _phase(log, line, start_s)
         return Run(
             test=run.get("test", "unknown"),
             source=str(path),
@@ -110,6 +114,8 @@ def load_run(path: str | Path) -> Run:
             angle_rad=angle_rad,
             mark_time_s=mark_time_s,
             mark_phase_rad=mark_phase_rad,
+            phase_time_s=phase_time_s,
+            phase_rad=phase_rad,
             releases=_releases(log, line, start_s),
             angle_step_rad=2 * np.pi / devices.encoder.counts_per_revolution,
             clock_rate_std={
@@ -228,6 +234,15 @@ def _marks(
     if "phase_rad" in samples.columns:
         return _whole_turns(times, samples.phase_rad)
     return times, 2 * np.pi * samples.revolutions.astype(float) + index_rad
+
+
+def _phase(log: Log, line: ClockLine, start_s: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Times and values of the rotor's phase, where the log has it in every row."""
+    samples = _samples(log, "tacho")
+    if samples is None or "phase_rad" not in samples.columns:
+        return np.empty(0), np.empty(0)
+    good = np.isfinite(samples.phase_rad)
+    return _node_s(samples, line, start_s)[good], samples.phase_rad[good]
 
 
 def _whole_turns(

@@ -154,7 +154,8 @@ def _definitions(source: LogSource) -> tuple[list[records.Schema], list[records.
     for channel_id, channel in channels.items():
         if channel.schema_id not in known.schemas:
             channels[channel_id] = replace(channel, schema_id=0)
-    return list(known.schemas.values()), list(channels.values())
+    schemas = [schema for schema in known.schemas.values() if schema.id]  # 0 means none, whatever a file defines it as
+    return schemas, list(channels.values())
 
 
 def _other_records(source: LogSource) -> tuple[dict[str, dict[str, str]], list[records.Attachment]]:

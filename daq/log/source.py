@@ -25,6 +25,7 @@ from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
 from daq.mcap.reader import survey, walk
 from daq.mcap.records import DamageError, read_attachment
+from daq.mcap.scan import spans
 
 _CACHE_BYTES = 64 * 2**20
 _THREADS = min(4, os.cpu_count() or 1)
@@ -170,6 +171,8 @@ class LogSource:
             if len(record) != length:
                 record = memoryview(self.file.read(start, length))
             data = np.frombuffer(self._checked(chunk, record), np.uint8)
+            if table.crc is None and not spans(data, table.start_ns[chunk], table.end_ns[chunk]):
+                raise IndexWrongError("a chunk with messages of other times than the index says")
         except (DamageError, LogError) as damage:
             if self.file.closed:
                 raise

@@ -141,6 +141,17 @@ class ChunkTable:
             return np.arange(len(self))
         return np.flatnonzero((self.high_ns >= window_ns[0]) & (self.low_ns < window_ns[1]))
 
+    def alike(self) -> list[NDArray[np.intp]]:
+        """Groups of chunks, by number, that have first and last log time and unpacked size in common."""
+        if (self.start_ns[1:] > self.start_ns[:-1]).all():  # mostly so
+            return []
+        starts = np.sort(self.start_ns)
+        chunks = np.flatnonzero(np.isin(self.start_ns, starts[1:][starts[1:] == starts[:-1]]))
+        columns = np.stack([self.unpacked[chunks], self.end_ns[chunks], self.start_ns[chunks]])
+        order = np.lexsort(columns)
+        other = (columns[:, order[1:]] != columns[:, order[:-1]]).any(axis=0)
+        return [group for group in np.split(chunks[order], np.flatnonzero(other) + 1) if len(group) > 1]
+
     def messages(self, chunks: NDArray[np.intp], channel_ids: Iterable[int]) -> NDArray[np.int64]:
         """Messages of some channels in each of `chunks` (ascending), shape as `chunks`."""
         if not len(chunks):

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.log.samples import Missing
 from daq.mcap.chunks import ChunkTable
@@ -52,16 +53,17 @@ class Damage:
         return self.places[-1]
 
     def explain(self, index: ChunkTable, found: ChunkTable) -> None:
-        """Tell from a sound index which chunks are not among those found, and so what each place held."""
-        starts = set(found.start.tolist())
+        """Tell from a sound index which chunks are not among those found, and so what each place held.
+
+        A chunk that is not at its place may stand at another one: each found where the index does not tell of it
+        accounts for one.
+        """
         known = sorted(self.places, key=lambda place: place.start)
         sorted_starts = [place.start for place in known]
         for place in self.places:
             place.held = []
-        for chunk, start in enumerate(index.start.tolist()):
-            if start in starts:
-                continue
-            end = start + int(index.length[chunk])
+        for chunk in _not_found(index, found):
+            start, end = int(index.start[chunk]), int(index.start[chunk] + index.length[chunk])
             near = bisect_left(sorted_starts, end) - 1
             if near >= 0 and known[near].end > start:
                 at = known[near]
@@ -71,22 +73,77 @@ class Damage:
             at.held.append(Held(dict(index.entries(chunk)), (int(index.start_ns[chunk]), int(index.end_ns[chunk]))))
         self.places.sort(key=lambda place: place.start)
 
-    def settle(self, found: ChunkTable) -> None:
-        """Forget what message indexes tell of chunks that stand elsewhere in the file, so are not missing."""
+    def settle(self, found: ChunkTable, unnamed: set[int]) -> None:
+        """Forget what message indexes tell of chunks that stand elsewhere in the file, so are not missing.
+
+        Args:
+            found: the good chunks.
+            unnamed: where those begin that lack message indexes of their own. Where only others fit what is told, it
+                may be of them, or of one lost that was like them: then nothing is known.
+        """
+        free = {chunk for chunk, start in enumerate(found.start.tolist()) if start in unnamed}
         for place in self.places:
+            left: list[Held] | None = []
+            for held in place.held or ():
+                alike = _alike(held, found)
+                moved = next((chunk for chunk in alike if chunk in free), None)
+                if moved is not None:
+                    free.discard(moved)
+                elif alike:
+                    left = None
+                elif left is not None and held.counts:
+                    left.append(held)
             if place.held:
-                place.held = [held for held in place.held if not _stands_elsewhere(held, found)]
+                place.held = left
 
     def missing(self, definitions: Definitions, table: ChunkTable) -> list[Missing]:
         """The places in words and numbers; where nothing else is known, the neighbours tell the times."""
         return [_missing(place, definitions, table) for place in self.places]
 
 
-def _stands_elsewhere(held: Held, found: ChunkTable) -> bool:
+def _not_found(index: ChunkTable, found: ChunkTable) -> list[int]:
+    """Numbers of the index's chunks that are not among those found, each of which stands for one."""
+    as_told, in_place = _pairs(index, found)
+    spare: dict[tuple[object, ...], list[int]] = {}
+    for number in np.flatnonzero(~in_place).tolist():
+        spare.setdefault(_facts(found, number), []).append(number)
+    lacking: list[int] = []
+    for number in np.flatnonzero(~as_told).tolist():
+        if elsewhere := spare.get(_facts(index, number)):
+            elsewhere.pop()
+        else:
+            lacking.append(number)
+    # where the right messages stand at the right place, the index is wrong about their times
+    holding = {int(found.start[n]): _entries(found, n) for numbers in spare.values() for n in numbers}
+    return [number for number in lacking if holding.get(int(index.start[number])) != _entries(index, number)]
+
+
+def _pairs(index: ChunkTable, found: ChunkTable) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which of the index's chunks are found at their place just as it tells, and which found ones these are."""
+    _, a, b = np.intersect1d(index.start, found.start, assume_unique=True, return_indices=True)
+    told, there = (table.messages(table.numbers(None), range(65536)) for table in (index, found))
+    same = (told[a] == there[b]) & (index.unpacked[a] == found.unpacked[b])
+    same &= (told[a] == 0) | ((index.start_ns[a] == found.start_ns[b]) & (index.end_ns[a] == found.end_ns[b]))
+    as_told, in_place = np.zeros(len(index), bool), np.zeros(len(found), bool)
+    as_told[a[same]] = in_place[b[same]] = True
+    return as_told, in_place
+
+
+def _facts(table: ChunkTable, chunk: int) -> tuple[object, ...]:
+    """What both an index and a chunk itself tell."""
+    return int(table.start_ns[chunk]), int(table.end_ns[chunk]), int(table.unpacked[chunk]), _entries(table, chunk)
+
+
+def _entries(table: ChunkTable, chunk: int) -> frozenset[tuple[int, int]]:
+    return frozenset(table.entries(chunk))
+
+
+def _alike(held: Held, found: ChunkTable) -> list[int]:
+    """Chunks that hold as many messages of that time."""
     if held.span_ns is None:
-        return not held.counts
+        return []
     around = (found.start_ns <= held.span_ns[0]) & (found.end_ns >= held.span_ns[1])
-    return any(held.counts.items() <= dict(found.entries(chunk)).items() for chunk in np.flatnonzero(around).tolist())
+    return [c for c in np.flatnonzero(around).tolist() if held.counts.items() <= dict(found.entries(c)).items()]
 
 
 def _missing(place: Place, definitions: Definitions, table: ChunkTable) -> Missing:

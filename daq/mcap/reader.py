@@ -11,15 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from daq.errors import LogError
 from daq.log.samples import Missing
 from daq.mcap.chunks import HEAD_BYTES, ChunkTable, parse_head
 from daq.mcap.contents import Contents, from_summary
 from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import FileBytes
-from daq.mcap.records import DamageError, check_attachment, read_header
+from daq.mcap.records import DamageError, Header, check_attachment, read_header
 from daq.mcap.summary_reader import Summary, read_summary
 from daq.mcap.walk import Walk
 from daq.mcap.writer import TIMES
+
+_SHORT_HEAD_BYTES = 64  # enough of a chunk's record for the head of one that can be unpacked
 
 
 def survey(file: FileBytes) -> Contents:
@@ -30,9 +33,36 @@ def survey(file: FileBytes) -> Contents:
     """
     header = read_header(file)
     try:
-        return from_summary(file, header, read_summary(file, header))
+        summary = read_summary(file, header)
+        if not _only_index_knows(header, summary) and _stands_twice(file, summary.table):
+            raise DamageError("the same chunk stands at two places of the index")
+        return from_summary(file, header, summary)
     except DamageError:
         return walk(file)
+
+
+def _only_index_knows(header: Header, summary: Summary) -> bool:
+    """Whether nothing else tells if the same chunk twice was written so or copied by mistake: another writer, who need
+    not number messages, and gave no CRC of the data.
+    """
+    return not header.ours and not summary.data_crc
+
+
+def _stands_twice(file: FileBytes, index: ChunkTable) -> bool:
+    """Whether two chunks of an index have the same CRC as well; a chunk that is not what its index says is found out
+    when it is read.
+    """
+    for chunks in index.alike():
+        crcs: set[int] = set()
+        for start, length in zip(index.start[chunks].tolist(), index.length[chunks].tolist(), strict=True):
+            try:
+                crc = parse_head(file.read(start, min(length, _SHORT_HEAD_BYTES)), length).crc
+            except (DamageError, LogError):
+                continue
+            if crc in crcs:
+                return True
+            crcs.add(crc)
+    return False
 
 
 def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Contents:
@@ -50,14 +80,18 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
         summary, why = read_summary(file, header), ""
     except DamageError as damage:
         summary, why = None, str(damage)
-    done = Walk(file, header, why, progress)
+    believed = frozenset[int]()
+    if summary is not None and _only_index_knows(header, summary):
+        believed = frozenset(summary.table.start.tolist())
+    done = Walk(file, header, why, believed, progress)
     done.run()
     if not done.finished:
         _note_cut(done)
     if summary is not None:
         _use_summary(done, summary)
     table = done.table.build()
-    done.damage.settle(table)
+    if summary is None:
+        done.damage.settle(table, done.unnamed)
     done.metadata.pop(TIMES, None)  # the table has the times themselves
     contents = Contents(
         header, table, False, done.definitions, table.totals(), table.span(),

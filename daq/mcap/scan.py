@@ -104,6 +104,22 @@ def tally(data, counts, touched, times):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
+def spans(data, first, last):  # pragma: no cover - compiled
+    """Whether the log times of an unpacked chunk's messages go from `first` to `last`, ns; true without messages."""
+    earliest, latest = _FAR, np.uint64(0)
+    position = 0
+    while position < len(data):
+        end = _record_end(data, position)
+        if end < 0:
+            return False
+        if data[position] == 5:
+            log_time = _eight(data, position + 15)
+            earliest, latest = min(earliest, log_time), max(latest, log_time)
+        position = end
+    return earliest > latest or (earliest == np.uint64(first) and latest == np.uint64(last))
+
+
+@numba.njit(cache=True, nogil=True)
 def loose_messages(block):  # pragma: no cover - compiled
     """End of the whole message records at the start of `block`, which stand outside of any chunk."""
     position = 0

@@ -40,6 +40,7 @@ class Summary:
         table: the chunks.
         attachments, metadata: where they stand.
         data_end: byte at which the data section ends.
+        data_crc: CRC of the data section, not checked; 0 when the writer gave none.
     """
 
     definitions: Definitions
@@ -48,6 +49,7 @@ class Summary:
     attachments: list[AttachmentIndex]
     metadata: list[MetadataIndex]
     data_end: int
+    data_crc: int
 
 
 def read_summary(file: FileBytes, header: Header) -> Summary:
@@ -77,7 +79,7 @@ def read_summary(file: FileBytes, header: Header) -> Summary:
         raise DamageError(str(fault)) from fault
     except MemoryError as fault:
         raise DamageError("a summary longer than there is memory for") from fault
-    return reading.summary(start - _DATA_END_BYTES, header)
+    return reading.summary(start - _DATA_END_BYTES, int.from_bytes(data_end[-4:], "little"), header)
 
 
 @dataclass
@@ -151,7 +153,7 @@ class _Reading:
         elif opcode == Opcode.METADATA_INDEX:
             self.metadata.append(parse(records.MetadataIndex, body))
 
-    def summary(self, data_end: int, header: Header) -> Summary:
+    def summary(self, data_end: int, data_crc: int, header: Header) -> Summary:
         """What was read, once it is consistent.
 
         Raises:
@@ -173,7 +175,8 @@ class _Reading:
             or statistics.attachment_count != len(self.attachments)
         ):
             raise DamageError("a summary that does not index everything")
-        return Summary(self.definitions, statistics, self._table(), self.attachments, self.metadata, data_end)
+        parts = self._table(), self.attachments, self.metadata
+        return Summary(self.definitions, statistics, *parts, data_end, data_crc)
 
     def counts_by_channel(self) -> dict[int, int]:
         """Messages by channel id; channels without any are left out."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from zlib_ng.zlib_ng import crc32
 from daq.mcap.chunks import ChunkHead, ChunkTable
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions
 from daq.mcap.scan import definitions, tally
+
+_NOTHING = np.empty(0, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class TableBuilder:
         self._entries = array("q")
         self._first_entry = array("q", [0])
         self._seen: dict[tuple[int, ...], int] = {}  # CRC, size and times of a chunk: where it stands
+        self._copies: list[tuple[int, ChunkHead, TakenChunk]] = []
 
     def __len__(self) -> int:
         return len(self._first_entry) - 1
@@ -66,19 +69,30 @@ class TableBuilder:
                 self._known.take(int(data[start]), data[start + RECORD_HEAD.size : end].tobytes())
         return TakenChunk(data, counts, self._times.tolist() if found else [0] * 4)
 
-    def add(self, start: int, head: ChunkHead, chunk: TakenChunk) -> int | None:
-        """Add a chunk that begins at byte `start`; where the same one stands already, only tell where."""
+    def add(self, start: int, head: ChunkHead, chunk: TakenChunk, believed: bool = False) -> int | None:
+        """Add a chunk that begins at byte `start`; where the same one stands already, only tell where.
+
+        Args:
+            believed: add it even so.
+        """
         crc = head.crc or crc32(chunk.data.data)
-        key = crc, len(chunk.data), *chunk.times
-        if chunk.counts and key in self._seen:
-            return self._seen[key]
-        self._seen[key] = start
+        key = crc, head.unpacked, *chunk.times
+        earlier = self._seen.setdefault(key, start)
+        if earlier != start and chunk.counts and not believed:
+            self._copies.append((start, replace(head, crc=crc), replace(chunk, data=_NOTHING)))
+            return earlier
         self._rows.extend((start, head.data_at + head.packed, head.packed, head.unpacked, head.kind, crc))
         self._rows.extend(min(time, 2**63 - 1) for time in chunk.times)
         for pair in chunk.counts.items():
             self._entries.extend(pair)
         self._first_entry.append(len(self._entries) // 2)
         return None
+
+    def keep_all(self) -> set[int]:
+        """Add what was left out because the same stands elsewhere; returns where these chunks begin."""
+        for start, head, chunk in self._copies:
+            self.add(start, head, chunk, believed=True)
+        return {start for start, _, _ in self._copies}
 
     def build(self) -> ChunkTable:
         """The table of all chunks so far."""

@@ -50,6 +50,7 @@ class Walk:
         file: the file.
         header: who wrote it.
         no_summary: why its summary cannot be used, in words; "" when it can.
+        believed: where chunks begin that count even when the same one stands elsewhere too.
         progress: told now and then which share of the file is done.
 
     Attributes:
@@ -63,9 +64,14 @@ class Walk:
     """
 
     def __init__(
-        self, file: FileBytes, header: Header, no_summary: str, progress: Callable[[float], None] | None
+        self,
+        file: FileBytes,
+        header: Header,
+        no_summary: str,
+        believed: frozenset[int],
+        progress: Callable[[float], None] | None,
     ) -> None:
-        self.file, self.header, self.no_summary = file, header, no_summary
+        self.file, self.header, self.no_summary, self.believed = file, header, no_summary, believed
         self.window = Window(file, header.ours)
         self.progress = progress
         self.damage = Damage()
@@ -78,6 +84,8 @@ class Walk:
         self.last_data = _NOTHING  # records of the last good chunk: its message indexes follow
         self.last_counts: dict[int, int] = {}
         self.indexed: dict[int, int] = {}  # what its message indexes have named so far
+        self.last_start = -1
+        self.unnamed: set[int] = set()  # where good chunks stand whose message indexes do not name all they hold
         self.open_place: Place | None = None  # message indexes that come next belong to it
         self.left_out_end = -1
         self.search_from = len(MAGIC)  # behind what was right for sure, or behind the last record searched for
@@ -182,6 +190,8 @@ class Walk:
         fits = wrong < 0 and len(self.last_data) > 0
         if fits and all(self.last_counts.get(channel) == count for channel, count in counts.items()):
             self.indexed |= counts
+            if self.indexed == self.last_counts:
+                self.unnamed.discard(self.last_start)
         elif self.open_place is not None:
             self.open_place.held = [*(self.open_place.held or []), Held(counts, span)]
             self.open_place.end = max(self.open_place.end, end)
@@ -215,7 +225,7 @@ class Walk:
             self.crc = None
             self.left_out_end = end  # perhaps a wrong length: the search still begins inside
             return end
-        earlier = self.table.add(position, head, chunk)
+        earlier = self.table.add(position, head, chunk, position in self.believed)
         if earlier is not None:
             text = f"the chunk of byte {earlier} again, copied over what stood here; taken once"
             self.open_place = self.damage.note(position, end, text, len(self.table))
@@ -223,7 +233,8 @@ class Walk:
             text = "a chunk whose head tells other times than its messages; these count"
             self.damage.note(position, end, text, len(self.table)).held = []
         self._count_without_crc("chunks", head.crc)
-        self.last_data, self.last_counts = chunk.data, chunk.counts
+        self.last_data, self.last_counts, self.last_start = chunk.data, chunk.counts, position
+        self.unnamed.add(position)
         return end
 
     def read_chunk(self, position: int, end: int, head: ChunkHead) -> TakenChunk:
@@ -259,7 +270,7 @@ class Walk:
             try:
                 chunk = self.table.count(np.frombuffer(self.file.read(start, end - start), np.uint8))
                 crc = crc32(chunk.data.data)
-                self.table.add(start, ChunkHead(0, 0, end - start, crc, BARE, "", 0, end - start), chunk)
+                self.table.add(start, ChunkHead(0, 0, end - start, crc, BARE, "", 0, end - start), chunk, believed=True)
                 self._count_without_crc("stretches of messages", 0)
             except (DamageError, LogError) as damage:
                 self.damage.note(start, end, f"{damage}, left out", len(self.table))
@@ -281,6 +292,9 @@ class Walk:
             raise DamageError("an end of the data of another length than it has")
         crc = int.from_bytes(self.window.view(end - 4, end), "little")
         self._count_without_crc("data sections", crc)
+        if crc and crc == self.crc and not self.data_ended:  # what stands twice was written twice
+            written = self.table.keep_all()
+            self.damage.places = [place for place in self.damage.places if place.start not in written]
         if self.crc is not None and crc != self.crc and (crc or self.header.ours):
             text = "the CRC of the whole data section is wrong, though every chunk in it is right"
             self.damage.note(0, position, text, len(self.table)).held = []

@@ -102,14 +102,17 @@ def fit_run_up(
 
 
 def fit_run_up_run(run: Run, *, setting: Setting = "balanced") -> RunUpFit:
-    """The same on a recorded run: both sensors on their own clocks, the phase from the tachometer marks.
+    """The same on a recorded run: both sensors on their own clocks, the phase as recorded or from tachometer marks.
 
     Raises:
         NotIdentifiable: fewer than ten marks, or a passage that holds no resonance.
         FitFailed: no convergence, or a model that leaves much of the signal.
     """
     try:
-        phase = RotorPhase.from_marks(run.mark_time_s, run.mark_phase_rad)
+        if len(run.phase_time_s):
+            phase = RotorPhase.from_samples(run.phase_time_s, run.phase_rad)
+        else:
+            phase = RotorPhase.from_marks(run.mark_time_s, run.mark_phase_rad)
     except NotIdentifiable as error:
         raise NotIdentifiable(f"{run.source}: {error}") from error
     rates = run.clock_rate_std

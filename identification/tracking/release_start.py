@@ -44,7 +44,7 @@ def damping_start(run: Run, physics: RotorParameters, history: SpeedHistory, rel
         filter_readings(
             mean, cov, ticks, np.zeros(n), np.tile([2, 3], len(time)), angle.ravel(),
             np.full(n, run.angle_step_rad**2 / 12 + 1e-6), phases, np.ones((n, 2)), physics.packed(), noise, _TICK_S,
-            8.0, tally, z,
+            8.0, -1.0, tally, z,
         )  # fmt: skip
         if not np.all(np.isfinite(mean)) or tally[1] > 0.3 * n:
             return None

@@ -9,7 +9,7 @@ import numpy as np
 from daq.signals import Run
 from dynamics.parameters import RotorParameters
 from identification.errors import NotIdentifiable
-from identification.tracking.tracker import STATE_NAMES, Estimate, Sensors, Tracker
+from identification.tracking.tracker import STATE_NAMES, Sensors, Tracked, Tracker
 
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
@@ -33,7 +33,7 @@ class TrackedRun:
     states: np.ndarray
     state_std: np.ndarray
     trusted: np.ndarray
-    last: Estimate
+    last: Tracked
 
 
 def track(
@@ -61,7 +61,7 @@ def track(
     begin, end = float(run.angle_time_s[0]), float(run.angle_time_s[-1])
     for release in run.releases:
         tracker.release(release.pendulum, int(_ns(release.time_s)))
-    rows: list[Estimate] = []
+    rows: list[Tracked] = []
     for start in np.arange(begin, end, batch_s):
         _hand_over(tracker, run, (float(start), float(start + batch_s)), lasers)
         rows.append(tracker.estimate())

@@ -24,6 +24,9 @@ _GATE, _LOST_REFUSALS = 6.0, 60
 _STEP_SHARE = 0.25  # of the fastest rate's inverse
 _MODEL_SHARE = 0.02  # of the imbalance that the parameters may be wrong by
 _WANDER = 3e-3  # of ln c per square root of a second
+_FLICK_RAD_S = 20.0  # a hand gives a pendulum such speeds
+_AT_REST_RAD_S, _STILL_RAD_S = 0.5, 0.03
+_SWING_SHARE = 0.1  # of a pendulum's speed that bearings and a hand's last touch change in a second
 _GAP_S, _BACK_S, _SHORTEST_STEP_S = 1.0, 1.0, 5e-5
 _MOST_KEPT = 400_000  # readings that wait; more are dropped, oldest first
 
@@ -43,7 +46,7 @@ class Sensors:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Tracked:
     """What the tracker holds true at one instant.
 
     Attributes:
@@ -97,6 +100,7 @@ class Tracker:
         self._counts: dict[str, int] = {"used": 0, "refused": 0, "late": 0, "restarts": 0, "repairs": 0}
         ln_c = np.log([max(p.damping_Nms_per_rad, 1e-7) for p in (self.physics.a, self.physics.b)])
         self._ln_c, self._ln_c_var = ln_c, np.full(2, self.damping_std**2)
+        self._followed = self._ln_c, self._ln_c_var
 
     def feed_lasers(
         self,
@@ -131,7 +135,7 @@ class Tracker:
         """A pendulum is locked from an instant on."""
         self._switch(pendulum, time_ns, False)
 
-    def estimate(self) -> Estimate:
+    def estimate(self) -> Tracked:
         """What is known now; it costs nothing and changes nothing."""
         std = np.sqrt(np.maximum(np.diag(self._cov), 0.0) * self._excess)
         ln_c, ln_std = self._mean[8:], CAUTION * std[8:]
@@ -142,7 +146,7 @@ class Tracker:
         names = ("c3_Nms_per_rad", "c4_Nms_per_rad")
         c = np.exp(ln_c)
         trusted = started and self._tally[3] < _LOST_REFUSALS / 2 and self._excess < 9.0 and self._since_start > 200
-        return Estimate(
+        return Tracked(
             (self._origin_ns or 0) + round(1e9 * self._tally[0]) if started else None,
             dict(zip(STATE_NAMES, self._mean[:8].tolist(), strict=True)),
             dict(zip(STATE_NAMES, std[:8].tolist(), strict=True)),
@@ -175,11 +179,10 @@ class Tracker:
         self._waiting = np.vstack([self._waiting, rows])[-_MOST_KEPT:]
 
     def _forget(self) -> None:
-        """Start anew at the next reading, with the damping known so far."""
-        if np.isfinite(self._tally[0]) and np.all(np.isfinite(self._mean[8:])):
-            self._ln_c = np.clip(self._mean[8:], -16.0, 2.0)
-            found = np.diag(self._cov)[8:]
-            self._ln_c_var = np.clip(np.where(np.isfinite(found), 4 * found, np.inf), 0.01, self.damping_std**2)
+        """Start anew at the next reading, with the damping known when the filter last followed."""
+        if np.isfinite(self._tally[0]):
+            self._ln_c, found = np.clip(self._followed[0], -16.0, 2.0), self._followed[1]
+            self._ln_c_var = np.clip(4 * found, 0.01, self.damping_std**2)
             self._counts["restarts"] += 1
         self._tally[[0, 3]] = -np.inf, 0.0
         self._waiting, self._newest, self._excess, self._since_start = np.empty((0, 4)), -np.inf, 1.0, 0
@@ -208,11 +211,11 @@ class Tracker:
         previous = np.r_[self._tally[0], ticks[:-1]]
         z, before = np.empty(len(rows)), self._tally.copy()
         speed = abs(float(self._phase.at(ticks[-1:])[0, 1]))
-        longest = _STEP_SHARE / fastest_rate(self.physics, speed)
+        longest = float(np.clip(_STEP_SHARE / fastest_rate(self.physics, speed), _SHORTEST_STEP_S, 1e-3))
         filter_readings(
             self._mean, self._cov, ticks, rows[:, 0] - ticks, rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3],
-            self._phase.at(previous), self._free(ticks), self._packed, self._noise(speed), float(np.clip(longest, _SHORTEST_STEP_S, 1e-3)), _GATE,
-            self._tally, z,
+            self._phase.at(previous), self._free(ticks), self._packed, self._noise(speed), longest, _GATE,
+            _STILL_RAD_S, self._tally, z,
         )  # fmt: skip
         refused, repairs = (self._tally - before)[[1, 2]]
         self._counts["refused"] += int(refused)
@@ -223,8 +226,11 @@ class Tracker:
         share = min(1.0, len(rows) / 2000.0)
         level = float(np.mean(taken**2)) if len(taken) else 4.0
         self._excess = max(1.0, (1 - share) * self._excess + share * level)
-        if self._tally[3] > _LOST_REFUSALS or not (np.all(np.isfinite(self._mean)) and np.all(np.isfinite(self._cov))):
+        finite = np.all(np.isfinite(self._mean)) and np.all(np.isfinite(self._cov))
+        if self._tally[3] > _LOST_REFUSALS or not finite:
             self._forget()
+        elif self._tally[3] == 0:
+            self._followed = self._mean[8:].copy(), np.diag(self._cov)[8:].copy()
 
     def _begin(self, rows: np.ndarray) -> None:
         """A state from the first readings: where they are, at an unknown speed."""
@@ -238,7 +244,7 @@ class Tracker:
         self._mean[4:8], self._mean[8:] = 0.0, self._ln_c
         speed = float(np.abs(self._phase.at(rows[:1, 0])[0, 1]))
         wide = 1e-3 * max(speed, *self.physics.natural_frequencies_rad_s)
-        spread = np.array([1e-3, 1e-3, 0.02, 0.02, wide, wide, 1.0, 1.0])
+        spread = np.array([1e-3, 1e-3, 0.02, 0.02, wide, wide, _FLICK_RAD_S, _FLICK_RAD_S])
         self._cov[:] = np.diag(np.r_[spread**2, self._ln_c_var])
         self._tally[[0, 3]] = rows[0, 0], 0.0
 
@@ -255,6 +261,9 @@ class Tracker:
         looks like a push, over longer like noise.
         """
         p = self.physics
+        if abs(speed_rad_s) < _AT_REST_RAD_S:  # no imbalance pushes; that nothing moves must not be taken for damping
+            swing = (_SWING_SHARE * self._mean[6:8]) ** 2 + 1e-8
+            return np.r_[np.zeros(4), 1e-10, 1e-10, swing, _WANDER**2, _WANDER**2]
         force = max(abs(speed_rad_s), *p.natural_frequencies_rad_s) ** 2 * p.imbalance_moment_kg_m / p.total_mass_kg
         disk = (_MODEL_SHARE * force) ** 2 * 0.01
         pendulum = (_MODEL_SHARE * force / min(p.a.length_m, p.b.length_m)) ** 2 * 0.01

@@ -141,7 +141,7 @@ def predict(mean, cov, h, steps, phase, p, free, noise, factor, points, k, work)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def update(mean, cov, index, reading, late, variance, gate, work):
+def update(mean, cov, index, reading, late, variance, gate, still, work):
     """One scalar reading of one state component; readings with independent noise one after the other are exact.
 
     A reading of a component is linear, so its sigma points would give back row `index` of the covariance itself.
@@ -150,6 +150,8 @@ def update(mean, cov, index, reading, late, variance, gate, work):
         index: which component was read (0 … 3).
         late: how long after the state's instant, s; the component's own rate carries it there.
         gate: innovations beyond so many standard deviations are refused.
+        still: nothing is learned of the damping of a pendulum that is slower than this against the rotor, rad/s, or
+            not surely faster; negative to learn always.
         work: scratch, shape (10,).
     Returns:
         The innovation over its standard deviation; NaN for a reading that was refused as not finite.
@@ -164,8 +166,13 @@ def update(mean, cov, index, reading, late, variance, gate, work):
         return z
     for i in range(n):
         work[i] = cov[i, index] / total
+    # a pendulum that stands still tells nothing of its damping, only whether pushes were expected in vain
+    if still >= 0.0 and mean[6] ** 2 < still**2 + 9.0 * cov[6, 6]:
+        work[LN_C3] = 0.0
+    if still >= 0.0 and mean[7] ** 2 < still**2 + 9.0 * cov[7, 7]:
+        work[LN_C4] = 0.0
     own = cov[index].copy()
-    # Joseph: (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, written out for H = unit row
+    # Joseph: (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, written out for H = unit row; right for any gain K
     for i in range(n):
         for j in range(i + 1):
             value = cov[i, j] - work[i] * own[j] - work[j] * own[i] + work[i] * work[j] * (own[index] + variance)
@@ -178,7 +185,7 @@ def update(mean, cov, index, reading, late, variance, gate, work):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def filter_readings(
-    mean, cov, times, late, indices, readings, variances, phases, released, p, noise, longest, gate, tally, z
+    mean, cov, times, late, indices, readings, variances, phases, released, p, noise, longest, gate, still, tally, z
 ):
     """Run through readings in time order; mean and cov change in place.
 
@@ -190,7 +197,7 @@ def filter_readings(
         p: packed parameters (18,).
         noise: growth of variances per second (10,).
         longest: longest Runge–Kutta step, s.
-        gate: as for `update`.
+        gate, still: as for `update`.
         tally: state's instant, refused readings, repairs, refusals in a row; shape (4,), changed in place.
         z: innovations over their standard deviations, shape (n,), written.
     """
@@ -206,7 +213,7 @@ def filter_readings(
             )
             tally[2] += repairs
             tally[0] = times[i]
-        z[i] = update(mean, cov, indices[i], readings[i], late[i], variances[i], gate, work)
+        z[i] = update(mean, cov, indices[i], readings[i], late[i], variances[i], gate, still, work)
         if abs(z[i]) <= gate:
             tally[3] = 0.0
         else:

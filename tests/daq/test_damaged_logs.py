@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from benchmarks import damaged_logs as campaign
+from daq import channels as ch
 from daq.log import open_log
+from daq.log.recover import recover
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.records import DamageError, Header
 from daq.mcap.summary_reader import read_summary
-from daq.mcap.writer import LIBRARY, MAGIC
+from daq.mcap.writer import LIBRARY, MAGIC, BlockWriter
 
 SHAPES = campaign.shapes()
 FINISHED = {shape.name: shape for shape in SHAPES if shape.finished}
@@ -111,6 +113,124 @@ def test_a_chunk_copied_over_another_counts_once(path):
         assert any("taken once" in str(place) and place.messages == 27 for place in log.missing)
 
 
+def alike_chunks(finished):
+    """A log whose chunks 1 and 2 are alike but for the samples in them: one log time, one size; where they stand."""
+    shape = campaign.make_shape("none", finished, 1, 170, 1, 3000)
+    (a, a_end), (b, b_end) = chunk_places(shape.data)[1:3]
+    assert a_end - a == b_end - b
+    assert shape.data[a : a + 33] == shape.data[b : b + 33]
+    return shape, (a, a_end), (b, b_end)
+
+
+def check_every_way(path, samples, lost):
+    """By the index, in a window, after a walk and in the recovered log; `lost` is how many messages are said to be."""
+    with open_log(path) as log:
+        for _ in range(2):
+            found = log["laser/x"].code
+            assert len(np.unique(found)) == len(found) == samples
+            assert log.count("laser/x") == samples
+            window = campaign.T0 + 250_000 * 40, campaign.T0 + 250_000 * 120
+            part = log.between(*window)["laser/x"].code
+            assert part.tolist() == [k for k in found.tolist() if 40 <= k < 120]
+            assert lost is None or sum(place.messages for place in log.missing) == lost
+            assert any("taken once" in str(place) and place.messages != 0 for place in log.missing)
+            log.verify()
+    recover(path, path.with_name("out.mcap"))
+    with open_log(path.with_name("out.mcap")) as log:
+        assert log["laser/x"].code.tolist() == found.tolist()
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_chunk_copied_over_one_that_is_alike_counts_once(path, finished):
+    """Times, size and counts are what the index says of both places; only the CRC tells that it is the same chunk."""
+    shape, (a, a_end), (b, b_end) = alike_chunks(finished)
+    data = bytearray(shape.data)
+    data[b:b_end] = data[a:a_end]
+    path.write_bytes(data)
+    check_every_way(path, 120, 50 if finished else None)
+
+
+def test_a_chunk_copied_behind_the_head_of_another_counts_once(path):
+    """The times in the head are still those of the index; those of the messages are not."""
+    data = bytearray(SMALL.data)
+    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
+    assert a_end - a == b_end - b
+    data[b + 33 : b_end] = data[a + 33 : a_end]
+    path.write_bytes(data)
+    with open_log(path) as log:
+        part = log.between(campaign.T0 + 75 * 250_000, campaign.T0 + 100 * 250_000)  # what was there
+        assert part.count("laser/x") == 0
+        assert any(place.messages == 27 for place in part.missing)
+    check_every_way(path, SMALL.laser - 25, 27)
+
+
+def test_a_chunk_copied_over_the_summary_counts_once(path):
+    """The CRC of the data is right, but it does not vouch for what stands behind the data, be it the CRC itself."""
+    data = bytearray(SMALL.data)
+    a, a_end = chunk_places(data)[2]
+    start, end = next((start, end) for opcode, start, end in campaign.record_spans(SMALL.data) if opcode == 0x0F)
+    copied = data[a:a_end] + data[start:end]
+    data[end : end + len(copied)] = copied
+    path.write_bytes(data)
+    check_every_way(path, SMALL.laser, None)
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_lost_chunk_is_not_taken_for_one_that_is_alike(path, finished):
+    shape, _, (b, _) = alike_chunks(finished)
+    data = bytearray(shape.data)
+    data[b + 100] ^= 1
+    path.write_bytes(data)
+    with open_log(path) as log:
+        log.verify()
+        assert log.missing[0].byte_start == b
+        assert log.missing[0].messages == (50 if finished else None)
+
+
+def test_a_chunk_that_stands_at_the_place_of_another_is_not_lost_but_the_other_is(path):
+    data = bytearray(SMALL.data)
+    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
+    data[b:b_end] = data[a:a_end]
+    data[a + 100] ^= 1
+    path.write_bytes(data)
+    with open_log(path) as log:
+        log.verify()
+        assert len(log["laser/x"]) == SMALL.laser - 25
+        (lost,) = [place for place in log.missing if place.messages]
+        assert (lost.messages, lost.start_ns) == (27, campaign.T0 + 4 * 10**7)
+
+
+@pytest.mark.parametrize("writer", ["ours", "library", "library with a CRC of the data"])
+def test_the_same_chunk_written_twice_is_there_twice(path, writer):
+    """Nothing is damaged: whoever repeats a message with its times, and in a chunk of its own, gets it twice."""
+    message, times = ch.pack_raw(0, b"again"), (5, 5, 6)
+    with path.open("wb") as stream:
+        if writer == "ours":
+            ours = BlockWriter(stream, "none")
+            ours.start("rig")
+            schema = ours.register_schema(ch.RAW_SCHEMA_NAME, "protobuf", ch.raw_descriptor_set())
+            channel = ours.register_channel("raw/laser_x", "protobuf", schema)
+            for time_ns in (1, *times):
+                ours.add_message(channel, time_ns, time_ns, 0, message)
+                ours.flush()
+            ours.finish()
+        else:
+            other = library.Writer(stream, chunk_size=1, enable_data_crcs="CRC" in writer)
+            other.start()
+            schema = other.register_schema(ch.RAW_SCHEMA_NAME, "protobuf", ch.raw_descriptor_set())
+            channel = other.register_channel("raw/laser_x", "protobuf", schema)
+            for time_ns in (1, *times):
+                other.add_message(channel, time_ns, message, time_ns)
+            other.finish()
+    with open_log(path) as log:
+        for _ in range(2):
+            assert [(chunk.host_ns, chunk.data) for chunk in log.raw("laser_x")] == [(t, b"again") for t in (1, *times)]
+            assert len(log.between(5, 6).raw("laser_x")) == 2
+            assert log.complete
+            log.verify()
+    assert recover(path, path.with_name("out.mcap")).messages == 4
+
+
 def test_a_missing_crc_is_damage_in_our_own_files(path):
     data = bytearray(SMALL.data)
     start, _ = chunk_places(data)[3]
@@ -205,6 +325,21 @@ def test_a_summary_without_its_channels_is_not_believed(path):
     with open_log(path) as log:
         assert len(log["laser/x"]) == SMALL.laser
         assert "lacks channels" in str(log.missing[0])
+
+
+def test_a_summary_that_defines_no_schema_hinders_no_recovery(path):
+    """Id 0 means that a channel has no schema; the CRC says that it is right."""
+    data = bytearray(SMALL.data)
+    footer = len(data) - len(MAGIC) - 29
+    start = struct.unpack_from("<Q", data, footer + 9)[0]
+    schemas = [at for opcode, at, _ in campaign.record_spans(bytes(data)) if opcode == 3 and at > start]
+    data[schemas[-1] + 9] = 0
+    data[footer + 25 : footer + 29] = zlib.crc32(data[start : footer + 25]).to_bytes(4, "little")
+    path.write_bytes(data)
+    recover(path, path.with_name("out.mcap"))
+    with open_log(path.with_name("out.mcap")) as log:
+        assert len(log["laser/x"]) == SMALL.laser
+        assert log.verify() == []
 
 
 def test_what_was_read_from_a_foreign_file_without_crcs_is_said(path):

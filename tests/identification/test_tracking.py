@@ -17,7 +17,7 @@ from identification import NotIdentifiable
 from identification.tracking.phase_clock import PhaseClock
 from identification.tracking.release_start import damping_start
 from identification.tracking.replay import track
-from identification.tracking.tracker import Tracker
+from identification.tracking.tracker import Sensors, Tracker
 from identification.tracking.unscented import cholesky, filter_readings
 from rig_configs.load import load_rig
 
@@ -53,7 +53,7 @@ def own(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mean, cov = BEGIN.copy(), np.diag(SPREAD)
     filter_readings(
         mean, cov, times, np.zeros(4 * n), np.tile(np.arange(4), n), data.ravel(), np.tile(NOISES**2, n), phases,
-        np.ones((4 * n, 2)), RIG.packed(), NOISE, 1.0, 8.0, np.zeros(4), np.empty(4 * n),
+        np.ones((4 * n, 2)), RIG.packed(), NOISE, 1.0, 8.0, -1.0, np.zeros(4), np.empty(4 * n),
     )  # fmt: skip
     return mean, cov
 
@@ -186,3 +186,16 @@ def test_a_run_without_angles_is_refused() -> None:
     campaign = Campaign(6)
     with pytest.raises(NotIdentifiable, match="angles"):
         track(dataclasses.replace(campaign.ring_down("x"), angle_time_s=np.empty(0), angle_rad=np.empty((0, 2))), RIG)
+
+
+def test_a_settled_pendulum_teaches_nothing_of_its_damping() -> None:
+    tracker = Tracker(RIG, Sensors(), damping_std=0.5)
+    rng, time_ns = np.random.default_rng(5), np.arange(0, 20_000_000_000, 1_000_000)
+    resting = np.column_stack([np.full(len(time_ns), 0.3), np.full(len(time_ns), -0.2)])
+    angle = np.round((resting + 3e-4 * rng.standard_normal(resting.shape)) * 4096 / 2 / np.pi) * 2 * np.pi / 4096
+    for part in range(0, len(time_ns), 200):
+        tracker.feed_encoders(time_ns[part : part + 200], angle[part : part + 200])
+    now = tracker.estimate()
+    for name, start in (("c3_Nms_per_rad", RIG.a), ("c4_Nms_per_rad", RIG.b)):
+        assert now.values[name] == pytest.approx(start.damping_Nms_per_rad, rel=0.05)
+        assert now.std[name] / now.values[name] > 1.2  # CAUTION times the 0.5 of the start

@@ -1,0 +1,101 @@
+"""The pendulums' damping while a test runs: the session's newest readings through the online tracker."""
+
+from __future__ import annotations
+
+import math
+import threading
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from daq.protocols.rotorlink import FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED
+from daq.session import Session
+from identification.tracking.tracker import Sensors, Tracked, Tracker
+
+_TURN_S = 0.1  # wall seconds between two looks at the readings
+_NAMES = (("c3", "c3_Nms_per_rad"), ("c4", "c4_Nms_per_rad"))
+
+
+class LiveTracking:
+    """Follows an open session from a thread of its own, as long as the context lasts; nothing in it ends the test.
+
+    Args:
+        session: its rig's parameters are what the tracker starts from.
+    """
+
+    def __init__(self, session: Session) -> None:
+        encoder = session.rig.devices.encoder
+        self._session = session
+        self._tracker = Tracker(
+            session.rig.physics, Sensors(encoder_step_rad=2 * math.pi / encoder.counts_per_revolution),
+            released=(False, False),
+        )  # fmt: skip
+        self._index_rad = math.radians(encoder.index_angle_deg)
+        self._seen_ns = {"pendulums": 0, "tacho": 0}
+        self._closed: list[bool | None] = [None, None]
+        self._fault = ""
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="tracking", daemon=True)
+
+    def __enter__(self) -> LiveTracking:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    @property
+    def now(self) -> Tracked:
+        """What the tracker holds true."""
+        return self._tracker.estimate()
+
+    def words(self) -> str:
+        """For a progress line; empty as long as nothing can be said."""
+        if self._fault:
+            return self._fault
+        now = self.now
+        if not now.trusted:
+            return ""
+        return ", ".join(f"{short} {now.values[name]:.2e} ± {now.std[name]:.0e}" for short, name in _NAMES)
+
+    def facts(self) -> dict[str, Any]:
+        """For a result: values, 95 % intervals and whether to trust them."""
+        now = self.now
+        parameters = {name: {"value": now.values[name], "interval": list(now.intervals[name])} for _, name in _NAMES}
+        return {"trusted": now.trusted and not self._fault, **parameters}
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.wait(_TURN_S):
+                self.follow()
+        except Exception as error:
+            self._fault = f"tracking stopped: {error}"
+
+    def follow(self) -> None:
+        """Hand over what is new."""
+        marks, (turns,) = self._new("tacho", ("revolutions",))
+        if len(marks):
+            self._tracker.feed_marks(marks, 2 * math.pi * turns.astype(float) + self._index_rad)
+        time_ns, (a, b, flags) = self._new("pendulums", ("theta3_rad", "theta4_rad", "flags"))
+        if len(time_ns):
+            self._locks(time_ns, flags)
+            self._tracker.feed_encoders(time_ns, np.column_stack([a, b]))
+
+    def _new(self, topic: str, fields: tuple[str, ...]) -> tuple[np.ndarray, list[np.ndarray]]:
+        time_ns, columns = self._session.recent.last(topic, fields, self._seen_ns[topic] + 1)
+        if len(time_ns):
+            self._seen_ns[topic] = int(time_ns[-1])
+        return time_ns, columns
+
+    def _locks(self, time_ns: np.ndarray, flags: np.ndarray) -> None:
+        for pendulum, flag in enumerate((FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED)):
+            closed = (flags & flag) != 0
+            before = self._closed[pendulum]
+            for i in np.flatnonzero(closed != np.r_[not closed[0] if before is None else before, closed[:-1]]):
+                switch = self._tracker.lock if closed[i] else self._tracker.release
+                switch(pendulum, int(time_ns[i]))
+            self._closed[pendulum] = bool(closed[-1])

@@ -1,0 +1,52 @@
+"""c3 and c4 while a test runs: from the session's readings, from start values that are wrong by a factor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.tracking import LiveTracking
+from daq.procedure import Procedures
+from daq.session import Session
+from daq.transports import HostClock
+from identification.tracking.tracker import Tracker
+from rig_configs import load_rig
+from tests.conftest import TIME_SCALE
+
+WRONG = ["pendulums.a.damping_Nms_per_rad=*2", "pendulums.b.damping_Nms_per_rad=*0.5"]
+
+
+def quiet(text: str, share: float | None) -> None:
+    """No progress in tests."""
+
+
+def test_a_spin_down_is_followed_from_wrong_dampings(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
+    rig = load_rig("virtual", settings=[*virtual_rig.port_settings(), *WRONG])
+    with Session(rig, HostClock(TIME_SCALE)) as session, LiveTracking(session) as following:
+        Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).spin_down()
+        session.wait_for(lambda: following.now.trusted, 5.0, "the tracker to follow")
+        facts, words = following.facts(), following.words()
+    truth = load_rig("virtual").true_physics
+    assert facts["trusted"]
+    assert words.startswith("c3 ")
+    for name, true in (("c3_Nms_per_rad", truth.a), ("c4_Nms_per_rad", truth.b)):
+        low, high = facts[name]["interval"]
+        assert low < true.damping_Nms_per_rad < high
+        assert high < 10 * low  # at the start it was a factor 50; a flick is hard on a filter
+
+
+def test_what_goes_wrong_in_the_tracker_does_not_end_the_test(
+    virtual_rig: VirtualRigProcess, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def broken(*_: object) -> None:
+        raise ValueError("not positive definite")
+
+    monkeypatch.setattr(Tracker, "feed_encoders", broken)
+    rig = load_rig("virtual", settings=virtual_rig.port_settings())
+    with Session(rig, HostClock(TIME_SCALE)) as session, LiveTracking(session) as following:
+        done = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).spin_down()
+        assert following.words() == "tracking stopped: not positive definite"
+    assert done.summary == {"slowed_down": True}
+    assert not following.facts()["trusted"]
