@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -16,6 +16,10 @@ def identify(
     *logs: Path,
     rig: str = "virtual",
     output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("parameters.toml"),
+    setting: Annotated[
+        Literal["fast", "balanced", "reference"],
+        Parameter(help="cheapest with honest intervals, near the bound, or as exact as the data allow"),
+    ] = "balanced",
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -28,7 +32,7 @@ def identify(
     _need(logs, "rig identify LOG…")
     loaded = load_rig(rig, settings=settings or [])
     runs = results.load_runs(logs)
-    found = find(runs, loaded, STDERR.print)
+    found = find(runs, loaded, STDERR.print, setting=setting)
     parameters = results.with_version(found.parameters)
     parameters.save(output)
     limited = limits(found) or []

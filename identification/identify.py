@@ -20,6 +20,8 @@ from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
 from identification.ring_down.fit import RingDownFit, fit_ring_down, fit_ring_down_runs, ring_down_estimate
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
+from identification.setting import Setting
+from identification.threads import on_one_thread
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -64,6 +66,7 @@ class _Work:
 
     rig: Rig
     tell: Callable[[str], None]
+    setting: Setting
     estimates: list[Estimate]
     fits: list[NamedFit]
     warnings: list[str]
@@ -85,11 +88,13 @@ class _Work:
         return replace(known, physics=known.physics.with_values(**damping))
 
 
+@on_one_thread
 def identify(
     runs: Sequence[Run],
     rig: Rig,
     progress: Callable[[str], None] | None = None,
     earlier: Identification | None = None,
+    setting: Setting = "balanced",
 ) -> Identification:
     """Find k1, k2, ζ1, ζ2, c3, c4, S_P from whatever runs there are.
 
@@ -98,11 +103,12 @@ def identify(
         rig: masses, lengths, gains' and zeros' uncertainties; its k, ζ, c, S_P are start values at most.
         progress: told one line before each fit.
         earlier: an identification of some of these runs with the same rig; their fits are taken from it.
+        setting: of every fit.
     Raises:
         NotIdentifiable: no run gave any parameter; the message lists why.
     Source: docs/theory/identification.md.
     """
-    work = _Work(rig, progress or (lambda _: None), [], [], [])
+    work = _Work(rig, progress or (lambda _: None), setting, [], [], [])
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += missing_warnings(runs)
     _ring_downs([r for r in runs if r.test.startswith("ring-down")], work)
@@ -166,19 +172,19 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
         run = replace(run, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
     if not len(run.angle_rad):
         work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
-    fit = fit_run_up_run(run)
+    fit = fit_run_up_run(run, setting=work.setting)
     devices = work.rig.devices
     gains = (devices.laser_x.gain_std, devices.laser_y.gain_std)
     return fit, run_up_estimate(run, fit, work.rig.physics, gains)
 
 
 def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
-    fit = fit_spin_down_run(run, work.knowledge())
+    fit = fit_spin_down_run(run, work.knowledge(), setting=work.setting)
     return fit, damping_estimate(run, fit, "coupled run-down of both pendulums, nonlinear least squares")
 
 
 def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
-    fit = fit_release(run, work.knowledge(), np.radians(work.rig.devices.encoder.zero_std_deg))
+    fit = fit_release(run, work.knowledge(), np.radians(work.rig.devices.encoder.zero_std_deg), setting=work.setting)
     return fit, damping_estimate(run, fit, "transient after release, nonlinear least squares over growing horizons")
 
 
@@ -190,15 +196,15 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
         work.tell(f"{run.test}: fitting {Path(run.source).name}")
         try:
             if len(run.x_time_s) and len(run.y_time_s):
-                alone.append((run, fit_ring_down_runs([run], mass)))
+                alone.append((run, fit_ring_down_runs([run], mass, setting=work.setting)))
             else:
-                fit = _one_sensor(run, mass)
+                fit = _one_sensor(run, mass, work.setting)
                 work.add(run, fit, ring_down_estimate(run, fit))
         except IdentificationError as error:
             work.warnings.append(f"{run.test} left out: {error}")
     if len(alone) > 1 and any(not _tells_directions_apart(fit) for _, fit in alone):
         try:
-            together = fit_ring_down_runs([run for run, _ in alone], mass)
+            together = fit_ring_down_runs([run for run, _ in alone], mass, setting=work.setting)
             work.add(_joined([run for run, _ in alone]), together, None)
             work.estimates.append(ring_down_estimate(_joined([run for run, _ in alone]), together))
             return
@@ -208,11 +214,11 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
         work.add(run, fit, ring_down_estimate(run, fit))
 
 
-def _one_sensor(run: Run, mass: float) -> RingDownFit:
+def _one_sensor(run: Run, mass: float, setting: Setting) -> RingDownFit:
     """A ring-down that one laser alone has seen: one direction."""
     if len(run.x_time_s):
-        return fit_ring_down(run.x_time_s, run.x_m, mass)
-    fit = fit_ring_down(run.y_time_s, run.y_m, mass)
+        return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting)
+    fit = fit_ring_down(run.y_time_s, run.y_m, mass, setting=setting)
     values = {name.replace("1", "2", 1): value for name, value in fit.values.items()}
     curves = [replace(curve, label=f"{curve.label.removesuffix('x')}y") for curve in fit.curves]
     return replace(fit, values=values, curves=curves)

@@ -30,6 +30,7 @@ from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientFit, TransientProblem
 from identification.samples import block_averages, encoder_noise
 from identification.setting import ModelChoice, Setting
+from identification.threads import on_one_thread
 from identification.tracking.release_start import damping_start
 
 _START, _ZEROS, _SHIFT, _DISK, _SUSPENSION, _COUNT = slice(2, 4), slice(4, 6), 6, slice(7, 11), slice(11, 16), 16
@@ -42,6 +43,7 @@ _GOOD = 1.5  # χ²/dof
 _FAN = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
 
 
+@on_one_thread
 def fit_release(run: Run, knowledge: Knowledge, zero_std_rad: float, *, setting: Setting = "balanced") -> TransientFit:
     """Both pendulums' damping from the transient after a release at constant speed.
 

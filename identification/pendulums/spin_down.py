@@ -22,6 +22,7 @@ from identification.pendulums.quantiser import quantised_posterior
 from identification.pendulums.rounded_fit import FittedRunDown, cut, rounded_fit
 from identification.pendulums.run_down import RunDown, fit_run_down, run_down_angle
 from identification.setting import ModelChoice, Setting
+from identification.threads import on_one_thread
 
 FRICTION_P = 5e-4  # a chance below it is friction
 _WHOLE = 9.0  # time constants: all that a decline shows
@@ -71,6 +72,7 @@ class SpinDownFit:
         return [self.curve]
 
 
+@on_one_thread
 def fit_spin_down(
     time_s: np.ndarray, angle_rad: np.ndarray, inertia_kg_m2: float | None = None, *, setting: Setting = "balanced"
 ) -> SpinDownFit:

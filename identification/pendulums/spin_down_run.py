@@ -24,6 +24,7 @@ from identification.pendulums.transient import Readings, TransientFit, Transient
 from identification.ring_down.fit import clock_rate_std
 from identification.samples import Averages
 from identification.setting import ModelChoice, Setting
+from identification.threads import on_one_thread
 
 _ANGLES, _SPEEDS, _PSI, _DISK, _SUSPENSION, _COUNT = slice(2, 4), slice(4, 6), 6, slice(7, 11), slice(11, 15), 15
 _BEFORE_PUSH_S, _WORTH_S = 0.03, 0.08
@@ -31,6 +32,7 @@ _DAMPING_STD = 1.0  # ln c; a pendulum that does not move yet says nothing of it
 _DISK_STD_M = 3e-4  # how far a flick may leave the disk shaking
 
 
+@on_one_thread
 def fit_spin_down_run(run: Run, knowledge: Knowledge, *, setting: Setting = "balanced") -> TransientFit:
     """Both pendulums' damping from one spin-down.
 

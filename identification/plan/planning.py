@@ -22,6 +22,7 @@ from identification.plan.pendulums import release, spin_down
 from identification.plan.sensors import Sensors
 from identification.plan.suspension import ring_down, run_up
 from identification.plan.wants import Want
+from identification.threads import on_one_thread
 from rig_configs.schema import Rig
 
 MOST_RUNS = 25
@@ -90,6 +91,7 @@ class Plan:
         return all(a.possible for a in self.answers)
 
 
+@on_one_thread
 def plan(
     rig: Rig, wants: Sequence[Want], sensors: Sensors | None = None, mass_std: float = 0.0,
     tell: Callable[[str], None] = lambda _: None,

@@ -22,6 +22,7 @@ from identification.ring_down.record import Channel, read_channel
 from identification.ring_down.resolution import RESOLVED_GAIN, lone_direction, resolution
 from identification.ring_down.result import Findings, RingDownFit, result
 from identification.setting import Setting
+from identification.threads import on_one_thread
 
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted, where a run-up has to rely on it
 DELAY_STD_S = 3e-3  # between two lasers' clocks
@@ -29,6 +30,7 @@ _ANOTHER_ANGLE, _AS_GOOD = np.radians(10.0), 8.0  # beyond 3 std of a resolved a
 _PULLED, _FREE_RATIO = 4.5, 0.3  # standard deviations of the gains' ratio; what it may be then
 
 
+@on_one_thread
 def fit_ring_down(
     time_s: np.ndarray,
     displacement_m: np.ndarray,
@@ -61,6 +63,7 @@ def fit_ring_down(
     return _fit([[(np.asarray(time_s, float), column) for column in columns]], mass_kg, setting, priors)
 
 
+@on_one_thread
 def fit_ring_down_runs(
     runs: Sequence[Run],
     mass_kg: float | None = None,

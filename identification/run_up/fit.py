@@ -41,6 +41,7 @@ from identification.run_up.sensors import sensor_averages
 from identification.run_up.start import RunUpStart, run_up_starts
 from identification.samples import correlation_inflation
 from identification.setting import Setting
+from identification.threads import on_one_thread
 
 __all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
 
@@ -67,6 +68,7 @@ class _Clocks:
         return self.delay_std_s > 0 or max(self.drift_std) > 0
 
 
+@on_one_thread
 def fit_run_up(
     time_s: np.ndarray,
     displacement_m: np.ndarray,
@@ -101,6 +103,7 @@ def fit_run_up(
     return _fit([(time, signals[:, 0]), (time, signals[:, 1])], phase, _Clocks(delay_std_s, (0.0, 0.0)), setting)
 
 
+@on_one_thread
 def fit_run_up_run(run: Run, *, setting: Setting = "balanced") -> RunUpFit:
     """The same on a recorded run: both sensors on their own clocks, the phase as recorded or from tachometer marks.
 
