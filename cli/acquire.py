@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from cli.console import STDERR, StepProgress, print_json, say
+from cli.console import STDERR, StepProgress, print_json, say, wait_for_compilation
 from cli.options import Json, ParametersPath, Settings, rig_or_log
 from cli.recording import RecordingStatus
 from daq.log.file import check_name
@@ -155,9 +155,11 @@ def test(
         progress.step(name)
         following = None
         if track:
-            from cli.tracking import LiveTracking  # noqa: PLC0415 (numba takes seconds to import)
+            with wait_for_compilation("tracking"):
+                from cli.tracking import LiveTracking  # noqa: PLC0415 (numba takes seconds to import)
 
-            following = stack.enter_context(LiveTracking(session))
+                following = LiveTracking(session)
+            stack.enter_context(following)
 
         def tell(text: str, share: float | None) -> None:
             words = following.words() if following is not None else ""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say
-from cli.options import Json, ParametersPath, Settings
+from cli.options import Json, ParametersPath, Settings, need_folder
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
 
@@ -30,6 +30,7 @@ def identify(
     from identification.joint.limits import limits  # noqa: PLC0415
 
     _need(logs, "rig identify LOG…")
+    need_folder(output, "rig identify: -o")
     loaded = load_rig(rig, settings=settings or [])
     runs = results.load_runs(logs)
     found = find(runs, loaded, STDERR.print, setting=setting)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_configs import load_rig
+from rig_configs import RigFileError, load_rig
 from rig_configs.load import apply_setting, parse_setting, validate
 from rig_configs.schema import Rig
 
@@ -36,3 +36,13 @@ def rig_or_log(source: str, settings: Sequence[str]) -> tuple[Rig, dict[str, Any
     for text in settings:
         apply_setting(raw, *parse_setting(text), source)
     return validate(raw, source), identities
+
+
+def need_folder(path: Path, option: str) -> None:
+    """Whether a file can be written there, asked before the work is done.
+
+    Raises:
+        RigFileError: its folder is not there.
+    """
+    if not path.parent.is_dir():
+        raise RigFileError(f"{option} {path}: there is no folder {path.parent}; make it, or give another name")

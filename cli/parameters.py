@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from cli.console import print_json, say
-from cli.options import Json
+from cli.options import Json, need_folder
 from cli.plan import share
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, RigFileError
 
@@ -88,6 +88,8 @@ def history(
     from identification.compare import compare, in_words  # noqa: PLC0415 (scipy and numba take seconds to import)
     from identification.history import history as follow  # noqa: PLC0415
 
+    if plot is not None:
+        need_folder(plot, "rig parameters history: --plot")
     found = follow(list(places) or [Path()], rig)
     if plot is not None:
         _draw(found, plot, level)

@@ -125,7 +125,8 @@ def parameter_lines(parameters: IdentifiedParameters, truth: Mapping[str, float]
     lines = []
     for name, value in parameters.values.items():
         std = parameters.std[name]
-        line = f"{name:16} {value:14.7g} ± {std:.2g} {PARAMETER_UNITS[name]} ({100 * std / abs(value):.3g} %)"
+        unit = "" if PARAMETER_UNITS[name] == "1" else f" {PARAMETER_UNITS[name]}"
+        line = f"{name:16} {value:14.7g} ± {std:.2g}{unit} ({100 * std / abs(value):.3g} %)"
         if truth is not None and name in truth:
             line += f"   truth {truth[name]:.7g}, off by {(value - truth[name]) / std:+.2f} sd"
         lines.append(line)

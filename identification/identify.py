@@ -109,6 +109,7 @@ def identify(
     Source: docs/theory/identification.md.
     """
     work = _Work(rig, progress or (lambda _: None), setting, [], [], [])
+    runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += missing_warnings(runs)
     _ring_downs([r for r in runs if r.test.startswith("ring-down")], work)
@@ -125,6 +126,18 @@ def identify(
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
     return _finished(given, work)
+
+
+def _once_each(runs: Sequence[Run], work: _Work) -> list[Run]:
+    """Without recordings that are there already: a log given twice would count as two."""
+    found: dict[str, Run] = {}
+    for run in runs:
+        digest = str(run.metadata.get("digest") or id(run))
+        if digest in found:
+            first = Path(found[digest].source).name
+            work.warnings.append(f"{Path(run.source).name}: the same recording as {first}; taken once")
+        found.setdefault(digest, run)
+    return list(found.values())
 
 
 def missing_warnings(runs: Sequence[Run]) -> list[str]:

@@ -99,9 +99,12 @@ class IdentifiedParameters:
         except OSError as error:
             raise ParametersFileError(f"{path}: cannot be read: {error}. `rig identify` writes one") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ParametersFileError(f"{path}: not a TOML file: {error}") from error
+            log = Path(path).suffix in (".mcap", ".part")
+            why = "this is a log; `rig identify` makes parameters of it" if log else f"not a TOML file: {error}"
+            raise ParametersFileError(f"{path}: {why}") from error
         except (KeyError, TypeError, ValueError) as error:
             raise ParametersFileError(
-                f"{path}: expected a table per parameter and [covariance] with order and matrix; problem: {error!r}"
+                f"{path}: expected parameters as `rig identify` writes them: a table each, [covariance] with order "
+                f"and matrix; problem: {error!r}"
             ) from error
         return cls(values, matrix, raw.get("provenance", {}))

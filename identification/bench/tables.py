@@ -16,7 +16,7 @@ LEGEND = (
     "axis angle; of a release suspension, zeros and start within what is known of them); of damaged records "
     "that of the clean one. rms and bias (the one farthest from zero) are errors over it; 1 is the best there is. "
     "Several values are set apart by dots as in the case's title. 95 % covers: share of the stated intervals that hold "
-    "the truth, in per cent, empty where none is stated. Gross: records without an answer or with a useless one, of "
+    "the truth, in per cent, blank where none is stated. Gross: records without an answer or with a useless one, of "
     "how many (slow methods get fewer); they are left out of the other figures, and a method with any is on no front. "
     "Times are medians over the records. Front: ● nothing of ours is faster and as exact, ◉ nothing at all is, peers "
     f"included; errors up to {AT_THE_BOUND:g} bounds count as equal. Ours / peer: time over that of the fastest peer "

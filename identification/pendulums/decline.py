@@ -14,7 +14,8 @@ from identification.pendulums.run_down import RunDown
 from identification.samples import encoder_noise, white_noise
 
 _FEWEST = 40  # samples of a decline
-_LEAST_STEPS = 20  # encoder steps between two readings whose difference is called a speed
+_DIFFERENCE = 1.5  # noise of two readings' difference, in a reading's; a little above √2
+_RISE = 0.1  # of the fastest speed: less is no push
 _LEAST_TRAVEL = 60  # in noise standard deviations
 
 
@@ -88,18 +89,22 @@ def _on_track(angle: np.ndarray, limit: float) -> np.ndarray:
 
 
 def _stretch(t: np.ndarray, angle: np.ndarray, noise: float) -> tuple[int, int]:
-    """Indices of the fastest instant and of the next push after it (or the end)."""
-    stride = 2
+    """Indices of the fastest instant and of the next push after it (or the end).
+
+    A speed is a difference over a span as long as the motion needs, not the sampling: all n of them are to be within
+    a tenth of the fastest, the largest of n normal errors being √(2 ln n) standard deviations.
+    """
+    reach, stride = float(np.sqrt(2 * np.log(len(t)))) if len(t) > 1 else 1.0, 2
     while True:
         moved = angle[stride:] - angle[:-stride]
-        if np.max(np.abs(moved)) > _LEAST_STEPS * noise or stride * 8 > len(t):
+        if np.max(np.abs(moved)) > reach * _DIFFERENCE / _RISE * noise or stride * 8 > len(t):
             break
         stride *= 2
     span = np.maximum(t[stride:] - t[:-stride], 1e-12)
-    speed, uncertain = np.abs(moved / span), 1.5 * noise / span
-    begin = int(np.argmax(speed - 3 * uncertain))
+    speed, uncertain = np.abs(moved / span), reach * _DIFFERENCE * noise / span
+    begin = int(np.argmax(speed - uncertain))
     slowest = np.minimum.accumulate(speed[begin:] + uncertain[begin:])
-    pushed = np.flatnonzero(speed[begin:] - 3 * uncertain[begin:] > slowest + 0.1 * speed[begin])
+    pushed = np.flatnonzero(speed[begin:] - uncertain[begin:] > slowest + _RISE * speed[begin])
     end = begin + int(pushed[0]) if len(pushed) else len(t)
     # in motion from the record's first reading on
     first = 0 if begin <= stride and speed[0] > 0.7 * speed[begin] else begin

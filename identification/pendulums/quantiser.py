@@ -46,7 +46,7 @@ def _log_posterior(theta, time, count, step, friction):
     """θ = (θ0, v0, ln λ, h, ln s); angles in rad, s in steps. Flat in all of them but for bounds."""
     share = theta[3] if friction else 0.0
     s = math.exp(theta[4])
-    if s < _LEAST_JITTER or s > _MOST_JITTER or abs(share) > 0.5 or abs(theta[2]) > 20.0:
+    if s < _LEAST_JITTER or s > _MOST_JITTER or share < -0.5 or share > 1e3 or abs(theta[2]) > 20.0:
         return -np.inf
     rate = math.exp(theta[2])
     stop = math.log1p(1.0 / share) / rate if share > 0.0 else np.inf

@@ -67,6 +67,12 @@ def rounded_fit(data: RunDown, start: np.ndarray, setting: Setting) -> FittedRun
     return _with_misfit(part, _converged(part, minimum.theta), covariance, white)
 
 
+def plain_fit(data: RunDown, start: np.ndarray) -> FittedRunDown:
+    """Least squares on all the samples given, rounding taken for noise; where a model is wrong, converged or not."""
+    minimum = fit_run_down(data, start)
+    return _with_misfit(data, minimum, minimum.covariance, 1.0)
+
+
 def _converged(data: RunDown, start: np.ndarray) -> Minimum:
     minimum = fit_run_down(data, start)
     if not minimum.converged:

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.least_squares import Minimum, minimise
+from identification.least_squares import Minimum, inverse_normal, minimise
 
 VISCOUS, WITH_FRICTION = 3, 4
+_STRAIGHT = 0.2  # share of dry friction up to which h and ln λ are good coordinates
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,29 @@ def run_down_angle(time_s: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, n
     return start + speed * shape, np.column_stack([np.ones_like(t), shape, by_rate, speed * (fallen - t)])
 
 
+def from_stop(data: RunDown) -> np.ndarray | None:
+    """θ0, v0, ln λ, h from when a pendulum stops; None where it is not seen to stop within the record.
+
+    With u = ln(1 + 1/h) the travel is v0 t_stop (1/u − h): from 0 with little dry friction to one half with nothing
+    else.
+    """
+    t, angle = data.time_s, data.angle_rad
+    left, least = np.abs(angle - np.median(angle[-5:])), 3 * data.noise_rad + data.step_rad
+    before = [np.flatnonzero(left > level) for level in (4 * least, least)]
+    if len(before[0]) == 0 or before[1][-1] >= len(t) - 5:
+        return None
+    twice, once = (float(t[moves[-1]]) for moves in before)
+    stop = 2 * once - twice  # the last of the travel is a parabola
+    early = t <= 0.3 * stop
+    if np.count_nonzero(early) < 8:
+        return None
+    at, speed = np.polynomial.Polynomial.fit(t[early], angle[early], 3).convert(domain=[-1, 1]).coef[:2]
+    filled = float((np.median(angle[-5:]) - at) / (speed * stop))
+    shares = np.geomspace(1e-4, 1e2, 200)
+    share = float(np.interp(filled, 1 / np.log1p(1 / shares) - shares, shares))
+    return np.r_[at, speed, np.log(np.log1p(1 / share) / stop), share]
+
+
 def fit_run_down(data: RunDown, start: np.ndarray, iterations: int = 30) -> Minimum:
     """Least squares on one decline.
 
@@ -77,4 +101,25 @@ def fit_run_down(data: RunDown, start: np.ndarray, iterations: int = 30) -> Mini
         angle, jacobian = run_down_angle(data.time_s, theta)
         return (angle - data.angle_rad) / data.noise_rad, jacobian[:, : len(theta)] / data.noise_rad
 
-    return minimise(evaluate, start, iterations)
+    if len(start) < WITH_FRICTION or start[3] < _STRAIGHT:
+        return minimise(evaluate, start, iterations)
+
+    def by_torque(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residual, jacobian = evaluate(_from_torque(moved))
+        return residual, jacobian @ _torque_slope(moved)
+
+    found = minimise(by_torque, np.r_[start[:3], start[2] + np.log1p(start[3])], iterations)
+    theta = _from_torque(found.theta)
+    residual, jacobian = evaluate(theta)
+    return Minimum(theta, inverse_normal(jacobian), residual, jacobian, found.converged, found.iterations)
+
+
+def _from_torque(moved: np.ndarray) -> np.ndarray:
+    """θ0, v0, ln λ, h from θ0, v0, ln λ, ln λ(1 + h): where friction is large only that sum is well seen."""
+    return np.r_[moved[:3], np.expm1(np.clip(moved[3] - moved[2], -50.0, 50.0))]
+
+
+def _torque_slope(moved: np.ndarray) -> np.ndarray:
+    slope, torque = np.eye(4), float(np.exp(np.clip(moved[3] - moved[2], -50.0, 50.0)))
+    slope[3, 2:] = -torque, torque
+    return slope

@@ -19,8 +19,8 @@ from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.pendulums.decline import decline_of
 from identification.pendulums.quantiser import quantised_posterior
-from identification.pendulums.rounded_fit import FittedRunDown, cut, rounded_fit
-from identification.pendulums.run_down import RunDown, fit_run_down, run_down_angle
+from identification.pendulums.rounded_fit import FittedRunDown, cut, plain_fit, rounded_fit
+from identification.pendulums.run_down import RunDown, fit_run_down, from_stop, run_down_angle, stop_time
 from identification.setting import ModelChoice, Setting
 from identification.threads import on_one_thread
 
@@ -28,6 +28,9 @@ FRICTION_P = 5e-4  # a chance below it is friction
 _WHOLE = 9.0  # time constants: all that a decline shows
 _SHORT = {"fast": 0, "balanced": 450, "reference": 4000}  # samples up to which whole steps are worth their likelihood
 _SWEEPS = {"fast": 0, "balanced": 250, "reference": 1000}
+_MUCH = 0.5  # share of dry friction from which it rules the run-down
+_UNTOLD = 0.3  # ln λ, standard deviation
+_ENOUGH = 4.0  # time constants that hold nearly all a decline says of its rate
 _WRONG = 0.02  # residual over travel of a model that is none
 
 
@@ -79,20 +82,24 @@ def fit_spin_down(
     """Fit one pendulum's run-down on a rotor at rest.
 
     Args:
-        time_s, angle_rad: shape (n,); angle relative to the rotor, wrapped or not; NaN is left out. What comes before
-            the fastest instant and after a second push is ignored.
-        inertia_kg_m2: J; adds the damping c = λ J and the friction's torque.
+        time_s, angle_rad: shape (n,); angle relative to the rotor, wrapped or not; NaN is left out; samples out of
+            order are sorted by time. What comes before the fastest instant and after a second push is ignored.
+        inertia_kg_m2: J > 0; adds the damping c = λ J and the friction's torque.
         setting: fast takes the rounding for white noise and stretches intervals where it is not; balanced sends the
             curve through the quantiser; reference takes values and intervals from the likelihood of whole steps
             wherever the decline has at most 4000 samples.
     Raises:
-        NotIdentifiable: the pendulum hardly moves, or stops within too few samples.
-        FitFailed: no convergence, or residuals far above the noise.
+        NotIdentifiable: the pendulum hardly moves, or stops within too few samples; the inertia is not positive.
+        FitFailed: no convergence, residuals far above the noise, or dry friction that hides the viscous damping.
     Source: docs/theory/pendulum_damping.md.
     """
+    if inertia_kg_m2 is not None and not 0 < inertia_kg_m2 < np.inf:
+        raise NotIdentifiable(f"spin-down: an inertia above 0 kg m² is needed, got {inertia_kg_m2:g}; leave it out")
     whole = decline_of(time_s, angle_rad)
     start_s, data, theta = _settled(whole)
-    viscous, dry = rounded_fit(data, theta[:3], setting), rounded_fit(data, theta, setting)
+    dry = _with_friction(data, theta, setting)
+    # beside much friction no more than a row of the table, on the same stretch
+    viscous = rounded_fit(data, theta[:3], setting) if dry.theta[3] < _MUCH else plain_fit(dry.data, theta[:3])
     left, travel = np.sqrt(dry.chi2_per_dof) * data.noise_rad, float(np.ptp(data.angle_rad))
     if left > _WRONG * travel:
         raise FitFailed(
@@ -102,7 +109,21 @@ def fit_spin_down(
     p, draws = _friction(data, viscous, dry, setting)
     found = p < FRICTION_P
     chosen = dry if found else viscous
-    return _result(chosen, found, p, inertia_kg_m2, start_s, draws, (viscous, dry))
+    fit = _result(chosen, found, p, inertia_kg_m2, start_s, draws, (viscous, dry))
+    fit.warnings.extend(_cut_short(whole, chosen, float(np.nanmax(time_s))))
+    return fit
+
+
+def _with_friction(data: RunDown, theta: np.ndarray, setting: Setting) -> FittedRunDown:
+    """Both kinds of damping; refused where dry friction stops the pendulum before the viscous kind shows."""
+    part = cut(data, theta)
+    first = fit_run_down(part, theta)
+    if theta[3] > _MUCH and not (first.converged and first.covariance[2, 2] < _UNTOLD**2):
+        raise FitFailed(
+            "spin-down: dry friction dominates: the pendulum stops before its viscous damping shows (χ²/dof "
+            f"{first.cost / len(part.time_s):.3g}); clean or replace the bearing, or flick harder"
+        )
+    return rounded_fit(data, theta, setting)
 
 
 def _settled(whole: RunDown) -> tuple[float, RunDown, np.ndarray]:
@@ -140,7 +161,11 @@ def first_fit(data: RunDown) -> np.ndarray:
         theta = fit_run_down(part, theta).theta
         if not -np.log(20 * (t[-1] + 1e-9)) < theta[2] < np.log(1e6):
             raise NotIdentifiable("the pendulum's speed does not fall; record longer")
-    return fit_run_down(cut(data, theta), np.r_[theta, 0.0]).theta
+    fits = [fit_run_down(cut(data, theta), np.r_[theta, 0.0])]
+    stopped = from_stop(data)
+    if stopped is not None:  # much dry friction is out of the reach of a start without any
+        fits.append(fit_run_down(cut(data, stopped), stopped))
+    return min(fits, key=lambda m: m.cost / len(m.residual)).theta
 
 
 def _friction(
@@ -209,6 +234,21 @@ def _result(
         p, model, _model_table(*both, p, friction), _warnings(chosen, both[1], friction, p), curve, start_s, end_s,
         chosen.chi2_per_dof,
     )  # fmt: skip
+
+
+def _cut_short(whole: RunDown, chosen: FittedRunDown, record_end_s: float) -> list[str]:
+    """A warning where the decline ends long before its motion does."""
+    lasts, rate = float(chosen.data.time_s[-1]), float(np.exp(chosen.theta[2]))
+    share = float(chosen.theta[3]) if len(chosen.theta) > 3 else 0.0
+    if lasts >= min(_ENOUGH / rate, stop_time(rate, share)):
+        return []
+    end_s = float(whole.time_s[-1])
+    pushed = record_end_s - end_s > 0.01 * (record_end_s - float(whole.time_s[0]))
+    why = "a second push is seen there" if pushed else "the record ends there"
+    return [
+        f"the free run-down ends at {end_s:.4g} s after {lasts * rate:.2g} time constants ({why}); {_ENOUGH:g} hold "
+        "nearly all it says: the intervals are wider than they need be"
+    ]
 
 
 def _model_table(viscous: FittedRunDown, dry: FittedRunDown, p: float, friction: bool) -> list[ModelChoice]:

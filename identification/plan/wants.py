@@ -50,7 +50,7 @@ def parse_want(text: str) -> Want:
     full = SHORT.get(name, name)
     if full not in PARAMETER_UNITS:
         near = difflib.get_close_matches(name, [*SHORT, *PARAMETER_UNITS], n=1, cutoff=0.3)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = f", did you mean {near[0]}?" if near else "."
         raise RigFileError(f"--want {text!r}: unknown parameter {name!r}{hint} Known: {', '.join(SHORT)}")
     unit = PARAMETER_UNITS[full]
     match = _FORM.fullmatch(amount)
@@ -62,4 +62,6 @@ def parse_want(text: str) -> Want:
     value = float(match[1]) / (100.0 if given == "%" else 1.0)
     if not 0 < value < float("inf"):
         raise RigFileError(f"--want {text!r}: expected a value above 0, got {amount!r}")
+    if value >= 1 and (given == "%" or not wanted):
+        raise RigFileError(f"--want {text!r}: {amount} is no accuracy; did you mean {name}=1%?")
     return Want(full, value, given == "%")

@@ -24,6 +24,7 @@ _CUT_AT = 8.0  # decay times; beyond, a mode is below 1/3000 of its start
 _COLOURED = 1.15
 _SECOND_MODE_GAIN = 20.0  # of χ², above what BIC asks: noise's largest peak of thousands stays below
 _APART = 3.0  # half-bandwidths
+_TOO_GOOD = 0.5  # χ²/dof
 _FASTEST_SECOND = 6.0  # beyond so many times the first mode's frequency it is no mode of the suspension
 
 
@@ -129,7 +130,7 @@ class Plan:
 
     def without_outliers(self, fitted: Fitted) -> tuple[Fitted, int]:
         """Masks what no noise explains until nothing changes; the fit with its drift chosen, and how many masked."""
-        count = 0
+        fitted, count = self.with_residual_noise(fitted), 0
         if suspicious(fitted) or not _same(fitted.decay, self.valid):
             for _ in range(_TRIMS):
                 records, count, changed = trimmed(fitted, self.valid)
@@ -137,6 +138,22 @@ class Plan:
                     break
                 fitted = self.again(fitted, replace(fitted.decay, records=tuple(records)))
         return self.with_drift(fitted), count
+
+    def with_residual_noise(self, fitted: Fitted) -> Fitted:
+        """Where a cycle has few samples their differences see the motion, not the noise; residuals do not."""
+        residuals = fitted.channel_residuals()
+        dof = fitted.count - fitted.model.linear - fitted.model.size
+        if fitted.solution.chi2_per_dof > min(_TOO_GOOD, 1 - 5 * np.sqrt(2 / dof)):
+            return fitted
+        used = fitted.count / dof
+        records = tuple(
+            tuple(
+                replace(c, noise=c.noise * min(1.0, float(np.sqrt(used * np.mean(r**2)))))
+                for c, r in zip(channels, own, strict=True)
+            )
+            for channels, own in zip(fitted.decay.records, residuals, strict=True)
+        )
+        return self.again(fitted, replace(fitted.decay, records=records))
 
     def shortened(self, fitted: Fitted) -> Fitted:
         """Where wander widens the intervals: the record cut at 8 decay times and cubic drift, if that narrows them."""

@@ -192,8 +192,10 @@ def refuse_too_short(fitted: Fitted) -> None:
     slowest = float(np.min(fitted.omegas)) / (2 * np.pi)
     for record in fitted.model.records:
         span = min(float(t[-1] - t[0]) for t in record.times)
-        if span * slowest < _LEAST_CYCLES:
+        cycles = span * slowest
+        if cycles < _LEAST_CYCLES:
+            shown = np.floor(100 * cycles) / 100  # rounded up it would read as enough
             raise NotIdentifiable(
-                f"the record shows {span * slowest:.2g} cycles of {slowest:.3g} Hz after the release; "
+                f"the record shows {shown:.2f} cycles of {slowest:.3g} Hz after the release; "
                 f"at least {_LEAST_CYCLES} are needed, five or more are better"
             )

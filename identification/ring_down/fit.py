@@ -16,6 +16,7 @@ from identification.estimate import Estimate
 from identification.ring_down.attempt import Plan
 from identification.ring_down.begin import proposed, settled
 from identification.ring_down.decay import Decay, Priors, both_alike, second_mode_gain
+from identification.ring_down.evidence import coarse_remark, refuse_nothing_rings, refuse_too_fast
 from identification.ring_down.model import BETA, RATIO
 from identification.ring_down.outliers import without_spikes
 from identification.ring_down.record import Channel, read_channel
@@ -51,7 +52,7 @@ def fit_ring_down(
         axis_prior_deg: how far the sensors may be turned against the stiffness axes, one standard deviation. The
             default is so wide that the data decide.
     Raises:
-        NotIdentifiable: nothing rings down, or the record is too short, or damping drowns in noise.
+        NotIdentifiable: nothing rings down, or too fast, or the record is too short, or damping drowns in noise.
         FitFailed: no convergence, or the model leaves a good part of the signal.
     Source: docs/theory/ring_down.md.
     """
@@ -59,7 +60,7 @@ def fit_ring_down(
     if signals.ndim not in (1, 2) or (signals.ndim == 2 and signals.shape[1] not in (1, 2)):
         raise NotIdentifiable(f"expected displacements of shape (n,) or (n, 2), got {signals.shape}")
     columns = [signals] if signals.ndim == 1 else list(signals.T)
-    priors = Priors(np.radians(axis_prior_deg))
+    priors = Priors(_axis_prior(axis_prior_deg))
     return _fit([[(np.asarray(time_s, float), column) for column in columns]], mass_kg, setting, priors)
 
 
@@ -81,7 +82,7 @@ def fit_ring_down_runs(
         NotIdentifiable, FitFailed: as fit_ring_down.
     """
     pairs = [[(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)] for run in runs]
-    return _fit(pairs, mass_kg, setting, Priors(np.radians(axis_prior_deg), delay_s=DELAY_STD_S))
+    return _fit(pairs, mass_kg, setting, Priors(_axis_prior(axis_prior_deg), delay_s=DELAY_STD_S))
 
 
 def ring_down_estimate(run: Run, fit: RingDownFit) -> Estimate:
@@ -105,10 +106,19 @@ def clock_rate_std(rates: Mapping[str, float], device: str) -> float:
     return float(rates.get(device, 20e-6))
 
 
+def _axis_prior(degrees: float) -> float:
+    if not degrees > 0:
+        raise NotIdentifiable(
+            f"expected axis_prior_deg > 0, a standard deviation, got {degrees!r}; for sensors mounted exactly give 0.1"
+        )
+    return float(np.radians(degrees))
+
+
 def _fit(
     records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], mass: float | None, setting: Setting, priors: Priors
 ) -> RingDownFit:
     channels, warnings = _read(records)
+    refuse_too_fast(channels)
     valid = tuple(tuple(c.keep for c in own) for own in channels)
     start = proposed(tuple(tuple(without_spikes(c)[0] for c in own) for own in channels))
     findings = Findings(setting, priors, mass, warnings)
@@ -130,6 +140,8 @@ def _fit(
             "expected, or the stiffness axes are not at right angles; the axis angle depends on which it is"
         )
     fitted = plan.labelled(plan.shortened(fitted))
+    refuse_nothing_rings(fitted)
+    warnings += coarse_remark(fitted)
     gain, single = second_mode_gain(fitted)
     if gain < RESOLVED_GAIN or resolution(fitted, plan.priors, 1.0, gain).split < 1.0:
         rival = both_alike(fitted, single, plan.priors)
@@ -146,8 +158,8 @@ def _read(
     channels, warnings = [], []
     for record in records:
         own = []
-        for time, value in record:
-            channel, remarks = read_channel(time, value)
+        for sensor, (time, value) in zip("xy", record, strict=False):
+            channel, remarks = read_channel(time, value, sensor)
             own.append(channel)
             warnings += remarks
         channels.append(own)
@@ -161,6 +173,8 @@ def _one_direction(
     fitted, count = plan.without_outliers(settled(start, plan))
     findings.tell_left_out(count)
     fitted = plan.with_fewest_modes(plan.shortened(fitted))
+    refuse_nothing_rings(fitted)
+    findings.warnings += coarse_remark(fitted)
     if fitted.model.modes == 2:
         findings.warnings.append(
             f"this sensor shows a second mode at {fitted.omegas[1] / (2 * np.pi):.4g} Hz, which is fitted beside the "

@@ -55,9 +55,11 @@ class Channel:
         return replace(self, noise=noise)
 
 
-def read_channel(time_s: np.ndarray, value_m: np.ndarray) -> tuple[Channel, list[str]]:
+def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[Channel, list[str]]:
     """A channel with rail and invalid samples masked, and remarks on what was left out.
 
+    Args:
+        sensor: its name, for the messages.
     Raises:
         NotIdentifiable: lengths differ, time does not ascend, or hardly any sample is valid.
     """
@@ -80,7 +82,8 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray) -> tuple[Channel, list
     keep = np.isfinite(value) & ~railed & ~stuck
     if np.count_nonzero(keep) < 40:
         raise NotIdentifiable(
-            f"only {np.count_nonzero(keep)} of {len(value)} samples are valid; at least 40 are needed"
+            f"sensor {sensor}: {_state(value)}only {np.count_nonzero(keep)} of {len(value)} samples are valid; "
+            "at least 40 are needed. Check its cable and its range, or give the other sensor alone"
         )
     remarks = []
     if np.any(stuck & ~railed):
@@ -93,6 +96,16 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray) -> tuple[Channel, list
         rail = (float(np.median(low)) if len(low) else -np.inf, float(np.median(high)) if len(high) else np.inf)
     value[~np.isfinite(value)] = 0.0  # never read; keeps the compiled loops free of NaN
     return Channel(time, value, keep, sample_noise(value[keep]), rail), remarks
+
+
+def _state(value: np.ndarray) -> str:
+    """What a dead sensor reads, "" when it is not dead."""
+    good = value[np.isfinite(value)]
+    if len(value) and not len(good):
+        return "every reading is NaN, "
+    if len(good) and np.all(good == good[0]):
+        return f"the reading is constant at {good[0]:.6g} m, "
+    return ""
 
 
 def stuck_samples(value: np.ndarray) -> np.ndarray:

@@ -231,6 +231,11 @@ def _widen_for_amplitude(
 
 def _damping_remark(numbers: _Numbers, label: str, at: int) -> list[str]:
     value, std = float(numbers.values[at]), float(np.sqrt(numbers.covariance[at, at]))
+    if value < -2 * std:
+        raise NotIdentifiable(
+            f"the motion grows: zeta{label} = {value:.3g} ± {std:.2g}; nothing may drive the rotor during a ring-down, "
+            "and the recording must run forwards in time"
+        )
     if value <= 0:
         raise NotIdentifiable(
             f"the decay of direction {label} is lost in noise: ζ is below {value + 2 * std:.2g} (95 %); "

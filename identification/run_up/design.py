@@ -95,6 +95,19 @@ def design_at(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> Des
     return Design(structure, phi, matrix, residual, covariance, (coefficients[0], coefficients[1]))
 
 
+def imbalance_gains(record: RunUpRecord, design: Design) -> tuple[float, float]:
+    """χ² by which the response to the imbalance makes either sensor fit better than free oscillations and drift do."""
+    gains, row, column = [], 0, design.nonlinear
+    for channel, c in zip(record.channels, design.coefficients, strict=True):
+        rows = slice(row, row + len(channel.time_s))
+        basis, residual = design.matrix[rows, column : column + len(c)], design.residual[rows]
+        answer = basis[:, :2] @ c[:2]
+        without = answer - basis[:, 2:] @ _solve(basis[:, 2:], answer)
+        gains.append(float(without @ without + 2 * without @ residual))
+        row, column = rows.stop, column + len(c)
+    return gains[0], gains[1]
+
+
 def _solve(basis: np.ndarray, data: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(basis, axis=0) + 1e-300
     return np.linalg.lstsq(basis / size, data, rcond=1e-12)[0] / size

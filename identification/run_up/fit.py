@@ -17,7 +17,7 @@ from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Solution, solve_separable
 from identification.ring_down.fit import clock_rate_std
 from identification.run_up.choice import Comparison, alike, compare
-from identification.run_up.design import Design, design_at, phase_noise_covariance
+from identification.run_up.design import Design, design_at, imbalance_gains, phase_noise_covariance
 from identification.run_up.forced_oscillator import Drive
 from identification.run_up.model import (
     ANGLE,
@@ -51,6 +51,7 @@ _LEFT_OVER = 0.1  # share of the signal that marks a model that is none
 _EXCESS = 1.5  # χ²/dof at which other start values are tried
 _ALIKE = 4.0  # one resonance as a start is worth a fit when it leaves at most so many times the best start's χ²
 _TRIED = 6
+_TOO_QUIET = 0.85  # residuals over noise; chance keeps 200 of them within 5 %
 _WANDER = 1e-6  # rad²: a phase that walks farther by itself cannot tell whether the sensors lag
 _PAD_S = 0.05
 
@@ -135,14 +136,18 @@ def _fit(
     drive = Drive.from_history(phase.history, start, end)
     pad = _PAD_S if clocks.apart else 0.0
     channels, warnings = [], []
-    for time, value in sensors:
+    for name, (time, value) in zip("xy", sensors, strict=True):
         found, told = sensor_averages(
-            time, value, (start + pad, end - pad), drive.top_rad_s, _BLOCKS_PER_TURN[setting]
+            name, time, value, (start + pad, end - pad), drive.top_rad_s, _BLOCKS_PER_TURN[setting]
         )  # fmt: skip
         channels.append(found)
         warnings += told
     record = RunUpRecord(channels[0], channels[1], drive)
     structure, solution = _from_starts(record, _structure(drive, clocks))
+    quieter, told = _noise_of_residuals(record, solution)
+    if told:
+        record, warnings = quieter, warnings + told
+        solution = _solve(record, structure, solution.minimum.theta)
     design = design_at(record, structure, solution.minimum.theta)
     comparison = compare(
         record,
@@ -206,6 +211,22 @@ def _from_starts(record: RunUpRecord, structure: Structure) -> tuple[Structure, 
     return structure, best
 
 
+def _noise_of_residuals(record: RunUpRecord, solution: Solution) -> tuple[RunUpRecord, list[str]]:
+    """The record with the residuals' noise where samples are so sparse that motion was taken for noise."""
+    channels, told = [], []
+    for name, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
+        ratio = float(np.sqrt(np.mean(residual**2)))
+        quiet = ratio < _TOO_QUIET
+        noise = channel.noise * (max(ratio, 1e-9) if quiet else 1.0)
+        channels.append(replace(channel, noise=noise))
+        if quiet:
+            told.append(
+                f"sensor {name}: differences of neighbouring samples show more than noise, as when they are sparse; "
+                f"{noise:.3g} m is taken from the residuals instead, so that χ² is no test of the model"
+            )
+    return RunUpRecord(channels[0], channels[1], record.drive), told
+
+
 def _apart(record: RunUpRecord, starts: list[RunUpStart]) -> Iterator[RunUpStart]:
     """Starts with two resonances: the best one, and only when that is not enough a thorough search's."""
     apart = [s for s in starts if not s.alike]
@@ -246,7 +267,9 @@ def _result(
     names, values, jacobian = reported(design, phase.mark_rad)
     sensor_part = jacobian @ design.covariance @ jacobian.T * max(chi2, 1e-3) * correlated**2
     covariance = sensor_part + phase_noise_covariance(record, phase, design, jacobian)
-    keep, told = determined(record.drive, names, values, covariance)
+    noise = max(1.0, chi2) * correlated**2
+    gains = [gain / noise for gain in imbalance_gains(record, design)]
+    keep, told = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
     warnings += told
     if chi2 > 1.3:
         warnings.append(

@@ -70,7 +70,7 @@ def vold_kalman(channel: Averages, history: SpeedHistory) -> tuple[float, float]
     peak = int(np.argmax(size / np.maximum(speed, 0.1 * speed.max()) ** 2))
     starts = [np.log([speed[peak], z, 2 * z * float(size[peak])]) for z in (0.02, 0.2)]
     found = min((minimise(evaluate, s) for s in starts), key=lambda m: m.cost)
-    w, z, _ = np.exp(found.theta)
+    w, z, _ = np.exp(np.clip(found.theta, -30.0, 30.0))
     good = found.converged and 0.3 * speed.min() < w < 3 * speed.max() and 1e-5 < z < 2
     return (float(w / (2 * np.pi)), float(z)) if good else (float("nan"), float("nan"))
 

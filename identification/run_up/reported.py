@@ -9,6 +9,8 @@ from identification.run_up.design import Design
 from identification.run_up.forced_oscillator import Drive
 from identification.run_up.model import ANGLE, AXIS_PRIOR_STD, DELAYS, RIPPLE
 
+_FALSE_ALARM = 1e-5  # chance that noise alone passes for a resonance
+
 
 def reported(design: Design, mark_rad: float) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Names, values and ∂values/∂unknowns, shape (k, unknowns)."""
@@ -44,9 +46,17 @@ def reported(design: Design, mark_rad: float) -> tuple[list[str], np.ndarray, np
 
 
 def determined(
-    drive: Drive, names: list[str], values: np.ndarray, covariance: np.ndarray
+    drive: Drive, names: list[str], values: np.ndarray, covariance: np.ndarray, gains: tuple[float, float]
 ) -> tuple[list[int], list[str]]:
-    """Which of the values the passage determines, and a sentence for each that it does not."""
+    """Which of the values the passage determines, and a sentence for each that it does not.
+
+    Args:
+        gains: χ² that the response to the imbalance gains in sensor x and y, in units of the residuals' own noise. The
+            frequency was searched for, so that the best of many chances has to be beaten: one for each that the
+            record's length tells apart.
+    """
+    chances = max(1.0, (drive.top_rad_s - drive.low_rad_s) * (drive.end_s - drive.start_s) / (2 * np.pi))
+    needed = 2 * np.log(chances / _FALSE_ALARM)
     value = dict(zip(names, values, strict=True))
     std = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     left_out: set[str] = set()
@@ -55,13 +65,18 @@ def determined(
         omega, zeta = 2 * np.pi * value[f"f{i}_Hz"], value[f"zeta{i}"]
         sure = std[f"f{i}_Hz"] < 0.03 * value[f"f{i}_Hz"] and std[f"zeta{i}"] < 0.5 * zeta
         passed = drive.low_rad_s <= omega * (1 + zeta) and omega <= drive.top_rad_s * (1 + zeta)
-        if not (sure and passed):
-            axis = "xy"[i - 1]
+        axis = "xy"[i - 1]
+        if not (sure and passed and gains[i - 1] > needed):
             left_out |= {f"f{i}_Hz", f"zeta{i}", f"amplitude_{axis}_m", f"phase_{axis}_deg", f"delay_{axis}_s"}
             warnings.append(
-                f"resonance {i} (sensor {axis}) is not identifiable: the speed goes from "
-                f"{drive.low_rad_s * 30 / np.pi:.0f} to {drive.top_rad_s * 30 / np.pi:.0f} rpm and does not pass it; "
-                "record a passage that does"
+                f"resonance {i} (sensor {axis}) is not identifiable: "
+                + (
+                    f"the speed goes from {drive.low_rad_s * 30 / np.pi:.0f} to {drive.top_rad_s * 30 / np.pi:.0f} rpm "
+                    "and does not pass it; record a passage that does"
+                    if gains[i - 1] > needed
+                    else f"the best one found gains χ² {gains[i - 1]:.3g}, chance alone up to {needed:.3g}; does the "
+                    "speed pass it, does the sensor see the disk, is the imbalance large enough?"
+                )
             )
     if {"f1_Hz", "f2_Hz"} <= left_out:
         raise NotIdentifiable(f"the record determines neither resonance: {'; '.join(warnings)}")

@@ -13,6 +13,9 @@ from identification.samples import white_noise
 
 _KNOTS_PER_TURN = 40  # a ripple of twice per revolution keeps twenty
 _MARKS = 10
+_FASTEST_HZ = 200.0  # far beyond any rig of this kind; degrees read as radians are 57 times too fast
+_LONGEST_STEP = 0.95 * np.pi  # between samples of a phase: beyond, a turn more or less looks the same
+_MOST = 0.98  # of the samples; a few may be gaps
 _FEW = 80  # fifth differences
 _SKIPPED_MARKS = 2  # the spline's end piece has no neighbour to hold it
 _BEYOND_WHITE = 1.5  # the speed's noise over what the phase's white noise explains; chance is a tenth of the excess
@@ -49,6 +52,9 @@ class RotorPhase:
         """From a phase sampled at some thousand instants, wrapped or not; NaN is left out.
 
         Readings are averaged over a fortieth of the fastest turn, with the mean of a curved phase set right.
+
+        Raises:
+            NotIdentifiable: too few samples, less than two turns, or steps no rotor makes (a phase in degrees).
         """
         good = np.isfinite(phase_rad) & np.isfinite(time_s)
         time, phase = np.asarray(time_s, float)[good], np.asarray(phase_rad, float)[good]
@@ -57,10 +63,21 @@ class RotorPhase:
         if np.any(np.diff(time) <= 0):
             raise NotIdentifiable("the times of a run-up must rise from sample to sample")
         phase = np.unwrap(phase) if _is_wrapped(phase) else phase
+        step = float(np.quantile(np.abs(np.diff(phase)), _MOST))
+        if step > _LONGEST_STEP:
+            raise NotIdentifiable(
+                f"the phase goes {step:.3g} rad from sample to sample, {_LONGEST_STEP:.3g} at most can be followed; is "
+                "the phase in radians and in order, and sampled more than twice a turn?"
+            )
         noise = white_noise(phase)
         fastest = float(np.quantile(np.abs(phase[20:] - phase[:-20]) / (time[20:] - time[:-20]), 0.995))
         if fastest * (time[-1] - time[0]) < 4 * np.pi:
             raise NotIdentifiable("the rotor turns less than twice in this record; record the whole passage")
+        if fastest > 2 * np.pi * _FASTEST_HZ:
+            raise NotIdentifiable(
+                f"the phase turns at {fastest / (2 * np.pi):.4g} Hz, {_FASTEST_HZ:g} Hz are expected at most; is the "
+                "phase in radians and the time in seconds?"
+            )
         width = 2 * np.pi / fastest / _KNOTS_PER_TURN
         first = np.flatnonzero(np.r_[True, np.diff(np.floor((time - time[0]) / width)) != 0])
         count = np.diff(np.r_[first, len(time)])

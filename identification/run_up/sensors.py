@@ -13,14 +13,21 @@ from identification.samples import Averages, block_averages, clipped, white_nois
 
 _FEWEST_BLOCKS = 200
 _OUTLIER = 7.0  # robust standard deviations
+_COARSE = 0.7  # rad a sample at top speed, beyond which a sine itself stands off its neighbours' median
 
 
 def sensor_averages(
-    time_s: np.ndarray, value_m: np.ndarray, span_s: tuple[float, float], top_rad_s: float, per_turn: float
+    name: str,
+    time_s: np.ndarray,
+    value_m: np.ndarray,
+    span_s: tuple[float, float],
+    top_rad_s: float,
+    per_turn: float,
 ) -> tuple[Averages, list[str]]:
     """One sensor's block averages over a span.
 
     Args:
+        name: the sensor's, for messages.
         time_s, value_m: samples, shape (n,), s and m; NaN is left out, and so are railed samples and outliers.
         span_s: first and last instant wanted.
         top_rad_s: fastest speed; sets what a smooth signal can do between samples.
@@ -28,28 +35,40 @@ def sensor_averages(
     Returns:
         The averages and what a reader should know.
     Raises:
-        NotIdentifiable: too few valid samples in the span.
+        NotIdentifiable: too few valid samples in the span, or a dead sensor.
     """
-    inside = (time_s >= span_s[0]) & (time_s <= span_s[1]) & np.isfinite(value_m)
+    known = (time_s >= span_s[0]) & (time_s <= span_s[1])
+    inside = known & np.isfinite(value_m)
     time, value = np.asarray(time_s, float)[inside], np.asarray(value_m, float)[inside]
     if len(time) < _FEWEST_BLOCKS:
-        raise NotIdentifiable(f"a sensor has {len(time)} valid samples with a known phase; a passage needs hundreds")
+        raise NotIdentifiable(
+            f"sensor {name} has {len(time)} valid samples with a known phase, {np.count_nonzero(known & ~inside)} are "
+            "NaN; a passage needs hundreds"
+        )
+    if np.ptp(value) == 0.0:
+        raise NotIdentifiable(f"sensor {name} is constant, {value[0]:.6g} m throughout; is it connected?")
     warnings = []
     rail = clipped(value)
     if rail.any():
-        warnings.append(f"{np.count_nonzero(rail)} samples at the sensor's rail left out")
+        warnings.append(f"{np.count_nonzero(rail)} samples at the rail of sensor {name} left out")
         time, value = time[~rail], value[~rail]
     step = float(np.median(np.diff(time)))
-    value = value.copy()
-    outliers = _without_outliers(value, float(np.median(value)), 2 * (top_rad_s * step) ** 2, _OUTLIER)
-    if outliers > 3 + 1e-4 * len(value):
-        warnings.append(f"{outliers} outliers left out")
+    if top_rad_s * step < _COARSE:
+        value = value.copy()
+        outliers = _without_outliers(value, float(np.median(value)), 2 * (top_rad_s * step) ** 2, _OUTLIER)
+        if outliers > 3 + 1e-4 * len(value):
+            warnings.append(f"{outliers} outliers of sensor {name} left out")
+    else:
+        warnings.append(
+            f"sensor {name} gives {2 * np.pi / (top_rad_s * step):.1f} samples a turn at top speed, too few to tell "
+            "outliers from motion; sample faster"
+        )
     noise = white_noise(value)
     if noise == 0.0:
-        raise NotIdentifiable("a sensor shows no noise and no motion at all; is it connected?")
+        raise NotIdentifiable(f"sensor {name} shows no noise at all: it is constant but for a few samples")
     averages = block_averages(time, value, 2 * np.pi / top_rad_s / per_turn, noise)
     if len(averages.time_s) < _FEWEST_BLOCKS:
-        raise NotIdentifiable(f"a sensor gives {len(averages.time_s)} block averages; record the passage longer")
+        raise NotIdentifiable(f"sensor {name} gives {len(averages.time_s)} block averages; record longer")
     return averages, warnings
 
 

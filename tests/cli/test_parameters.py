@@ -130,6 +130,7 @@ def test_a_test_left_out_is_told(capsys: pytest.CaptureFixture[str], tmp_path: P
         (["history", "nothing.mcap"], "rig identify"),
         (["history", "{p}", "--rig", "other"], "no file is of rig 'other'"),
         (["history", "{p}", "--plot", "a.doc"], ".svg, .png or .pdf"),
+        (["history", "{p}", "--plot", "nowhere/a.svg"], "there is no folder nowhere"),
     ],
 )
 def test_bad_use_is_explained(
@@ -156,3 +157,14 @@ def test_values_are_rounded_to_two_digits_of_their_uncertainty(
     value: float, std: float, shown: tuple[str, str]
 ) -> None:
     assert rounded(value, std) == shown
+
+
+def test_a_place_that_is_not_there_is_refused_before_the_work(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["identify", "no.mcap", "-o", "nowhere/p.toml"]) == 2
+    assert "rig identify: -o nowhere/p.toml: there is no folder nowhere" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_log_is_not_taken_for_parameters(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
+    assert run(["parameters", "show", str(tmp_path / "a.mcap")]) == 2
+    assert "this is a log; `rig identify` makes parameters of it" in " ".join(capsys.readouterr().err.split())

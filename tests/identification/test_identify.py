@@ -55,6 +55,17 @@ def test_ring_downs_alone_say_what_is_missing() -> None:
     assert any("not identified: c3" in w and "a run-up" in w for w in found.warnings)
 
 
+def test_a_log_given_twice_counts_once() -> None:
+    campaign = Campaign(1)
+    run = campaign.ring_down("x")
+    run = dataclasses.replace(run, metadata={**run.metadata, "digest": "d1"})
+    copy = dataclasses.replace(run, source="copy.mcap")
+    once, twice = identify([run], campaign.rig), identify([run, copy], campaign.rig)
+    assert twice.parameters.values == once.parameters.values
+    assert twice.parameters.std == once.parameters.std
+    assert f"copy.mcap: the same recording as {run.source}; taken once" in twice.warnings
+
+
 def test_spin_down_alone_works_from_the_file_s_suspension() -> None:
     campaign = Campaign(2)
     found = identify([campaign.spin_down()], campaign.rig)

@@ -162,6 +162,8 @@ def test_wants_are_read(text: str, want: Want) -> None:
         ("zeta1=1N/m", "plain number"),
         ("zeta1=0%", "above 0"),
         ("zeta1=-1%", "above 0"),
+        ("zeta1=1", "did you mean zeta1=1%"),
+        ("c3=200%", "did you mean c3=1%"),
         ("zeta1=nan%", "got 'nan%'"),
     ],
 )

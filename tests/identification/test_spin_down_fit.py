@@ -39,7 +39,7 @@ def after_rest(t: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray
 @pytest.mark.parametrize("jitter", [0.0, 0.3])
 def test_damping_is_covered_and_near_the_bound(damping: float, jitter: float) -> None:
     z, bound = [], []
-    for seed in range(8):
+    for seed in range(6):
         time, angle = run_down(seed, damping, jitter)
         fit = fit_spin_down(time, angle, INERTIA)
         z.append((fit.values["c_Nms_per_rad"] - damping) / fit.std["c_Nms_per_rad"])
@@ -98,6 +98,48 @@ def test_a_second_push_ends_the_stretch() -> None:
     fit = fit_spin_down(time, np.round(angle / STEP) * STEP, INERTIA)
     assert 1.5 < fit.end_s <= 2.01
     assert abs(fit.values["c_Nms_per_rad"] - 3e-4) < 4 * fit.std["c_Nms_per_rad"]
+
+
+@pytest.mark.parametrize("samples_per_s", [1000, 5000])
+def test_a_faster_encoder_loses_nothing(samples_per_s: int) -> None:
+    for seed in range(2):
+        time = np.arange(0, 12.0, 1 / samples_per_s)
+        jitter = 0.3 * np.random.default_rng(seed).standard_normal(len(time))
+        fit = fit_spin_down(time, np.round(40 * (1 - np.exp(-0.5 * time)) / STEP + jitter) * STEP)
+        assert fit.end_s > 8
+        assert fit.warnings == []
+        assert abs(fit.values["rate_per_s"] - 0.5) < 4 * fit.std["rate_per_s"]
+        assert fit.std["rate_per_s"] < 1.5e-6 * np.sqrt(1000 / samples_per_s)
+
+
+def test_a_stretch_cut_short_is_told() -> None:
+    time, angle = run_down(1, 1e-4, 0.3)
+    assert any("record ends there" in w for w in fit_spin_down(time[:4000], angle[:4000]).warnings)
+    pushed = np.r_[angle[:4000], angle[3999] + 0.5 * (angle[:500] - angle[0])]
+    fit = fit_spin_down(time[:4500], pushed)
+    assert any("second push" in w for w in fit.warnings)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 3.0])
+def test_much_dry_friction_is_estimated(share: float) -> None:
+    fit = fit_spin_down(*run_down(0, 1e-4, 0.3, share), INERTIA)
+    true = share * 1e-4 * SPEED
+    assert abs(fit.values["coulomb_Nm"] - true) < 4 * fit.std["coulomb_Nm"] < 0.02 * true
+    assert abs(fit.values["c_Nms_per_rad"] - 1e-4) < 4 * fit.std["c_Nms_per_rad"] < 1e-5
+    assert fit.model == "viscous damping and dry friction"
+
+
+def test_dry_friction_alone_is_named() -> None:
+    time = np.arange(0, 8, 2e-3)
+    moving = np.minimum(time, 5.0)
+    with pytest.raises(FitFailed, match="dry friction dominates"):
+        fit_spin_down(time, np.round((20 * moving - 2 * moving**2) / STEP) * STEP)
+
+
+def test_samples_out_of_order_are_sorted() -> None:
+    time, angle = run_down(1)
+    order = np.random.default_rng(0).permutation(len(time))
+    assert fit_spin_down(time[order], angle[order]).values == fit_spin_down(time, angle).values
 
 
 def test_a_rotor_that_moves_is_told() -> None:
@@ -161,5 +203,8 @@ def test_too_little_is_refused() -> None:
         fit_spin_down(time, np.round(0.3 * np.random.default_rng(0).normal(size=5000)) * STEP)
     with pytest.raises(NotIdentifiable, match="too few"):
         fit_spin_down(time[:20], time[:20])
+    for inertia in (0.0, -INERTIA, np.nan):
+        with pytest.raises(NotIdentifiable, match="inertia"):
+            fit_spin_down(*run_down(1), inertia)
     with pytest.raises(NotIdentifiable, match="shapes"):
         decline_of(time, np.zeros((5000, 2)))

@@ -1,0 +1,92 @@
+"""Whether a record holds a ring-down at all: something rings, in the band that is covered, sampled finely enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.errors import NotIdentifiable
+from identification.ring_down.attempt import stretches
+from identification.ring_down.decay import COARSE_S, Fitted
+from identification.ring_down.record import Channel, sample_noise
+
+_CUBIC = 3
+_MARGIN = 20.0  # of χ²: e⁻¹⁰ beyond the price of the search
+HIGHEST_Hz = 0.4 / COARSE_S  # of Nyquist's 0.5 for the blocks that start values come from
+_LOUDEST_S = 1.0
+_NEAR, _MOST = 0.2, 0.5  # of the peak's frequency; of the stretch's energy
+_COARSE, _FEW = 0.7, 25.0  # residuals' noise over differences'; samples a cycle
+
+
+def refuse_nothing_rings(fitted: Fitted) -> None:
+    """Raises NotIdentifiable when the modes explain no more than the best of all frequencies would in drift and noise.
+
+    Noise's largest periodogram ordinate of N explains about 2 ln N of χ²; each mode was picked among as many
+    frequencies as there are blocks.
+    """
+    higher = replace(fitted.model, drift=max(_CUBIC, fitted.model.drift))
+    alone = 0.0
+    for record, block in zip(fitted.model.records, fitted.model(fitted.theta), strict=True):
+        columns = higher.drift_columns(record) * record.weight[:, None]
+        rest = block.data - columns @ np.linalg.lstsq(columns, block.data, rcond=None)[0]
+        alone += float(rest @ rest)
+    modes = fitted.model.modes
+    band = float(np.max(stretches(fitted)[: 2 * modes])) ** 2  # noise above white where the modes are
+    gain = (alone - fitted.chi2) / band
+    price = 2 * modes * float(np.log(fitted.count)) + _MARGIN
+    if gain < price:
+        begins = ", ".join(f"{b:.4g} s" for b in fitted.decay.begins)
+        raise NotIdentifiable(
+            f"nothing rings after the release at {begins}: the best oscillation explains {max(gain, 0.0):.3g} of χ² "
+            f"beyond drift, chance alone up to {price:.3g}; pull farther and let go suddenly"
+        )
+
+
+def refuse_too_fast(records: Sequence[Sequence[Channel]]) -> None:
+    """Raises NotIdentifiable when most of a sensor's loudest second is a tone above the band that is covered."""
+    for channels in records:
+        for sensor, channel in zip("xy", channels, strict=False):
+            frequency, share = _loudest_tone(channel)
+            if frequency > HIGHEST_Hz and share > _MOST:
+                raise NotIdentifiable(
+                    f"sensor {sensor} rings at about {frequency:.3g} Hz; frequencies up to {HIGHEST_Hz:.4g} Hz are "
+                    "covered. Is time_s in seconds, and is it the suspension that rings?"
+                )
+
+
+def _loudest_tone(channel: Channel) -> tuple[float, float]:
+    """Frequency of the strongest peak in the loudest second, Hz, and the share of its energy near that peak.
+
+    Samples left out count as rest, which suffices to tell a tone from spikes and steps.
+    """
+    step = float(np.median(np.diff(channel.time_s)))
+    if step <= 0 or 0.5 / step < HIGHEST_Hz:
+        return 0.0, 0.0
+    size = max(16, min(len(channel.value_m), round(_LOUDEST_S / step)))
+    starts = np.arange(0, len(channel.value_m), size)
+    kept = np.add.reduceat(channel.keep.astype(float), starts)
+    value = np.where(channel.keep, channel.value_m, 0.0)
+    mean = np.add.reduceat(value, starts) / np.maximum(kept, 1.0)
+    move = np.where(channel.keep, value - np.repeat(mean, np.diff(np.r_[starts, len(value)])), 0.0)
+    first = int(starts[int(np.argmax(np.add.reduceat(move**2, starts)))])
+    power = np.abs(np.fft.rfft(move[first : first + size], 2 * size)) ** 2
+    frequency = np.arange(len(power)) / (2 * size * step)
+    peak = float(frequency[int(np.argmax(power))])
+    near = np.abs(frequency - peak) <= _NEAR * peak
+    return peak, float(power[near].sum() / max(float(power.sum()), 1e-300))
+
+
+def coarse_remark(fitted: Fitted) -> list[str]:
+    """A sentence when the noise had to be taken from the residuals, so that χ² can't tell a wrong model."""
+    for record in fitted.decay.records:
+        for channel in record:
+            if channel.noise < _COARSE * sample_noise(channel.value_m[channel.keep]):
+                per_cycle = 2 * np.pi / float(np.max(fitted.omegas)) / float(np.median(np.diff(channel.time_s)))
+                if per_cycle < _FEW:
+                    return [
+                        f"only {per_cycle:.2g} samples a cycle: the noise is taken from the residuals and χ² says "
+                        "nothing of the model; sample faster"
+                    ]
+    return []
