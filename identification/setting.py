@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 Setting = Literal["fast", "balanced", "reference"]
 """fast: cheapest with honest intervals; balanced: near the bound; reference: as exact as the data allow."""
@@ -26,3 +26,13 @@ class ModelChoice:
     criterion: float
     chosen: bool
     why: str
+
+
+def check_setting(setting: str) -> None:
+    """Whether there is such a setting.
+
+    Raises:
+        ValueError: there is not.
+    """
+    if setting not in get_args(Setting):
+        raise ValueError(f"setting: expected {', '.join(get_args(Setting))}, got {setting!r}")

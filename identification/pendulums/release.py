@@ -29,7 +29,7 @@ from identification.pendulums.recorded_speed import recorded_speed
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientFit, TransientProblem
 from identification.samples import block_averages, encoder_noise
-from identification.setting import ModelChoice, Setting
+from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 from identification.tracking.release_start import damping_start
 
@@ -58,6 +58,7 @@ def fit_release(run: Run, knowledge: Knowledge, zero_std_rad: float, *, setting:
         FitFailed: the model does not follow the angles over any horizon.
     Source: docs/theory/pendulum_damping.md.
     """
+    check_setting(setting)
     go, go_std = _release_time(run)
     history = _history(run, go)
     begin = go + max(_BLOCK_S["balanced"], 4 * go_std)

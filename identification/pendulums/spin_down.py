@@ -21,7 +21,7 @@ from identification.pendulums.decline import decline_of
 from identification.pendulums.quantiser import quantised_posterior
 from identification.pendulums.rounded_fit import FittedRunDown, cut, plain_fit, rounded_fit
 from identification.pendulums.run_down import RunDown, fit_run_down, from_stop, run_down_angle, stop_time
-from identification.setting import ModelChoice, Setting
+from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 
 FRICTION_P = 5e-4  # a chance below it is friction
@@ -93,6 +93,7 @@ def fit_spin_down(
         FitFailed: no convergence, residuals far above the noise, or dry friction that hides the viscous damping.
     Source: docs/theory/pendulum_damping.md.
     """
+    check_setting(setting)
     if inertia_kg_m2 is not None and not 0 < inertia_kg_m2 < np.inf:
         raise NotIdentifiable(f"spin-down: an inertia above 0 kg m² is needed, got {inertia_kg_m2:g}; leave it out")
     whole = decline_of(time_s, angle_rad)

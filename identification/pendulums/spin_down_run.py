@@ -23,7 +23,7 @@ from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientFit, TransientProblem, log_intervals
 from identification.ring_down.fit import clock_rate_std
 from identification.samples import Averages
-from identification.setting import ModelChoice, Setting
+from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 
 _ANGLES, _SPEEDS, _PSI, _DISK, _SUSPENSION, _COUNT = slice(2, 4), slice(4, 6), 6, slice(7, 11), slice(11, 15), 15
@@ -45,6 +45,7 @@ def fit_spin_down_run(run: Run, knowledge: Knowledge, *, setting: Setting = "bal
         FitFailed: the model does not follow the angles.
     Source: docs/theory/pendulum_damping.md.
     """
+    check_setting(setting)
     if run.angle_rad.ndim != 2 or len(run.angle_time_s) < 400:
         raise NotIdentifiable(f"{run.source}: {len(run.angle_time_s)} encoder samples are too few")
     declines = [find_decline(run.angle_time_s, run.angle_rad[:, i]) for i in range(2)]

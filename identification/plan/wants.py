@@ -62,6 +62,6 @@ def parse_want(text: str) -> Want:
     value = float(match[1]) / (100.0 if given == "%" else 1.0)
     if not 0 < value < float("inf"):
         raise RigFileError(f"--want {text!r}: expected a value above 0, got {amount!r}")
-    if value >= 1 and (given == "%" or not wanted):
+    if (value > 1 and given == "%") or (value >= 1 and not given):  # a bare number is of a parameter without unit
         raise RigFileError(f"--want {text!r}: {amount} is no accuracy; did you mean {name}=1%?")
     return Want(full, value, given == "%")

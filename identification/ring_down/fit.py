@@ -22,7 +22,7 @@ from identification.ring_down.outliers import without_spikes
 from identification.ring_down.record import Channel, read_channel
 from identification.ring_down.resolution import RESOLVED_GAIN, lone_direction, resolution
 from identification.ring_down.result import Findings, RingDownFit, result
-from identification.setting import Setting
+from identification.setting import Setting, check_setting
 from identification.threads import on_one_thread
 
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted, where a run-up has to rely on it
@@ -117,6 +117,9 @@ def _axis_prior(degrees: float) -> float:
 def _fit(
     records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], mass: float | None, setting: Setting, priors: Priors
 ) -> RingDownFit:
+    check_setting(setting)
+    if mass is not None and not 0 < mass < np.inf:
+        raise NotIdentifiable(f"ring-down: a mass above 0 kg is needed, got {mass:g}; leave it out")
     channels, warnings = _read(records)
     refuse_too_fast(channels)
     valid = tuple(tuple(c.keep for c in own) for own in channels)

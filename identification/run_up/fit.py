@@ -40,7 +40,7 @@ from identification.run_up.rotor_phase import RotorPhase
 from identification.run_up.sensors import sensor_averages
 from identification.run_up.start import RunUpStart, run_up_starts
 from identification.samples import correlation_inflation
-from identification.setting import Setting
+from identification.setting import Setting, check_setting
 from identification.threads import on_one_thread
 
 __all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
@@ -129,6 +129,7 @@ def fit_run_up_run(run: Run, *, setting: Setting = "balanced") -> RunUpFit:
 def _fit(
     sensors: list[tuple[np.ndarray, np.ndarray]], phase: RotorPhase, clocks: _Clocks, setting: Setting
 ) -> RunUpFit:
+    check_setting(setting)
     start = max(phase.start_s, *(float(t[0]) for t, _ in sensors))
     end = min(phase.end_s, *(float(t[-1]) for t, _ in sensors))
     if end - start < 1.0:
