@@ -27,6 +27,7 @@ from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 
 _ANGLES, _SPEEDS, _PSI, _DISK, _SUSPENSION, _COUNT = slice(2, 4), slice(4, 6), 6, slice(7, 11), slice(11, 15), 15
+_MOST_STEPS = 80  # the angle at which the rotor stands can be a long valley
 _BEFORE_PUSH_S, _WORTH_S = 0.03, 0.08
 _DAMPING_STD = 1.0  # ln c; a pendulum that does not move yet says nothing of its own
 _DISK_STD_M = 3e-4  # how far a flick may leave the disk shaking
@@ -203,7 +204,7 @@ def _best_phase(problem: TransientProblem, start: np.ndarray, end: float) -> Min
     best = None
     for candidate in tries[:4]:
         problem.prior[_PSI] = candidate.theta[_PSI]
-        minimum = problem.solve(candidate.theta, end)
+        minimum = problem.solve(candidate.theta, end, _MOST_STEPS)
         if best is None or minimum.cost < best.cost:
             best = minimum
         if problem.chi2_per_dof(best, end) < 1.2:
