@@ -21,6 +21,7 @@ from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
+_TESTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down")
 TimeScale = Annotated[float, Parameter(help="seconds of rig time per wall second; 1 on a real rig")]
 
 
@@ -149,17 +150,19 @@ def test(
 ) -> int:
     """Run one guided test: ring-down-x, ring-down-y, spin-down, run-up, run-down, or point NAME."""
     loaded = load_rig(rig, parameters, settings or [])
+    wanted = name if point is None else f"point-{point}"
+    check_test(loaded, wanted)
+    tracking = None
+    if track:  # compiled before a device is opened
+        with wait_for_compilation("tracking"):
+            from cli import tracking  # noqa: PLC0415 (numba takes seconds to import)
+
+            tracking.compile_tracker(loaded.physics)
     with ExitStack() as stack:
         session = stack.enter_context(Session(loaded, HostClock(time_scale)))
         progress = stack.enter_context(StepProgress({name: 1.0}))
         progress.step(name)
-        following = None
-        if track:
-            with wait_for_compilation("tracking"):
-                from cli.tracking import LiveTracking  # noqa: PLC0415 (numba takes seconds to import)
-
-                following = LiveTracking(session)
-            stack.enter_context(following)
+        following = stack.enter_context(tracking.LiveTracking(session)) if tracking is not None else None
 
         def tell(text: str, share: float | None) -> None:
             words = following.words() if following is not None else ""
@@ -168,7 +171,7 @@ def test(
         tests = Procedures(session, TerminalOperator(), out, tell, note)
         if parameters is not None:
             tests.parameters = IdentifiedParameters.label(parameters)
-        done = run_test(tests, loaded, name if point is None else f"point-{point}", top_rpm, duration)
+        done = run_test(tests, loaded, wanted, top_rpm, duration)
     result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary}
     if following is not None:
         result["tracked"] = following.facts()
@@ -179,6 +182,17 @@ def test(
     return 0
 
 
+def check_test(rig: Rig, name: str) -> None:
+    """Refuse a name that is no guided test of this rig, before any device is opened.
+
+    Raises:
+        RigFileError: no such test or point.
+    """
+    known = [*_TESTS, *(f"point-{p}" for p in rig.points)]
+    if name not in known:
+        raise RigFileError(f"{name!r}: no such test. Known: {', '.join(known)}".replace("point-", "point "))
+
+
 def run_test(
     tests: Procedures, rig: Rig, name: str, top_rpm: float | None = None, duration_s: float = 40.0
 ) -> TestDone:
@@ -187,6 +201,7 @@ def run_test(
     Raises:
         RigFileError: no such test or point.
     """
+    check_test(rig, name)
     if name in ("ring-down-x", "ring-down-y"):
         return tests.ring_down(name[-1])
     if name == "spin-down":
@@ -195,8 +210,5 @@ def run_test(
         higher = max(rig.physics.natural_frequencies_rad_s) * 30 / math.pi
         through = tests.run_up if name == "run-up" else tests.run_down
         return through(top_rpm or min(1.3 * higher, rig.limits.speed_rpm), duration_s)
-    point = rig.points.get(name.removeprefix("point-"))
-    if point is None or not name.startswith("point-"):
-        known = ["ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down", *(f"point {p}" for p in rig.points)]
-        raise RigFileError(f"{name!r}: no such test. Known: {', '.join(known)}")
-    return tests.point(name.removeprefix("point-"), rig.physics.speed_rad_s(point.speed_ratio))
+    point = name.removeprefix("point-")
+    return tests.point(point, rig.physics.speed_rad_s(rig.points[point].speed_ratio))

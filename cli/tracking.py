@@ -11,10 +11,16 @@ import numpy as np
 
 from daq.protocols.rotorlink import FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED
 from daq.session import Session
+from dynamics import RotorParameters
 from identification.tracking.tracker import Sensors, Tracked, Tracker
 
 _TURN_S = 0.1  # wall seconds between two looks at the readings
 _NAMES = (("c3", "c3_Nms_per_rad"), ("c4", "c4_Nms_per_rad"))
+
+
+def compile_tracker(physics: RotorParameters) -> None:
+    """Have the filter compiled, which takes ten seconds once, before a session is open and a rotor may turn."""
+    Tracker(physics).feed_encoders(np.arange(0, 10**9, 10**7), np.zeros((100, 2)))
 
 
 class LiveTracking:
@@ -37,7 +43,6 @@ class LiveTracking:
         self._fault = ""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="tracking", daemon=True)
-        Tracker(session.rig.physics).feed_encoders(np.arange(0, 10**9, 10**7), np.zeros((100, 2)))  # compiles it now
 
     def __enter__(self) -> LiveTracking:
         self._thread.start()

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from cli.main import run
 from cli.simulated import SimulatedOperator, VirtualRigProcess
-from cli.tracking import LiveTracking
+from cli.tracking import LiveTracking, compile_tracker
+from daq.errors import LinkLost
 from daq.procedure import Procedures
 from daq.session import Session
 from daq.transports import HostClock
@@ -24,6 +26,7 @@ def quiet(text: str, share: float | None) -> None:
 
 def test_a_spin_down_is_followed_from_wrong_dampings(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
     rig = load_rig("virtual", settings=[*virtual_rig.port_settings(), *WRONG])
+    compile_tracker(rig.physics)
     with Session(rig, HostClock(TIME_SCALE)) as session, LiveTracking(session) as following:
         Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).spin_down()
         session.wait_for(lambda: following.now.trusted, 5.0, "the tracker to follow")
@@ -50,3 +53,24 @@ def test_what_goes_wrong_in_the_tracker_does_not_end_the_test(
         assert following.words() == "tracking stopped: not positive definite"
     assert done.summary == {"slowed_down": True}
     assert not following.facts()["trusted"]
+
+
+def test_the_tracker_is_compiled_before_a_device_is_opened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    order: list[str] = []
+
+    def open_noted(session: Session) -> Session:
+        order.append("opened")
+        raise LinkLost("no cable")
+
+    monkeypatch.setattr("cli.tracking.compile_tracker", lambda physics: order.append("compiled"))
+    monkeypatch.setattr(Session, "open", open_noted)
+    assert run(["test", "virtual", "spin-down", "--track", "--out", str(tmp_path)]) == 3
+    assert order == ["compiled", "opened"]
+
+
+def test_a_test_that_does_not_exist_is_refused_before_a_device_is_opened(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Session, "open", lambda session: pytest.fail("a device was opened"))
+    assert run(["test", "virtual", "point", "Z"]) == 2
+    assert "'point Z': no such test. Known: ring-down-x" in " ".join(capsys.readouterr().err.split())
