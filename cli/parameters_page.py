@@ -71,13 +71,14 @@ def print_comparison(found: Comparison, words: str, level: float) -> None:
     console = stdout_console()
     changed = bool(found.significant(level)) or found.p < level
     console.print(Text(words, "bold yellow" if changed else "bold green"), soft_wrap=True)
-    table = _table(("parameter", "old", "new", "change", "± std", "z", "p", "significant"), right=(1, 2, 3, 4, 5, 6))
+    heads = ("parameter", "unit", "old", "new", "change", "± std", "z", "p", "significant")
+    table = _table(heads, right=(2, 3, 4, 5, 6, 7))
     for c in found.changes:
         old, _ = rounded(c.old, c.std)
         new, _ = rounded(c.new, c.std)
         style = "bold yellow" if c.p_holm < level else ""
         table.add_row(
-            Text(short(c.name), "bold"), old, new, f"{100 * c.relative:+.4g} %", percent(c.relative_std),
+            Text(short(c.name), "bold"), PARAMETER_UNITS[c.name], old, new, f"{100 * c.relative:+.4g} %", percent(c.relative_std),
             f"{c.z:+.2f}", _chance(c.p), Text(_significance(c), style),
         )  # fmt: skip
     console.print(table)

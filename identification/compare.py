@@ -19,6 +19,7 @@ from identification.joint.provenance import KeptTest, rebuilt
 from rig_configs.parameters_file import IdentifiedParameters
 
 LEVELS = (0.001, 0.01, 0.05)
+_FLOOR = 1e-6  # of a value's own variance: what is left where both rest on the same logs
 _SAME_FIT = 1e-3  # of a standard deviation: two values of one log that are the same fit
 
 
@@ -114,7 +115,8 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     pull = np.linalg.solve(covariance, change / unit)
     chi2 = float(change / unit @ pull)
     shares = change / unit * pull / chi2 if chi2 > 0 else np.zeros(len(names))
-    std = unit * np.sqrt(np.diag(covariance))
+    left = np.diag(covariance)
+    std = unit * np.sqrt(np.where(left < 10 * _FLOOR, 0.0, left))  # the floor is no uncertainty
     changes = [
         Change(name, *map(float, row))
         for name, *row in zip(names, before, before + change, change, std, z, p, holm(p), shares, strict=True)
@@ -170,9 +172,9 @@ def _listed(parts: list[str]) -> str:
 
 
 def _positive(matrix: np.ndarray) -> np.ndarray:
-    """The matrix with what rounding or a perfect overlap leaves of variance raised to a millionth."""
+    """The matrix with what rounding or a perfect overlap leaves of variance raised to the floor."""
     size, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return (vectors * np.maximum(size, 1e-6)) @ vectors.T
+    return (vectors * np.maximum(size, _FLOOR)) @ vectors.T
 
 
 def _common_covariance(old: IdentifiedParameters, new: IdentifiedParameters) -> tuple[np.ndarray, list[str]]:

@@ -82,6 +82,7 @@ def test_diff_says_what_changed_in_words(capsys: pytest.CaptureFixture[str], tmp
     assert code == 0
     assert out.startswith("k2 grew by 5.000 ± 0.030 %; nothing else changed significantly\n")
     assert "at 0.1 %" in out
+    assert "N/m" in out
     code, out, _ = said(capsys, "parameters", "diff", str(old), str(new), "--json")
     told = json.loads(out)
     assert told["words"].startswith("k2 grew")

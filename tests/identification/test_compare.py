@@ -134,6 +134,7 @@ def test_a_file_against_itself_has_not_changed() -> None:
     found = compare(parameters, parameters)
     assert found.chi2 == 0
     assert found.p == 1
+    assert [c.std for c in found.changes] == [0.0] * len(parameters.values)
     assert in_words(found) == "nothing changed significantly"
 
 
