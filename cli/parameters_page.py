@@ -78,8 +78,8 @@ def print_comparison(found: Comparison, words: str, level: float) -> None:
         new, _ = rounded(c.new, c.std)
         style = "bold yellow" if c.p_holm < level else ""
         table.add_row(
-            Text(short(c.name), "bold"), PARAMETER_UNITS[c.name], old, new, f"{100 * c.relative:+.4g} %", percent(c.relative_std),
-            f"{c.z:+.2f}", _chance(c.p), Text(_significance(c), style),
+            Text(short(c.name), "bold"), PARAMETER_UNITS[c.name], old, new, f"{100 * c.relative:+.4g} %",
+            percent(c.relative_std), f"{c.z:+.2f}", _chance(c.p), Text(_significance(c), style),
         )  # fmt: skip
     console.print(table)
     direction = [f"{short(c.name)} {100 * c.share:.0f} %" for c in _leading(found)]

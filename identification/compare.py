@@ -215,7 +215,10 @@ def _shared_logs(
 ) -> tuple[np.ndarray, list[str]]:
     """Covariance through logs that are in both with the same fit: their own noise and their clocks' errors."""
     total = np.zeros((len(after[0].weighted.names), len(before[0].weighted.names)))
-    logs = []
+    logs: list[str] = []
+    clocks: dict[
+        str, tuple[np.ndarray | float, np.ndarray | float]
+    ] = {}  # label → what it did to NEW and OLD through these logs
     for i, old in enumerate(before[1]):
         for j, new in enumerate(after[1]):
             if not old.digest or old.digest != new.digest or old.estimate.names != new.estimate.names:
@@ -227,6 +230,9 @@ def _shared_logs(
             total += left @ old.estimate.covariance @ right.T
             for label, shift in old.estimate.shared.items():
                 if label.startswith("clock") and label in new.estimate.shared:
-                    total += np.outer(left @ new.estimate.shared[label], right @ shift)
+                    felt = clocks.get(label, (0.0, 0.0))
+                    clocks[label] = (felt[0] + left @ new.estimate.shared[label], felt[1] + right @ shift)
             logs.append(new.estimate.source)
+    for felt in clocks.values():
+        total += np.outer(*felt)  # the joint estimate takes one device's clock for one in all of a file's logs
     return total, logs
