@@ -29,6 +29,7 @@ from identification.threads import on_one_thread
 _ANGLES, _SPEEDS, _PSI, _DISK, _SUSPENSION, _COUNT = slice(2, 4), slice(4, 6), 6, slice(7, 11), slice(11, 15), 15
 _MOST_STEPS = 80  # the angle at which the rotor stands can be a long valley
 _BEFORE_PUSH_S, _WORTH_S = 0.03, 0.08
+_EARLY_S = 0.1
 _DAMPING_STD = 1.0  # ln c; a pendulum that does not move yet says nothing of its own
 _DISK_STD_M = 3e-4  # how far a flick may leave the disk shaking
 
@@ -218,7 +219,8 @@ def _early_excess(problem: TransientProblem, minimum: Minimum) -> bool:
     for channel in (r.averages for r in problem.readings):
         own = minimum.residual[at : at + len(channel.time_s)]
         at += len(own)
-        early = channel.time_s < channel.time_s[0] + 0.1
+        first, last = channel.time_s[[0, -1]]
+        early = channel.time_s < first + min(_EARLY_S, 0.3 * (last - first))
         if np.count_nonzero(~early) < 20:
             continue
         level, later = float(np.mean(own[early] ** 2)), float(np.mean(own[~early] ** 2))

@@ -75,11 +75,12 @@ class Readings:
     step_rad: float
 
     def between(self, start_s: float, end_s: float) -> Readings:
-        """The blocks whose mean times lie inside a span, with their samples."""
-        label = np.repeat(self.averages.time_s, self.averages.count)
-        inside = (label >= start_s) & (label <= end_s)
-        kept = self.averages.between(start_s, end_s)
-        return Readings(self.time_s[inside], self.angle_rad[inside], kept, self.step_rad)
+        """The blocks that begin inside a span and have their mean time there, with their samples."""
+        count = self.averages.count
+        begins = self.time_s[np.r_[0, np.cumsum(count)[:-1]].astype(np.int64)]
+        keep = (begins >= start_s) & (self.averages.time_s <= end_s)
+        inside = np.repeat(keep, count)
+        return Readings(self.time_s[inside], self.angle_rad[inside], self.averages.where(keep), self.step_rad)
 
     def rounding(self, curves_rad: np.ndarray, seed: int) -> np.ndarray:
         """Errors of the block averages that reading such curves makes, in their standard deviations.

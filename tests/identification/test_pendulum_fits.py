@@ -31,6 +31,17 @@ def test_coupled_run_down_covers(rig_name: str) -> None:
     assert np.max(np.abs(z)) < 4
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_few_samples_per_time_constant_are_enough(seed: int) -> None:
+    settings = {f"virtual.truth.pendulums.{p}.damping_Nms_per_rad": 0.008 for p in "ab"}
+    campaign = Campaign(seed, settings, clock_rate_std=0.0)
+    whole = campaign.spin_down(apart_s=0.0)  # one hand, both at once: the first block holds an instant before it
+    run = dataclasses.replace(whole, angle_time_s=whole.angle_time_s[::2], angle_rad=whole.angle_rad[::2])
+    fit = fit_spin_down_run(run, known(campaign))
+    for name in fit.values:
+        assert abs(fit.values[name] - 0.008) < 4 * fit.std[name]
+
+
 @pytest.mark.parametrize("point", ["D", "E"])
 def test_release_finds_the_damping(point: str) -> None:
     campaign = Campaign(6, {"pendulums.b.mass_kg": 0.070}, clock_rate_std=0.0)
