@@ -7,7 +7,7 @@ decay, continued backwards, explains as well as its own samples move it back.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +22,7 @@ _WINDOW_S = 0.05
 _BAD = 6.0  # standard deviations of a window's χ²
 _MOST_FORWARD_S = 0.8  # a hand's last touch; what needs more is no release but a wrong model
 _LEVELS = (0.9, 0.7, 0.5, 0.3)
+_ALL_OFF, _UNEXPLAINED = 25.0, 0.15  # χ²/dof, and residual over signal
 _GROSS = 0.4  # of the signal's own size: no free decay
 
 Attempt = Callable[[Decay], Fitted]
@@ -61,7 +62,7 @@ def settled(decay: Decay, attempt: Attempt) -> Fitted:
         except IdentificationError as error:
             failure = failure or error
             continue
-        if i == 0 and _is_sound(fitted):
+        if i == 0 and _is_sound(fitted) and not _misfits_everywhere(fitted):
             return _backward(fitted, attempt)
         if first is not None and _is_sound(fitted) and _skips_what_is_no_decay(fitted):
             return _backward(fitted, attempt)
@@ -71,13 +72,14 @@ def settled(decay: Decay, attempt: Attempt) -> Fitted:
     return first  # a model that misfits everywhere; its χ² says so
 
 
-def _candidates(decay: Decay) -> list[Decay]:
+def _candidates(decay: Decay) -> Iterator[Decay]:
     """The proposed begins, the records' own, and where each record was last at some levels of its largest motion."""
+    yield decay
     starts = tuple(_start(channels) for channels in decay.records)
     lasts = [_last_times(channels) for channels in decay.records]
-    begins = [decay.begins, starts, *zip(*lasts, strict=True)]
-    distinct = [b for i, b in enumerate(begins) if b not in begins[:i]]
-    return [replace(decay, begins=b) for b in distinct]
+    for begins in dict.fromkeys([starts, *zip(*lasts, strict=True)]):
+        if begins != decay.begins:
+            yield replace(decay, begins=begins)
 
 
 def _last_times(channels: tuple[Channel, ...]) -> list[float]:
@@ -116,6 +118,18 @@ def _is_sound(fitted: Fitted) -> bool:
             if np.any(squares / level > number + 1.5 * _BAD * np.sqrt(2 * number) + 20):
                 return False
     return True
+
+
+def _misfits_everywhere(fitted: Fitted) -> bool:
+    """Whether much of a sensor's signal is left, and not as noise: then no window need stand out."""
+    if fitted.solution.chi2_per_dof < _ALL_OFF:
+        return False
+    pairs = zip(fitted.model.records, fitted.channel_residuals(), strict=True)
+    return any(
+        float(np.std(residual / channel.weight)) > _UNEXPLAINED * float(np.std(channel.value))
+        for record, residuals in pairs
+        for channel, residual in zip(record.channels, residuals, strict=True)
+    )
 
 
 def _skips_what_is_no_decay(fitted: Fitted) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 
 from identification.errors import NotIdentifiable
 from identification.ring_down.attempt import stretches
@@ -16,6 +17,7 @@ _CUBIC = 3
 _MARGIN = 20.0  # of χ²: e⁻¹⁰ beyond the price of the search
 HIGHEST_Hz = 0.4 / COARSE_S  # of Nyquist's 0.5 for the blocks that start values come from
 _LOUDEST_S = 1.0
+_STEPS = 20_000  # sampling intervals looked at
 _NEAR, _MOST = 0.2, 0.5  # of the peak's frequency; of the stretch's energy
 _COARSE, _FEW = 0.7, 25.0  # residuals' noise over differences'; samples a cycle
 
@@ -61,21 +63,36 @@ def _loudest_tone(channel: Channel) -> tuple[float, float]:
 
     Samples left out count as rest, which suffices to tell a tone from spikes and steps.
     """
-    step = float(np.median(np.diff(channel.time_s)))
+    step = float(np.median(np.diff(channel.time_s)[:: max(1, len(channel.time_s) // _STEPS)]))
     if step <= 0 or 0.5 / step < HIGHEST_Hz:
         return 0.0, 0.0
     size = max(16, min(len(channel.value_m), round(_LOUDEST_S / step)))
-    starts = np.arange(0, len(channel.value_m), size)
-    kept = np.add.reduceat(channel.keep.astype(float), starts)
-    value = np.where(channel.keep, channel.value_m, 0.0)
-    mean = np.add.reduceat(value, starts) / np.maximum(kept, 1.0)
-    move = np.where(channel.keep, value - np.repeat(mean, np.diff(np.r_[starts, len(value)])), 0.0)
-    first = int(starts[int(np.argmax(np.add.reduceat(move**2, starts)))])
-    power = np.abs(np.fft.rfft(move[first : first + size], 2 * size)) ** 2
+    first, mean = _loudest(channel.value_m, channel.keep, size)
+    stretch = slice(first, first + size)
+    move = np.where(channel.keep[stretch], channel.value_m[stretch] - mean, 0.0)
+    power = np.abs(np.fft.rfft(move, 2 * size)) ** 2
     frequency = np.arange(len(power)) / (2 * size * step)
     peak = float(frequency[int(np.argmax(power))])
     near = np.abs(frequency - peak) <= _NEAR * peak
     return peak, float(power[near].sum() / max(float(power.sum()), 1e-300))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _loudest(value: np.ndarray, keep: np.ndarray, size: int) -> tuple[int, float]:
+    """Where the stretch of `size` samples begins whose kept ones scatter most, and their mean."""
+    best, begin, level = -1.0, 0, 0.0
+    for first in range(0, len(value), size):
+        last = min(first + size, len(value))
+        total, count = 0.0, 0
+        for i in range(first, last):
+            total += value[i] if keep[i] else 0.0
+            count += keep[i]
+        mean, energy = total / max(count, 1), 0.0
+        for i in range(first, last):
+            energy += (value[i] - mean) ** 2 if keep[i] else 0.0
+        if energy > best:
+            best, begin, level = energy, first, mean
+    return begin, level
 
 
 def coarse_remark(fitted: Fitted) -> list[str]:

@@ -36,6 +36,11 @@ def averaged_decay(lam: complex, time_s: np.ndarray, spread_s2: np.ndarray) -> t
 
 
 _GAPPY = 0.9  # share of the blocks that hold samples
+_COVERED = 0.97
+_FEW_CYCLES = 0.05  # decay over frequency: three cycles until e⁻¹
+
+# least frequency over decay: a gap in the first cycle is strong at low frequencies and hides what oscillates
+_OSCILLATES = (0.0, 2.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,7 @@ def damped_periodogram(records: Sequence[Sequence[Averages]], lowest_Hz: float =
     grids = np.array([_on_grid(channel, zero, step, n) for channel, zero in channels])
     total = max(float(np.sum(grids**2)), 1e-300)
     time = np.arange(n) * step
-    best = (-1.0, 0.0, 0.0)
+    peaks = []
     for decay in np.geomspace(0.2 / longest, min(0.05 / step, 60.0), 24):
         used = min(n, int(12 / (decay * step)) + 8)  # beyond, the window is 1e-5
         size = 1 << int(np.ceil(np.log2(max(2 * used, 512))))
@@ -86,26 +91,39 @@ def damped_periodogram(records: Sequence[Sequence[Averages]], lowest_Hz: float =
         window = np.exp(-decay * time[:used])
         power = np.sum(np.abs(np.fft.rfft(grids[:, :used] * window, size)) ** 2, axis=0) / np.sum(window**2)
         power[frequency < lowest_Hz] = 0.0
-        k = int(np.argmax(power))
-        if power[k] > best[0]:
-            best = (float(power[k]), float(frequency[k]), float(decay))
-    wave = 2 * np.pi * best[1]
-    start = Start.at(complex(-best[2], wave), min(1.0, 2 * best[0] / total))
+        for least in _OSCILLATES:
+            first = min(int(least * decay / (2 * np.pi) * size * step), len(power) - 1)
+            k = first + int(np.argmax(power[first:]))
+            peaks.append((float(power[k]), complex(-decay, 2 * np.pi * frequency[k])))
+    power, lam = max(peaks, key=lambda peak: peak[0])
+    share = min(1.0, 2 * power / total)
+    if -lam.real > _FEW_CYCLES * lam.imag and _covered(channels, -6 / lam.real, step) < _COVERED:
+        # a gap as zeros takes much of few cycles: what each rate leaves of the samples there are decides
+        few = [peak for _, peak in peaks if -peak.real > 0.3 * _FEW_CYCLES * peak.imag]
+        lam = _most_explained(channels, list(dict.fromkeys(few)))
     sampled = sum(len(c.time_s) for c, _ in channels) / (len(channels) * n)
-    return _fundamental(channels, start) if sampled < _GAPPY else start
+    if sampled < _GAPPY:
+        # a motion cut off at the rail leaves pieces around its zero crossings, whose harmonics are strong
+        lam = _most_explained(channels, [complex(lam.real, lam.imag / k) for k in (1, 2, 3)])
+    return Start.at(lam, share)
 
 
-def _fundamental(channels: Sequence[tuple[Averages, float]], start: Start) -> Start:
-    """Which of a frequency, its half and its third explains most of what was sampled.
+def _covered(channels: Sequence[tuple[Averages, float]], span_s: float, step: float) -> float:
+    """Share of the blocks at the beginning that hold samples, in the channel that has fewest."""
+    shares = []
+    for channel, zero in channels:
+        last = min(span_s, float(channel.time_s[-1]) - zero)
+        shares.append(np.searchsorted(channel.time_s, zero + last) * step / max(last, step))
+    return float(min(shares))
 
-    A motion cut off at the rail leaves pieces around its zero crossings; with gaps as zeros their harmonics are strong.
-    """
-    lams = [complex(start.lam.real, start.lam.imag / k) for k in (1, 2, 3)]
+
+def _most_explained(channels: Sequence[tuple[Averages, float]], lams: Sequence[complex]) -> complex:
+    """Which rate explains most of what was sampled; gaps count as gaps."""
     left = []
     for lam in lams:
         rests = [without_modes(channel, [lam], zero) for channel, zero in channels]
         left.append(sum(float(np.sum((rest.value * rest.weight) ** 2)) for rest in rests))
-    return Start.at(lams[int(np.argmin(left))], start.share)
+    return lams[int(np.argmin(left))]
 
 
 def _on_grid(channel: Averages, zero_s: float, step: float, n: int) -> np.ndarray:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numba import njit
 from scipy.ndimage import median_filter
 
 from identification.ring_down.decay import Fitted
@@ -21,6 +22,8 @@ from identification.ring_down.record import Channel, sample_noise, taylor_at_sam
 _THRESHOLD = 4.5  # standard deviations; 7 of a million good samples are lost
 _SUSPECT = 5.5  # one sample in 26 million
 _NORMAL = 1.4826
+_SCATTER_SAMPLES = 20_000  # know a scatter to 1 %
+_STRETCH_SAMPLES = 1000  # to 4 %
 _CENTRES_PER_CYCLE = 20
 
 
@@ -29,20 +32,33 @@ def without_spikes(channel: Channel) -> tuple[Channel, int]:
 
     A running median of seven follows the motion and no burst shorter than four samples.
     """
-    kept = np.flatnonzero(channel.keep)
-    value = channel.value_m[kept]
-    bend = value[1:-1] - 0.5 * (value[:-2] + value[2:])
-    usual = _NORMAL * float(np.median(np.abs(bend[:: max(1, len(bend) // 20_000)])))
-    if float(np.max(np.abs(bend), initial=0.0)) < 12 * usual or usual == 0.0:
+    value = channel.value_m if channel.keep.all() else channel.value_m[channel.keep]
+    step = max(1, len(value) // _SCATTER_SAMPLES)
+    usual = _usual(value[1:-1:step] - 0.5 * (value[:-2:step] + value[2::step]))
+    if _largest_bend(value) < 12 * usual or usual == 0.0:
         return channel, 0
     off = np.abs(value - median_filter(value, 7))
-    spike = off > 10 * max(_NORMAL * float(np.median(off)), usual)
+    spike = off > 10 * max(_usual(off[::step]), usual)
     count = int(np.count_nonzero(spike))
     if count == 0 or count > 0.3 * len(value):
         return channel, 0
     keep = channel.keep.copy()
-    keep[kept[spike]] = False
+    keep[np.flatnonzero(keep)[spike]] = False
     return replace(channel, keep=keep), count
+
+
+def _usual(off: np.ndarray) -> float:
+    """Scatter about zero of what is no outlier."""
+    return _NORMAL * float(np.median(np.abs(off))) if len(off) else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _largest_bend(value: np.ndarray) -> float:
+    """Farthest that a sample lies from the mean of its neighbours."""
+    largest = 0.0
+    for i in range(1, len(value) - 1):
+        largest = max(largest, abs(value[i] - 0.5 * (value[i - 1] + value[i + 1])))
+    return largest
 
 
 def sample_residuals(
@@ -91,20 +107,17 @@ def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[
             first, last = np.searchsorted(channel.time_s, (fitted.decay.begins[r], fitted.decay.ends[r]))
             residual, model = sample_residuals(fitted, r, axis, channel, first, last)
             usable = valid[r][axis][first:last] & _inside_rail(model, channel)
-            scale = _scale(residual, usable)
             cycle = 2 * np.pi / float(np.min(fitted.omegas))
-            local = _local_scale(residual, usable, channel.time_s[first:last], 3 * cycle)
-            good = usable & (np.abs(residual) <= _THRESHOLD * np.maximum(scale, local))
+            good, squares = _inlying(residual, usable, channel.time_s[first:last], 3 * cycle)
             keep = channel.keep.copy()
-            changed |= bool(np.any(keep[first:last] != good))
+            changed |= not np.array_equal(keep[first:last], good)
             keep[first:last] = good
-            count += int(np.count_nonzero(usable & ~good))
+            used = int(np.count_nonzero(good))
+            count += int(np.count_nonzero(usable)) - used
             noise = channel.noise
-            if np.count_nonzero(good) >= 40:
+            if used >= 40:
                 # differences know nothing of the model, so a misfit does not pass for noise
-                noise = min(
-                    float(np.sqrt(np.mean(residual[good] ** 2))), sample_noise(channel.value_m[first:last][good])
-                )
+                noise = min(float(np.sqrt(squares / used)), sample_noise(channel.value_m[first:last][good]))
             own.append(replace(channel, keep=keep, noise=noise))
         out.append(tuple(own))
     return out, count, changed
@@ -117,18 +130,34 @@ def suspicious(fitted: Fitted) -> bool:
             first, last = np.searchsorted(channel.time_s, (fitted.decay.begins[r], fitted.decay.ends[r]))
             residual, model = sample_residuals(fitted, r, axis, channel, first, last)
             kept = channel.keep[first:last]
-            if np.max(np.abs(residual), where=kept, initial=0.0) > _SUSPECT * _scale(residual, kept):
-                return True
-            if np.any(kept & ~_inside_rail(model, channel)):
+            largest, lowest, highest = _extremes(residual, model, kept)
+            low, high = _clear_of_rail(channel)
+            if largest > _SUSPECT * _scale(residual, kept) or not (low < lowest and highest < high):
                 return True
     return False
 
 
 def _inside_rail(model: np.ndarray, channel: Channel) -> np.ndarray:
     """Where the *model* stays clear of the rail: choosing by the data would keep those whose noise points inward."""
-    low, high = channel.rail_m
+    low, high = _clear_of_rail(channel)
+    return (model > low) & (model < high)
+
+
+def _clear_of_rail(channel: Channel) -> tuple[float, float]:
+    """Between which values noise does not reach the rail, m."""
     margin = _THRESHOLD * channel.noise
-    return (model > low + margin) & (model < high - margin)
+    return channel.rail_m[0] + margin, channel.rail_m[1] - margin
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _extremes(residual: np.ndarray, model: np.ndarray, kept: np.ndarray) -> tuple[float, float, float]:
+    """Of kept samples the largest residual, the model's lowest and its highest value."""
+    largest, lowest, highest = 0.0, np.inf, -np.inf
+    for i in range(len(residual)):
+        if kept[i]:
+            largest = max(largest, abs(residual[i]))
+            lowest, highest = min(lowest, model[i]), max(highest, model[i])
+    return largest, lowest, highest
 
 
 def _scale(residual: np.ndarray, kept: np.ndarray) -> float:
@@ -137,13 +166,21 @@ def _scale(residual: np.ndarray, kept: np.ndarray) -> float:
     return max(_NORMAL * float(np.median(values)), 1e-300) if len(values) else np.inf
 
 
-def _local_scale(residual: np.ndarray, kept: np.ndarray, time: np.ndarray, span_s: float) -> np.ndarray:
-    """Median scatter in stretches of a few cycles, for every sample."""
-    label = np.floor((time - time[0]) / span_s).astype(int)
-    edges = np.searchsorted(label, np.arange(label[-1] + 2))
-    out = np.zeros(len(residual))
-    for a, b in pairwise(edges):
-        values = np.abs(residual[a:b][kept[a:b]])
-        if len(values) >= 12:
-            out[a:b] = _NORMAL * np.median(values)
-    return out
+def _inlying(residual: np.ndarray, usable: np.ndarray, time: np.ndarray, span_s: float) -> tuple[np.ndarray, float]:
+    """Usable samples within the threshold, shape (n,), and their sum of squares.
+
+    The scatter is the larger of the record's and that of a stretch of a few cycles.
+    """
+    scale = _scale(residual, usable)
+    count = int((time[-1] - time[0]) / span_s) + 1
+    edges = np.searchsorted(time, time[0] + span_s * np.arange(1, count))
+    good, squares = np.empty(len(residual), bool), 0.0
+    for a, b in pairwise([0, *edges.tolist(), len(time)]):
+        off, within = np.abs(residual[a:b]), usable[a:b]
+        step = max(1, (b - a) // _STRETCH_SAMPLES)
+        values = off[::step][within[::step]]
+        local = _NORMAL * float(np.median(values)) if len(values) >= 12 else 0.0
+        np.logical_and(within, off <= _THRESHOLD * max(scale, local), out=good[a:b])
+        kept = off[good[a:b]]
+        squares += float(kept @ kept)
+    return good, squares

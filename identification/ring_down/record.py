@@ -15,6 +15,8 @@ from identification.errors import NotIdentifiable
 from identification.samples import Averages, clipped, white_noise
 
 _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # noise is known to 1 % from so many
+_LEVEL_SAMPLES, _TOP_SHARES, _LEAST_VISITS = 20_000, (0.02, 0.005, 0.001), 3
+_LEAST_SAMPLES = 40
 _STUCK_REPEATS, _STUCK_CHANCE = 4, 1e-2
 
 
@@ -77,13 +79,15 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
     railed, stuck = clipped(value), stuck_samples(value)
     if stuck.any():
         railed |= stuck & ((value == np.nanmax(value)) | (value == np.nanmin(value)))
+    finite = np.isfinite(value)
+    noise = sample_noise(value if finite.all() else value[finite]) if finite.sum() >= _LEAST_SAMPLES else 0.0
     if not railed.any():
-        railed = noisy_rail(value)
-    keep = np.isfinite(value) & ~railed & ~stuck
-    if np.count_nonzero(keep) < 40:
+        railed = noisy_rail(value, noise)
+    keep = finite & ~railed & ~stuck
+    if np.count_nonzero(keep) < _LEAST_SAMPLES:
         raise NotIdentifiable(
             f"sensor {sensor}: {_state(value)}only {np.count_nonzero(keep)} of {len(value)} samples are valid; "
-            "at least 40 are needed. Check its cable and its range, or give the other sensor alone"
+            f"at least {_LEAST_SAMPLES} are needed. Check its cable and its range, or give the other sensor alone"
         )
     remarks = []
     if np.any(stuck & ~railed):
@@ -91,11 +95,13 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
     rail = (-np.inf, np.inf)
     if railed.any():
         remarks.append(f"{np.count_nonzero(railed)} samples at the sensor's rail left out")
-        middle = float(np.median(value[keep]))
+        middle = float(np.median(_spread_subset(value[keep])))
         low, high = value[railed & (value < middle)], value[railed & (value > middle)]
         rail = (float(np.median(low)) if len(low) else -np.inf, float(np.median(high)) if len(high) else np.inf)
-    value[~np.isfinite(value)] = 0.0  # never read; keeps the compiled loops free of NaN
-    return Channel(time, value, keep, sample_noise(value[keep]), rail), remarks
+    if not keep.all():
+        noise = sample_noise(value[keep])
+    value[~finite] = 0.0  # never read; keeps the compiled loops free of NaN
+    return Channel(time, value, keep, noise, rail), remarks
 
 
 def _state(value: np.ndarray) -> str:
@@ -131,33 +137,52 @@ def stuck_samples(value: np.ndarray) -> np.ndarray:
     return mask
 
 
-def noisy_rail(value: np.ndarray) -> np.ndarray:
+def noisy_rail(value: np.ndarray, sigma: float) -> np.ndarray:
     """Where a sensor whose noise comes after its limiter sat at the limit: a level at which values pile up.
 
     Within ±4σ of the level must lie three times as many samples as in the 36σ below, where any oscillation has more;
-    hardly any may lie above, and the level must have been reached at least three times.
+    hardly any may lie above, and the level must have been reached at least three times. The level is the median of the
+    top (bottom) 2 %, or of fewer where the motion left the rail early. An evenly spread subset is enough to count.
 
+    Args:
+        value: shape (n,), m; NaN where there is none.
+        sigma: white noise of one sample, m.
     Returns:
         shape (n,), true for samples to leave out.
     """
     mask = np.zeros(len(value), bool)
-    good = np.flatnonzero(np.isfinite(value))
+    finite = np.isfinite(value)
+    good = value if finite.all() else value[finite]
     if len(good) < 1000:
         return mask
-    sigma = sample_noise(value[good])
-    for sign in (1.0, -1.0):
-        own = sign * value[good]
-        top = np.partition(own, len(own) - len(own) // 50)[-(len(own) // 50) :]
-        level = float(np.median(top))
-        if level - float(np.median(own)) < 40 * sigma:
-            continue  # that is where the noise itself has its top
-        near = np.abs(own - level) < 4 * sigma
-        below = np.count_nonzero((own < level - 4 * sigma) & (own > level - 40 * sigma))
-        above = np.count_nonzero(own > level + 5 * sigma)
-        visits = np.count_nonzero(np.diff(np.flatnonzero(near)) > 20) + 1
-        if np.count_nonzero(near) > 3 * max(below, 1) and above < 1e-3 * len(own) and visits >= 3:
-            mask[good[own > level - 4.5 * sigma]] = True
+    ordered = np.sort(_spread_subset(good))
+    for sign, upward in ((1.0, ordered), (-1.0, -ordered[::-1])):
+        level = _pile(upward, sigma)
+        if level is None:
+            continue
+        near = np.flatnonzero(np.abs(sign * good - level) < 4 * sigma)
+        if np.count_nonzero(np.diff(near) > 20) >= _LEAST_VISITS - 1:
+            mask |= sign * value > level - 4.5 * sigma
     return mask
+
+
+def _pile(ordered: np.ndarray, sigma: float) -> float | None:
+    """The level near the top of ascending values at which they pile up; None where they do not."""
+    middle = float(ordered[len(ordered) // 2])
+    for share in _TOP_SHARES:
+        level = float(np.median(ordered[-max(int(share * len(ordered)), 1) :]))
+        if level - middle < 40 * sigma:
+            continue  # that is where the noise itself has its top
+        edges = np.array((-40.0, -4.0, 4.0, 5.0)) * sigma + level
+        far, low, high, over = np.searchsorted(ordered, edges)
+        if high - low > 3 * max(low - far, 1) and len(ordered) - over < 1e-3 * len(ordered):
+            return level
+    return None
+
+
+def _spread_subset(value: np.ndarray) -> np.ndarray:
+    """Evenly spread samples, enough for a median or a 99th percentile."""
+    return value[:: max(1, len(value) // _LEVEL_SAMPLES)]
 
 
 def sample_noise(value: np.ndarray) -> float:
@@ -218,10 +243,11 @@ def taylor_at_samples(time: np.ndarray, centre: np.ndarray, derivatives: np.ndar
         shape (n,); with blocks of a twentieth of a cycle exact to 1e-6 of the amplitude.
     """
     out = np.empty(len(time))
-    j, last = 0, len(centre) - 1
+    j, last, until = -1, len(centre) - 1, -np.inf
     for i in range(len(time)):
-        while j < last and abs(centre[j + 1] - time[i]) <= abs(centre[j] - time[i]):
+        while time[i] >= until:  # the next centre is nearer
             j += 1
+            until = 0.5 * (centre[j] + centre[j + 1]) if j < last else np.inf
         u = time[i] - centre[j]
         out[i] = derivatives[0, j] + u * (
             derivatives[1, j] + u / 2 * (derivatives[2, j] + u / 3 * (derivatives[3, j] + u / 4 * derivatives[4, j]))

@@ -67,6 +67,39 @@ def test_motion_beyond_the_rail(zeta: float) -> None:
     assert fit.std["zeta1"] < 4 * clean.std["zeta1"]
 
 
+@pytest.mark.parametrize(("f", "begin", "length", "phase"), [(4.7, 147, 126, 1.4), (2.5, 216, 60, 2.0)])
+@pytest.mark.parametrize("value", [0.0, np.nan, 5e-3])
+def test_a_gap_in_the_first_of_few_cycles(f: float, begin: int, length: int, phase: float, value: float) -> None:
+    """What is left of a strongly damped motion still has one frequency, which the gap must not hide from the start."""
+    y = noisy(decay(TIME, f, 0.2, phase=phase))
+    y[begin : begin + length] = value
+    y[9000:9030] = y[15000:15030] = value
+    fit = fit_ring_down(TIME, y)
+    assert abs(fit.values["f1_Hz"] - f) < 4.5 * fit.std["f1_Hz"]
+    assert abs(fit.values["zeta1"] - 0.2) < 4.5 * fit.std["zeta1"]
+    assert fit.std["zeta1"] < 3e-3
+    assert fit.chi2_per_dof < 1.2
+
+
+def test_a_noisy_rail_that_is_soon_left() -> None:
+    """Noise after the limiter: 2 % of the record is more than all that was spent at the rail."""
+    signal = decay(TIME, 7.774, 0.012, amplitude=8e-3)
+    fit = fit_ring_down(TIME, noisy(np.clip(signal, -5e-3, 5e-3)))
+    assert any("rail" in w for w in fit.warnings)
+    assert abs(fit.values["zeta1"] / 0.012 - 1) < 5e-4
+    assert abs(fit.values["zeta1"] - 0.012) < 4.5 * fit.std["zeta1"]
+
+
+def test_ten_times_the_rate_with_outliers() -> None:
+    """Statistics come from a subset of so many samples; std must still fall with the square root of the rate."""
+    t = np.arange(200_000) / 10_000
+    fit = fit_ring_down(t, spikes(noisy(decay(t, 4.0, 0.01)), np.random.default_rng(7)))
+    slow = fit_ring_down(TIME, noisy(decay(TIME, 4.0, 0.01)))
+    for name, true in (("f1_Hz", 4.0), ("zeta1", 0.01)):
+        assert abs(fit.values[name] - true) < 4.5 * fit.std[name]
+        assert fit.std[name] * np.sqrt(10 * 0.95) == pytest.approx(slow.std[name], rel=0.03)
+
+
 def test_misfit_does_not_pass_for_outliers() -> None:
     """Damping that grows with amplitude is told, not trimmed away; the mean's interval covers the change."""
     f, amplitude = 4.0, 1e-3
