@@ -16,9 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from dynamics.speed_history import phase_at
 from identification.ring_down.modes import rate
 from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Structure, run_up_blocks
 from identification.run_up.rotor_phase import RotorPhase
+from identification.samples import Averages
+
+_OFFSETS = 16  # draws of where a phase lies within an encoder's step
+_DRIFT_S = 0.25  # in which that is another: far longer than a beat, far shorter than a passage
 
 
 @dataclass(frozen=True)
@@ -145,7 +150,46 @@ def phase_noise_covariance(record: RunUpRecord, phase: RotorPhase, design: Desig
     variance = np.interp(x.time_s, phase.noise_time_s, phase.noise_density) / width
     # a step of a random walk moves everything after it
     later = np.cumsum(effect[:, ::-1], axis=1)[:, ::-1]
-    return (effect * variance) @ effect.T + (later * (phase.wander_density * width)) @ later.T
+    random = (effect * variance) @ effect.T + (later * (phase.wander_density * width)) @ later.T
+    moved = effect @ rounding_errors(phase, x)
+    return random + moved @ moved.T / _OFFSETS
+
+
+def rounding_errors(phase: RotorPhase, channel: Averages) -> np.ndarray:
+    """An encoder's rounding in a channel's blocks, drawn several times; shape (n, draws), rad.
+
+    It is no noise: the speed beats against steps and readings, and where it dwells at a simple ratio of the two the
+    mean of many readings is off by a good part of a step.
+    """
+    time, rounding = channel.time_s, phase.rounding
+    if rounding is None:
+        return np.zeros((len(time), 1))
+    block = np.searchsorted(0.5 * (time[1:] + time[:-1]), rounding.reading_s)
+    knots, coefficients = rounding.history.knots_s, rounding.history.coefficients
+    windows = int((rounding.reading_s[-1] - rounding.reading_s[0]) / _DRIFT_S) + 2
+    offsets = np.random.default_rng(0).uniform(size=(windows, _OFFSETS))
+    return _rounded(rounding.reading_s, block, knots, coefficients, rounding.step_rad, len(time), offsets)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rounded(times, block, knots, coefficients, step, blocks, offsets):
+    """Means over blocks of what rounding ψ + offset does, for offsets that drift from one row's to the next's."""
+    out = np.zeros((blocks, offsets.shape[1]))
+    count = np.zeros(blocks)
+    at = np.empty(3)
+    segment = 0
+    for i in range(len(times)):
+        segment = phase_at(times[i], segment, knots, coefficients, at)
+        count[block[i]] += 1
+        since = (times[i] - times[0]) / _DRIFT_S
+        row = int(since)
+        since -= row
+        for k in range(offsets.shape[1]):
+            turned = at[0] / step + (1 - since) * offsets[row, k] + since * offsets[row + 1, k]
+            out[block[i], k] += step * (np.floor(turned + 0.5) - turned)
+    for j in range(blocks):
+        out[j] /= max(count[j], 1.0)
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

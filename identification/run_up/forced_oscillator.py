@@ -16,6 +16,7 @@ fastest turn, not the damping or the sweep.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -111,6 +112,10 @@ def march(drive: Drive, omega: float, zeta: float, out: np.ndarray) -> None:
     _march(drive.phasor, drive.edge, drive.step_s, lam, turn, weights, weights * rest, out)
 
 
+Instants = tuple[np.ndarray, np.ndarray]
+"""Blocks' mean times, s, and the variances of their samples' times, s²; shape (n,) each."""
+
+
 def responses_at(
     when_s: np.ndarray, spread_s2: np.ndarray, drive: Drive, oscillators: list[tuple[float, float]]
 ) -> list[Response]:
@@ -121,15 +126,26 @@ def responses_at(
     Args:
         when_s, spread_s2: t̄ inside the drive's span, and v; shape (n,).
     """
+    return responses_of([(when_s, spread_s2)], drive, oscillators)[0]
+
+
+def responses_of(
+    sensors: Sequence[Instants], drive: Drive, oscillators: list[tuple[float, float]]
+) -> list[list[Response]]:
+    """The same for several sensors, marched once for all of them; sensors with the same blocks share the answer."""
     grids = np.empty((len(oscillators), len(drive.edge), 7), dtype=np.complex128)
     for grid, (omega, zeta) in zip(grids, oscillators, strict=True):
         march(drive, omega, zeta, grid)
     lam = np.array([rate(omega, zeta) for omega, zeta in oscillators])
-    history = drive.history
-    out = _seen(
-        when_s, spread_s2, history.knots_s, history.coefficients, drive.start_s, drive.step_s, grids, lam
-    )  # fmt: skip
-    return [Response(*one) for one in out]
+    knots, coefficients = drive.history.knots_s, drive.history.coefficients
+    answers: list[list[Response]] = []
+    for i, (when, spread) in enumerate(sensors):
+        if i and np.array_equal(when, sensors[i - 1][0]) and np.array_equal(spread, sensors[i - 1][1]):
+            answers.append(answers[-1])
+            continue
+        out = _seen(when, spread, knots, coefficients, drive.start_s, drive.step_s, grids, lam)
+        answers.append([Response(*one) for one in out])
+    return answers
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,27 +12,35 @@ c1 and c2 are speed ripple between tachometer marks, which see one instant of ea
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identification.least_squares import Block
 from identification.ring_down.modes import rate_derivatives
-from identification.run_up.forced_oscillator import Drive, responses_at
+from identification.run_up.forced_oscillator import Drive, Response, responses_at, responses_of
 from identification.samples import Averages
 
 OMEGAS, ZETAS, ANGLE, DELAYS, DRIFTS, RIPPLE, PARAMETERS = (0, 2), (1, 3), 4, slice(5, 7), slice(7, 9), slice(9, 13), 13
 AXIS_PRIOR_STD = np.radians(30.0)  # the data determine β; this only keeps x from being called y
+_REMEMBERED = 2  # sets of responses: of the best θ and of the one tried after it
 CLOCKS = slice(DELAYS.start, DRIFTS.stop)
 
 
 @dataclass(frozen=True)
 class RunUpRecord:
-    """Both sensors' block averages and the drive that covers them."""
+    """Both sensors' block averages and the drive that covers them.
+
+    Attributes:
+        x, y: the block averages.
+        drive: e^{iψ} over their span.
+        recent: responses last computed, as a solution is looked at several times.
+    """
 
     x: Averages
     y: Averages
     drive: Drive
+    recent: dict[tuple[float, ...], list[list[Response]]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def channels(self) -> tuple[Averages, Averages]:
@@ -43,6 +51,21 @@ class RunUpRecord:
     def middle_s(self) -> float:
         """The middle of the drive's span."""
         return 0.5 * (self.drive.start_s + self.drive.end_s)
+
+    def when(self, theta: np.ndarray, axis: int) -> np.ndarray:
+        """When a sensor's blocks saw what they show, on the phase's clock; shape (n,), s."""
+        time = self.channels[axis].time_s
+        return time - theta[DELAYS][axis] - theta[DRIFTS][axis] * (time - self.middle_s)
+
+    def responses(self, theta: np.ndarray, oscillators: list[tuple[float, float]]) -> list[list[Response]]:
+        """What either sensor sees of each oscillator."""
+        key = (*(value for one in oscillators for value in one), *theta[CLOCKS].tolist())
+        if key not in self.recent:
+            sensors = [(self.when(theta, axis), c.spread_s2) for axis, c in enumerate(self.channels)]
+            while len(self.recent) >= _REMEMBERED:
+                del self.recent[next(iter(self.recent))]
+            self.recent[key] = responses_of(sensors, self.drive, oscillators)
+        return self.recent[key]
 
 
 @dataclass(frozen=True)
@@ -128,13 +151,16 @@ def _sensor_block(
 ) -> Block:
     channel, drive = record.channels[axis], record.drive
     from_middle = channel.time_s - record.middle_s
-    when = channel.time_s - theta[DELAYS][axis] - theta[DRIFTS][axis] * from_middle
     cos, sin = np.cos(theta[ANGLE]), np.sin(theta[ANGLE])
     # x = Re(A h1), y = Im(A h2) = Re(−i A h2): both are Re(A times a complex signal)
     mix = ((cos, -1j * sin), (-sin, -1j * cos))[axis]
     turned = ((-sin, -1j * cos), (-cos, 1j * sin))[axis]
-    seen = responses_at(when, channel.spread_s2, drive, oscillators)
-    ripple = _ripple(when, channel, drive, oscillators) if structure.spread[RIPPLE].any() else np.zeros((2, 4, 1))
+    seen = record.responses(theta, oscillators)[axis]
+    ripple = (
+        _ripple(record.when(theta, axis), channel, drive, oscillators)
+        if structure.spread[RIPPLE].any()
+        else np.zeros((2, 4, 1))
+    )
     shown = [seen[mode].h + theta[RIPPLE] @ ripple[mode] for mode in range(2)]
     signal = mix[0] * shown[0] + mix[1] * shown[1]
     columns = [np.real(signal), -np.imag(signal)]

@@ -23,6 +23,25 @@ _FIFTH, _FOURTH = 252.0, 70.0  # variance of a fifth and a fourth difference of 
 _TRIMMED = (
     0.6616  # root mean square of the smaller four fifths of a Gaussian's values; stamps are too coarse for a median
 )
+_ON_STEPS = 0.1  # of a step: farther off a whole number of them, a second difference is none of steps alone
+_SMOOTHED = 6  # knots of the phase in one of the curve that is rounded again
+_ENOUGH = 20000  # samples for a quantile that sets a scale
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """How an encoder rounds.
+
+    Attributes:
+        step_rad: its step.
+        reading_s: when it was read, shape (n,), s.
+        history: a curve near the phase that is smooth over many readings. A closer one would go by way of whole steps,
+            and rounded again would always err to the same side.
+    """
+
+    step_rad: float
+    reading_s: np.ndarray
+    history: SpeedHistory
 
 
 @dataclass(frozen=True)
@@ -37,6 +56,7 @@ class RotorPhase:
         mark_rad: ψ modulo a turn where it is known at that angle only, so that ripple within a turn is unseen; NaN
             where it is known throughout.
         wander_density: of a random walk in the phase, rad²/s; what integrating a noisy speed leaves.
+        rounding: where an encoder's steps are most of the noise; noise_density is then what is beyond them.
     """
 
     history: SpeedHistory
@@ -46,6 +66,7 @@ class RotorPhase:
     noise_density: np.ndarray
     mark_rad: float = float("nan")
     wander_density: float = 0.0
+    rounding: Rounding | None = None
 
     @classmethod
     def from_samples(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> RotorPhase:
@@ -63,6 +84,7 @@ class RotorPhase:
         if np.any(np.diff(time) <= 0):
             raise NotIdentifiable("the times of a run-up must rise from sample to sample")
         phase = np.unwrap(phase) if _is_wrapped(phase) else phase
+        every = slice(None, None, max(1, len(time) // _ENOUGH))
         step = float(np.quantile(np.abs(np.diff(phase)), _MOST))
         if step > _LONGEST_STEP:
             raise NotIdentifiable(
@@ -70,7 +92,7 @@ class RotorPhase:
                 "the phase in radians and in order, and sampled more than twice a turn?"
             )
         noise = white_noise(phase)
-        fastest = float(np.quantile(np.abs(phase[20:] - phase[:-20]) / (time[20:] - time[:-20]), 0.995))
+        fastest = float(np.quantile((np.abs(phase[20:] - phase[:-20]) / (time[20:] - time[:-20]))[every], 0.995))
         if fastest * (time[-1] - time[0]) < 4 * np.pi:
             raise NotIdentifiable("the rotor turns less than twice in this record; record the whole passage")
         if fastest > 2 * np.pi * _FASTEST_HZ:
@@ -88,9 +110,15 @@ class RotorPhase:
             bent = SpeedHistory.from_phases(middle, mean).phase(middle)[:, 2]
             mean = mean - 0.5 * spread * bent
         history = SpeedHistory.from_phases(middle, mean)
-        density = np.full(2, noise**2 * float(np.median(np.diff(time))))
-        wander = _wander(middle, mean, fastest / (2 * np.pi), float(density[0]))
-        return cls(history, float(middle[0]), float(middle[-1]), time[[0, -1]], density, wander_density=wander)
+        apart = float(np.median(np.diff(time)[every]))
+        wander = _wander(middle, mean, fastest / (2 * np.pi), noise**2 * apart)
+        coarse = _encoder_step(phase)
+        white = max(0.0, noise**2 - coarse**2 / 12) * apart
+        rounding = Rounding(coarse, time, _sparse(middle, mean)) if coarse else None
+        return cls(
+            history, float(middle[0]), float(middle[-1]), time[[0, -1]], np.full(2, white), float("nan"), wander,
+            rounding,
+        )  # fmt: skip
 
     @classmethod
     def from_marks(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> RotorPhase:
@@ -113,6 +141,32 @@ class RotorPhase:
         once = float(np.median(np.abs(np.diff(phase_rad)))) > np.pi
         mark = float(phase_rad[0] % (2 * np.pi)) if once else float("nan")
         return cls(history, start, end, middle, density, mark, wander)
+
+
+def _sparse(time_s: np.ndarray, phase_rad: np.ndarray) -> SpeedHistory:
+    """Through means of several neighbours."""
+    first = np.arange(0, len(time_s), _SMOOTHED)
+    count = np.diff(np.r_[first, len(time_s)])
+    return SpeedHistory.from_phases(np.add.reduceat(time_s, first) / count, np.add.reduceat(phase_rad, first) / count)
+
+
+def _encoder_step(phase: np.ndarray) -> float:
+    """The step of a phase that is rounded and little else, rad; 0 where it is not.
+
+    Second differences of a rounded ramp are −2 … 2 steps, whatever the speed, and of either sign; those of an exact one
+    are alike.
+    """
+    signed = np.diff(phase, 2)[:: max(1, len(phase) // _ENOUGH)]
+    bends = np.abs(signed)
+    largest = float(np.quantile(bends, _MOST))
+    whole = bends[bends > 0.4 * largest]
+    if largest < 1e-9 or len(whole) == 0:
+        return 0.0
+    smallest = float(np.median(whole[whole < 1.2 * float(np.min(whole))]))
+    steps = bends / smallest
+    on = (np.abs(steps - np.round(steps)) < _ON_STEPS) & (steps < 2 + _ON_STEPS)
+    up, down = np.count_nonzero(signed > 0.5 * smallest), np.count_nonzero(signed < -0.5 * smallest)
+    return smallest if np.mean(on) > _MOST and min(up, down) > 0.5 * max(up, down) else 0.0
 
 
 def _is_wrapped(phase: np.ndarray) -> bool:

@@ -12,6 +12,7 @@ from identification.errors import NotIdentifiable
 from identification.samples import Averages, block_averages, clipped, white_noise
 
 _FEWEST_BLOCKS = 200
+_ENOUGH = 20000  # samples for a median that sets a scale
 _OUTLIER = 7.0  # robust standard deviations
 _COARSE = 0.7  # rad a sample at top speed, beyond which a sine itself stands off its neighbours' median
 
@@ -52,10 +53,11 @@ def sensor_averages(
     if rail.any():
         warnings.append(f"{np.count_nonzero(rail)} samples at the rail of sensor {name} left out")
         time, value = time[~rail], value[~rail]
-    step = float(np.median(np.diff(time)))
+    every = max(1, len(time) // _ENOUGH)
+    step = float(np.median(np.diff(time)[::every]))
     if top_rad_s * step < _COARSE:
         value = value.copy()
-        outliers = _without_outliers(value, float(np.median(value)), 2 * (top_rad_s * step) ** 2, _OUTLIER)
+        outliers = _without_outliers(value, float(np.median(value[::every])), 2 * (top_rad_s * step) ** 2, _OUTLIER)
         if outliers > 3 + 1e-4 * len(value):
             warnings.append(f"{outliers} outliers of sensor {name} left out")
     else:
@@ -73,18 +75,14 @@ def sensor_averages(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _median5(v, a, b, c, d, e):
-    """The middle one of five samples v[a] … v[e]."""
-    w = np.empty(5)
-    w[0], w[1], w[2], w[3], w[4] = v[a], v[b], v[c], v[d], v[e]
-    for i in range(1, 5):
-        x = w[i]
-        j = i - 1
-        while j >= 0 and w[j] > x:
-            w[j + 1] = w[j]
-            j -= 1
-        w[j + 1] = x
-    return w[2]
+def _median5(a, b, c, d, e):
+    """The middle one of five."""
+    a, b = min(a, b), max(a, b)
+    c, d = min(c, d), max(c, d)
+    # the smallest of four and the largest of four are not the middle
+    low, high = max(a, c), min(b, d)
+    low, high = min(low, high), max(low, high)
+    return max(low, min(high, e))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -98,10 +96,10 @@ def _without_outliers(value, middle, bend, factor):
     off = np.empty(n)
     for i in range(n):
         k = min(max(i, 2), n - 3)
-        centre[i] = _median5(value, k - 2, k - 1, k, k + 1, k + 2)
+        centre[i] = _median5(value[k - 2], value[k - 1], value[k], value[k + 1], value[k + 2])
         off[i] = max(0.0, abs(value[i] - centre[i]) - bend * abs(centre[i] - middle))
     # of white noise against the median of five: two thirds of the time it is not the median itself
-    every = max(1, n // 20000)
+    every = max(1, n // _ENOUGH)
     moved = off[::every]
     moved = moved[moved > 0]
     limit = factor * np.median(moved) / 0.6745 if len(moved) else np.inf

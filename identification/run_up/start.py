@@ -17,13 +17,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.errors import NotIdentifiable
-from identification.run_up.forced_oscillator import Drive, responses_at
+from identification.run_up.forced_oscillator import Drive, responses_of
 from identification.samples import Averages
 
 _PER_TURN = 16
 _ROUNDS = 8
 _THINNED = 4  # every fourth block will do to compare start values
-_EXPLAINED = 0.03  # of the power left: no need to look further
+_EXPLAINED = 0.03  # of the power left, and
+_LIKE_NOISE = 1.5  # χ² per block: no need to look further
+_BEYOND = (1.06, 1.2, 1.5, 2.0, 2.7, 4.0)  # of the fastest speed: where a resonance may be that is not passed
+_BEYOND_ZETA = 0.02
+_FINER = (0.08, 0.025, 0.008)  # relative steps about the best of them, two to either side
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ def run_up_starts(channels: Sequence[Averages], drive: Drive, thorough: bool = F
     """Start values from several denominators, best first.
 
     Args:
-        thorough: look beyond the two sensors' common resonances even where those explain most of the signals.
+        thorough: look beyond the two sensors' common resonances even where those explain the signals.
     Raises:
         NotIdentifiable: no resonance in either sensor.
     """
@@ -61,11 +65,13 @@ def run_up_starts(channels: Sequence[Averages], drive: Drive, thorough: bool = F
     starts = [_assigned(thinned, drive, pair) for pair in [spectra.modes([0, 1], 2)] if len(pair) == 2]
     single = spectra.modes([0, 1], 1)
     pairs = [[mode, mode] for mode in single]
-    if thorough or not starts or starts[0].cost > _EXPLAINED * power:
+    if thorough or not starts or starts[0].cost > min(_LIKE_NOISE, _EXPLAINED * power):
         alone = [spectra.modes([i], 1) for i in (0, 1)]
         pairs += [[a, b] for a in alone[0] for b in alone[1]]
-        # a resonance beyond the speeds passed bends its sensor's signal only slightly
-        pairs += [[m, (1.5 * drive.top_rad_s, 0.02)] for m in dict.fromkeys((*single, *alone[0], *alone[1]))]
+        unexplained = thorough or not starts or starts[0].cost > _EXPLAINED * power
+        # the tail of a resonance far away looks like a lag of the sensors, which only the fit itself knows of
+        beyond = _beyond(thinned, drive, list(dict.fromkeys((*single, *alone[0], *alone[1]))))
+        starts += [s for s in beyond if unexplained or s.cost < _LIKE_NOISE]
     starts += [_assigned(thinned, drive, pair) for pair in pairs]
     if not starts:
         raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
@@ -125,6 +131,26 @@ class _Spectra:
         return [(float(abs(r)), float(np.clip(-r.real / abs(r), 3e-4, 0.6))) for r in roots]
 
 
+def _beyond(channels: Sequence[Averages], drive: Drive, modes: list[tuple[float, float]]) -> list[RunUpStart]:
+    """Starts whose second resonance is faster than the speeds passed, about its best frequency; none without modes.
+
+    It bends its sensor's signal only slightly, which tells its frequency roughly. Speed ripple may yet pass it at a
+    half of its frequency, and makes a narrow valley within that wide one: hence a search in ever finer steps.
+    """
+
+    def at(mode: tuple[float, float], omega: float) -> tuple[RunUpStart, float, tuple[float, float]]:
+        return _assigned(channels, drive, [mode, (omega, _BEYOND_ZETA)]), omega, mode
+
+    if not modes:
+        return []
+    best = min((at(mode, 1.5 * drive.top_rad_s) for mode in modes), key=lambda tried: tried[0].cost)
+    best = min((at(best[2], ratio * drive.top_rad_s) for ratio in _BEYOND), key=lambda tried: tried[0].cost)
+    for step in _FINER:
+        nearby = [at(best[2], best[1] * (1 + k * step)) for k in (-2, -1, 1, 2)]
+        best = min((best, *nearby), key=lambda tried: tried[0].cost)
+    return [best[0]]
+
+
 def _real(columns: np.ndarray) -> np.ndarray:
     return np.concatenate([np.real(columns), np.imag(columns)])
 
@@ -136,10 +162,11 @@ def _assigned(channels: Sequence[Averages], drive: Drive, pair: Sequence[tuple[f
     counterpart make their ratios ∓i tan β.
     """
     cost, count, parts = 0.0, 0, []
-    for channel in channels:
+    sensors = responses_of([(c.time_s, c.spread_s2) for c in channels], drive, list(dict.fromkeys(pair)))
+    for channel, answers in zip(channels, sensors, strict=True):
         since = channel.time_s - drive.start_s
         columns: list[np.ndarray] = []
-        for seen in responses_at(channel.time_s, channel.spread_s2, drive, list(dict.fromkeys(pair))):
+        for seen in answers:
             columns += [np.real(seen.h), -np.imag(seen.h), np.real(seen.decay), -np.imag(seen.decay)]
         basis = np.column_stack([*columns, np.ones_like(since), since]) * channel.weight[:, None]
         size = np.linalg.norm(basis, axis=0) + 1e-300
