@@ -17,6 +17,7 @@ _FEWEST = 40  # samples of a decline
 _DIFFERENCE = 1.5  # noise of two readings' difference, in a reading's; a little above √2
 _RISE = 0.1  # of the fastest speed: less is no push
 _LEAST_TRAVEL = 60  # in noise standard deviations
+_FILE_ROUNDING = 20.0  # an encoder's step is at least so many times what a file's digits leave open
 
 
 def decline_of(time_s: np.ndarray, angle_rad: np.ndarray) -> RunDown:
@@ -68,11 +69,14 @@ def encoder_step(angle_rad: np.ndarray) -> float:
 
     First and second differences are whole steps; among thousands of them some are a single one.
     """
-    differences = [np.abs(np.diff(angle_rad, order)) for order in (1, 2)]
-    everything = np.concatenate(differences)
-    moving = everything[everything > 1e-9]
+    differences = np.sort(np.concatenate([np.abs(np.diff(angle_rad, order)) for order in (1, 2)]))
+    moving = differences[differences > 1e-9]
     if len(moving) == 0:
         return 0.0
+    leaps = moving[1:] / moving[:-1]
+    widest = int(np.argmax(leaps)) if len(leaps) else 0
+    if widest < 0.5 * len(leaps) and leaps[widest] > _FILE_ROUNDING:
+        moving = moving[widest + 1 :]  # below are the digits that a file kept, not the encoder
     smallest = float(np.min(moving))
     small = moving[moving < 20.5 * smallest]
     counts = np.round(small / smallest)

@@ -159,9 +159,7 @@ def _readings(run: Run, begin_s: float, block_s: float) -> tuple[Readings, Readi
         time, angle = run.angle_time_s[good], run.angle_rad[good, i]
         if len(angle) < 500:
             raise NotIdentifiable(f"{run.source}: {len(angle)} encoder samples after the release are too few")
-        step = run.angle_step_rad
-        found = encoder_step(angle)  # an imported recording may not say, or not be quantised
-        step = found if found == 0.0 or abs(found / step - np.round(found / step)) > 0.02 else step
+        step = encoder_step(angle)  # what the recording says of it may be wrong, or it is not quantised
         noise = encoder_noise(angle, step) if step else encoder_noise(angle, 1e-6)
         out.append(Readings(time, angle, block_averages(time, angle, block_s, noise), step))
     return out[0], out[1]

@@ -113,7 +113,8 @@ def damping_estimate(run: Run, fit: TransientFit, method: str) -> Estimate:
 def _problem(
     whole: list[Readings], declines: list[Decline], begin: float, end: float, knowledge: Knowledge
 ) -> tuple[TransientProblem, np.ndarray]:
-    readings = (whole[0].between(begin, end), whole[1].between(begin, end))
+    ends = [min(end, max(begin, d.start_s) + TIME_CONSTANTS / d.rate_per_s) for d in declines]
+    readings = (whole[0].between(begin, ends[0]), whole[1].between(begin, ends[1]))
     angles = [r.averages for r in readings]
     if min(len(a.time_s) for a in angles) < 12:
         raise NotIdentifiable(

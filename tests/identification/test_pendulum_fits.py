@@ -99,6 +99,16 @@ def test_readings_that_are_missing_are_left_out() -> None:
     assert all(abs(fit.values[n] - true[n]) < 4 * fit.std[n] for n in fit.values)
 
 
+def test_an_encoder_coarser_than_the_rig_file_says_is_seen() -> None:
+    campaign = Campaign(6, clock_rate_std=0.0)
+    run = campaign.point("E")
+    step = 4 * run.angle_step_rad
+    coarse = dataclasses.replace(run, angle_rad=np.round(run.angle_rad / step) * step)
+    fit = fit_release(coarse, known(campaign), np.radians(0.05))
+    true = campaign.truth.identified()
+    assert all(abs(fit.values[n] - true[n]) < 4 * fit.std[n] for n in fit.values)
+
+
 def test_a_run_without_a_release_is_refused() -> None:
     campaign = Campaign(6)
     run = campaign.point("E", 3.0)

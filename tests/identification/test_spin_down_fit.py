@@ -161,6 +161,12 @@ def test_an_angle_without_steps_is_fitted_with_its_own_noise() -> None:
     assert encoder_step(angle) == pytest.approx(STEP, rel=1e-9)
 
 
+def test_the_digits_of_a_file_are_no_encoder_s_step() -> None:
+    _, angle = run_down(1, 1e-3)
+    written = np.radians([float(f"{d:.7g}") for d in np.degrees(angle)])
+    assert encoder_step(written) == pytest.approx(STEP, rel=1e-4)
+
+
 def test_derivatives_are_those_of_the_angle() -> None:
     time, theta = np.linspace(0, 2, 50), np.r_[0.3, 20.0, np.log(4.0), 0.02]
     _, jacobian = run_down_angle(time, theta)
