@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from daq.signals import Run
 from identification.curve import Curve
@@ -54,6 +55,7 @@ _TRIED = 6
 _TOO_QUIET = 0.85  # residuals over noise; chance keeps 200 of them within 5 %
 _WANDER = 1e-6  # rad²: a phase that walks farther by itself cannot tell whether the sensors lag
 _PAD_S = 0.05
+_WILD, _NEIGHBOURS, _MOST_WILD, _ROUNDS = 6.0, 51, 0.2, 6  # standard deviations, blocks, share, fits
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,8 @@ def _fit(
         warnings += told
     record = RunUpRecord(channels[0], channels[1], drive)
     structure, solution = _from_starts(record, _structure(drive, clocks))
+    record, solution, told = _without_wild_blocks(record, structure, solution)
+    warnings += told
     quieter, told = _noise_of_residuals(record, solution)
     if told:
         record, warnings = quieter, warnings + told
@@ -226,6 +230,38 @@ def _noise_of_residuals(record: RunUpRecord, solution: Solution) -> tuple[RunUpR
                 f"{noise:.3g} m is taken from the residuals instead, so that χ² is no test of the model"
             )
     return RunUpRecord(channels[0], channels[1], record.drive), told
+
+
+def _without_wild_blocks(
+    record: RunUpRecord, structure: Structure, solution: Solution
+) -> tuple[RunUpRecord, Solution, list[str]]:
+    """The fit without the blocks that hold outliers, which sparse samples near a resonance do not tell from motion.
+
+    Wild is what stands off its neighbours' residuals: a model that is wrong there moves them all.
+    """
+    whole, lost = record, (0, 0)
+    for _ in range(_ROUNDS):
+        keep = []
+        blocks = run_up_blocks(whole, structure, solution.minimum.theta)
+        for block, coefficients in zip(blocks, solution.coefficients, strict=True):
+            residual = np.abs(block.data - block.basis @ coefficients)
+            if residual.max() < _WILD:
+                keep.append(np.ones(len(residual), bool))
+                continue
+            level = median_filter(residual, _NEIGHBOURS) / 0.6745
+            keep.append(residual < _WILD * np.maximum(level, 1.0))
+        now = tuple(int(np.count_nonzero(~k)) for k in keep)
+        if now == lost or max(n / len(k) for n, k in zip(now, keep, strict=True)) > _MOST_WILD:
+            break
+        lost = now
+        record = RunUpRecord(whole.channels[0].where(keep[0]), whole.channels[1].where(keep[1]), whole.drive)
+        solution = _solve(record, structure, solution.minimum.theta)
+    told = [
+        f"{n} blocks of sensor {name} left out, which hold what neither motion nor noise explains"
+        for name, n in zip("xy", lost, strict=True)
+        if n
+    ]
+    return record, solution, told
 
 
 def _apart(record: RunUpRecord, starts: list[RunUpStart]) -> Iterator[RunUpStart]:

@@ -42,6 +42,20 @@ def test_a_few_samples_per_time_constant_are_enough(seed: int) -> None:
         assert abs(fit.values[name] - 0.008) < 4 * fit.std[name]
 
 
+def test_answers_that_explain_a_run_down_alike_are_all_covered() -> None:
+    truth = {"pendulums.a.damping_Nms_per_rad": 0.006, "pendulums.b.damping_Nms_per_rad": 0.0033,
+             "suspension.zeta1": 0.11, "suspension.zeta2": 0.01}  # fmt: skip
+    settings = {f"virtual.truth.{name}": value for name, value in truth.items()}
+    told = 0
+    for seed in range(5):
+        campaign = Campaign(seed, settings, clock_rate_std=0.0)
+        fit = fit_spin_down_run(campaign.spin_down(apart_s=0.0), known(campaign))
+        told += any("nearly as well" in warning for warning in fit.warnings)
+        for name, true in (("c3_Nms_per_rad", 0.006), ("c4_Nms_per_rad", 0.0033)):
+            assert abs(fit.values[name] - true) < 3 * fit.std[name] < 0.03 * true
+    assert told >= 2
+
+
 @pytest.mark.parametrize("point", ["D", "E"])
 def test_release_finds_the_damping(point: str) -> None:
     campaign = Campaign(6, {"pendulums.b.mass_kg": 0.070}, clock_rate_std=0.0)

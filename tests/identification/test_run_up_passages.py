@@ -323,6 +323,21 @@ def test_outliers_rail_and_gaps_are_left_out() -> None:
     assert any("rail" in w for w in fit.warnings)
 
 
+def test_outliers_that_sparse_samples_hide_in_the_motion_are_left_out() -> None:
+    passage = Passage(
+        ramp(0.5, 15.0, 30.0), 30.0, f_Hz=(3.0, 11.6), zeta=(0.005, 0.02), eccentricity_m=350e-6, noise_m=2e-6,
+        rate_Hz=500.0,
+    )  # fmt: skip
+    rng = np.random.default_rng(3)
+    hit = rng.random(passage.signal.shape) < 0.01
+    hit[-1] = True  # which no neighbour after it tells
+    passage.signal[hit] = rng.uniform(-5e-3, 5e-3, np.count_nonzero(hit))
+    fit = passage.fit()
+    assert_covers(passage, fit)
+    assert fit.chi2_per_dof < 1.1
+    assert any("neither motion nor noise" in w for w in fit.warnings)
+
+
 def test_lag_of_the_sensors_is_found() -> None:
     passage = Passage(ramp(0.5, 7.0, 30.0), 30.0, zeta=(0.05, 0.05))
     lag = 3
