@@ -18,7 +18,8 @@ from identification.pendulums.release import fit_release
 from identification.pendulums.spin_down_run import damping_estimate, fit_spin_down_run
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
-from identification.ring_down.fit import RingDownFit, fit_ring_down, fit_ring_down_runs, ring_down_estimate
+from identification.ring_down.fit import RingDownFit, fit_ring_down_runs, ring_down_estimate
+from identification.ring_down.one_laser import fit_one_laser, living_lasers
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.setting import Setting
 from identification.threads import on_one_thread
@@ -205,13 +206,15 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
     """Each ring-down alone where it tells both directions apart, otherwise all of them in one fit."""
     mass = work.rig.physics.total_mass_kg
     alone: list[tuple[Run, RingDownFit]] = []
-    for run in runs:
-        work.tell(f"{run.test}: fitting {Path(run.source).name}")
+    for recorded in runs:
+        work.tell(f"{recorded.test}: fitting {Path(recorded.source).name}")
+        run, dead = living_lasers(recorded)
+        work.warnings += dead
         try:
             if len(run.x_time_s) and len(run.y_time_s):
                 alone.append((run, fit_ring_down_runs([run], mass, setting=work.setting)))
             else:
-                fit = _one_sensor(run, mass, work.setting)
+                fit = fit_one_laser(run, mass, work.setting)
                 work.add(run, fit, ring_down_estimate(run, fit))
         except IdentificationError as error:
             work.warnings.append(f"{run.test} left out: {error}")
@@ -225,16 +228,6 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
             work.warnings.append(f"joint fit of the ring-downs failed: {error}")
     for run, fit in alone:
         work.add(run, fit, ring_down_estimate(run, fit))
-
-
-def _one_sensor(run: Run, mass: float, setting: Setting) -> RingDownFit:
-    """A ring-down that one laser alone has seen: one direction."""
-    if len(run.x_time_s):
-        return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting)
-    fit = fit_ring_down(run.y_time_s, run.y_m, mass, setting=setting)
-    values = {name.replace("1", "2", 1): value for name, value in fit.values.items()}
-    curves = [replace(curve, label=f"{curve.label.removesuffix('x')}y") for curve in fit.curves]
-    return replace(fit, values=values, curves=curves)
 
 
 def _tells_directions_apart(fit: RingDownFit) -> bool:

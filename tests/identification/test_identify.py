@@ -55,6 +55,20 @@ def test_ring_downs_alone_say_what_is_missing() -> None:
     assert any("not identified: c3" in w and "a run-up" in w for w in found.warnings)
 
 
+@pytest.mark.parametrize(("reading", "dead", "works", "number"), [(np.nan, "y", "x", 1), (5e-3, "x", "y", 2)])
+def test_a_dead_laser_leaves_the_other_s_direction(reading: float, dead: str, works: str, number: int) -> None:
+    campaign = Campaign(3)
+    whole = [campaign.ring_down("x"), campaign.ring_down("y")]
+    runs = [dataclasses.replace(run, **{f"{dead}_m": np.full_like(run.y_m, reading)}) for run in whole]
+    found = identify(runs, campaign.rig)
+    assert set(found.parameters.values) == {f"k{number}_N_per_m", f"zeta{number}"}
+    assert set(found.fits[0].fit.intervals) == set(found.fits[0].fit.values)
+    for name, value in found.parameters.values.items():
+        assert abs(value - campaign.truth.identified()[name]) < 4 * found.parameters.std[name]
+    assert any(f"laser {dead}" in w and "check its cable" in w for w in found.warnings)
+    assert any(f"pulled along {dead}, but only laser {works} works" in w for w in found.warnings)
+
+
 def test_a_log_given_twice_counts_once() -> None:
     campaign = Campaign(1)
     run = campaign.ring_down("x")

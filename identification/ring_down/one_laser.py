@@ -1,0 +1,46 @@
+"""A ring-down that one laser alone has seen: which of the two works, and the direction that it shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from daq.signals import Run
+from identification.errors import NotIdentifiable
+from identification.ring_down.fit import fit_ring_down
+from identification.ring_down.result import RingDownFit
+from identification.setting import Setting
+
+
+def living_lasers(run: Run) -> tuple[Run, list[str]]:
+    """The run without the readings of a laser that gives none, or always the same, while the other one works."""
+    readings = {"x": run.x_m, "y": run.y_m}
+    dead = [a for a, r in readings.items() if len(r) and not np.any(np.diff(r[np.isfinite(r)]))]
+    if len(dead) != 1:
+        return run, []
+    (axis,), none = dead, np.empty(0)
+    gone = {f"{axis}_time_s": none, f"{axis}_m": none}
+    finite = readings[axis][np.isfinite(readings[axis])]
+    what = f"reads {1e3 * finite[0]:.6g} mm throughout" if len(finite) else "has no valid reading"
+    return replace(run, **gone), [f"{Path(run.source).name}: laser {axis} {what}; check its cable and its range"]
+
+
+def fit_one_laser(run: Run, mass: float, setting: Setting) -> RingDownFit:
+    """The direction along which the column was pulled, from the laser there.
+
+    Raises:
+        NotIdentifiable, FitFailed: as fit_ring_down; the laser there does not work.
+    """
+    seen = "x" if len(run.x_time_s) else "y"
+    pulled = run.test.removeprefix("ring-down-")
+    if pulled in ("x", "y") and pulled != seen:  # what laser x sees of a pull along y may be either direction
+        raise NotIdentifiable(f"{run.source}: pulled along {pulled}, but only laser {seen} works in it")
+    if len(run.x_time_s):
+        return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting)
+    fit = fit_ring_down(run.y_time_s, run.y_m, mass, setting=setting)
+    values = {name.replace("1", "2", 1): value for name, value in fit.values.items()}
+    intervals = {name.replace("1", "2", 1): value for name, value in fit.intervals.items()}
+    curves = [replace(curve, label=f"{curve.label.removesuffix('x')}y") for curve in fit.curves]
+    return replace(fit, values=values, intervals=intervals, curves=curves)
