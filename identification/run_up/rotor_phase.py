@@ -9,7 +9,6 @@ import numpy as np
 from dynamics.errors import OutsideDomain
 from dynamics.speed_history import SpeedHistory
 from identification.errors import NotIdentifiable
-from identification.samples import white_noise
 
 _KNOTS_PER_TURN = 40  # a ripple of twice per revolution keeps twenty
 _MARKS = 10
@@ -91,7 +90,7 @@ class RotorPhase:
                 f"the phase goes {step:.3g} rad from sample to sample, {_LONGEST_STEP:.3g} at most can be followed; is "
                 "the phase in radians and in order, and sampled more than twice a turn?"
             )
-        noise = white_noise(phase)
+        noise = _white_noise(time, phase)
         fastest = float(np.quantile((np.abs(phase[20:] - phase[:-20]) / (time[20:] - time[:-20]))[every], 0.995))
         if fastest * (time[-1] - time[0]) < 4 * np.pi:
             raise NotIdentifiable("the rotor turns less than twice in this record; record the whole passage")
@@ -167,6 +166,16 @@ def _encoder_step(phase: np.ndarray) -> float:
     on = (np.abs(steps - np.round(steps)) < _ON_STEPS) & (steps < 2 + _ON_STEPS)
     up, down = np.count_nonzero(signed > 0.5 * smallest), np.count_nonzero(signed < -0.5 * smallest)
     return smallest if np.mean(on) > _MOST and min(up, down) > 0.5 * max(up, down) else 0.0
+
+
+def _white_noise(time_s: np.ndarray, phase_rad: np.ndarray) -> float:
+    """Standard deviation of a phase's white part, unevenness of its times included: third divided differences."""
+    offset = [time_s[k : len(time_s) - 3 + k] for k in range(4)]
+    weights = np.array([1 / np.prod([one - other for other in offset if other is not one], axis=0) for one in offset])
+    third = sum(w * phase_rad[k : len(time_s) - 3 + k] for k, w in enumerate(weights))
+    third = np.abs(third) / np.sqrt(np.sum(weights**2, axis=0))
+    limit = 8 * float(np.median(third)) / 0.6745
+    return float(np.sqrt(np.mean(np.clip(third, 0, limit if limit else np.inf) ** 2)))
 
 
 def _is_wrapped(phase: np.ndarray) -> bool:

@@ -301,6 +301,15 @@ def test_an_integrated_noisy_speed_lengthens_intervals(by_marks: bool) -> None:
     assert np.max(np.abs(z)) < 5
 
 
+def test_uneven_times_are_no_wander_of_the_phase() -> None:
+    passage = Passage(ramp(0.5, 7.0, 30.0), 30.0)
+    even = passage.fit()
+    passage.time = passage.time + 1e-5 * np.random.default_rng(1).normal(size=len(passage.time))
+    fit = passage.fit()
+    assert_covers(passage, fit)
+    assert all(fit.std[name] < 1.3 * even.std[name] for name in fit.values)
+
+
 def test_wrapped_phase() -> None:
     passage = Passage(ramp(0.5, 7.0, 20.0), 20.0)
     whole = passage.fit().values
