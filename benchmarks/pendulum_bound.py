@@ -180,7 +180,7 @@ def trackings(runs: int, only: int | None) -> None:
         for k in range(runs):
             truth, run, known = release_case(damping, 0.3, (k, 200 + number), wrong, 0.01, np.radians(0.05))
             began = time.perf_counter()
-            last = track(run, known.physics).last
+            last = track(run, known.physics, imbalance_std=0.01).last
             seconds.append(time.perf_counter() - began)
             true = truth.identified()
             trusted.append(last.trusted)

@@ -9,7 +9,7 @@ from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 from numba import njit
 
 from dynamics.kernels import CA, CB, rk4_step
-from identification.tracking.unscented import filter_readings
+from identification.tracking.unscented import TALLY, filter_readings
 from rig_configs.load import load_rig
 
 _STEP_S, _SPEED = 1e-3, 50.0
@@ -44,7 +44,7 @@ def _own(readings: np.ndarray) -> tuple[float, np.ndarray]:
     times = np.repeat(_STEP_S * np.arange(1, n + 1), 4)
     phases = np.zeros((4 * n, 3))
     phases[:, 0], phases[:, 1] = _SPEED * np.r_[0.0, times[:-1]], _SPEED
-    mean, cov, tally, z = _START.copy(), np.diag(_SPREAD), np.zeros(4), np.empty(4 * n)
+    mean, cov, tally, z = _START.copy(), np.diag(_SPREAD), np.zeros(TALLY), np.empty(4 * n)
     began = time.perf_counter()
     filter_readings(
         mean, cov, times, np.zeros(4 * n), np.tile(np.arange(4), n), readings.ravel(),

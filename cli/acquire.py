@@ -162,7 +162,9 @@ def test(
         session = stack.enter_context(Session(loaded, HostClock(time_scale)))
         progress = stack.enter_context(StepProgress({name: 1.0}))
         progress.step(name)
-        following = stack.enter_context(tracking.LiveTracking(session)) if tracking is not None else None
+        following = None
+        if tracking is not None:
+            following = stack.enter_context(tracking.LiveTracking(session, tracking.imbalance_std(parameters)))
 
         def tell(text: str, share: float | None) -> None:
             words = following.words() if following is not None else ""

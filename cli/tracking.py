@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -13,9 +14,18 @@ from daq.protocols.rotorlink import FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED
 from daq.session import Session
 from dynamics import RotorParameters
 from identification.tracking.tracker import Sensors, Tracked, Tracker
+from rig_configs import IdentifiedParameters
 
 _TURN_S = 0.1  # wall seconds between two looks at the readings
 _NAMES = (("c3", "c3_Nms_per_rad"), ("c4", "c4_Nms_per_rad"))
+
+
+def imbalance_std(parameters: Path | None) -> float:
+    """Relative standard deviation of S_P: of a parameters file, a rig file's where there is none."""
+    found = IdentifiedParameters({}, np.zeros((0, 0))) if parameters is None else IdentifiedParameters.load(parameters)
+    if "SP_kg_m" not in found.values:
+        return Tracker.imbalance_std
+    return found.std["SP_kg_m"] / abs(found.values["SP_kg_m"])
 
 
 def compile_tracker(physics: RotorParameters) -> None:
@@ -28,14 +38,15 @@ class LiveTracking:
 
     Args:
         session: its rig's parameters are what the tracker starts from.
+        imbalance_std: relative standard deviation of its S_P.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, imbalance_std: float = Tracker.imbalance_std) -> None:
         encoder = session.rig.devices.encoder
         self._session = session
         self._tracker = Tracker(
             session.rig.physics, Sensors(encoder_step_rad=2 * math.pi / encoder.counts_per_revolution),
-            released=(False, False),
+            released=(False, False), imbalance_std=imbalance_std,
         )  # fmt: skip
         self._index_rad = math.radians(encoder.index_angle_deg)
         self._seen_ns = {"pendulums": 0, "tacho": 0}

@@ -62,6 +62,8 @@ class Run:
         metadata: the log's own facts (rig, point, software version, digest …); "missing" lists what the file lacks,
             sentences.
         phase_time_s, phase_rad: ψ between the marks too, shape (l,), where a recording has it.
+        phase_absolute: whether ψ = 0 is where the imbalance points along +x; False where a speed was integrated, which
+            leaves one unknown angle between ψ and the laboratory.
     """
 
     test: str
@@ -82,6 +84,7 @@ class Run:
     metadata: Mapping[str, Any] = field(default_factory=dict)
     phase_time_s: np.ndarray = field(default_factory=lambda: np.empty(0))
     phase_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
+    phase_absolute: bool = True
 
 
 def load_run(path: str | Path) -> Run:
@@ -116,6 +119,7 @@ def load_run(path: str | Path) -> Run:
             mark_phase_rad=mark_phase_rad,
             phase_time_s=phase_time_s,
             phase_rad=phase_rad,
+            phase_absolute=run.get("phase_reference") != "none",
             releases=_releases(log, line, start_s),
             angle_step_rad=2 * np.pi / devices.encoder.counts_per_revolution,
             clock_rate_std={

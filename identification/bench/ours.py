@@ -53,7 +53,8 @@ def tracking(record: ReleaseRecord) -> Answer:
     """The online tracker from shortly before the release on, its last word."""
     keep = record.run.angle_time_s > LOCKED_S - _BEFORE_S
     run = replace(record.run, angle_time_s=record.run.angle_time_s[keep], angle_rad=record.run.angle_rad[keep])
-    last = track(run, record.knowledge.physics, damping_std=np.log(10.0)).last
+    known = record.knowledge
+    last = track(run, known.physics, damping_std=np.log(10.0), imbalance_std=float(known.log_std[4])).last
     return Answer(last.values, last.intervals)
 
 

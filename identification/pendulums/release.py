@@ -6,12 +6,12 @@ makes of the first second and, should that end in a side minimum, from a fan of 
 horizon are not noise the whole run is left out: a model that fails later may be biased before that shows.
 
 θ = (ln c3, ln c4, θ3, θ4 at release, two encoder zeros, shift of the release's time, the disk's deviation x, y, ẋ, ẏ
-from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P).
+from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P), and what the recorded phase lacks where it has no reference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
 
@@ -19,15 +19,16 @@ import numpy as np
 
 from daq.signals import Run
 from dynamics.errors import OutsideDomain
-from dynamics.speed_history import SpeedHistory
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Minimum
+from identification.pendulums.answers import plausible_answers
 from identification.pendulums.decline import encoder_step
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.locked_start import LockedStart
 from identification.pendulums.recorded_speed import recorded_speed
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientFit, TransientProblem
+from identification.pendulums.unknown_phase import TURN_STD_RAD, angles_to_try, race, told, with_turn
 from identification.samples import block_averages, encoder_noise
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
@@ -40,7 +41,8 @@ _LONGEST_S, _AFTER_SETTLING_S, _MEMORY_S = 25.0, 0.5, 12.0
 _DAMPING_STD = 2.5  # ln c: a start a hundred times wrong is within two of it
 _HELD_STD = 0.4  # ln c
 _GOOD = 1.5  # χ²/dof
-_FAN = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
+_SHIFTS = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
+_FAN = sorted(product(_SHIFTS, _SHIFTS), key=lambda s: (abs(s[0]) + abs(s[1]), s))  # of ln c3, ln c4, near ones first
 
 
 @on_one_thread
@@ -60,55 +62,72 @@ def fit_release(run: Run, knowledge: Knowledge, zero_std_rad: float, *, setting:
     """
     check_setting(setting)
     go, go_std = _release_time(run)
-    history = _history(run, go)
+    rest = _locked_start(run, go)
     begin = go + max(_BLOCK_S["balanced"], 4 * go_std)
     readings = _readings(run, begin, _BLOCK_S[setting])
-    problem, start = _problem(run, knowledge, history, (go, go_std, begin), readings, zero_std_rad)
+    problem, start = _problem(run, knowledge, rest, (go_std, begin), readings, zero_std_rad)
     horizons = _horizons(readings)
     horizons = horizons[: max(2, len(horizons) - 2)] if setting == "fast" else horizons
-    best: Minimum | None = None
-    found = np.inf
-    for trial, held in _starts(run, knowledge, history, go, start):
-        minimum = _grown(problem, trial, horizons, held)
-        misfit = _judged(problem, minimum, horizons[-1])
-        if best is None or misfit < found:
-            best, found = minimum, misfit
-        if found < _GOOD:
-            break
-    if best is None or not found < _GOOD:
-        raise FitFailed(
-            f"{run.source}: the model does not follow the released pendulums over {horizons[-1] - begin:.2g} s "
-            f"(residuals {found:.3g} times what noise explains, expected below {_GOOD:g}); check masses, lengths "
-            "and the speed's marks"
-        )
+    if run.phase_absolute:
+        starts, fewest = _starts(run, knowledge, rest, start), 1
+    else:
+        places = race(problem, _turned_starts(run, knowledge, rest, start), horizons[:-1], _holding)
+        starts, fewest = _starts_around(places, start), len(places)
+    answers = _answers(run, problem, starts, horizons, fewest)
     fit = problem.result(
-        best, horizons[-1], f"release {run.test}", 2, setting, _model_table(best, problem, horizons[-1])
+        answers[0], horizons[-1], f"release {run.test}", 2, setting, _model_table(answers[0], problem, horizons[-1])
     )
     if max(fit.std[n] / fit.values[n] for n in fit.values) > 0.2:
         raise FitFailed(
             f"{run.source}: {fit.horizon_s:.2g} s of the release do not show the damping; record a longer one"
         )
-    return fit
+    return fit if run.phase_absolute else told(fit, answers, knowledge.physics)
 
 
-def _judged(problem: TransientProblem, minimum: Minimum, end_s: float) -> float:
-    """Misfit over the whole stretch; inf for an iteration that ended before it."""
-    n = sum(len(d.time_s) for d in problem.cut(end_s))
-    return problem.misfit(minimum, end_s) if len(minimum.residual) > n else np.inf
+def _answers(
+    run: Run, problem: TransientProblem, starts: Iterable[tuple[np.ndarray, bool]], horizons: list[float], fewest: int
+) -> list[Minimum]:
+    """What the starts lead to that explains the readings, the best first.
+
+    Args:
+        fewest: starts tried in any case; after them the search ends as soon as one has led somewhere.
+    Raises:
+        FitFailed: the model does not follow the angles from any of them.
+    """
+    good: list[Minimum] = []
+    least, furthest = np.inf, horizons[0]
+    for number, (trial, held) in enumerate(starts, 1):
+        minimum, reached = _grown(problem, trial, horizons, held)
+        furthest = max(furthest, reached)
+        if reached == horizons[-1]:
+            misfit = problem.misfit(minimum, reached)
+            least = min(least, misfit)
+            if misfit < _GOOD:
+                good.append(minimum)
+        if good and number >= fewest:
+            break
+    if good:
+        return plausible_answers(good)
+    begin = problem.readings[0].averages.time_s[0]
+    happened = (
+        f"residuals {least:.3g} times what noise explains, expected below {_GOOD:g}"
+        if np.isfinite(least)
+        else f"from no start value did it get past the first {furthest - begin:.2g} s"
+    )
+    raise FitFailed(
+        f"{run.source}: the model does not follow the released pendulums over {horizons[-1] - begin:.2g} s "
+        f"({happened}); check masses, lengths and the speed's marks"
+    )
 
 
-def _grown(problem: TransientProblem, start: np.ndarray, horizons: list[float], held: bool) -> Minimum:
-    """Least squares over growing horizons; ends early where the model fails.
+def _grown(problem: TransientProblem, start: np.ndarray, horizons: list[float], held: bool) -> tuple[Minimum, float]:
+    """Least squares over growing horizons, and the one it ended at: an early one where the model fails.
 
     Args:
         held: keep the damping near the start's for the first ones. Half a second says little about weak damping, and
             what it says can lead to a side minimum.
     """
-    minimum, early = None, problem
-    if held:
-        prior, std = problem.prior.copy(), problem.prior_std.copy()
-        prior[:2], std[:2] = start[:2], _HELD_STD
-        early = replace(problem, prior=prior, prior_std=std)
+    minimum, early, end = None, _holding(problem, start) if held else problem, horizons[0]
     for i, end in enumerate(horizons):
         last = i == len(horizons) - 1
         now = early if i < len(horizons) - 2 else problem
@@ -117,19 +136,40 @@ def _grown(problem: TransientProblem, start: np.ndarray, horizons: list[float], 
             break
         start = minimum.theta
     assert minimum is not None
-    return minimum
+    return minimum, end
 
 
-def _starts(
-    run: Run, knowledge: Knowledge, history: SpeedHistory, go: float, start: np.ndarray
-) -> Iterator[tuple[np.ndarray, bool]]:
+def _holding(problem: TransientProblem, start: np.ndarray) -> TransientProblem:
+    """The problem with the damping kept near the start's."""
+    prior, std = problem.prior.copy(), problem.prior_std.copy()
+    prior[:2], std[:2] = start[:2], _HELD_STD
+    return replace(problem, prior=prior, prior_std=std)
+
+
+def _starts(run: Run, knowledge: Knowledge, rest: LockedStart, start: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
     """What the filter finds first, held and free, then a fan around the given damping, near ones first, held."""
-    tracked = damping_start(run, laid_over(knowledge, start[:2], start[_SUSPENSION]), history, go)
+    tracked = damping_start(run, laid_over(knowledge, start[:2], start[_SUSPENSION]), rest.history, rest.release_s)
     if tracked is not None:
         yield np.r_[tracked, start[2:]], True
         yield np.r_[tracked, start[2:]], False
-    for shift in sorted(product(_FAN, _FAN), key=lambda s: (abs(s[0]) + abs(s[1]), s)):
-        yield start + np.r_[shift, np.zeros(_COUNT - 2)], True
+    for shift in _FAN:
+        yield start + np.r_[shift, np.zeros(len(start) - 2)], True
+
+
+def _turned_starts(run: Run, knowledge: Knowledge, rest: LockedStart, start: np.ndarray) -> list[np.ndarray]:
+    """What the filter finds from several angles of the rotor."""
+    nominal, out = laid_over(knowledge, start[:2], start[_SUSPENSION]), []
+    for turn in angles_to_try(nominal):
+        tracked = damping_start(run, nominal, rest.turned(turn).history, rest.release_s)
+        out.append(np.r_[start[:2] if tracked is None else tracked, start[2:-1], turn])
+    return out
+
+
+def _starts_around(places: list[np.ndarray], start: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
+    """Given places held and free, then a fan around the given damping at the first of them, held."""
+    yield from ((place, held) for held in (True, False) for place in places)
+    for shift in _FAN:
+        yield np.r_[start[:2] + shift, places[0][2:]], True
 
 
 def _release_time(run: Run) -> tuple[float, float]:
@@ -141,14 +181,18 @@ def _release_time(run: Run) -> tuple[float, float]:
     return 0.5 * (times[0] + times[1]), max(_SHIFT_STD_S, *(r.time_std_s for r in run.releases))
 
 
-def _history(run: Run, release_s: float) -> SpeedHistory:
+def _locked_start(run: Run, release_s: float) -> LockedStart:
     """The speed over what the fit needs; two marks at the begin have no earlier ones to lean on."""
     needed = run.mark_time_s >= release_s - _MEMORY_S - 1.0
     needed[:2] = False
     try:
-        return recorded_speed(run.mark_time_s[needed], run.mark_phase_rad[needed])
+        history = recorded_speed(run.mark_time_s[needed], run.mark_phase_rad[needed])
     except OutsideDomain as error:
         raise NotIdentifiable(f"{run.source}: {error}") from error
+    earliest = max(float(history.knots_s[0]), release_s - _MEMORY_S)
+    if earliest > release_s - 0.2:
+        raise NotIdentifiable(f"{run.source}: the speed before the release is not known")
+    return LockedStart(history, earliest, release_s)
 
 
 def _readings(run: Run, begin_s: float, block_s: float) -> tuple[Readings, Readings]:
@@ -183,15 +227,12 @@ def _horizons(readings: tuple[Readings, Readings]) -> list[float]:
 def _problem(
     run: Run,
     knowledge: Knowledge,
-    history: SpeedHistory,
-    instants: tuple[float, float, float],
+    rest: LockedStart,
+    instants: tuple[float, float],
     readings: tuple[Readings, Readings],
     zero_std: float,
 ) -> tuple[TransientProblem, np.ndarray]:
-    physics, (go, go_std, begin) = knowledge.physics, instants
-    earliest = max(float(history.knots_s[0]), go - _MEMORY_S)
-    if earliest > go - 0.2:
-        raise NotIdentifiable(f"{run.source}: the speed before the release is not known")
+    physics, go, (go_std, begin) = knowledge.physics, rest.release_s, instants
     before = (run.angle_time_s < go - 0.02) & (run.angle_time_s > go - 2.0)
     if np.count_nonzero(before) < 100:
         raise NotIdentifiable(f"{run.source}: no encoder samples of the locked pendulums before the release")
@@ -208,12 +249,15 @@ def _problem(
         _DAMPING_STD, _DAMPING_STD, angle_std, angle_std, zero_std, zero_std, go_std,
         _DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega, _DISK_STD_M * omega, knowledge.log_std,
     ]  # fmt: skip
-    rest = LockedStart(history, float(earliest), go)
 
-    def predict(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
-        return _readings_of(theta, problem.cut(end_s), knowledge, rest, begin)
+    def predict(theta: np.ndarray, end_s: float, turn_rad: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        return _readings_of(theta, problem.cut(end_s), knowledge, rest.turned(turn_rad) if turn_rad else rest, begin)
 
-    problem = TransientProblem(readings, predict, start.copy(), prior_std)
+    if run.phase_absolute:
+        problem = TransientProblem(readings, predict, start.copy(), prior_std)
+        return problem, start
+    start, prior_std = np.r_[start, 0.0], np.r_[prior_std, TURN_STD_RAD]
+    problem = TransientProblem(readings, with_turn(predict, start[:2]), start.copy(), prior_std)
     return problem, start
 
 
@@ -246,13 +290,11 @@ def _model_table(minimum: Minimum, problem: TransientProblem, end_s: float) -> l
     """The coupled motion beside pendulums on a rotor that does not move: those would stay where they are."""
     cut = problem.cut(end_s)
     held = sum(float(np.sum(((c.value - c.value.mean()) * c.weight) ** 2)) for c in cut)
-    n = sum(len(c.time_s) for c in cut)
+    n, count = sum(len(c.time_s) for c in cut), len(minimum.theta)
     coupled = float(minimum.residual[:n] @ minimum.residual[:n])
     return [
         ModelChoice(
             "pendulums on a rotor that does not move", 4, held + 8, False, "a release has no motion of its own"
         ),
-        ModelChoice(
-            "coupled motion of disk and pendulums", _COUNT, coupled + 2 * _COUNT, True, "the release moves them"
-        ),
+        ModelChoice("coupled motion of disk and pendulums", count, coupled + 2 * count, True, "the release moves them"),
     ]

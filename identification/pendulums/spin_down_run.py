@@ -17,6 +17,7 @@ from dynamics.speed_history import SpeedHistory
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.least_squares import Minimum
+from identification.pendulums.answers import covering, plausible_answers
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -30,8 +31,6 @@ _ANGLES, _SPEEDS, _PSI, _DISK, _SUSPENSION, _COUNT = slice(2, 4), slice(4, 6), 6
 _MOST_STEPS = 80  # the angle at which the rotor stands can be a long valley
 _BEFORE_PUSH_S, _WORTH_S = 0.03, 0.08
 _EARLY_S = 0.1
-_PLAUSIBLE = 8.0  # χ² above the best answer: such odds, 50 to 1, leave nothing of a 95 % interval
-_ALIKE = 1.0  # squared standard deviations between answers that are one
 _DAMPING_STD = 1.0  # ln c; a pendulum that does not move yet says nothing of its own
 _DISK_STD_M = 3e-4  # how far a flick may leave the disk shaking
 
@@ -82,7 +81,7 @@ def _fit_from(
             continue
         fit = problem.result(minimum, end, "spin-down", 2, setting, _model_table(problem, minimum, declines, end))
         if minimum.converged and fit.chi2_per_dof < 10:
-            return _covering(fit, answers)
+            return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
         raise FitFailed(
             f"{run.source}: the coupled model does not follow the spin-down: χ²/dof {fit.chi2_per_dof:.3g}, "
             f"{minimum.iterations} iterations"
@@ -205,35 +204,8 @@ def _answers(problem: TransientProblem, start: np.ndarray, end: float) -> list[M
         begin[_PSI] = problem.prior[_PSI] = psi
         begin = problem.solve(begin, early, 6).theta
         problem.prior[_PSI] = begin[_PSI]
-        minimum = problem.solve(begin, end, _MOST_STEPS)
-        shift = [(minimum.theta[:2] - m.theta[:2]) @ np.linalg.inv(m.covariance[:2, :2]) @
-                 (minimum.theta[:2] - m.theta[:2]) for m in found]  # fmt: skip
-        if min(shift, default=np.inf) > _ALIKE:
-            found.append(minimum)
-        else:
-            at = int(np.argmin(shift))
-            found[at] = min(found[at], minimum, key=lambda m: m.cost)
-    best = min(m.cost for m in found)
-    unit = max(1.0, best / len(found[0].residual))
-    return sorted((m for m in found if m.cost < best + _PLAUSIBLE * unit), key=lambda m: m.cost)
-
-
-def _covering(fit: TransientFit, answers: list[Minimum]) -> TransientFit:
-    """The best answer's fit with intervals that reach the others that explain the readings nearly as well."""
-    if len(answers) == 1:
-        return fit
-    c = np.array(list(fit.values.values()))
-    apart = [m.theta[:2] - answers[0].theta[:2] for m in answers[1:]]
-    covariance = fit.covariance / np.outer(c, c) + sum(np.outer(d, d) for d in apart) / 1.96**2
-    others = ", ".join(f"c3 {x:.3e} with c4 {y:.3e}" for x, y in (np.exp(m.theta[:2]) for m in answers[1:]))
-    warning = (
-        f"nearly as well the readings are explained, with the rotor standing at another angle, by {others}; the "
-        "intervals reach so far. A release at speed decides"
-    )
-    return replace(
-        fit, covariance=covariance * np.outer(c, c), intervals=log_intervals(c, covariance),
-        warnings=[*fit.warnings, warning],
-    )  # fmt: skip
+        found.append(problem.solve(begin, end, _MOST_STEPS))
+    return plausible_answers(found)
 
 
 def _early_excess(problem: TransientProblem, minimum: Minimum) -> bool:

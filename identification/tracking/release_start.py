@@ -8,7 +8,7 @@ from daq.signals import Run
 from dynamics.integrate import locked_state
 from dynamics.parameters import RotorParameters
 from dynamics.speed_history import SpeedHistory
-from identification.tracking.unscented import STATES, filter_readings
+from identification.tracking.unscented import STATES, TALLY, filter_readings
 
 _SPAN_S, _TICK_S = 2.0, 1e-3
 _LN_C_STD = (1.2, 0.7, 0.5)
@@ -40,7 +40,7 @@ def damping_start(run: Run, physics: RotorParameters, history: SpeedHistory, rel
     phases = history.phase(np.r_[release_s, ticks[:-1]])
     for ln_c_std in _LN_C_STD:  # each pass from the damping of the one before
         mean, cov = np.r_[begin, ln_c], np.diag(np.r_[spread, ln_c_std, ln_c_std] ** 2)
-        tally, z = np.array([release_s, 0.0, 0.0, 0.0]), np.empty(n)
+        tally, z = np.array([release_s, *np.zeros(TALLY - 1)]), np.empty(n)
         filter_readings(
             mean, cov, ticks, np.zeros(n), np.tile([2, 3], len(time)), angle.ravel(),
             np.full(n, run.angle_step_rad**2 / 12 + 1e-6), phases, np.ones((n, 2)), physics.packed(), noise, _TICK_S,

@@ -37,7 +37,13 @@ class TrackedRun:
 
 
 def track(
-    run: Run, physics: RotorParameters, *, damping_std: float = 1.0, batch_s: float = 0.05, lasers: bool = False
+    run: Run,
+    physics: RotorParameters,
+    *,
+    damping_std: float = 1.0,
+    imbalance_std: float = 0.05,
+    batch_s: float = 0.05,
+    lasers: bool = False,
 ) -> TrackedRun:
     """Follow a recorded run with the online tracker.
 
@@ -45,6 +51,7 @@ def track(
         run: angles are needed, marks are used where there are any.
         physics: the rig; its c3, c4 are the start values.
         damping_std: standard deviation of ln c3, ln c4 at the start.
+        imbalance_std: relative standard deviation of S_P.
         batch_s: readings handed over at once.
         lasers: use them too. Only for signals without offset, along the stiffness axes and on the encoders' clock to
             a fraction of a millisecond: a delay of two turns the disk's orbit by six degrees, and damping with it.
@@ -56,7 +63,11 @@ def track(
     # a pendulum that is let go during the run is locked before; in a spin-down both are free all along
     let_go = {r.pendulum for r in run.releases}
     tracker = Tracker(
-        physics, Sensors(encoder_step_rad=run.angle_step_rad), damping_std, (0 not in let_go, 1 not in let_go)
+        physics,
+        Sensors(encoder_step_rad=run.angle_step_rad),
+        damping_std,
+        (0 not in let_go, 1 not in let_go),
+        imbalance_std=imbalance_std,
     )
     begin, end = float(run.angle_time_s[0]), float(run.angle_time_s[-1])
     for release in run.releases:

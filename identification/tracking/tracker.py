@@ -14,18 +14,19 @@ import numpy as np
 from dynamics.integrate import fastest_rate
 from dynamics.parameters import RotorParameters
 from identification.tracking.phase_clock import PhaseClock
-from identification.tracking.unscented import STATES, filter_readings
+from identification.tracking.unscented import STATES, TALLY, filter_readings
 
 STATE_NAMES = ("x_m", "y_m", "theta3_rad", "theta4_rad", "x_rate_m_per_s", "y_rate_m_per_s", "theta3_rate_rad_per_s",
                "theta4_rate_rad_per_s")  # fmt: skip
 CAUTION = 2.5
 """Stretch of the standard deviations of ln c: see docs/theory/tracking.md for the coverage it was chosen for."""
-_GATE, _LOST_REFUSALS = 6.0, 60
+_GATE, _LOST_REFUSALS, _MANY_REFUSED = 6.0, 60, 0.25  # standard deviations, in a row, of the last two thousand
 _STEP_SHARE = 0.25  # of the fastest rate's inverse
-_MODEL_SHARE = 0.02  # of the imbalance that the parameters may be wrong by
+_MODEL_SHARE, _IMBALANCE_SHARE = 0.004, 0.25  # of the imbalance's force: what the model lacks, and of S_P's own error
 _WANDER = 3e-3  # of ln c per square root of a second
 _FLICK_RAD_S = 20.0  # a hand gives a pendulum such speeds
-_AT_REST_RAD_S, _STILL_RAD_S = 0.5, 0.03
+_AT_REST_RAD_S = 0.5
+_STILL_RAD_S, _STILL_AT_REST_RAD_S = 0.003, 0.03  # of a pendulum, while the rotor turns and while it stands
 _SWING_SHARE = 0.1  # of a pendulum's speed that bearings and a hand's last touch change in a second
 _GAP_S, _BACK_S, _SHORTEST_STEP_S = 1.0, 1.0, 5e-5
 _MOST_KEPT = 400_000  # readings that wait; more are dropped, oldest first
@@ -79,6 +80,7 @@ class Tracker:
         released: whether A and B swing freely at the start; `release` and `lock` change it.
         lag_s: readings wait so long for earlier ones, and what comes later than that is dropped.
         tick_s: readings within one tick are taken together; at most one prediction each, which bounds the cost.
+        imbalance_std: relative standard deviation of the rig's S_P: 0.05 of a rig file's, 0.001 after a run-up.
     """
 
     physics: RotorParameters
@@ -87,6 +89,7 @@ class Tracker:
     released: tuple[bool, bool] = (True, True)
     lag_s: float = 0.05
     tick_s: float = 1e-3
+    imbalance_std: float = 0.05
 
     def __post_init__(self) -> None:
         self._origin_ns: int | None = None
@@ -95,8 +98,8 @@ class Tracker:
         self._switches: list[tuple[float, int, bool]] = []
         self._waiting = np.empty((0, 4))  # time, component, reading, variance
         self._mean, self._cov = np.zeros(STATES), np.eye(STATES)
-        self._tally = np.array([-np.inf, 0.0, 0.0, 0.0])
-        self._excess, self._newest, self._since_start = 1.0, -np.inf, 0
+        self._tally = np.array([-np.inf, *np.zeros(TALLY - 1)])
+        self._excess, self._refusing, self._newest, self._since_start = 1.0, 0.0, -np.inf, 0
         self._counts: dict[str, int] = {"used": 0, "refused": 0, "late": 0, "restarts": 0, "repairs": 0}
         ln_c = np.log([max(p.damping_Nms_per_rad, 1e-7) for p in (self.physics.a, self.physics.b)])
         self._ln_c, self._ln_c_var = ln_c, np.full(2, self.damping_std**2)
@@ -145,7 +148,8 @@ class Tracker:
         reach = np.exp(np.minimum(1.96 * ln_std, 50.0))
         names = ("c3_Nms_per_rad", "c4_Nms_per_rad")
         c = np.exp(ln_c)
-        trusted = started and self._tally[3] < _LOST_REFUSALS / 2 and self._excess < 9.0 and self._since_start > 200
+        following = self._tally[3] < _LOST_REFUSALS / 2 and self._refusing < _MANY_REFUSED
+        trusted = started and following and self._excess < 9.0 and self._since_start > 200
         return Tracked(
             (self._origin_ns or 0) + round(1e9 * self._tally[0]) if started else None,
             dict(zip(STATE_NAMES, self._mean[:8].tolist(), strict=True)),
@@ -184,7 +188,7 @@ class Tracker:
             self._ln_c, found = np.clip(self._followed[0], -16.0, 2.0), self._followed[1]
             self._ln_c_var = np.clip(4 * found, 0.01, self.damping_std**2)
             self._counts["restarts"] += 1
-        self._tally[[0, 3]] = -np.inf, 0.0
+        self._tally[0], self._tally[3:] = -np.inf, 0.0
         self._waiting, self._newest, self._excess, self._since_start = np.empty((0, 4)), -np.inf, 1.0, 0
 
     def _run(self) -> None:
@@ -215,7 +219,7 @@ class Tracker:
         filter_readings(
             self._mean, self._cov, ticks, rows[:, 0] - ticks, rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3],
             self._phase.at(previous), self._free(ticks), self._packed, self._noise(speed), longest, _GATE,
-            _STILL_RAD_S, self._tally, z,
+            _STILL_AT_REST_RAD_S if speed < _AT_REST_RAD_S else _STILL_RAD_S, self._tally, z,
         )  # fmt: skip
         refused, repairs = (self._tally - before)[[1, 2]]
         self._counts["refused"] += int(refused)
@@ -224,11 +228,15 @@ class Tracker:
         self._since_start += len(rows)
         taken = z[np.abs(z) <= _GATE]
         share = min(1.0, len(rows) / 2000.0)
+        self._refusing = (1 - share) * self._refusing + share * refused / len(rows)
         level = float(np.mean(taken**2)) if len(taken) else 4.0
         self._excess = max(1.0, (1 - share) * self._excess + share * level)
         finite = np.all(np.isfinite(self._mean)) and np.all(np.isfinite(self._cov))
-        if self._tally[3] > _LOST_REFUSALS or not finite:
+        if not finite:
             self._forget()
+        elif self._tally[3] > _LOST_REFUSALS:
+            for component in np.flatnonzero(self._tally[4:] > _LOST_REFUSALS):
+                self._pick_up(int(component), rows)
         elif self._tally[3] == 0:
             self._followed = self._mean[8:].copy(), np.diag(self._cov)[8:].copy()
 
@@ -242,11 +250,26 @@ class Tracker:
             own = rows[rows[:, 1] == component, 2]
             self._mean[component] = float(np.median(own[:9])) if len(own) else (np.pi if component == 3 else 0.0)
         self._mean[4:8], self._mean[8:] = 0.0, self._ln_c
-        speed = float(np.abs(self._phase.at(rows[:1, 0])[0, 1]))
+        self._cov[:] = np.diag(np.r_[self._spread(rows[0, 0]) ** 2, self._ln_c_var])
+        self._tally[0], self._tally[3:] = rows[0, 0], 0.0
+
+    def _pick_up(self, component: int, rows: np.ndarray) -> None:
+        """Begin anew with one reading's position and rate: a hand has been there; the others go on."""
+        spread = self._spread(self._tally[0])
+        own = rows[rows[:, 1] == component, 2]
+        for i in (component, component + 4):
+            self._cov[i], self._cov[:, i], self._mean[i] = 0.0, 0.0, 0.0
+            self._cov[i, i] = spread[i] ** 2
+        self._mean[component] = own[-1] if len(own) else 0.0
+        self._tally[4 + component] = 0.0
+        self._tally[3] = np.max(self._tally[4:])
+        self._counts["restarts"] += 1
+
+    def _spread(self, time_s: float) -> np.ndarray:
+        """Standard deviations of positions and rates at a begin, shape (8,)."""
+        speed = float(np.abs(self._phase.at(np.array([time_s]))[0, 1]))
         wide = 1e-3 * max(speed, *self.physics.natural_frequencies_rad_s)
-        spread = np.array([1e-3, 1e-3, 0.02, 0.02, wide, wide, _FLICK_RAD_S, _FLICK_RAD_S])
-        self._cov[:] = np.diag(np.r_[spread**2, self._ln_c_var])
-        self._tally[[0, 3]] = rows[0, 0], 0.0
+        return np.array([1e-3, 1e-3, 0.02, 0.02, wide, wide, _FLICK_RAD_S, _FLICK_RAD_S])
 
     def _free(self, time_s: np.ndarray) -> np.ndarray:
         free = np.tile(np.array(self.released, float), (len(time_s), 1))
@@ -265,6 +288,7 @@ class Tracker:
             swing = (_SWING_SHARE * self._mean[6:8]) ** 2 + 1e-8
             return np.r_[np.zeros(4), 1e-10, 1e-10, swing, _WANDER**2, _WANDER**2]
         force = max(abs(speed_rad_s), *p.natural_frequencies_rad_s) ** 2 * p.imbalance_moment_kg_m / p.total_mass_kg
-        disk = (_MODEL_SHARE * force) ** 2 * 0.01
-        pendulum = (_MODEL_SHARE * force / min(p.a.length_m, p.b.length_m)) ** 2 * 0.01
+        share = _MODEL_SHARE + _IMBALANCE_SHARE * self.imbalance_std
+        disk = (share * force) ** 2 * 0.01
+        pendulum = (share * force / min(p.a.length_m, p.b.length_m)) ** 2 * 0.01
         return np.r_[np.zeros(4), disk, disk, pendulum, pendulum, _WANDER**2, _WANDER**2]

@@ -20,7 +20,7 @@ from numba import njit
 from dynamics.kernels import CA, CB, JA, JB
 from dynamics.quick_rates import quick_rates
 
-STATES, READINGS = 10, 4
+STATES, READINGS, TALLY = 10, 4, 8
 X, Y, THETA3, THETA4, LN_C3, LN_C4 = 0, 1, 2, 3, 8, 9
 _LEAST_LN_C, _STIFFEST = -25.0, 2.0
 _MOST_REPAIRS = 40
@@ -198,7 +198,8 @@ def filter_readings(
         noise: growth of variances per second (10,).
         longest: longest Runge–Kutta step, s.
         gate, still: as for `update`.
-        tally: state's instant, refused readings, repairs, refusals in a row; shape (4,), changed in place.
+        tally: state's instant, refused readings, repairs, most refusals in a row of any component, and those of each;
+            shape (8,), changed in place.
         z: innovations over their standard deviations, shape (n,), written.
     """
     factor, points = np.zeros((STATES, STATES)), np.empty((2 * STATES, STATES))
@@ -214,8 +215,10 @@ def filter_readings(
             tally[2] += repairs
             tally[0] = times[i]
         z[i] = update(mean, cov, indices[i], readings[i], late[i], variances[i], gate, still, work)
+        own_row = 4 + indices[i]
         if abs(z[i]) <= gate:
-            tally[3] = 0.0
+            tally[own_row] = 0.0
         else:
             tally[1] += 1.0
-            tally[3] += 1.0 if math.isfinite(readings[i]) else 0.0
+            tally[own_row] += 1.0 if math.isfinite(readings[i]) else 0.0
+        tally[3] = max(tally[4], tally[5], tally[6], tally[7])

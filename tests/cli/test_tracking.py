@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cli.main import run
 from cli.simulated import SimulatedOperator, VirtualRigProcess
-from cli.tracking import LiveTracking, compile_tracker
+from cli.tracking import LiveTracking, compile_tracker, imbalance_std
 from daq.errors import LinkLost
 from daq.procedure import Procedures
 from daq.session import Session
 from daq.transports import HostClock
 from identification.tracking.tracker import Tracker
-from rig_configs import load_rig
+from rig_configs import IdentifiedParameters, load_rig
 from tests.conftest import TIME_SCALE
 
 WRONG = ["pendulums.a.damping_Nms_per_rad=*2", "pendulums.b.damping_Nms_per_rad=*0.5"]
@@ -53,6 +54,13 @@ def test_what_goes_wrong_in_the_tracker_does_not_end_the_test(
         assert following.words() == "tracking stopped: not positive definite"
     assert done.summary == {"slowed_down": True}
     assert not following.facts()["trusted"]
+
+
+def test_an_identified_imbalance_is_trusted_as_far_as_its_file_says(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.toml"
+    IdentifiedParameters({"SP_kg_m": 2e-3}, np.array([[4e-12]])).save(path)
+    assert imbalance_std(path) == pytest.approx(1e-3)
+    assert imbalance_std(None) == Tracker.imbalance_std
 
 
 def test_the_tracker_is_compiled_before_a_device_is_opened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -310,14 +310,17 @@ def test_the_rotor_by_its_angle_its_marks_or_its_speed(tmp_path: Path) -> None:
                 bring_in(phase_file(tmp_path / "whole.csv", np.degrees(psi)), time="1:s", phase="2:deg")):  # fmt: skip
         assert np.allclose(run.mark_phase_rad[:16], turns)
         assert np.allclose(run.mark_time_s[:16], times, atol=1e-6)
+        assert run.phase_absolute
     marks = text(tmp_path / "marks.csv", "".join(f"{m!r}\n" for m in np.delete(times, 7).tolist()))
     run = bring_in(wrapped, time="1:s", phase=None, theta3="2:rad", marks=f"{marks}:s")
     assert np.allclose(run.mark_time_s, np.delete(times, 7), atol=1e-9)
     assert np.allclose(run.mark_phase_rad, np.delete(2 * np.pi * np.arange(16), 7))
+    assert run.phase_absolute
     speed = phase_file(tmp_path / "speed.csv", (20 + 10 * t) * 30 / np.pi)
     run = bring_in(speed, time="1:s", speed="2:rpm")
     assert np.allclose(run.mark_time_s[1:16], (-20 + np.sqrt(400 + 20 * turns[:15])) / 10, atol=1e-6)
     assert run.metadata["phase_reference"] == "none"
+    assert not run.phase_absolute
 
 
 def test_a_phase_that_falls_is_refused(tmp_path: Path) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 from synthetic import Campaign
 
+from daq.signals import Run
 from identification import FitFailed, NotIdentifiable, fit_release, fit_spin_down_run
 from identification.pendulums.suspension_knowledge import Knowledge
 
@@ -65,6 +67,57 @@ def test_release_finds_the_damping(point: str) -> None:
     for name, value in fit.values.items():
         assert abs(value - true[name]) < 4 * fit.std[name]
         assert fit.std[name] < 2e-3 * value
+
+
+def turned(run: Run, angle_rad: float) -> Run:
+    """A run as it is when the phase was integrated from a speed."""
+    return dataclasses.replace(
+        run,
+        mark_phase_rad=run.mark_phase_rad + angle_rad,
+        phase_rad=run.phase_rad + angle_rad,
+        phase_absolute=False,
+    )
+
+
+@pytest.mark.parametrize(("seed", "angle_rad"), [(3, 0.0), (6, 1.1), (7, 2.0), (8, 4.0)])
+def test_release_on_a_rotor_whose_angle_is_not_known(seed: int, angle_rad: float) -> None:
+    campaign = Campaign(seed, clock_rate_std=0.0)
+    run = campaign.point("E")
+    fit, true = fit_release(turned(run, angle_rad), known(campaign), np.radians(0.05)), campaign.truth.identified()
+    for name, value in fit.values.items():
+        assert abs(value - true[name]) < 4 * fit.std[name]
+        assert fit.std[name] < 5e-3 * value
+    assert fit.chi2_per_dof < 1.3
+    told = next(w for w in fit.warnings if "no absolute reference" in w)
+    lacks, std = (float(x) for x in re.findall(r"lacks (-?[\d.]+)° ± ([\d.]+)°", told)[0])
+    assert abs((lacks + np.degrees(angle_rad) + 90) % 180 - 90) < 4 * std < 12
+    assert "half a revolution" in told
+
+
+def test_gravity_tells_a_rotor_s_angle_from_its_opposite() -> None:
+    campaign = Campaign(6, {"suspension.gravity_m_per_s2": 9.81}, clock_rate_std=0.0)
+    fit, true = fit_release(turned(campaign.point("D"), 3.5), known(campaign), np.radians(0.05)), campaign.truth
+    for name, value in fit.values.items():
+        assert abs(value - true.identified()[name]) < 4 * fit.std[name]
+    assert any(f"lacks {360 - np.degrees(3.5):.0f}" in w and "half" not in w for w in fit.warnings)
+
+
+def test_where_nothing_depends_on_the_rotor_s_angle_it_costs_nothing() -> None:
+    campaign = Campaign(3, rig_name="isotropic", clock_rate_std=0.0)
+    run = campaign.point(next(iter(campaign.rig.points)))
+    with_phase, without = (fit_release(r, known(campaign), np.radians(0.05)) for r in (run, turned(run, 0.7)))
+    for name, value in with_phase.values.items():
+        assert without.values[name] == pytest.approx(value, abs=with_phase.std[name])
+        assert without.std[name] < 1.5 * with_phase.std[name]
+    assert any("do not depend on it" in warning for warning in without.warnings)
+
+
+def test_a_release_that_no_start_follows_is_left_out_in_words() -> None:
+    campaign = Campaign(6, clock_rate_std=0.0)
+    wrong = dataclasses.replace(turned(campaign.point("E"), 1.5), phase_absolute=True)
+    with pytest.raises(FitFailed, match=r"from no start value did it get past the first [\d.]+ s") as refused:
+        fit_release(wrong, known(campaign), np.radians(0.05))
+    assert "inf" not in str(refused.value)
 
 
 def test_release_of_another_rig_is_left_out() -> None:

@@ -18,7 +18,7 @@ from identification.tracking.phase_clock import PhaseClock
 from identification.tracking.release_start import damping_start
 from identification.tracking.replay import track
 from identification.tracking.tracker import Sensors, Tracker
-from identification.tracking.unscented import cholesky, filter_readings
+from identification.tracking.unscented import TALLY, cholesky, filter_readings
 from rig_configs.load import load_rig
 
 RIG = load_rig("virtual").physics
@@ -53,7 +53,7 @@ def own(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mean, cov = BEGIN.copy(), np.diag(SPREAD)
     filter_readings(
         mean, cov, times, np.zeros(4 * n), np.tile(np.arange(4), n), data.ravel(), np.tile(NOISES**2, n), phases,
-        np.ones((4 * n, 2)), RIG.packed(), NOISE, 1.0, 8.0, -1.0, np.zeros(4), np.empty(4 * n),
+        np.ones((4 * n, 2)), RIG.packed(), NOISE, 1.0, 8.0, -1.0, np.zeros(TALLY), np.empty(4 * n),
     )  # fmt: skip
     return mean, cov
 
@@ -199,3 +199,26 @@ def test_a_settled_pendulum_teaches_nothing_of_its_damping() -> None:
     for name, start in (("c3_Nms_per_rad", RIG.a), ("c4_Nms_per_rad", RIG.b)):
         assert now.values[name] == pytest.approx(start.damping_Nms_per_rad, rel=0.05)
         assert now.std[name] / now.values[name] > 1.2  # CAUTION times the 0.5 of the start
+
+
+def test_a_flick_of_one_pendulum_is_picked_up_beside_the_other() -> None:
+    campaign = Campaign(5, clock_rate_std=0.0)
+    run = campaign.spin_down(
+        record_s=6.0, apart_s=2.0
+    )  # one runs down, then the other is flicked; the first is at rest
+    last = track(run, campaign.truth.with_values(c3_Nms_per_rad=3e-3, c4_Nms_per_rad=3e-4)).last
+    assert last.trusted
+    for name, true in campaign.truth.identified().items():
+        if name in last.values:
+            assert last.intervals[name][0] < true < last.intervals[name][1] < 4 * true
+
+
+def test_one_encoder_s_garbage_does_not_stop_the_other() -> None:
+    campaign = Campaign(5, clock_rate_std=0.0)
+    run = campaign.spin_down()
+    broken = run.angle_rad.copy()
+    broken[:, 1] = np.random.default_rng(0).uniform(-100, 100, len(broken))
+    last = track(dataclasses.replace(run, angle_rad=broken), campaign.truth.with_values(c3_Nms_per_rad=3e-3)).last
+    assert not last.trusted
+    true = campaign.truth.a.damping_Nms_per_rad
+    assert last.intervals["c3_Nms_per_rad"][0] < true < last.intervals["c3_Nms_per_rad"][1] < 4 * true
