@@ -15,7 +15,9 @@ from identification.samples import Averages
 
 RESOLVED_SPLIT = 0.1  # of a half-bandwidth
 RESOLVED_GAIN = 100.0
+_CLOSE, _CERTAIN = 3.0, 0.1  # half-bandwidths; relative standard deviation of a split that is believed
 WALD_STD = np.radians(3.0)  # beyond, the axis angle's interval is no ellipse
+_STEP = 1e-7  # of ln ω and ζ
 _NOTICED = 45.0  # of χ²: noise alone explains 2 ln of the number of cells searched, about 25
 _WEAK = 0.25  # amplitude of the weaker sensor against the stronger
 
@@ -74,20 +76,24 @@ class Resolution:
     """Whether a turned pair's axes can be told apart.
 
     Attributes:
-        split: |λ1 − λ2| over the mean half-bandwidth ζω.
+        split, split_std: |λ1 − λ2| over the mean half-bandwidth ζω.
         axis_std_rad: of the axis angle, from the data alone.
         gain: of χ², over one mode in both sensors. An angle known to 3° makes it some hundreds; a small one means that
             the second mode follows noise.
     """
 
     split: float
+    split_std: float
     axis_std_rad: float
     gain: float
 
     @property
     def resolved(self) -> bool:
-        """Two axes, with an angle known to 3° or better."""
-        return self.split >= RESOLVED_SPLIT and self.axis_std_rad <= WALD_STD and self.gain >= RESOLVED_GAIN
+        """Two axes, with an angle known to 3° or better, and modes that stand apart beyond doubt."""
+        # a mode that has hardly any amplitude can be anywhere: it seems far off, and nobody knows how far
+        certain = self.split >= _CLOSE or self.split_std <= _CERTAIN * self.split
+        apart = self.split >= RESOLVED_SPLIT and certain
+        return apart and self.axis_std_rad <= WALD_STD and self.gain >= RESOLVED_GAIN
 
 
 def resolution(fitted: Fitted, priors: Priors, stretch: float, gain: float) -> Resolution:
@@ -97,8 +103,20 @@ def resolution(fitted: Fitted, priors: Priors, stretch: float, gain: float) -> R
         stretch: noise above white, as a factor of standard deviations.
         gain: of χ², over one mode in both sensors.
     """
-    lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
-    half_bandwidth = float(np.mean([max(-lam.real, 1e-12) for lam in lams]))
-    precision = 1 / float(fitted.solution.minimum.covariance[BETA, BETA]) - 1 / priors.axis_rad**2
+    covariance = fitted.solution.minimum.covariance
+    precision = 1 / float(covariance[BETA, BETA]) - 1 / priors.axis_rad**2
     std = np.inf if precision <= 0 else precision**-0.5
-    return Resolution(abs(lams[0] - lams[1]) / half_bandwidth, float(std) * stretch, gain)
+    own = np.r_[fitted.omegas[0], fitted.zetas[0], fitted.omegas[1], fitted.zetas[1]]
+    # θ holds ln ω and ζ
+    slope = np.array([
+        (_split(own + step) - _split(own - step)) / (2 * _STEP)
+        for step in _STEP * np.diag(np.r_[own[0], 1.0, own[2], 1.0])
+    ])  # fmt: skip
+    split_std = float(np.sqrt(max(0.0, slope @ covariance[:BETA, :BETA] @ slope)))
+    return Resolution(_split(own), split_std * stretch, float(std) * stretch, gain)
+
+
+def _split(modes: np.ndarray) -> float:
+    """Distance of two modes' rates in half-bandwidths; ω1, ζ1, ω2, ζ2."""
+    lams = [rate(float(modes[0]), float(modes[1])), rate(float(modes[2]), float(modes[3]))]
+    return float(abs(lams[0] - lams[1]) / np.mean([max(-lam.real, 1e-12) for lam in lams]))

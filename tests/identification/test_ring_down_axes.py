@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from identification import fit_ring_down
+from identification.ring_down.resolution import Resolution
 
 NAMES = ("f1_Hz", "zeta1", "f2_Hz", "zeta2", "axis_angle_deg")
 
@@ -137,3 +138,11 @@ def test_an_integrated_rig_with_other_imperfections() -> None:
     assert_covers(fit, (*true, 8.0))
     assert fit.values["k1_N_per_m"] == pytest.approx(k[0], rel=1e-4)
     assert fit.axes_resolved
+
+
+@pytest.mark.parametrize(
+    ("split", "split_std", "resolved"),
+    [(0.12, 0.004, True), (0.09, 0.001, False), (0.26, 0.11, False), (50.0, 10.0, True)],
+)
+def test_a_close_pair_of_uncertain_distance_is_not_resolved(split: float, split_std: float, resolved: bool) -> None:
+    assert Resolution(split, split_std, np.radians(1.0), 500.0).resolved is resolved
