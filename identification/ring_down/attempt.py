@@ -44,8 +44,8 @@ class Plan:
     priors: Priors
     valid: tuple[tuple[np.ndarray, ...], ...]
 
-    def __call__(self, decay: Decay) -> Fitted:
-        """Fit without any start value.
+    def __call__(self, decay: Decay, near: Fitted | None = None) -> Fitted:
+        """Fit without any start value, or with a turned pair's fit on another span for a further one.
 
         Raises:
             NotIdentifiable: too little is left after the release.
@@ -54,6 +54,7 @@ class Plan:
         if self.turned:
             starts = pair_starts(coarse)[: _STARTS[self.setting]]
             fastest = max(float(np.exp(max(s[0], s[2]))) for s in starts)
+            starts += [near.theta] if near is not None else []
         else:
             start = damped_periodogram([list(r.channels) for r in coarse.records])
             starts, fastest = [theta_of([start])], start.omega

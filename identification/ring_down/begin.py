@@ -7,8 +7,9 @@ decay, continued backwards, explains as well as its own samples move it back.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -25,7 +26,13 @@ _LEVELS = (0.9, 0.7, 0.5, 0.3)
 _ALL_OFF, _UNEXPLAINED = 25.0, 0.15  # χ²/dof, and residual over signal
 _GROSS = 0.4  # of the signal's own size: no free decay
 
-Attempt = Callable[[Decay], Fitted]
+
+class Attempt(Protocol):
+    """A fit on some span, from its own start values and from those of a fit on another span."""
+
+    def __call__(self, decay: Decay, near: Fitted | None = None) -> Fitted:
+        """As Plan.__call__."""
+        ...
 
 
 def proposed(records: tuple[tuple[Channel, ...], ...]) -> Decay:
@@ -58,7 +65,7 @@ def settled(decay: Decay, attempt: Attempt) -> Fitted:
         try:
             fitted = attempt(candidate)
             if i == 0:
-                fitted = _forward(fitted, attempt)
+                fitted = _whole_again(_forward(fitted, attempt), candidate, attempt)
         except IdentificationError as error:
             failure = failure or error
             continue
@@ -105,6 +112,20 @@ def _forward(fitted: Fitted, attempt: Attempt) -> Fitted:
             fitted = attempt(replace(fitted.decay, begins=begins))
         except IdentificationError:
             return original
+
+
+def _whole_again(fitted: Fitted, proposal: Decay, attempt: Attempt) -> Fitted:
+    """Back to the proposed begin where the fit of less led past a turned pair's wrong minimum there."""
+    if not fitted.model.turned:
+        return fitted
+    for share in (0.5, 1.0):  # half the way first
+        begins = tuple(b - share * (b - p) for b, p in zip(fitted.decay.begins, proposal.begins, strict=True))
+        if begins == fitted.decay.begins:
+            return fitted
+        whole = attempt(replace(proposal, begins=begins), fitted)
+        if not any(_early_excess(whole)) and _is_sound(whole):
+            fitted = whole
+    return fitted
 
 
 def _is_sound(fitted: Fitted) -> bool:
@@ -175,7 +196,7 @@ def _backward(fitted: Fitted, attempt: Attempt) -> Fitted:
         moved = [b - e for b, e in zip(fitted.decay.begins, begins, strict=True)]
         if max(moved) <= 0:
             return fitted
-        earlier = attempt(replace(fitted.decay, begins=begins))
+        earlier = attempt(replace(fitted.decay, begins=begins), fitted)  # it may have led past a wrong minimum
         if any(_early_excess(earlier)):
             return fitted
         fitted = earlier

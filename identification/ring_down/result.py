@@ -111,7 +111,10 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     warnings = list(findings.warnings)
     found: Resolution | None = None
     if fitted.model.turned:
-        found = resolution(fitted, findings.priors, float(stretch[BETA]), gain)
+        held = (
+            not minimum.converged and minimum.iterations == 1
+        )  # at an angle as good as any: there is no minimum in it
+        found = resolution(fitted, findings.priors, float(stretch[BETA]), 0.0 if held else gain)
     lost = not minimum.converged and (found is None or found.resolved)  # an angle that is anything has no minimum
     if lost or not np.all(np.isfinite(minimum.theta)):
         raise FitFailed(
