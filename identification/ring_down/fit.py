@@ -20,14 +20,14 @@ from identification.ring_down.evidence import coarse_remark, refuse_nothing_ring
 from identification.ring_down.model import BETA, RATIO
 from identification.ring_down.outliers import without_spikes
 from identification.ring_down.record import Channel, read_channel
-from identification.ring_down.resolution import RESOLVED_GAIN, lone_direction, resolution
+from identification.ring_down.resolution import CLOSE, RESOLVED_GAIN, lone_direction, resolution
 from identification.ring_down.result import Findings, RingDownFit, result
 from identification.setting import Setting, check_setting
 from identification.threads import on_one_thread
 
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted, where a run-up has to rely on it
 DELAY_STD_S = 3e-3  # between two lasers' clocks
-_ANOTHER_ANGLE, _AS_GOOD = np.radians(10.0), 8.0  # beyond 3 std of a resolved angle, which costs 9 of χ²
+_ANOTHER_ANGLE, _AS_GOOD, _BETTER = np.radians(10.0), 8.0, 4.0  # beyond 3 std of a resolved angle, which costs 9 of χ²
 _PULLED, _FREE_RATIO = 4.5, 0.3  # standard deviations of the gains' ratio; what it may be then
 
 
@@ -146,11 +146,11 @@ def _fit(
     refuse_nothing_rings(fitted)
     warnings += coarse_remark(fitted)
     gain, single = second_mode_gain(fitted)
-    if gain < RESOLVED_GAIN or resolution(fitted, plan.priors, 1.0, gain).split < 1.0:
+    if gain < RESOLVED_GAIN or resolution(fitted, plan.priors, 1.0, gain).split < CLOSE:
         rival = both_alike(fitted, single, plan.priors)
         other = abs(float(rival.theta[BETA] - fitted.theta[BETA])) > _ANOTHER_ANGLE
-        as_good = rival.solution.minimum.cost - fitted.solution.minimum.cost < _AS_GOOD
-        if gain < RESOLVED_GAIN or (other and as_good):
+        worse = rival.solution.minimum.cost - fitted.solution.minimum.cost
+        if gain < RESOLVED_GAIN or worse < -_BETTER or (other and worse < _AS_GOOD):
             fitted, gain = rival, 0.0  # a far away angle is as good: none is known
     return result(fitted, findings, ("1", "2"), gain)
 

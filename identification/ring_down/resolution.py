@@ -15,7 +15,7 @@ from identification.samples import Averages
 
 RESOLVED_SPLIT = 0.1  # of a half-bandwidth
 RESOLVED_GAIN = 100.0
-_CLOSE, _CERTAIN = 3.0, 0.1  # half-bandwidths; relative standard deviation of a split that is believed
+CLOSE, _CERTAIN = 3.0, 0.1  # half-bandwidths; relative standard deviation of a split that is believed
 WALD_STD = np.radians(3.0)  # beyond, the axis angle's interval is no ellipse
 _STEP = 1e-7  # of ln ω and ζ
 _NOTICED = 45.0  # of χ²: noise alone explains 2 ln of the number of cells searched, about 25
@@ -91,7 +91,7 @@ class Resolution:
     def resolved(self) -> bool:
         """Two axes, with an angle known to 3° or better, and modes that stand apart beyond doubt."""
         # a mode that has hardly any amplitude can be anywhere: it seems far off, and nobody knows how far
-        certain = self.split >= _CLOSE or self.split_std <= _CERTAIN * self.split
+        certain = self.split >= CLOSE or self.split_std <= _CERTAIN * self.split
         apart = self.split >= RESOLVED_SPLIT and certain
         return apart and self.axis_std_rad <= WALD_STD and self.gain >= RESOLVED_GAIN
 
