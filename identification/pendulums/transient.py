@@ -203,6 +203,8 @@ class TransientProblem:
         covariance = self.covariance(minimum, end_s, setting)
         start = (float(minimum.theta[angles_at]), float(minimum.theta[angles_at + 1]))
         warnings = []
+        if not minimum.converged:
+            warnings.append(f"{label}: the fit had not settled after {minimum.iterations} iterations; do not quote it")
         if misfit > 1.3:
             warnings.append(
                 f"{label}: residuals exceed the encoder noise: χ²/dof {chi2:.3g}, {misfit:.3g} times what noise and "

@@ -308,6 +308,10 @@ def _result(
     gains = [gain / noise for gain in imbalance_gains(record, design)]
     keep, told = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
     warnings += told
+    if not solution.minimum.converged:
+        warnings.append(
+            f"the run-up's fit had not settled after {solution.minimum.iterations} iterations; do not quote it"
+        )
     if chi2 > 1.3:
         warnings.append(
             f"run-up residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up"
