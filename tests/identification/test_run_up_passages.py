@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 from daq.signals import Run
 from dynamics.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, RunUpFit, fit_run_up, fit_run_up_run
+from identification.run_up import fit as run_up_fit
 from identification.run_up.forced_oscillator import Drive, responses_at
 from identification.run_up.rotor_phase import RotorPhase
 
@@ -462,6 +463,18 @@ def test_a_standing_rotor_is_refused() -> None:
 def test_shapes_that_do_not_match_are_refused() -> None:
     with pytest.raises(NotIdentifiable, match="expected n times"):
         fit_run_up(np.arange(10.0), np.zeros((9, 2)), np.zeros(10))
+
+
+def test_a_fit_that_has_not_settled_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = run_up_fit._result
+
+    def unsettled(record, phase, solution, *others):
+        return whole(record, phase, replace(solution, minimum=replace(solution.minimum, converged=False)), *others)
+
+    passage = Passage(ramp(0.5, 7.0, 10.0), 10.0)
+    assert not any("settled" in w for w in passage.fit().warnings)
+    monkeypatch.setattr(run_up_fit, "_result", unsettled)
+    assert any("had not settled" in w for w in passage.fit().warnings)
 
 
 def test_jitter_of_marks_is_measured() -> None:
