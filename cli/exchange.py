@@ -89,7 +89,8 @@ def import_(
     release: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     counts_per_revolution: int | None = None,
     invalid: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    clock_tolerance_ppm: float = 0.0,
+    clock_tolerance_ppm: float | None = None,
+    recorder: str = "",
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -142,7 +143,10 @@ def import_(
     invalid
         values that mean "no reading", as they are in the file, separated by commas
     clock_tolerance_ppm
-        standard uncertainty of the rate of the recording's clock
+        standard uncertainty of the rate of the recording's clock, such as 0.1 for one disciplined by GPS; without it
+        the rig file's clock_tolerance_ppm, or 50 where it has none
+    recorder
+        name of what recorded it; files of one recorder share its clock's error, and so do files without a name
     """
     from daq.exchange import import_recording, make_recipe  # noqa: PLC0415
     from daq.exchange.recipe import parse_numbers  # noqa: PLC0415
@@ -153,7 +157,7 @@ def import_(
         phase=phase, marks=marks, speed=speed, start=start, counts_per_revolution=counts_per_revolution,
         release_s=parse_numbers(release, "--release") if release else (),
         invalid=parse_numbers(invalid, "--invalid") if invalid else (),
-        clock_tolerance_ppm=clock_tolerance_ppm,
+        clock_tolerance_ppm=clock_tolerance_ppm, recorder=recorder,
     )  # fmt: skip
     with share_progress(f"importing {file.name}") as tell:
         done = import_recording(file, output, load_rig(rig, settings=settings or []), recipe, tell)

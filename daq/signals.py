@@ -25,6 +25,9 @@ from daq.log.samples import Samples
 from daq.log.snapshot import identities_of, rig_of
 from daq.protocols import optoncdt
 
+ASSUMED_TOLERANCE_PPM = 50.0
+"""Standard uncertainty of the rate of a clock of which nothing is said: an ordinary quartz over a laboratory's year."""
+
 
 @dataclass(frozen=True)
 class Release:
@@ -58,6 +61,8 @@ class Run:
         releases: pendulums let go during the run.
         angle_step_rad: quantisation of the angles, rad.
         clock_rate_std: relative standard uncertainty of each device's rate ("laser_x", "laser_y", "encoder").
+        clocks: which clock stamped each device's samples, where that is not the device's own: a recording made
+            elsewhere has its recorder's for all. What shares a clock shares its error.
         losses: counted losses by "device.kind"; "log.missing_messages" are those the file itself lacks.
         metadata: the log's own facts (rig, point, software version, digest …); "missing" lists what the file lacks,
             sentences.
@@ -80,6 +85,7 @@ class Run:
     releases: tuple[Release, ...] = ()
     angle_step_rad: float = 2 * np.pi / 4096
     clock_rate_std: Mapping[str, float] = field(default_factory=dict)
+    clocks: Mapping[str, str] = field(default_factory=dict)
     losses: Mapping[str, int] = field(default_factory=dict)
     metadata: Mapping[str, Any] = field(default_factory=dict)
     phase_time_s: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -98,10 +104,11 @@ def load_run(path: str | Path) -> Run:
         _refuse_restarts(log)
         start_s = _start(log)
         run = log.metadata.get("run", {})
-        shared = _shared_clock(log, run)
+        shared = _shared_clock(log, run) if _is_stamped_elsewhere(log) else _NO_DEVICE
         x, x_line = _laser(log, "laser/x", devices.laser_x.clock_tolerance_ppm, start_s, shared)
         y, y_line = _laser(log, "laser/y", devices.laser_y.clock_tolerance_ppm, start_s, shared)
         line = _node_line(log, devices.encoder.clock_tolerance_ppm, start_s, shared)
+        lines = {"laser_x": x_line, "laser_y": y_line, "encoder": line}
         angle_time_s, angle_rad = _angles(log, line, start_s)
         mark_time_s, mark_phase_rad = _marks(log, line, math.radians(devices.encoder.index_angle_deg), start_s)
         phase_time_s, phase_rad = _phase(log, line, start_s)
@@ -122,11 +129,8 @@ def load_run(path: str | Path) -> Run:
             phase_absolute=run.get("phase_reference") != "none",
             releases=_releases(log, line, start_s),
             angle_step_rad=2 * np.pi / devices.encoder.counts_per_revolution,
-            clock_rate_std={
-                "laser_x": x_line.rate_std,
-                "laser_y": y_line.rate_std,
-                "encoder": line.rate_std,
-            },
+            clock_rate_std={name: line.rate_std for name, line in lines.items()},
+            clocks={name: _recorder(run) for name, line in lines.items() if line is shared is not _NO_DEVICE},
             losses=losses_of(log).flat,
             metadata={
                 **run,
@@ -139,6 +143,7 @@ def load_run(path: str | Path) -> Run:
 
 _CHANNELS = ("laser/x", "laser/y", "pendulums", "tacho")
 _LOCK_FLAGS = (0x20, 0x40)
+_NO_DEVICE = ClockLine(0.0, 0.0, 0.0, 0.0)
 
 
 def _refuse_restarts(log: Log) -> None:
@@ -166,13 +171,34 @@ def _start(log: Log) -> float:
     return math.floor(min(found) * 1e-9)
 
 
+def _is_stamped_elsewhere(log: Log) -> bool:
+    """Whether any channel is on the common clock already: it has samples, but no device's clock in them."""
+    there = [samples for samples in (_samples(log, topic) for topic in _CHANNELS) if samples is not None]
+    return any(not {"device_ticks", "node_time_us"} & set(samples.columns) for samples in there)
+
+
 def _shared_clock(log: Log, run: Mapping[str, str]) -> ClockLine:
-    """The line of channels that are on the common clock already: its rate is as good as the log says."""
+    """The line of channels that are on the common clock already: its rate is as good as the log says.
+
+    A log that does not say, or says 0 without saying that this was stated (imported before that was asked for), has
+    no exact clock: it has one that nothing is known of.
+    """
     text = run.get("clock_tolerance_ppm", "0")
     try:
-        return ClockLine(0.0, 0.0, 1e-6 * float(text), 0.0)
+        tolerance = float(text)
     except ValueError as fault:
         raise LogError(f"{log.path}: expected a number as clock_tolerance_ppm, got {text!r}") from fault
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        raise LogError(f"{log.path}: expected a number of at least 0 as clock_tolerance_ppm, got {text!r}")
+    if tolerance == 0 and run.get("clock_tolerance_from") != "stated":
+        tolerance = ASSUMED_TOLERANCE_PPM
+    return ClockLine(0.0, 0.0, 1e-6 * tolerance, 0.0)
+
+
+def _recorder(run: Mapping[str, str]) -> str:
+    """The clock of a recording made elsewhere: recordings that do not name their recorder count as one recorder's."""
+    name = run.get("recorder", "")
+    return f"recorder {name}" if name else "recorder"
 
 
 def _line(device_s: NDArray[np.floating], log_ns: NDArray[np.int64], start_s: float, tolerance_ppm: float) -> ClockLine:

@@ -21,6 +21,7 @@ from daq.exchange.imported_parts import DEVICES, Noticed, gap_events, make_parts
 from daq.exchange.provenance import file_sha256, iso_time
 from daq.exchange.readings import Readings, since_1970
 from daq.exchange.recipe import TESTS, Recipe
+from daq.exchange.recorder_clock import RecorderClock, recorder_clock
 from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
 from daq.version import software_version
@@ -90,7 +91,11 @@ def import_recording(
     releases = release_events(parts, recipe.release_s, start_ns or first)
     events = sorted([*gap_events(parts, noticed), *releases], key=lambda event: event.facts["time_ns"])
     noticed.warnings += _remarks({part.channel.topic for part in parts}, recipe)
-    facts = {**_facts(recording, rig, recipe), **({"started": iso_time(first)} if is_known else {})}
+    clock = recorder_clock(
+        recipe.clock_tolerance_ppm, recipe.recorder, rig, {DEVICES[part.channel.topic] for part in parts}
+    )
+    noticed.warnings += [clock.warning] if clock.warning else []
+    facts = {**_facts(recording, rig, recipe, clock), **({"started": iso_time(first)} if is_known else {})}
     attachments = _attachments(recording, rig, recipe, noticed)
     summary = {"losses": _losses(parts, noticed), "warnings": noticed.warnings}
     log = write_log(Path(out), parts, events, facts, attachments, summary, progress or (lambda _: None))
@@ -130,12 +135,12 @@ def _losses(parts: list[Part], noticed: Noticed) -> dict[str, dict[str, int]]:
     return {name: {"samples": noticed.gaps.get(name, 0), "invalid": noticed.invalid.get(name, 0)} for name in devices}
 
 
-def _facts(recording: Recording, rig: Rig, recipe: Recipe) -> dict[str, str]:
+def _facts(recording: Recording, rig: Rig, recipe: Recipe, clock: RecorderClock) -> dict[str, str]:
     facts = {
         "rig": rig.name,
         "software": software_version(),
         "clock_rate": "1.0",
-        "clock_tolerance_ppm": repr(recipe.clock_tolerance_ppm),
+        **clock.facts,
         "test": recipe.test_name,
         "note": recipe.note,
         "origin": f"{recording.path.name} sha256:{file_sha256(recording.path)}",

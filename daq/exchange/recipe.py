@@ -39,7 +39,10 @@ class Recipe(BaseModel):
         release_s: when pendulum A and B were let go, in seconds of the recording's time; one number stands for both.
         counts_per_revolution: of the encoders, where it is not the rig file's.
         invalid: numbers that stand for "no reading", as they are in the file.
-        clock_tolerance_ppm: standard uncertainty of the rate of the recording's clock.
+        clock_tolerance_ppm: standard uncertainty of the rate of the recording's clock; None: the rig file's where it
+            says one, otherwise 50 ppm.
+        recorder: name of the recorder; recordings of one recorder share its clock's error. Those without a name count
+            as one recorder's.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -60,7 +63,8 @@ class Recipe(BaseModel):
     release_s: tuple[Finite, ...] = Field(default=(), max_length=2)
     counts_per_revolution: Annotated[int, Field(ge=64)] | None = None
     invalid: tuple[float, ...] = ()
-    clock_tolerance_ppm: Annotated[float, Field(ge=0, le=1e5)] = 0.0
+    clock_tolerance_ppm: Annotated[float, Field(ge=0, le=1e5)] | None = None
+    recorder: str = ""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Recipe:

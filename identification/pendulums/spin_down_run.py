@@ -14,6 +14,7 @@ import numpy as np
 
 from daq.signals import Run
 from dynamics.speed_history import SpeedHistory
+from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.least_squares import Minimum
@@ -22,7 +23,6 @@ from identification.pendulums.free_angles import both_angles, laid_over, log_sus
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientFit, TransientProblem, log_intervals
-from identification.ring_down.fit import clock_rate_std
 from identification.samples import Averages
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
@@ -108,7 +108,7 @@ def damping_estimate(run: Run, fit: TransientFit, method: str) -> Estimate:
     """A transient in the joint estimate's form; c goes with the encoder's clock rate."""
     names = tuple(fit.values)
     values = np.array(list(fit.values.values()))
-    shared = {"clock encoder": values * clock_rate_std(run.clock_rate_std, "encoder")}
+    shared = clock_errors(run, {"encoder": values})
     return Estimate(run.test, run.source, names, values, fit.covariance, shared, method)
 
 

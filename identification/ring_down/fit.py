@@ -5,12 +5,13 @@ Model: identification.ring_down.model. Estimator, criteria and intervals: docs/t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from daq.signals import Run
+from identification.clocks import clock_errors
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
 from identification.ring_down.attempt import Plan
@@ -90,20 +91,16 @@ def ring_down_estimate(run: Run, fit: RingDownFit) -> Estimate:
     names = tuple(n for n in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2") if n in fit.values)
     order = [list(fit.values).index(n) for n in names]
     values = np.array([fit.values[n] for n in names])
-    shared = {}
-    for device, name in (("laser_x", "k1_N_per_m"), ("laser_y", "k2_N_per_m")):
-        if name in names:  # k goes with the square of the clock's rate
-            shift = 2 * values * clock_rate_std(run.clock_rate_std, device)
-            shared[f"clock {device}"] = np.where(np.array(names) == name, shift, 0.0)
+    slopes = {  # k goes with the square of the clock's rate
+        device: np.where(np.array(names) == name, 2 * values, 0.0)
+        for device, name in (("laser_x", "k1_N_per_m"), ("laser_y", "k2_N_per_m"))
+        if name in names
+    }
+    shared = clock_errors(run, slopes)
     return Estimate(
         run.test, run.source, names, values, fit.covariance[np.ix_(order, order)], shared,
         "two coupled decays, separable least squares",
     )  # fmt: skip
-
-
-def clock_rate_std(rates: Mapping[str, float], device: str) -> float:
-    """Relative standard uncertainty of a device's rate; 20 ppm when the run does not say."""
-    return float(rates.get(device, 20e-6))
 
 
 def _axis_prior(degrees: float) -> float:

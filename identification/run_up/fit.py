@@ -13,10 +13,10 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from daq.signals import Run
+from identification.clocks import rate_std_between
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Solution, solve_separable
-from identification.ring_down.fit import clock_rate_std
 from identification.run_up.choice import Comparison, alike, compare
 from identification.run_up.design import Design, design_at, imbalance_gains, phase_noise_covariance
 from identification.run_up.forced_oscillator import Drive
@@ -121,9 +121,8 @@ def fit_run_up_run(run: Run, *, setting: Setting = "balanced") -> RunUpFit:
             phase = RotorPhase.from_marks(run.mark_time_s, run.mark_phase_rad)
     except NotIdentifiable as error:
         raise NotIdentifiable(f"{run.source}: {error}") from error
-    rates = run.clock_rate_std
-    x, y = (float(np.hypot(clock_rate_std(rates, d), clock_rate_std(rates, "encoder"))) for d in ("laser_x", "laser_y"))
-    # a recording made elsewhere has one clock for all
+    x, y = (rate_std_between(run, device, "encoder") for device in ("laser_x", "laser_y"))
+    # a recording made elsewhere has one clock for all, however well its rate is known
     clocks = _Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
     return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting)
 

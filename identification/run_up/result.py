@@ -8,10 +8,10 @@ import numpy as np
 
 from daq.signals import Run
 from dynamics.parameters import RotorParameters
+from identification.clocks import clock_errors
 from identification.curve import Curve
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
-from identification.ring_down.fit import clock_rate_std
 from identification.setting import ModelChoice
 
 
@@ -88,8 +88,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     jacobian[2 * m, 2 * m :] = slope * mass * weights
     names = (*(f"k{i + 1}_N_per_m" for i in modes), *(f"zeta{i + 1}" for i in modes), "SP_kg_m")
     values = np.array([*stiffness, *raw[m : 2 * m], unbalance])
-    rate_std = clock_rate_std(run.clock_rate_std, "encoder")
-    shared = {"clock encoder": np.r_[2 * stiffness * rate_std, np.zeros(m + 1)]}
+    shared = clock_errors(run, {"encoder": np.r_[2 * stiffness, np.zeros(m + 1)]})
     for k, i in enumerate(seen):
         shift = slope * mass * weights[k] * amplitudes[k] * gains[k]
         shared[f"gain laser_{'xy'[i]}"] = np.r_[np.zeros(2 * m), shift]

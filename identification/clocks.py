@@ -1,0 +1,53 @@
+# pyright: strict
+"""Clocks' errors in a test's estimate: what shares a clock shares its error.
+
+A rig's devices have a clock each. A recording made elsewhere has its recorder's clock for all that is in it, and a
+recorder's recordings share it. A label stands for one clock, so errors under one label are taken as fully correlated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.signals import Run
+
+_UNKNOWN = 20e-6
+
+
+def clock_rate_std(rates: Mapping[str, float], device: str) -> float:
+    """Relative standard uncertainty of a device's rate; 20 ppm when the run does not say."""
+    return float(rates.get(device, _UNKNOWN))
+
+
+def clock_of(run: Run, device: str) -> str:
+    """Which clock stamped a device's samples: its own, or the recorder's."""
+    return run.clocks.get(device, device)
+
+
+def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Shared errors of an estimate, by clock.
+
+    Args:
+        run: whose clocks they are.
+        slopes: device → change of the estimate's values per relative change of that device's rate, shape (n,).
+    Returns:
+        "clock NAME" → the values' shift for one standard deviation of that clock's rate, shape (n,).
+    """
+    shared: dict[str, NDArray[np.float64]] = {}
+    for device, slope in slopes.items():
+        label = f"clock {clock_of(run, device)}"
+        shift = slope * clock_rate_std(run.clock_rate_std, device)
+        shared[label] = shared[label] + shift if label in shared else shift
+    return shared
+
+
+def rate_std_between(run: Run, device: str, other: str) -> float:
+    """Relative standard uncertainty of one device's rate against another's; 0 where one clock stamped both."""
+    if device == other or (device in run.clocks and run.clocks[device] == run.clocks.get(other)):
+        return 0.0
+    rates = run.clock_rate_std
+    return math.hypot(clock_rate_std(rates, device), clock_rate_std(rates, other))
