@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from cli.console import STDERR, StepProgress, print_json, say, wait_for_compilation
+from cli.numbers import PositiveRpm, PositiveSeconds, TimeScale
 from cli.options import Json, ParametersPath, Settings, rig_or_log
 from cli.recording import RecordingStatus
 from daq.log.file import check_name
@@ -22,7 +23,6 @@ from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
 _TESTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down")
-TimeScale = Annotated[float, Parameter(help="seconds of rig time per wall second; 1 on a real rig")]
 
 
 class TerminalOperator:
@@ -52,7 +52,12 @@ def virtual(
 
 
 def check(
-    rig: str, *, seconds: float = 2.0, time_scale: TimeScale = 1.0, settings: Settings = None, json: Json = False
+    rig: str,
+    *,
+    seconds: PositiveSeconds = 2.0,
+    time_scale: TimeScale = 1.0,
+    settings: Settings = None,
+    json: Json = False,
 ) -> int:
     """Validate a rig file, open its devices, show identities, rates and faults."""
     loaded = load_rig(rig, settings=settings or [])
@@ -79,12 +84,12 @@ def record(
     rig: Annotated[str, Parameter(help="a rig file, a shipped rig, or a log whose rig and devices are meant")],
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
-    duration: Annotated[float | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None,
+    duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None,
     listen: Annotated[
         bool, Parameter(negative="", help="only listen: configure nothing, turn nothing, record from the first byte")
     ] = False,
     until_silent: Annotated[
-        float | None, Parameter(help="end when no device has sent anything for so many wall seconds")
+        PositiveSeconds | None, Parameter(help="end when no device has sent anything for so many wall seconds")
     ] = None,
     note: str = "",
     time_scale: TimeScale = 1.0,
@@ -141,8 +146,8 @@ def test(
     out: Path = Path("out"),
     parameters: ParametersPath = None,
     note: str = "",
-    top_rpm: float | None = None,
-    duration: float = 40.0,
+    top_rpm: PositiveRpm | None = None,
+    duration: PositiveSeconds = 40.0,
     track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,

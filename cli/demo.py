@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from cli.acquire import run_test
 from cli.console import StepProgress, print_json, say
+from cli.numbers import TimeScale
 from cli.options import Json, Settings
 from cli.simulated import SimulatedOperator, VirtualRigProcess
 from cli.workbench import Workbench
@@ -22,6 +23,7 @@ from daq.procedure import Procedures
 from daq.session import Session
 from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting
+from rig_configs.load import with_truth
 from rig_configs.schema import Rig
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
@@ -42,7 +44,7 @@ def demo(
     rig: str = "virtual",
     out: Path = Path("out/demo"),
     seed: int | None = None,
-    time_scale: Annotated[float, Parameter(help="seconds of rig time per wall second")] = 8.0,
+    time_scale: TimeScale = 8.0,
     settings: Settings = None,
     fault: Annotated[list[str] | None, Parameter(help="KEY=VALUE@STEP: change the truth just before a step")] = None,
     link: str = "auto",
@@ -78,9 +80,11 @@ def _parse_fault(text: str, rig: Rig) -> Fault:
     if not sign or step not in names:
         raise RigFileError(f"--fault {text!r}: expected KEY=VALUE@STEP with a step of {', '.join(known)}")
     key, value = parse_setting(setting)
-    key = key.removeprefix("virtual.truth.")
-    load_rig("virtual", settings={f"virtual.truth.{key}": 1.0 if isinstance(value, str) else value})  # a known key?
-    return Fault(key, value, names[step])
+    try:
+        with_truth(rig, key, value)  # as the simulated rig will, four tests from now
+    except RigFileError as fault:
+        raise RigFileError(f"--fault {text}: {fault}") from fault
+    return Fault(key.removeprefix("virtual.truth."), value, names[step])
 
 
 def _fresh(out: Path) -> Path:

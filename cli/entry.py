@@ -1,4 +1,4 @@
-"""Where the `rig` command begins: Ctrl-C while it is still loading ends it like any other."""
+"""Where the `rig` command begins: Ctrl-C while it is still loading ends it like any other, and so does any fault."""
 
 from __future__ import annotations
 
@@ -14,3 +14,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("rig: interrupted", file=sys.stderr)
         sys.exit(130)
+    except Exception as error:
+        from cli.crash import report  # noqa: PLC0415 (needed by no command that works)
+
+        sys.exit(report(error, sys.argv[1:]))

@@ -1,6 +1,7 @@
 """The `rig` command: parse, call one verb, print.
 
-Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or I/O fault, 130 interrupted.
+Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or I/O fault, 70 an error that nobody
+foresaw, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from keyword import iskeyword
 from cyclopts import App, CycloptsError
 
 from analysis.errors import AnalysisError
+from cli import crash
 from cli.console import say, wait_for_compilation
+from cli.numbers import NUMBERS_ARE_FINITE
 from daq.errors import LogError, RigError
 from dynamics.errors import DynamicsError
 from rig_configs.errors import RigConfigError
@@ -24,6 +27,7 @@ from rig_configs.errors import RigConfigError
 app = App(
     name="rig",
     suppress_keyboard_interrupt=False,
+    default_parameter=NUMBERS_ARE_FINITE,
     help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.",
 )
 _VERBS = {  # imported when called: `rig predict` need not wait for the drivers
@@ -47,6 +51,12 @@ app.command("cli.parameters:app", name="parameters")
 
 def run(arguments: list[str]) -> int:
     """Carry out one command; returns the exit code."""
+    crash.crashed.clear()
+    code = _carried_out(arguments)
+    return crash.UNFORESEEN if crash.crashed and code == 0 else code
+
+
+def _carried_out(arguments: list[str]) -> int:
     try:
         with wait_for_compilation("log") if set(arguments[:1]) & _USE_COMPILED else nullcontext():
             result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
@@ -62,7 +72,7 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         code = _exit_code(error)
         if code is None:
-            raise
+            return crash.report(error, arguments)
         full = isinstance(error, OSError) and error.errno == ENOSPC
         say(f"rig: {error}{'; make room on the disk, or use another' if full else ''}")
         return code
@@ -86,6 +96,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that lacks a Greek letter shows a question mark
+    crash.watch_threads(sys.argv[1:])
     sys.exit(run(sys.argv[1:]))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from cli.console import print_json, say, share_progress, wait_for_compilation
+from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings
 from rig_configs import Rig, RigFileError, load_rig
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
 Accuracy = Annotated[
-    float, Parameter(help="wanted error of the largest multiplier, of angles (rad), of amplitudes (relative)")
+    Positive, Parameter(help="wanted error of the largest multiplier, of angles (rad), of amplitudes (relative)")
 ]
 
 
@@ -29,8 +30,8 @@ def predict(
     rig: str,
     *,
     point: str | None = None,
-    speed_rpm: float | None = None,
-    speed_ratio: float | None = None,
+    speed_rpm: PositiveRpm | None = None,
+    speed_ratio: Positive | None = None,
     accuracy: Accuracy = 1e-8,
     at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None,
     release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True,

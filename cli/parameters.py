@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from cli.console import print_json, say
+from cli.numbers import Chance
 from cli.options import Json, need_folder
 from cli.plan import share
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, RigFileError
@@ -48,7 +49,7 @@ def diff(
     old: Path,
     new: Path,
     *,
-    level: Annotated[float, Parameter(help="chance of calling anything changed when nothing is")] = 0.01,
+    level: Annotated[Chance, Parameter(help="chance of calling anything changed when nothing is")] = 0.01,
     json: Json = False,
 ) -> int:
     """Say what changed between two parameters files, by how much, and whether that is significant.
@@ -77,7 +78,7 @@ def history(
     *places: Path,
     rig: Annotated[str | None, Parameter(help="only files of this rig")] = None,
     plot: Annotated[Path | None, Parameter(help="draw it: .svg, .png or .pdf")] = None,
-    level: Annotated[float, Parameter(help="chance of marking any change when there is none")] = 0.01,
+    level: Annotated[Chance, Parameter(help="chance of marking any change when there is none")] = 0.01,
     json: Json = False,
 ) -> int:
     """Follow a rig's parameters over its parameters files, with each log's own values and the changes marked.

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say, share_progress
+from cli.numbers import SecondsOrNone
 from cli.options import Json
 from cli.replay_view import ReplayView
 from daq.errors import LogError
@@ -34,7 +35,7 @@ def replay(
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="new log, decoded again")] = None,
     speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None,
     to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None,
-    linger: Annotated[float | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None,
+    linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None,
     json: Json = False,
 ) -> int:
     """Decode a log's raw bytes again through the same pipelines.

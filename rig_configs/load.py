@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 from rig_configs.errors import RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
+from rig_configs.toml_text import parse_toml, read_text
 
 
 def shipped_rigs() -> list[str]:
@@ -39,10 +40,7 @@ def load_rig(
         RigFileError: lists every fault with file, key, what was expected, what came, and the nearest known name.
     """
     source, text = _read(path_or_name)
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RigFileError(f"{source}: not a TOML file: {error}") from error
+    raw = parse_toml(text, source)
     if parameters is not None:
         known = parameters if isinstance(parameters, IdentifiedParameters) else IdentifiedParameters.load(parameters)
         _lay_parameters(raw, known)
@@ -50,6 +48,33 @@ def load_rig(
     for key, value in pairs:
         apply_setting(raw, key, value, source)
     return validate(raw, source)
+
+
+def with_truth(rig: Rig, key: str, value: Any) -> Rig:
+    """A simulated rig with one number of its truth changed; "*1.05" and "+5%" change what holds now.
+
+    Args:
+        rig: with a [virtual] table.
+        key: as in the physical part, or with "virtual.truth." before it.
+        value: a number, or a change.
+    Raises:
+        RigFileError: no such number, or a value it cannot have.
+    """
+    key = key.removeprefix("virtual.truth.")
+    raw = rig.model_dump(exclude_none=True)
+    if "virtual" not in raw:
+        raise RigFileError(f"rig {rig.name} has no [virtual] table: it has no truth to change")
+    section = truth = raw["virtual"]["truth"]
+    physical: Any = raw
+    for part in key.split("."):
+        physical = physical.get(part) if isinstance(physical, dict) else None
+    *path, leaf = key.split(".")
+    for part in path:
+        section = section.setdefault(part, {}) if isinstance(section, dict) else {}
+    if isinstance(section, dict) and leaf not in section and isinstance(physical, int | float):
+        section[leaf] = physical  # relative to what the rig file says
+    apply_setting(truth, key, value, "truth")
+    return validate(raw, "virtual.truth")
 
 
 def validate(raw: dict[str, Any], source: str) -> Rig:
@@ -70,17 +95,22 @@ def parse_setting(text: str) -> tuple[str, Any]:
     key, sign, value = text.partition("=")
     if not sign or not key.strip():
         raise RigFileError(f"setting {text!r}: expected key=value, for example suspension.zeta2=0.05")
+    value = value.strip()
+    if _means_relative(value):
+        return key.strip(), value
     try:
-        return key.strip(), tomllib.loads(f"v = {value}")["v"] if not _is_relative(value) else value.strip()
-    except tomllib.TOMLDecodeError:
-        return key.strip(), value.strip()
+        found = parse_toml(f"v = {value}", key)
+    except RigFileError:
+        return key.strip(), value
+    return key.strip(), found["v"] if len(found) == 1 else value
 
 
 def apply_setting(raw: dict[str, Any], key: str, value: Any, source: str = "--set") -> None:
     """Put one value into a raw table by its dotted key; "*1.05" and "+5%" are relative to what is there.
 
     Raises:
-        RigFileError: the key runs through something that is no table, or a relative value has nothing to change.
+        RigFileError: the key runs through something that is no table, a relative value has nothing to change, or its
+            number is none.
     """
     table = raw
     *path, last = key.split(".")
@@ -88,20 +118,35 @@ def apply_setting(raw: dict[str, Any], key: str, value: Any, source: str = "--se
         table = table.setdefault(part, {})
         if not isinstance(table, dict):
             raise RigFileError(f"{source}: {key}: {part} is a value, not a table")
-    if isinstance(value, str) and _is_relative(value):
-        value = _relative(table.get(last), value, key, source)
+    if isinstance(value, str) and _means_relative(value):
+        current = table.get(last)
+        if isinstance(current, int | float) and not isinstance(current, bool):
+            value = _relative(current, value, key, source)
+        elif re.fullmatch(_RELATIVE, value.strip()):
+            raise RigFileError(f"{source}: {key}={value}: there is no number at {key} to change")
     table[last] = value
 
 
-def _is_relative(text: str) -> bool:
-    return bool(re.fullmatch(r"\s*(\*\s*[\d.eE+-]+|[+-]\s*[\d.]+\s*%)\s*", text))
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_RELATIVE = re.compile(rf"(?P<times>\*)\s*(?P<factor>[+-]?{_NUMBER})|(?P<sign>[+-])\s*(?P<percent>{_NUMBER})\s*%")
+_LONGEST_SHOWN = 60
 
 
-def _relative(current: Any, text: str, key: str, source: str) -> float:
-    if not isinstance(current, int | float):
-        raise RigFileError(f"{source}: {key}={text}: there is no number at {key} to change")
-    text = text.replace(" ", "")
-    return current * float(text[1:]) if text[0] == "*" else current * (1 + float(text[:-1]) / 100)
+def _means_relative(text: str) -> bool:
+    """Whether a text is written as a change, well or badly."""
+    text = text.strip()
+    return text.startswith("*") or (text[:1] in ("+", "-") and text.endswith("%"))
+
+
+def _relative(current: float, text: str, key: str, source: str) -> float:
+    found = _RELATIVE.fullmatch(text.strip())
+    if found is None:
+        raise RigFileError(f"{source}: {key}={text[:_LONGEST_SHOWN]}: expected a change such as *1.05 or +5%")
+    factor = float(found["factor"]) if found["times"] else 1 + float(found["sign"] + found["percent"]) / 100
+    changed = current * factor
+    if not math.isfinite(changed):
+        raise RigFileError(f"{source}: {key}={text[:_LONGEST_SHOWN]}: expected a finite number, got {changed}")
+    return int(changed) if isinstance(current, int) and changed == int(changed) else changed
 
 
 def _read(path_or_name: str | Path) -> tuple[str, str]:
@@ -110,14 +155,14 @@ def _read(path_or_name: str | Path) -> tuple[str, str]:
         name = f"{path_or_name}.toml"
         return name, (resources.files("rig_configs") / name).read_text(encoding="utf-8")
     try:
-        return str(path), path.read_text(encoding="utf-8")
+        return str(path), read_text(path)
     except FileNotFoundError as error:
         near = difflib.get_close_matches(str(path_or_name), shipped_rigs(), n=1)
         hint = f"; did you mean the shipped rig {near[0]!r}?" if near else ""
         raise RigFileError(
             f"{path}: no such rig file. Give a TOML file or one of the shipped rigs {shipped_rigs()}{hint}"
         ) from error
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise RigFileError(f"{path}: cannot be read as a text file: {error}") from error
 
 
@@ -148,8 +193,16 @@ def _sentence(error: ErrorDetails) -> str:
     if error["type"] == "missing":
         return f"{key}: missing; expected {_expectation(error['loc'])}"
     got = error.get("input")
-    shown = repr(got) if not isinstance(got, dict) else "a table"
+    shown = _shown(got)
     return f"{key}: {error['msg']}, got {shown}"
+
+
+def _shown(value: Any) -> str:
+    """A value in a message: short, whatever it is."""
+    if isinstance(value, dict):
+        return "a table"
+    text = repr(value[:_LONGEST_SHOWN] if isinstance(value, str | list) else value)
+    return text if len(text) <= 2 * _LONGEST_SHOWN else f"{text[: 2 * _LONGEST_SHOWN]}…"
 
 
 def _model_at(path: Sequence[str | int]) -> type[BaseModel] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +13,8 @@ import numpy as np
 import tomlkit
 
 from dynamics.parameters import RotorParameters
-from rig_configs.errors import ParametersFileError
+from rig_configs.errors import ParametersFileError, RigFileError
+from rig_configs.toml_text import parse_toml, read_text
 
 PARAMETER_UNITS: Mapping[str, str] = {
     "k1_N_per_m": "N/m",
@@ -24,6 +25,9 @@ PARAMETER_UNITS: Mapping[str, str] = {
     "c4_Nms_per_rad": "N m s/rad",
     "SP_kg_m": "kg m",
 }
+
+
+_ROUNDING = 1e-6  # of a variance: what printing a covariance with few digits may leave of one
 
 
 @dataclass(frozen=True)
@@ -47,12 +51,22 @@ class IdentifiedParameters:
         unknown = sorted(set(self.values) - set(PARAMETER_UNITS))
         if unknown:
             raise ParametersFileError(f"unknown parameters {unknown}; known: {list(PARAMETER_UNITS)}")
+        for name, value in self.values.items():
+            if not math.isfinite(value):
+                raise ParametersFileError(f"{name}: expected a finite number, got {value}")
         cov = self.covariance
         if cov.shape != (n, n) or not np.all(np.isfinite(cov)):
             raise ParametersFileError(f"covariance must be a finite {n} × {n} matrix, got shape {cov.shape}")
         scale = np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
         if np.any(np.diag(cov) < 0) or np.any(np.abs(cov - cov.T) > 1e-9 * scale + 1e-300):
             raise ParametersFileError("covariance must be symmetric with no negative variance")
+        known = np.diag(cov) > 0
+        unit = np.sqrt(np.diag(cov)[known])
+        if known.any() and np.linalg.eigvalsh(cov[np.ix_(known, known)] / np.outer(unit, unit))[0] < -_ROUNDING:
+            raise ParametersFileError(
+                "covariance must have no negative variance in any direction (be positive semidefinite); two parameters "
+                "are correlated by more than 1"
+            )
 
     @property
     def std(self) -> dict[str, float]:
@@ -63,7 +77,7 @@ class IdentifiedParameters:
     def correlation(self) -> np.ndarray:
         """Correlation matrix, shape (n, n)."""
         s = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(s, s)
+        return np.divide(self.covariance, np.outer(s, s), out=np.eye(len(s)), where=np.outer(s, s) > 0)
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the identified ones in place of the file's."""
@@ -92,19 +106,28 @@ class IdentifiedParameters:
             ParametersFileError: the file is absent, not TOML, or lacks values or covariance.
         """
         try:
-            raw = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-            order = raw["covariance"]["order"]
-            values = {name: float(raw[name]["value"]) for name in order}
-            matrix = np.array(raw["covariance"]["matrix"], float)
+            raw = parse_toml(read_text(Path(path)), str(path))
         except OSError as error:
             raise ParametersFileError(f"{path}: cannot be read: {error}. `rig identify` writes one") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except RigFileError as error:
             log = Path(path).suffix in (".mcap", ".part")
-            why = "this is a log; `rig identify` makes parameters of it" if log else f"not a TOML file: {error}"
-            raise ParametersFileError(f"{path}: {why}") from error
+            why = f"{path}: this is a log; `rig identify` makes parameters of it" if log else str(error)
+            raise ParametersFileError(why) from error
+        try:
+            order = raw["covariance"]["order"]
+            values = {name: _number(raw[name]["value"]) for name in order}
+            matrix = np.array([[_number(cell) for cell in row] for row in raw["covariance"]["matrix"]])
+            return cls(values, matrix, dict(raw.get("provenance", {})))
+        except ParametersFileError as error:
+            raise ParametersFileError(f"{path}: {error}") from error
         except (KeyError, TypeError, ValueError) as error:
             raise ParametersFileError(
                 f"{path}: expected parameters as `rig identify` writes them: a table each, [covariance] with order "
                 f"and matrix; problem: {error!r}"
             ) from error
-        return cls(values, matrix, raw.get("provenance", {}))
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"expected a number, got {str(value)[:40]!r}")
+    return float(value)

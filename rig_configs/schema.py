@@ -21,9 +21,9 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Table(BaseModel):
-    """A table of the rig file: frozen, unknown keys refused."""
+    """A table of the rig file: frozen, unknown keys refused; a number is a finite number, not true and not a text."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class Rotor(Table):

@@ -12,6 +12,8 @@ from rig_configs.load import validate
 from rig_configs.schema import Rig
 
 RIG, IDENTITIES = "rig.json", "identities.json"
+_NEEDED_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
+_MOST_WORDS, _LONGEST_RANGE_M = 32, 1e3
 
 
 def snapshot_of(log: Log) -> dict[str, Any]:
@@ -36,8 +38,37 @@ def rig_of(log: Log) -> Rig:
 
 
 def identities_of(log: Log) -> dict[str, dict[str, Any]]:
-    """What each device said of itself when it was opened; empty where nothing was asked."""
-    return _table(log, IDENTITIES) if IDENTITIES in log.attachments else {}
+    """What each device said of itself when it was opened; empty where nothing was asked.
+
+    Raises:
+        LogError: it cannot be what a device said; a range or a laser's words that no stream can be decoded with.
+    """
+    if IDENTITIES not in log.attachments:
+        return {}
+    identities = _table(log, IDENTITIES)
+    for device, told in identities.items():
+        place = f"{log.path}: {IDENTITIES}: {device}"
+        if not isinstance(told, dict):
+            raise LogError(f"{place}: expected a table of what the device said, got {type(told).__name__}")
+        _check_range(told.get("range_m", 1.0), place)
+        if device.startswith("laser") and "words" in told:
+            _check_words(told["words"], place)
+    return identities
+
+
+def _check_range(value: Any, place: str) -> None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not 0 < value < _LONGEST_RANGE_M:
+        raise LogError(f"{place}.range_m: expected a range above 0 m, got {str(value)[:60]!r}")
+
+
+def _check_words(value: Any, place: str) -> None:
+    names = value if isinstance(value, list) and all(isinstance(name, str) for name in value) else []
+    if not 0 < len(names) <= _MOST_WORDS or len({*names}) < len(names) or not {*_NEEDED_WORDS} <= {*names}:
+        raise LogError(
+            f"{place}.words: expected the words of the laser's stream, each once, {', '.join(_NEEDED_WORDS)} among "
+            f"them, got {str(value)[:60]!r}"
+        )
 
 
 def _table(log: Log, name: str) -> dict[str, Any]:

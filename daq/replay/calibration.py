@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 from rig_configs.errors import RigFileError
 from rig_configs.load import validate
 from rig_configs.schema import Rig
+from rig_configs.toml_text import parse_toml, read_text
 
 _LASER = ("range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm")
 CALIBRATION_KEYS: Mapping[str, tuple[str, ...]] = {
@@ -50,12 +50,10 @@ class Calibration:
             RigFileError: it cannot be read, is no TOML, or names anything but calibration; gives the nearest name.
         """
         try:
-            text = Path(path).read_text(encoding="utf-8")
-            raw = tomllib.loads(text)
-        except (OSError, UnicodeDecodeError) as fault:
+            text = read_text(Path(path))
+        except OSError as fault:
             raise RigFileError(f"{path}: expected a calibration file, cannot read it as text: {fault}") from fault
-        except tomllib.TOMLDecodeError as fault:
-            raise RigFileError(f"{path}: expected a calibration file, this is no TOML: {fault}") from fault
+        raw = parse_toml(text, str(path))
         return cls(str(path), text, _devices(raw, str(path)))
 
     def correct(self, rig: Rig) -> Rig:

@@ -24,7 +24,7 @@ from daq.virtual_rig.laser import DeviceClock, SimulatedLaser
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.node import Air, SimulatedNode
 from rig_configs.errors import RigConfigError
-from rig_configs.load import apply_setting, validate
+from rig_configs.load import with_truth
 from rig_configs.schema import Rig, Virtual
 
 _TICK_S = 0.002  # wall time between two looks at the world
@@ -190,20 +190,7 @@ class VirtualRig:
 
     def _set(self, key: str, value: Any) -> None:
         """Change the truth from now on (a clamp has moved, a magnet pack was replaced)."""
-        key = key.removeprefix("virtual.truth.")
-        raw = self._rig.model_dump(exclude_none=True)
-        truth = raw["virtual"]["truth"]
-        section = truth
-        for part in key.split(".")[:-1]:
-            section = section.setdefault(part, {})
-        leaf = key.split(".")[-1]
-        if isinstance(value, str) and leaf not in section:  # relative to what the rig file says
-            physical: Any = raw
-            for part in key.split("."):
-                physical = physical[part]
-            section[leaf] = physical
-        apply_setting(truth, key, value, "virtual rig")
-        self._rig = validate(raw, "virtual rig")
+        self._rig = with_truth(self._rig, key, value)
         self.motion.physics = self._rig.true_physics
 
 

@@ -1,0 +1,51 @@
+# pyright: strict
+"""Numbers from the command line: what a command takes is checked while it is parsed, before anything is started.
+
+`NUMBERS_ARE_FINITE` is the default of every option of every command; the types say more where more is known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+LONGEST_S = 1e7  # 116 days; a test that runs longer is a slip of the pen
+SLOWEST, FASTEST = 0.01, 100.0  # seconds of rig time per wall second, as HostClock takes them
+_LARGEST = 1e15
+
+
+def _finite(_: Any, value: Any) -> None:
+    for number in value if isinstance(value, list | tuple) else [value]:  # pyright: ignore[reportUnknownVariableType]
+        if isinstance(number, int | float) and not abs(number) <= _LARGEST:  # NaN is not, either
+            raise ValueError(f"expected a finite number, at most {_LARGEST:g}, got {number:.6g}")
+
+
+def between(low: float, high: float, *, low_too: bool = False) -> Callable[[Any, Any], None]:
+    """A validator of numbers above `low` (or from it on) up to `high`; None, where nothing was given, passes."""
+
+    def check(_: Any, value: Any) -> None:
+        if value is None:
+            return
+        if not (low <= value if low_too else low < value) or not value <= high or not math.isfinite(value):
+            first = f"from {low:g}" if low_too else f"above {low:g}"
+            raise ValueError(f"expected a number {first} to {high:g}, got {value:.6g}")
+
+    return check
+
+
+NUMBERS_ARE_FINITE = Parameter(validator=_finite)
+TimeScale = Annotated[
+    float,
+    Parameter(
+        validator=between(SLOWEST, FASTEST, low_too=True),
+        help="seconds of rig time per wall second, 0.01 to 100; 1 on a real rig",
+    ),
+]
+PositiveSeconds = Annotated[float, Parameter(validator=between(0, LONGEST_S))]
+SecondsOrNone = Annotated[float, Parameter(validator=between(0, LONGEST_S, low_too=True))]
+PositiveRpm = Annotated[float, Parameter(validator=between(0, 1e6))]
+Positive = Annotated[float, Parameter(validator=between(0, 1e9))]
+Chance = Annotated[float, Parameter(validator=between(0, math.nextafter(1, 0)))]
