@@ -64,7 +64,10 @@ def watch_threads(arguments: Sequence[str]) -> None:
 
 
 def _one_line(error: BaseException) -> str:
-    told = " ".join(str(error).split())
+    try:
+        told = " ".join(str(error).split())
+    except Exception:  # an error whose own words cannot be had
+        told = ""
     return _SECRET.sub(_masked, f"{type(error).__name__}: {told[:200]}" if told else type(error).__name__)
 
 

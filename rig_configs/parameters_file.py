@@ -57,12 +57,14 @@ class IdentifiedParameters:
         cov = self.covariance
         if cov.shape != (n, n) or not np.all(np.isfinite(cov)):
             raise ParametersFileError(f"covariance must be a finite {n} × {n} matrix, got shape {cov.shape}")
-        scale = np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
-        if np.any(np.diag(cov) < 0) or np.any(np.abs(cov - cov.T) > 1e-9 * scale + 1e-300):
+        if np.any(np.diag(cov) < 0):
             raise ParametersFileError("covariance must be symmetric with no negative variance")
-        known = np.diag(cov) > 0
-        unit = np.sqrt(np.diag(cov)[known])
-        if known.any() and np.linalg.eigvalsh(cov[np.ix_(known, known)] / np.outer(unit, unit))[0] < -_ROUNDING:
+        std = np.sqrt(np.diag(cov))
+        if np.any(np.abs(cov - cov.T) > 1e-9 * np.outer(std, std) + 1e-300):
+            raise ParametersFileError("covariance must be symmetric with no negative variance")
+        known = std > 0
+        above_one = np.any(np.abs(cov) > (1 + _ROUNDING) * np.outer(std, std) + 1e-300)
+        if above_one or (known.any() and np.linalg.eigvalsh(self.correlation[np.ix_(known, known)])[0] < -_ROUNDING):
             raise ParametersFileError(
                 "covariance must have no negative variance in any direction (be positive semidefinite); two parameters "
                 "are correlated by more than 1"
@@ -77,7 +79,10 @@ class IdentifiedParameters:
     def correlation(self) -> np.ndarray:
         """Correlation matrix, shape (n, n)."""
         s = np.sqrt(np.diag(self.covariance))
-        return np.divide(self.covariance, np.outer(s, s), out=np.eye(len(s)), where=np.outer(s, s) > 0)
+        unit = np.where(s > 0, s, 1.0)
+        correlation = self.covariance / unit / unit[:, None]
+        correlation[np.diag_indices(len(s))] = 1.0
+        return correlation
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the identified ones in place of the file's."""
