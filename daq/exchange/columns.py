@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.exchange.errors import ExchangeError
+from daq.exchange.unit_words import name_and_unit
 
 _NAMES_SHOWN = 40
 
@@ -53,6 +54,11 @@ class Recording(Protocol):
         """Every column's name, in the file's order."""
         ...
 
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units by name, words of daq.exchange.units, as far as the file gives them where its columns are named."""
+        ...
+
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
         """Columns by their names in the file.
 
@@ -73,6 +79,9 @@ def pick(recording: Recording, wanted: str, option: str) -> str:
         return wanted
     if wanted.isascii() and wanted.isdigit() and 1 <= int(wanted) <= len(names):
         return names[int(wanted) - 1]
+    without_unit = [name for name in names if name_and_unit(name) == (wanted, recording.units.get(name, ""))]
+    if len(without_unit) == 1:
+        return without_unit[0]
     near = difflib.get_close_matches(wanted, names, 1, 0.4)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     shown = ", ".join(repr(name) for name in names[:_NAMES_SHOWN]) + (" …" if len(names) > _NAMES_SHOWN else "")

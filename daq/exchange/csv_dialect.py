@@ -7,12 +7,12 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from daq.exchange.errors import ExchangeError
-from daq.exchange.units import UNITS
+from daq.exchange.unit_words import is_unit_row, name_and_unit, unit_word
 
 _SAMPLE_LINES = 400
 _LONGEST_LINE = 1_000_000
@@ -31,7 +31,6 @@ _DIALECTS = (
 )
 _SPLIT_WRONGLY = re.compile(r"[0-9][^A-Za-z]*[;|\t^&~][^A-Za-z]*[0-9]")  # two numbers and a delimiter between them
 _NO_NUMBER = frozenset(("nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"))
-_UNIT_WORDS = frozenset(word for words in UNITS.values() for word in words) | {"°", "1", "-", "", "sec", "rev/min"}
 
 
 @dataclass(frozen=True)
@@ -44,6 +43,7 @@ class Dialect:
         decimal: "." or ",".
         names: of the columns; "1", "2" … where the file has none.
         first_line: of the numbers, counted from 1.
+        units: of the columns by name, words of daq.exchange.units, where the file gives them.
     """
 
     encoding: str
@@ -51,6 +51,7 @@ class Dialect:
     decimal: str
     names: tuple[str, ...]
     first_line: int
+    units: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def split(self, line: str) -> list[str]:
         """Cells of a line, without blanks and quotes around them."""
@@ -185,27 +186,51 @@ def _fit(dialect: Dialect, lines: Sequence[str]) -> tuple[float, int]:
 
 
 def _with_names(dialect: Dialect, lines: Sequence[str]) -> Dialect:
-    """The dialect with the columns' names and the first line of numbers."""
+    """The dialect with the columns' names, their units and the first line of numbers."""
     rows = [(number, line, _cells(dialect, line)) for number, line in enumerate(lines, 1) if line.strip()]
     told = [row for row in rows if not is_comment(row[1])]
     width = Counter(len(cells) for _, _, cells in told[len(told) // 2 :]).most_common(1)[0][0]
-    data = next(i for i, (_, _, cells) in enumerate(told) if len(cells) == width and _numbers(dialect, cells))
-    first = told[data][0]
-    heads = []
-    for _, _, cells in reversed(told[:data]):
-        if len(cells) != width:
-            break
-        heads.insert(0, cells)
-    if len(heads) > 1 and all(cell.strip("[]() ") in _UNIT_WORDS for cell in heads[-1]):
-        heads.pop()  # a line of units below the names
-    if heads:
-        names = heads[-1]
-    else:
-        names = [str(i) for i in range(1, width + 1)]
-        remarks = [line.lstrip().lstrip("#%/! ") for number, line, _ in rows if number < first and is_comment(line)]
-        if remarks and len(cells := _cells(dialect, remarks[-1])) == width and not _numbers(dialect, cells):
+    first = next(
+        number
+        for number, _, cells in told
+        if len(cells) == width and _numbers(dialect, cells) and not is_unit_row(cells)
+    )
+    names, units = _heads(dialect, rows, first, width)
+    distinct = _distinct(names or [str(i) for i in range(1, width + 1)])
+    told_units = {
+        name: unit
+        for name, given, below in zip(distinct, names or distinct, units, strict=True)
+        if (unit := unit_word(below) if below else name_and_unit(given)[1]) is not None
+    }
+    return replace(dialect, names=distinct, first_line=first, units=told_units)
+
+
+def _heads(
+    dialect: Dialect, rows: Sequence[tuple[int, str, list[str]]], first: int, width: int
+) -> tuple[list[str], list[str]]:
+    """Names and units of the columns, as they stand in the lines above the numbers; no names, empty units: none.
+
+    Units may stand below or above the names, also as a remark; a line of units alone gives the names too.
+    """
+    names: list[str] = []
+    remarked: list[str] | None = None
+    units: list[str] = []
+    for number, line, plain in reversed(rows):
+        if number >= first:
+            continue
+        remark = is_comment(line)
+        cells = _cells(dialect, line.lstrip().lstrip("#%/! ")) if remark else plain
+        fits = len(cells) == width
+        if fits and not units and is_unit_row(cells):
+            units = cells
+        elif remark:
+            if remarked is None:  # the nearest to the numbers, or none
+                remarked = cells if fits and not _numbers(dialect, cells) else []
+        elif not fits or names:
+            break  # a title, or the line above the names that could have held the units
+        else:
             names = cells
-    return Dialect(dialect.encoding, dialect.delimiter, dialect.decimal, _distinct(names), first)
+    return names or remarked or units, units or [""] * width
 
 
 def _distinct(names: Sequence[str]) -> tuple[str, ...]:

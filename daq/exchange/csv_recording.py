@@ -26,6 +26,7 @@ class CsvRecording:
         self.path = path
         self._dialect = sniff(path)
         self.names = self._dialect.names
+        self.units = self._dialect.units
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
         """See Recording."""

@@ -28,6 +28,7 @@ class MatRecording:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.units: Mapping[str, str] = {}
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # scipy warns of what it skips; it is not among the names then
@@ -61,6 +62,7 @@ class Hdf5Recording:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.units: Mapping[str, str] = {}
         self._places: dict[str, tuple[str, int | None]] = {}
         try:
             with h5py.File(path, "r") as file:

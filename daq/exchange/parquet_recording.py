@@ -19,6 +19,7 @@ class ParquetRecording:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.units: Mapping[str, str] = {}
         try:
             self.names = tuple(pq.read_schema(path).names)
         except (pa.ArrowException, OSError) as fault:

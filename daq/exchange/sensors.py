@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from daq.exchange.errors import ExchangeError
 from daq.exchange.readings import Readings, check_rate, check_size, check_small, read_sensor, times_ns
 from daq.exchange.recipe import QUANTITIES, Recipe
 from daq.exchange.recordings import open_recording
-from daq.exchange.units import ColumnChoice
+from daq.exchange.units import ColumnChoice, settle_unit
 from rig_configs.schema import Rig
 
 _SMALLEST_M, _SMALLEST_RAD = 1e-6, 1e-4
@@ -33,7 +34,7 @@ def read_sensors(recording: Recording, recipe: Recipe, rig: Rig, warnings: list[
     Raises:
         ExchangeError: a column is not there, or cannot be what it is said to be.
     """
-    choices = dict(recipe.choices)
+    choices = {name: _settled(recording, name, choice, recipe) for name, choice in recipe.choices.items()}
     marks, time = choices.pop("marks", None), choices.pop("time", None)
     names = {name: pick(recording, choice.name, f"--{name}") for name, choice in choices.items()}
     own_times = {
@@ -59,6 +60,19 @@ def read_sensors(recording: Recording, recipe: Recipe, rig: Rig, warnings: list[
     return found
 
 
+def _settled(recording: Recording, name: str, choice: ColumnChoice, recipe: Recipe) -> ColumnChoice:
+    """A choice with its units as they are given, or as the file says above the columns."""
+    if name == "marks" and marks_file(recipe) is not None:
+        return choice  # its units are in that file
+    option = f"--{name}"
+    told = recording.units.get(pick(recording, choice.name, option))
+    time = choice.time
+    if time is not None:
+        place = f"{option} …@TIME"
+        time = settle_unit(time, recording.units.get(pick(recording, time.name, place)), "time", place)
+    return replace(settle_unit(choice, told, QUANTITIES[name], option), time=time)
+
+
 def marks_file(recipe: Recipe) -> Path | None:
     """The file of their own that the marks are in, if they are."""
     marks = recipe.choices.get("marks")
@@ -79,6 +93,7 @@ def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None) -> Readi
         recording = open_recording(path)
         if len(recording.names) != 1:
             raise ExchangeError(f"{path}: expected a file of one column of times, got {len(recording.names)} columns")
+        choice = settle_unit(choice, recording.units.get(recording.names[0]), "time", "--marks")
         column = recording.read([recording.names[0]])[recording.names[0]]
     rows = np.flatnonzero(~column.absent & ~np.isnan(column.values.astype(np.float64)))
     time_ns = times_ns(column.keep(rows), choice, "--marks")

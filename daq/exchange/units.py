@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from daq.exchange.errors import ExchangeError
@@ -39,8 +39,10 @@ class ColumnChoice:
 
     Attributes:
         name: the column's name, its number counted from 1, or the path of a variable.
-        unit: as it was given: a unit word with a minus sign before it where the axis points the other way, or a number.
-        factor: one of that unit in s, m, rad or rad/s; negative for an axis the other way round.
+        unit: as it was given: a unit word with a minus sign before it where the axis points the other way, or a number;
+            "" where the file is to say it.
+        factor: one of that unit in s, m, rad or rad/s; negative for an axis the other way round; NaN where the file
+            is to say it.
         time: the column with this column's own times, where it does not share the recording's.
     """
 
@@ -53,7 +55,7 @@ class ColumnChoice:
 def parse_column(text: str, quantity: Quantity, option: str) -> ColumnChoice:
     """A column and its unit: ``NAME:UNIT``, ``NAME:-UNIT``, ``NAME:NUMBER``, each perhaps ``@TIME:UNIT``.
 
-    The unit may be left out where the name ends in it (``displacement_m``).
+    The unit may be left out where the name ends in it (``displacement_m``) or the file has it above the column.
 
     Args:
         text: what was given.
@@ -61,7 +63,7 @@ def parse_column(text: str, quantity: Quantity, option: str) -> ColumnChoice:
         option: where it was given, for messages.
 
     Raises:
-        ExchangeError: no unit, one of another quantity, or a factor of 0.
+        ExchangeError: a unit of another quantity, or a factor of 0.
     """
     own, at, time = text.rpartition("@")
     if not at:
@@ -76,9 +78,7 @@ def _parse(text: str, quantity: Quantity, option: str) -> ColumnChoice:
     if not colon:
         name, unit = text, unit_of(text)
         if unit not in words:
-            raise ExchangeError(
-                f"{option} {text}: expected NAME:UNIT with a unit of {quantity} ({', '.join(words)}), got no unit"
-            )
+            return ColumnChoice(name, "", math.nan)
     if not name:
         raise ExchangeError(f"{option} {text}: expected NAME:UNIT, got no name before the colon")
     factor = words.get(unit.removeprefix("-"), math.nan) * (-1 if unit.startswith("-") else 1)
@@ -92,6 +92,39 @@ def _parse(text: str, quantity: Quantity, option: str) -> ColumnChoice:
     if quantity == "time" and factor < 0:
         raise ExchangeError(f"{option} {text}: expected a unit of time, got a negative one: time runs forward")
     return ColumnChoice(name, unit, factor)
+
+
+def settle_unit(choice: ColumnChoice, told: str | None, quantity: Quantity, option: str) -> ColumnChoice:
+    """A choice with its unit, held against what the file says of the column.
+
+    Args:
+        told: the unit in the file, a word of UNITS; None where it says none.
+
+    Raises:
+        ExchangeError: neither says a unit, or the file's is another one.
+    """
+    words = UNITS[quantity]
+    if told is not None and told not in words:
+        raise ExchangeError(
+            f"{option} {choice.name}: expected a column of {quantity} ({', '.join(words)}), the file gives its unit "
+            f"as {told!r}; is it another column? Where the file is wrong give the factor to SI as a number: "
+            f"{option} {choice.name}:0.001"
+        )
+    if not choice.unit:
+        if told is None:
+            raise ExchangeError(
+                f"{option} {choice.name}: expected NAME:UNIT with a unit of {quantity} ({', '.join(words)}), got no "
+                "unit, and the file does not say it above the column"
+            )
+        return replace(choice, unit=told, factor=words[told])
+    given = choice.unit.removeprefix("-")
+    if told is not None and given in words and words[given] != words[told]:
+        raise ExchangeError(
+            f"{option} {choice.name}:{choice.unit}: expected the unit that the file gives the column, {told!r}, got "
+            f"{given!r}; where the file is wrong give the factor to SI as a number: {option} {choice.name}:"
+            f"{choice.factor:g}"
+        )
+    return choice
 
 
 def _number(text: str) -> float:

@@ -1,0 +1,127 @@
+# pyright: strict
+"""Units as other programs write them above their columns: ``ms;mm;°;1/min``, ``[s],[mm]``, ``t (s)``, ``x / mm``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from daq.exchange.units import UNITS
+
+_KNOWN = {word for words in UNITS.values() for word in words}
+_SAME = {
+    "s": "sec secs second seconds sekunde sekunden",
+    "ms": "msec millisecond milliseconds millisekunden",
+    "us": "usec microsecond microseconds",
+    "min": "minute minutes minuten",
+    "m": "meter meters metre metres",
+    "mm": "millimeter millimeters millimetre millimetres",
+    "um": "micron microns micrometer micrometre",
+    "in": "inch inches",
+    "deg": "° degree degrees",
+    "rad": "radian radians",
+    "rev": "turn turns revolution revolutions u",
+    "rpm": "1/min /min min-1 min^-1 min**-1 min⁻¹ r/min rev/min u/min upm",
+    "Hz": "hz hertz rev/s r/s u/s",
+    "deg/s": "°/s deg/sec degree/s degrees/s",
+    "rad/s": "rad/sec rad*s-1 rad·s-1 rad/s-1",
+}
+_BY_WORD = {same: unit for unit, words in _SAME.items() for same in words.split()}
+# units of quantities that no rotor's sensor is read in here, and what stands for "no unit"; they mark a row of units
+_OTHERS = frozenset(
+    [
+        "v",
+        "mv",
+        "µv",
+        "a",
+        "ma",
+        "n",
+        "kn",
+        "nm",
+        "n·m",
+        "n*m",
+        "g",
+        "kg",
+        "m/s",
+        "mm/s",
+        "m/s²",
+        "m/s^2",
+        "m/s2",
+        "mm/s²",
+        "mm/s^2",
+        "1/s",
+        "s-1",
+        "s^-1",
+        "s⁻¹",
+        "°c",
+        "degc",
+        "k",
+        "c",
+        "f",
+        "°f",
+        "pa",
+        "kpa",
+        "mpa",
+        "bar",
+        "mbar",
+        "db",
+        "%",
+        "‰",
+        "khz",
+        "cm",
+        "km",
+        "h",
+        "d",
+        "w",
+        "kw",
+        "bit",
+        "bits",
+        "count",
+        "counts",
+        "digit",
+        "digits",
+        "inc",
+        "#",
+    ]
+)
+_NONE = frozenset(("", "-", "--", "1", "[]", "()", "n/a", "none", "."))
+_BRACKETS = re.compile(r"^(?:\[(.*)\]|\((.*)\)|\{(.*)\}|<(.*)>|\"(.*)\"|'(.*)')$")
+_IN_A_NAME = re.compile(
+    r"^(?P<name>.*\S)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*)\)|\s/\s*(?P<c>\S+)|\s+in\s+(?P<d>\S+))$"
+)
+
+
+def _bare(cell: str) -> str:
+    """A cell without brackets; every way to write micro and degree made one."""
+    text = cell.strip().removesuffix(":").strip()
+    while found := _BRACKETS.match(text):
+        text = next(group for group in found.groups() if group is not None).strip()
+    text = text.removeprefix("in ").strip() if text.startswith("in ") else text
+    return text.replace("Â", "").replace("μ", "µ").replace("º", "°").replace("˚", "°")
+
+
+def unit_word(cell: str) -> str | None:
+    """The unit of daq.exchange.units that a cell names; None where it names none of them."""
+    text = _bare(cell)
+    for word in (text, text.lower()):
+        if word in _KNOWN:
+            return word.replace("µ", "u")
+        if word.replace("µ", "u") in _BY_WORD:
+            return _BY_WORD[word.replace("µ", "u")]
+    return None
+
+
+def is_unit_row(cells: Sequence[str]) -> bool:
+    """Whether cells are units of the columns: each a unit or none, at least one a unit that we know."""
+    known = [unit_word(cell) is not None for cell in cells]
+    rest = (_bare(cell).lower() for cell, is_known in zip(cells, known, strict=True) if not is_known)
+    return any(known) and all(word in _OTHERS or word in _NONE for word in rest)
+
+
+def name_and_unit(cell: str) -> tuple[str, str | None]:
+    """A column's name apart from the unit it carries: ``t [s]``, ``x (mm)``, ``n / rpm``; None where it has none."""
+    found = _IN_A_NAME.match(cell.strip())
+    if found is None:
+        return cell, None
+    unit = unit_word(next(group for group in (found["a"], found["b"], found["c"], found["d"]) if group is not None))
+    return (cell, None) if unit is None else (found["name"], unit)
