@@ -1,8 +1,7 @@
 """What changed between two identifications: by how much, how sure, and in which parameters together.
 
-Errors that both have in common do not count as change: the gain of a laser that was the same device both times, and
-whole logs that went into both. A device's clock line is fitted anew in every log and is taken as independent.
-Masses and lengths are taken as the rig files' both times. Source: docs/theory/joint_estimate.md.
+Errors that both have in common do not count as change (identification.difference). Masses and lengths are taken as the
+rig files' both times. Source: docs/theory/joint_estimate.md.
 """
 
 from __future__ import annotations
@@ -13,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
+from identification.difference import difference
 from identification.errors import NotIdentifiable
-from identification.joint.combine import JointEstimate
-from identification.joint.provenance import KeptTest, rebuilt
 from rig_configs.parameters_file import IdentifiedParameters
 
 LEVELS = (0.001, 0.01, 0.05)
-_FLOOR = 1e-6  # of a value's own variance: what is left where both rest on the same logs
-_SAME_FIT = 1e-3  # of a standard deviation: two values of one log that are the same fit
+_FEWEST_DIGITS = 12  # of the longest value of a file; below, its values have been rounded
+_OWN_RANK = 1e-11  # eigenvalue of a correlation matrix below which a direction is rounding of doubles
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,8 @@ class Comparison:
 
     Attributes:
         changes: per parameter that both have, in the file's order.
-        covariance: of the changes, shape (n, n), SI.
-        chi2, dof, p: all changes together.
+        covariance: of the changes, shape (n, n), SI; singular where both rest on the same logs.
+        chi2, dof, p: all changes together, over the dof directions in which there can be a change that is known.
         only_old, only_new: parameters of one alone.
         notes: what was taken as common to both, and what is not known.
     """
@@ -102,29 +100,65 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
             f"nothing to compare: OLD has {', '.join(old.values) or 'no parameter'}, "
             f"NEW has {', '.join(new.values) or 'none'}; identify both from tests of the same kind"
         )
+    apart = difference(old, new)
     index = [[list(p.values).index(n) for n in names] for p in (old, new)]
-    common, notes = _common_covariance(old, new)
-    common = common[np.ix_(index[1], index[0])]
     own = old.covariance[np.ix_(index[0], index[0])] + new.covariance[np.ix_(index[1], index[1])]
-    before = np.array([old.values[n] for n in names])
-    change = np.array([new.values[n] for n in names]) - before
-    unit = np.sqrt(np.diag(own))
-    covariance = _positive((own - common - common.T) / np.outer(unit, unit))
-    z = change / unit / np.sqrt(np.diag(covariance))
+    before, after = (np.array([p.values[n] for n in names]) for p in (old, new))
+    rounding = np.diag(_rounding(old, names) ** 2 + _rounding(new, names) ** 2)
+    change, covariance = after - before, apart.covariance_of(names) + rounding
+    unit = np.sqrt(np.diag(own + rounding))
+    unit[unit == 0] = 1.0  # a value that is called exact: any change of it is beyond judgement
+    scaled = change / unit
+    pull, dof = _pull(scaled, covariance / np.outer(unit, unit), (own + rounding) / np.outer(unit, unit), apart.blur**2)
+    chi2 = float(scaled @ pull)
+    shares = scaled * pull / chi2 if chi2 > 0 else np.zeros(len(names))
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std[std <= apart.blur * unit] = 0.0  # both rest on the same logs
+    z = np.divide(change, std, out=np.zeros(len(names)), where=std > 0)
     p = 2 * ndtr(-np.abs(z))
-    pull = np.linalg.solve(covariance, change / unit)
-    chi2 = float(change / unit @ pull)
-    shares = change / unit * pull / chi2 if chi2 > 0 else np.zeros(len(names))
-    left = np.diag(covariance)
-    std = unit * np.sqrt(np.where(left < 10 * _FLOOR, 0.0, left))  # the floor is no uncertainty
     changes = [
         Change(name, *map(float, row))
-        for name, *row in zip(names, before, before + change, change, std, z, p, holm(p), shares, strict=True)
+        for name, *row in zip(names, before, after, change, std, z, p, holm(p), shares, strict=True)
     ]
+    notes = [*apart.notes]
+    if dof < len(names):
+        notes.append(f"{len(names) - dof} of {len(names)} directions rest on the same logs both times: no change there")
     return Comparison(
-        changes, covariance * np.outer(unit, unit), chi2, len(names), float(chdtrc(len(names), max(chi2, 0.0))),
+        changes, covariance, chi2, dof, float(chdtrc(dof, max(chi2, 0.0))) if dof else 1.0,
         [n for n in old.values if n not in new.values], [n for n in new.values if n not in old.values], notes,
     )  # fmt: skip
+
+
+def _pull(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur: float) -> tuple[np.ndarray, int]:
+    """covariance⁺ · change, and the rank, over the directions in which the change's variance is known.
+
+    Args:
+        change, covariance: of the change, shapes (n,), (n, n), in units of `own`'s standard deviations.
+        own: covariance if nothing were common to both, unit diagonal, shape (n, n).
+        blur: variance of a change, over that of `own` in the same direction, below which it is rounding.
+    """
+    size, vectors = np.linalg.eigh(0.5 * (own + own.T))
+    kept = size > max(_OWN_RANK, 1e-15 * float(size[-1]))
+    white = vectors[:, kept] / np.sqrt(size[kept])  # whiteᵀ own white = 1
+    inner = white.T @ covariance @ white
+    share, directions = np.linalg.eigh(0.5 * (inner + inner.T))
+    known = share > blur
+    basis = white @ directions[:, known] / np.sqrt(share[known])
+    return basis @ (basis.T @ change), int(np.count_nonzero(known))
+
+
+def _rounding(parameters: IdentifiedParameters, names: Sequence[str]) -> np.ndarray:
+    """Standard deviations that a file's own rounding brings, shape (n,); 0 where its values have all their digits."""
+    digits = max((_digits(v) for v in parameters.values.values()), default=17)
+    if digits >= _FEWEST_DIGITS or len(parameters.values) < 2:  # one number may be round by chance
+        return np.zeros(len(names))
+    size = np.array([abs(parameters.values[n]) or 1.0 for n in names])
+    return 10.0 ** (np.floor(np.log10(size)) - digits + 1) / np.sqrt(12)
+
+
+def _digits(value: float) -> int:
+    """Significant digits of a number as it stands in a file, without zeros at its end."""
+    return len(repr(abs(value)).partition("e")[0].replace(".", "").strip("0"))
 
 
 def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -169,70 +203,3 @@ def _percent(change: Change) -> str:
 
 def _listed(parts: list[str]) -> str:
     return " and ".join(filter(None, (", ".join(parts[:-1]), parts[-1]))) if parts else ""
-
-
-def _positive(matrix: np.ndarray) -> np.ndarray:
-    """The matrix with what rounding or a perfect overlap leaves of variance raised to the floor."""
-    size, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return (vectors * np.maximum(size, _FLOOR)) @ vectors.T
-
-
-def _common_covariance(old: IdentifiedParameters, new: IdentifiedParameters) -> tuple[np.ndarray, list[str]]:
-    """Covariance between NEW's values (rows) and OLD's (columns), and what it rests on."""
-    none = np.zeros((len(new.values), len(old.values)))
-    first, second = rebuilt(old), rebuilt(new)
-    if first is None or second is None:
-        which = " and ".join(name for name, f in (("OLD", first), ("NEW", second)) if f is None)
-        return none, [f"{which} keeps too little of its tests to know shared errors; all errors count as independent"]
-    (before, tests_before), (after, tests_after) = first, second
-    total, notes = none, []
-    for label in sorted(set(before.weighted.shared) & set(after.weighted.shared)):
-        if label.startswith("clock"):
-            continue
-        device = label.partition(" ")[2]
-        serials = [_serials(tests, label, device) for tests in (tests_before, tests_after)]
-        if serials[0] and serials[0] == serials[1] and len(serials[0]) == 1:
-            total = total + np.outer(after.weighted.shared[label], before.weighted.shared[label])
-            notes.append(f"the same {device} (serial {min(serials[0])}) both times: its gain's error cancels")
-        elif not (serials[0] and serials[1]):
-            notes.append(f"which {device} it was is not known: its gain's error counts twice")
-        else:
-            notes.append(f"another {device}: its gain's error counts twice")
-    shared_logs, logs = _shared_logs((before, tests_before), (after, tests_after))
-    total = (total + shared_logs) * np.outer(after.stretch, before.stretch)
-    notes += [f"{log} is in both: its own errors cancel" for log in logs]
-    return total, notes
-
-
-def _serials(tests: Sequence[KeptTest], label: str, device: str) -> set[str]:
-    """Serial numbers of a device in the tests that feel its error; empty when any of them does not say."""
-    feeling = [t for t in tests if label in t.estimate.shared]
-    return {t.devices[device] for t in feeling} if all(device in t.devices for t in feeling) else set()
-
-
-def _shared_logs(
-    before: tuple[JointEstimate, list[KeptTest]], after: tuple[JointEstimate, list[KeptTest]]
-) -> tuple[np.ndarray, list[str]]:
-    """Covariance through logs that are in both with the same fit: their own noise and their clocks' errors."""
-    total = np.zeros((len(after[0].weighted.names), len(before[0].weighted.names)))
-    logs: list[str] = []
-    clocks: dict[
-        str, tuple[np.ndarray | float, np.ndarray | float]
-    ] = {}  # label → what it did to NEW and OLD through these logs
-    for i, old in enumerate(before[1]):
-        for j, new in enumerate(after[1]):
-            if not old.digest or old.digest != new.digest or old.estimate.names != new.estimate.names:
-                continue
-            moved = np.abs(old.estimate.values - new.estimate.values) / np.sqrt(np.diag(old.estimate.covariance))
-            if np.any(moved > _SAME_FIT):
-                continue  # fitted another way: how the two fits' errors go together is not known
-            left, right = after[0].weighted.pulls[j], before[0].weighted.pulls[i]
-            total += left @ old.estimate.covariance @ right.T
-            for label, shift in old.estimate.shared.items():
-                if label.startswith("clock") and label in new.estimate.shared:
-                    felt = clocks.get(label, (0.0, 0.0))
-                    clocks[label] = (felt[0] + left @ new.estimate.shared[label], felt[1] + right @ shift)
-            logs.append(new.estimate.source)
-    for felt in clocks.values():
-        total += np.outer(*felt)  # the joint estimate takes one device's clock for one in all of a file's logs
-    return total, logs

@@ -28,62 +28,11 @@ _SAME = {
 }
 _BY_WORD = {same: unit for unit, words in _SAME.items() for same in words.split()}
 # units of quantities that no rotor's sensor is read in here, and what stands for "no unit"; they mark a row of units
-_OTHERS = frozenset(
-    [
-        "v",
-        "mv",
-        "µv",
-        "a",
-        "ma",
-        "n",
-        "kn",
-        "nm",
-        "n·m",
-        "n*m",
-        "g",
-        "kg",
-        "m/s",
-        "mm/s",
-        "m/s²",
-        "m/s^2",
-        "m/s2",
-        "mm/s²",
-        "mm/s^2",
-        "1/s",
-        "s-1",
-        "s^-1",
-        "s⁻¹",
-        "°c",
-        "degc",
-        "k",
-        "c",
-        "f",
-        "°f",
-        "pa",
-        "kpa",
-        "mpa",
-        "bar",
-        "mbar",
-        "db",
-        "%",
-        "‰",
-        "khz",
-        "cm",
-        "km",
-        "h",
-        "d",
-        "w",
-        "kw",
-        "bit",
-        "bits",
-        "count",
-        "counts",
-        "digit",
-        "digits",
-        "inc",
-        "#",
-    ]
+_OTHER_WORDS = (
+    "v mv µv a ma n kn nm n·m n*m g kg m/s mm/s m/s² m/s^2 m/s2 mm/s² mm/s^2 1/s s-1 s^-1 s⁻¹ °c degc k c f °f pa kpa "
+    "mpa bar mbar db % ‰ khz cm km h d w kw bit bits count counts digit digits inc #"
 )
+_OTHERS = frozenset(_OTHER_WORDS.split())
 _NONE = frozenset(("", "-", "--", "1", "[]", "()", "n/a", "none", "."))
 _BRACKETS = re.compile(r"^(?:\[(.*)\]|\((.*)\)|\{(.*)\}|<(.*)>|\"(.*)\"|'(.*)')$")
 _IN_A_NAME = re.compile(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import kstest
 from synthetic import Campaign
 from test_joint import OWN, TRUTH, draw, spoilt
 
@@ -88,13 +89,19 @@ def test_changes_that_go_together_are_found_though_each_is_small() -> None:
     close = np.array([[1.0, 0.99], [0.99, 1.0]])
     unit = np.array([0.1, 1e-6])
     covariance = close * np.outer(unit, unit)
-    old = IdentifiedParameters(dict(zip(names, (2600.0, 0.02), strict=True)), covariance)
-    new = IdentifiedParameters(dict(zip(names, (2600.1, 0.02 - 1e-6), strict=True)), covariance)
+    k1, zeta1 = 2600.0 / np.e * 2.7, 0.02 / np.pi * 3.1  # all the digits of a double, as files have them
+    old = IdentifiedParameters(dict(zip(names, (k1, zeta1), strict=True)), covariance)
+    new = IdentifiedParameters(dict(zip(names, (k1 + 0.1, zeta1 - 1e-6), strict=True)), covariance)
     found = compare(old, new)
     assert found.significant() == []
     assert found.p < 1e-6
     assert "all together they did" in in_words(found)
     assert sum(c.share for c in found.changes) == pytest.approx(1)
+    # of files whose numbers were rounded to five digits nobody can know that
+    old, new = (
+        IdentifiedParameters({n: float(f"{v:.5g}") for n, v in p.values.items()}, covariance) for p in (old, new)
+    )
+    assert compare(old, new).p > 1e-4
 
 
 def test_the_same_laser_s_gain_is_no_change() -> None:
@@ -127,6 +134,64 @@ def test_the_std_of_a_change_with_shared_logs_is_what_many_draws_show() -> None:
         alone.append(change.change / np.hypot(old.std[change.name], new.std[change.name]))
     assert 0.9 < np.std(z) < 1.1
     assert np.std(alone) < 0.8  # as independent the change would look too sure to be there
+
+
+SETS = {
+    "nested": ((0, 1, 2), (0, 1, 2, 3, 4)),
+    "one less": ((0, 1, 2, 3, 4), (0, 1, 2, 3)),
+    "half": ((0, 1, 2), (1, 2, 3, 4)),
+    "disjoint": ((0, 2), (1, 3, 4)),
+}
+DAMPING = ("spin-down", "point-E", "spin-down", "point-E", "spin-down")
+
+
+@pytest.mark.parametrize(("first", "second"), SETS.values(), ids=SETS)
+def test_p_is_uniform_however_the_logs_overlap(first: tuple[int, ...], second: tuple[int, ...]) -> None:
+    """Nothing has changed: p of all changes together is uniform, and each change's z has a spread of one."""
+    rng = np.random.default_rng([*first, 100, *second])
+    p, z = [], []
+    for _ in range(80):
+        estimates, _ = draw(rng, DAMPING)
+        found = compare(*(parameters_of([estimates[i] for i in which]) for which in (first, second)))
+        p.append(found.p)
+        z += [c.z for c in found.changes]
+        assert found.dof == 2
+    assert kstest(p, "uniform").pvalue > 1e-3
+    assert 0.85 < np.std(z) < 1.15
+
+
+@pytest.mark.parametrize("serial", ["L1", None])
+@pytest.mark.parametrize(("first", "second"), SETS.values(), ids=SETS)
+def test_a_campaign_against_its_own_beginning_has_not_changed(
+    first: tuple[int, ...], second: tuple[int, ...], serial: str | None
+) -> None:
+    """Whole campaigns with gains and clocks: a small p is no oftener than it may be, whatever is in both."""
+    rng = np.random.default_rng([*first, 200, *second])
+    p = []
+    for _ in range(25):
+        estimates, _ = draw(rng)
+        old, new = (parameters_of([estimates[i] for i in which], serial) for which in (first, second))
+        found = compare(old, new)
+        p.append(found.p)
+        assert found.dof <= len(found.changes)
+        assert all(abs(c.z) < 5 and np.isfinite([c.std, c.z, c.p]).all() for c in found.changes)
+        unit = np.sqrt([old.std[c.name] ** 2 + new.std[c.name] ** 2 for c in found.changes])
+        assert np.linalg.eigvalsh(found.covariance / np.outer(unit, unit))[0] > -1e-9
+    assert kstest(p, "uniform", alternative="greater").pvalue > 1e-3
+
+
+def test_rounded_files_of_the_same_logs_have_not_changed(tmp_path: Path) -> None:
+    """What printing with few digits leaves is no change, in no direction, however well that one is known."""
+    rng = np.random.default_rng(21)
+    for digits in (4, 6, 9):
+        estimates, _ = draw(rng)
+        whole = parameters_of(estimates)
+        short = IdentifiedParameters(
+            {n: float(f"{v:.{digits}g}") for n, v in whole.values.items()}, whole.covariance, whole.provenance
+        )
+        found = compare(whole, short)
+        assert found.p > 1e-3
+        assert not found.significant(0.05)
 
 
 def test_a_file_against_itself_has_not_changed() -> None:
