@@ -1,27 +1,44 @@
-"""Which steady motion a release reaches, or that the pendulums never lock."""
+"""Which steady motion a release reaches, or whether the pendulums slip for ever.
+
+A finite run proves little by itself: pendulums may turn against the rotor hundreds of times and lock all the same. So
+- a steady state is called reached when the motion has stayed near it and come nearer, rates included;
+- slipping is claimed where the motion has reached a stable slipping motion (dynamics.slipping);
+- all else is "not settled", with the revolutions followed and what was seen.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.integrate import locked_state, simulate
+from dynamics.locked_motion import damping_rates
 from dynamics.parameters import RotorParameters, physics_of
 from dynamics.scene import Scene
+from dynamics.slipping import SlippingMotion, slipping_motion
 from dynamics.speed_history import SpeedHistory
 from dynamics.steady_motions import steady_states
 from dynamics.steady_state import SteadyState
 
-_CHUNK = 40  # revolutions integrated at a time
-_NEAR_RAD = 5e-3  # this close to a stable state's own state at ψ = 0, the linear equations bring it there
-_SLIPPED_TURNS = 8.0  # turns against the rotor, still going on, that make a pendulum a slipping one
+_CHUNK = 40  # revolutions integrated at a time, fewer where they take many steps
+_CHUNK_RADIANS = 20_000.0  # of the fastest oscillation
+_NEAR_RAD = 5e-3  # near a stable state
+_ARRIVED_RAD = 1e-4  # and so much nearer: what is left obeys the linear equations
+_STAYED = 20  # revolutions it must have been near, fewer where they are longer than …
+_STAYED_CONSTANTS = 10.0  # … so many time constants of the slowest damping
 _CREEP_RAD = 1e-4  # in twenty revolutions: under friction, at rest
 _BESIDE_RAD = math.radians(20)  # farther from a state than this friction holds the pendulums at none
-_MOST_S = 7200.0  # of the rig's time: longer than anyone waits at the slowest speed
+_FIRST_LOOK = 600  # revolutions after which a stable slipping motion is looked for; then after twice as many, …
+_LEAST_REVOLUTIONS, _TIME_CONSTANTS = 20_000, 60.0  # followed, whichever is longer, unless told otherwise …
+_MOST_WORK = 3_000_000  # … and no more steps than these: about five seconds
+_IMPLICIT_COST = 5.0  # of an implicit step in explicit ones
+_LEAST_S = 7200.0  # of the rig's time, for slow rotors
+_FINER = 1e-3  # accuracy of the second run, which must end where the first did
 PLAY_RAD = math.radians(0.2)
 
 
@@ -31,12 +48,17 @@ class ReleaseOutcome:
 
     Attributes:
         state: "I", "II", "III" (or "one"), "held by friction" where dry friction keeps the pendulums at no such
-            state, "slipping", or "not settled" within the revolutions and the time allowed.
+            state, "slipping", or "not settled" within the revolutions followed.
         theta_rad: mean θ3, θ4 of the state reached, [0, 2π); of the last revolution when none was.
         after_s: time from the release until the motion stayed near that state; of the end when none was reached.
         revolutions: how far the motion was followed.
         slip_turns: turns of each pendulum against the rotor since the release.
         reached: the steady state, when one was reached.
+        slipping: the stable slipping motion, when one was reached.
+        seen: what was seen of a motion that reached nothing, in words; "" otherwise.
+        same_end: whether a run a thousand times more accurate ended in the same state and mirror image. Where it
+            did not, the long transient magnifies any difference, and the end of this very release is chance.
+        same_time: whether it arrived at the same time, to a revolution or a hundredth.
     """
 
     state: str
@@ -45,6 +67,10 @@ class ReleaseOutcome:
     revolutions: int
     slip_turns: tuple[float, float]
     reached: SteadyState | None
+    slipping: SlippingMotion | None = None
+    seen: str = ""
+    same_end: bool = True
+    same_time: bool = True
 
 
 def release_outcome(
@@ -53,86 +79,186 @@ def release_outcome(
     from_rad: tuple[float, float] = (PLAY_RAD, math.pi - 0.5 * PLAY_RAD),
     *,
     states: Sequence[SteadyState] | None = None,
-    accuracy: float = 1e-4,
-    most_revolutions: int = 4000,
+    accuracy: float = 1e-6,
+    most_revolutions: int | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> ReleaseOutcome:
-    """Follow the nonlinear motion from the locked orbit until it stays with one stable state.
+    """Follow the nonlinear motion from the locked orbit until it stays with one stable motion.
 
     Args:
         rig: RotorParameters, or anything whose `.physics` is.
         from_rad: angles the locks hold. Exactly 0° and 180° may be an unstable rest from which nothing moves; a
             real lock has play, so the default lies 0.2° and 0.1° beside them.
         states: the steady states at this speed, when they are known already.
-        accuracy: of the integration over 40 revolutions, rad.
-        most_revolutions: when to give up and say "not settled".
+        accuracy: of the integration over 40 revolutions, rad, at most 1e-5.
+        most_revolutions: when to give up and say "not settled"; None: 20 000 or 60 time constants of the slowest
+            damping, whichever is longer, as far as three million steps go.
+        progress: called with the share of the horizon done, 0 … 1.
     Raises:
+        OutsideDomain: a speed, angles or limits that mean nothing.
         NotConverged: the motion can't be integrated.
     """
     p = physics_of(rig)
+    if not (0 < accuracy <= 1e-5):
+        raise OutsideDomain(f"accuracy of a release must be above 0 and at most 1e-5 rad, got {accuracy!r}")
+    if most_revolutions is not None and most_revolutions < 1:
+        raise OutsideDomain(f"most_revolutions must be at least 1, got {most_revolutions!r}")
+    if not (p.a.present or p.b.present):
+        raise OutsideDomain("a release needs a pendulum: both masses are 0")
     known = steady_states(p, speed_rad_s, 1e-6) if states is None else states
     stable = [s for s in known if s.stable]
-    period = 2 * math.pi / speed_rad_s
-    history = SpeedHistory.constant(speed_rad_s)
-    state = locked_state(p, speed_rad_s, 0.0, *from_rad)
-    start, done = state[2:4].copy(), 0
-    rubbing = p.a.friction_arm_m > 0 or p.b.friction_arm_m > 0
-    while done < most_revolutions and done * period < _MOST_S:
-        times = np.arange(_CHUNK + 1) * period
-        strobe = simulate(p, Scene(history, (True, True), state), times, accuracy).state
-        near = [_first_near(strobe, s) for s in stable]
-        for s, at in zip(stable, near, strict=True):
-            if at is not None:
-                return ReleaseOutcome(
-                    s.type, s.theta_rad, (done + at) * period, done + _CHUNK, _turns(strobe[-1], start), s
-                )
-        if rubbing and _at_rest(strobe):
-            return _held(strobe[-1], stable, start, done + _CHUNK, period)
-        done += _CHUNK
-        state = strobe[-1].copy()
-        slipped = np.abs(state[2:4] - start) / (2 * math.pi)
-        going_on = np.abs(strobe[-1, 2:4] - strobe[0, 2:4]) > 0.5 * math.pi
-        if np.any((slipped > _SLIPPED_TURNS) & going_on):
-            return _without_rest("slipping", state, start, done, period)
-    return _without_rest("not settled", state, start, done, period)
+    first = _Release(p, speed_rad_s, from_rad, accuracy).follow(stable, most_revolutions, progress)
+    if first.reached is None or first.revolutions > 50_000 or p.has_friction:
+        return first
+    try:
+        second = _Release(p, speed_rad_s, from_rad, max(_FINER * accuracy, 1e-11)).follow(
+            stable, 2 * first.revolutions + 10 * _CHUNK, None
+        )
+    except NotConverged:  # not to be had so accurately: nothing more is known
+        return first
+    late = abs(second.after_s - first.after_s)
+    same_time = late <= max(0.01 * first.after_s, 1.5 * 2 * math.pi / speed_rad_s)
+    return replace(second, same_end=second.reached is first.reached, same_time=same_time)
 
 
-def _at_rest(strobe: NDArray[np.floating]) -> bool:
+class _Release:
+    """A release on its way: the state once a revolution, and what it took to get there."""
+
+    def __init__(
+        self, parameters: RotorParameters, speed: float, from_rad: tuple[float, float], accuracy: float
+    ) -> None:
+        self.p, self.speed, self.accuracy = parameters, speed, accuracy
+        self.period = 2 * math.pi / speed
+        self.history = SpeedHistory.constant(speed)
+        self.blocks = [locked_state(parameters, speed, 0.0, *from_rad)[None, :]]  # the state once a revolution
+        self.work = 0.0
+        fastest = max(speed, *parameters.natural_frequencies_rad_s)
+        self.chunk = max(1, min(_CHUNK, int(_CHUNK_RADIANS / (fastest * self.period))))
+        rates = [r for r in damping_rates(parameters) if r > 0]
+        self.slowest_s = 1.0 / min(rates) if rates else math.inf
+        self.stay = max(1, math.ceil(min(_STAYED, _STAYED_CONSTANTS * self.slowest_s / self.period)))
+        self.pendulums = [i for i, q in enumerate((parameters.a, parameters.b)) if q.present]
+        lengths = (parameters.a.length_m, parameters.b.length_m)
+        self.arm = max(lengths[i] for i in self.pendulums)
+
+    @property
+    def done(self) -> int:
+        """Revolutions followed."""
+        return sum(len(b) for b in self.blocks) - 1
+
+    def follow(
+        self, stable: Sequence[SteadyState], most_revolutions: int | None, progress: Callable[[float], None] | None
+    ) -> ReleaseOutcome:
+        """Revolution by revolution until something is reached or the horizon is."""
+        rubbing, look = self.p.has_friction, _FIRST_LOOK
+        since: list[int | None] = [None] * len(stable)  # from when the motion has been near each state
+        most = self._horizon() if most_revolutions is None else most_revolutions
+        work = _MOST_WORK if most_revolutions is None else math.inf
+        while self.done < most and self.work < work:
+            last = self._advance()
+            for i, s in enumerate(stable):
+                distance = self._distance(last, s)
+                since[i] = _near_since(since[i], distance, self.done - len(last) + 1)
+                begun = since[i]
+                if begun is not None and distance[-1] < _ARRIVED_RAD and self.done - begun >= self.stay:
+                    return self._outcome(s.type, begun, s)
+            if rubbing and _at_rest(last):
+                return self._held(stable)
+            if not rubbing and self.done >= look:
+                look *= 2
+                strobe = np.concatenate(self.blocks)
+                slipping = slipping_motion(self.p, self.speed, strobe[len(strobe) // 2 :])
+                if slipping is not None:
+                    return replace(self._outcome("slipping", self.done, None), slipping=slipping)
+            if most_revolutions is None and self._hopeless(stable):
+                break
+            if progress is not None:
+                progress(min(1.0, max(self.done / most, self.work / work)))
+        near = [(s, since[i]) for i, s in enumerate(stable)]
+        return replace(self._outcome("not settled", self.done, None), seen=self._seen(near))
+
+    def _horizon(self) -> int:
+        """Revolutions worth following: many time constants of the slowest damping there is."""
+        most = max(_LEAST_S, _TIME_CONSTANTS * self.slowest_s if math.isfinite(self.slowest_s) else 0.0)
+        if _LEAST_REVOLUTIONS * self.period < most:
+            return max(1, math.ceil(min(most / self.period, 1e9)))
+        return _LEAST_REVOLUTIONS
+
+    def _hopeless(self, stable: Sequence[SteadyState]) -> bool:
+        """Whether no stable state can be approached within the work allowed, going by its own multipliers."""
+        affordable = _MOST_WORK * self.done / max(self.work, 1.0)
+        return bool(stable) and min(_time_constant(s) for s in stable) > affordable
+
+    def _advance(self) -> NDArray[np.float64]:
+        """One more chunk, its first state included, shape (chunk + 1, 8)."""
+        times = np.arange(self.chunk + 1) * self.period
+        motion = simulate(self.p, Scene(self.history, (True, True), self.blocks[-1][-1].copy()), times, self.accuracy)
+        self.work += motion.work_steps * (_IMPLICIT_COST if motion.method == "implicit" else 1.0)
+        self.blocks.append(motion.state[1:])
+        return motion.state
+
+    def _distance(self, strobe: NDArray[np.float64], s: SteadyState) -> NDArray[np.float64]:
+        """Distance of strobed states (n, 8) from a state's own, angles and rates of the pendulums and the disk, rad."""
+        size = 4 * max(s.amplitude_m, 0.01 * self.arm)  # the disk's displacement counts by its orbit
+        scale = np.array([size, size, 1.0, 1.0, size * self.speed, size * self.speed, self.speed, self.speed])
+        gap = np.abs(strobe - s.start) / scale
+        gap[:, 2:4] = np.abs(np.exp(1j * strobe[:, 2:4]) - np.exp(1j * s.start[2:4]))
+        absent = [i for i in (0, 1) if i not in self.pendulums]
+        gap[:, [c for i in absent for c in (2 + i, 6 + i)]] = 0.0
+        return gap.max(axis=1)
+
+    def _outcome(self, name: str, after: int, reached: SteadyState | None) -> ReleaseOutcome:
+        first, last = self.blocks[0][0], self.blocks[-1][-1]
+        turns = (last[2:4] - first[2:4]) / (2 * math.pi)
+        theta = last[2:4] % (2 * math.pi)
+        own = (float(theta[0]), float(theta[1])) if reached is None else reached.theta_rad
+        return ReleaseOutcome(name, own, after * self.period, self.done, (float(turns[0]), float(turns[1])), reached)
+
+    def _held(self, stable: Sequence[SteadyState]) -> ReleaseOutcome:
+        """Pendulums that dry friction holds: at a stable state when they lie within its band."""
+        last = self.blocks[-1][-1]
+        rest = self._outcome("held by friction", self.done, None)
+        for s in stable:
+            away = np.abs(np.angle(np.exp(1j * (last[2:4] - np.array(s.theta_rad)))))
+            if np.all(away <= np.minimum(1.2 * np.array(s.stick_half_width_rad), _BESIDE_RAD)):
+                return replace(rest, state=s.type, reached=s)
+        return rest
+
+    def _seen(self, near: Sequence[tuple[SteadyState, int | None]]) -> str:
+        """What a motion that reached nothing looked like, in words."""
+        strobe = np.concatenate(self.blocks)
+        half = strobe[len(strobe) // 2 :]
+        said = [f"not settled within {self.done} revolutions ({self.done * self.period:.4g} s)"]
+        for i in self.pendulums:
+            whole = (strobe[-1, 2 + i] - strobe[0, 2 + i]) / (2 * math.pi)
+            late = (half[-1, 2 + i] - half[0, 2 + i]) / (2 * math.pi)
+            if abs(late) >= 1:
+                rate = late / (len(half) - 1)
+                said.append(f"{'AB'[i]} has made {whole:.1f} turns against the rotor, lately {rate:.3g} per revolution")
+            else:
+                swing = math.degrees(float(np.ptp(half[:, 2 + i])))
+                said.append(f"{'AB'[i]} has not turned over lately, its angle once a revolution varied by {swing:.3g}°")
+        said += [f"it was approaching {s.type} at the end" for s, begun in near if begun is not None]
+        said += [] if near else ["no stable steady motion is known at this speed"]
+        slowness = min((_time_constant(s) for s, _ in near), default=0.0)
+        said += [f"a stable state takes {slowness:.2g} revolutions for each e-fold"] if slowness > self.done else []
+        return "; ".join(said)
+
+
+def _time_constant(s: SteadyState) -> float:
+    """Revolutions in which a deviation from a stable state falls to 1/e."""
+    return -1.0 / math.log(s.multiplier_max) if s.multiplier_max > 0 else 0.0
+
+
+def _near_since(since: int | None, distance: NDArray[np.float64], first: int) -> int | None:
+    """The revolution from which the motion has stayed near a state; None when it is not near at the end."""
+    far = np.flatnonzero(~(distance < _NEAR_RAD))
+    if len(far) == 0:
+        return first if since is None else since
+    return None if far[-1] == len(distance) - 1 else first + int(far[-1]) + 1
+
+
+def _at_rest(strobe: NDArray[np.float64]) -> bool:
     """Whether dry friction has all but stopped the pendulums: what is left is creep under the torque's ripple."""
     late = strobe[len(strobe) // 2 :]
     return bool(np.ptp(late[:, 2:4], axis=0).max() < _CREEP_RAD and np.ptp(late[:, :2], axis=0).max() < 1e-6)
-
-
-def _held(
-    state: NDArray[np.floating], stable: Sequence[SteadyState], start: NDArray[np.floating], done: int, period: float
-) -> ReleaseOutcome:
-    """Pendulums that dry friction holds: at a stable state when they lie within its band."""
-    rest = _without_rest("held by friction", state, start, done, period)
-    for s in stable:
-        away = np.abs(np.angle(np.exp(1j * (state[2:4] - np.array(s.theta_rad)))))
-        if np.all(away <= np.minimum(1.2 * np.array(s.stick_half_width_rad), _BESIDE_RAD)):
-            return replace(rest, state=s.type, reached=s)
-    return rest
-
-
-def _without_rest(
-    name: str, state: NDArray[np.floating], start: NDArray[np.floating], done: int, period: float
-) -> ReleaseOutcome:
-    theta = state[2:4] % (2 * math.pi)
-    return ReleaseOutcome(name, (float(theta[0]), float(theta[1])), done * period, done, _turns(state, start), None)
-
-
-def _turns(state: NDArray[np.floating], start: NDArray[np.floating]) -> tuple[float, float]:
-    turns = (state[2:4] - start) / (2 * math.pi)
-    return float(turns[0]), float(turns[1])
-
-
-def _first_near(strobe: NDArray[np.floating], s: SteadyState) -> int | None:
-    """The revolution from which the strobed states (n, 8) stay near a state's own; None when the last is not."""
-    angle = np.abs(np.exp(1j * strobe[:, 2:4]) - np.exp(1j * s.start[2:4])).max(axis=1)
-    size = max(s.amplitude_m, 1e-6)
-    place = np.abs(strobe[:, :2] - s.start[:2]).max(axis=1) / size
-    near = (angle < _NEAR_RAD) & ((place < 0.02) | (np.abs(strobe[:, :2] - s.start[:2]).max(axis=1) < 2e-6))
-    if not near[-1]:
-        return None
-    away = np.flatnonzero(~near)
-    return int(away[-1]) + 1 if len(away) else 0

@@ -160,6 +160,11 @@ class RotorParameters:
         )
 
     @property
+    def has_friction(self) -> bool:
+        """Whether a pendulum that is there feels dry friction."""
+        return any(q.present and q.friction_arm_m > 0 for q in (self.a, self.b))
+
+    @property
     def is_isotropic(self) -> bool:
         """Whether both directions have the same stiffness and damping."""
         return self.k1_N_per_m == self.k2_N_per_m and self.zeta1 == self.zeta2
