@@ -47,9 +47,7 @@ class Minimum:
         return float(self.residual @ self.residual)
 
 
-def minimise(
-    evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, plateau: float | None = None
-) -> Minimum:
+def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
     """Levenberg–Marquardt with Marquardt's scaling.
 
     Args:

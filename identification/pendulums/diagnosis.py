@@ -25,8 +25,15 @@ _FURTHEST = 0.5  # a change by more is no slip of a scale
 
 
 @dataclass(frozen=True)
-class _Cause:
-    share: float
+class Cause:
+    """One number of the rig file that may be wrong.
+
+    Attributes:
+        mended: drop of χ² if it were right.
+        text: which, and by how much.
+    """
+
+    mended: float
     text: str
 
 
@@ -36,23 +43,32 @@ def likely_causes(release: Release, minimum: Minimum, end_s: float) -> list[str]
     Args:
         minimum, end_s: the first fit whose residuals are not noise, and its horizon.
     """
+    n = sum(len(c.time_s) for c in release.problem().cut(end_s))
+    excess = float(minimum.residual[:n] @ minimum.residual[:n]) - n
+    causes = candidates(release, minimum, end_s)
+    if not causes or causes[0].mended < _EXPLAINS * excess:
+        return []
+    return [c.text for c in causes if c.mended > _AS_GOOD * causes[0].mended]
+
+
+def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
+    """Every number that could be at fault and what of χ² it would mend, the most first."""
     problem = release.problem()
     cut = problem.cut(end_s)
     sizes = (len(cut[0].time_s), len(cut[1].time_s))
     n = sum(sizes)
     weight = np.concatenate([c.weight for c in cut])
-    excess = float(minimum.residual[:n] @ minimum.residual[:n]) - n
     base, _ = problem.predict(minimum.theta, end_s)
-    causes: list[_Cause] = []
+    causes: list[Cause] = []
 
-    def judge(column: np.ndarray, text: str, value: float | None) -> None:
+    def judge(column: np.ndarray, text: str, value: float | None, unit: str) -> None:
         if not np.all(np.isfinite(column)) or not np.any(column):
             return
         found = evidence(minimum, (column * weight)[:, None], None, sizes)
         if abs(found.step[0]) < _FURTHEST:
             change = f"{100 * found.step[0]:+.2g} %"
-            where = f" ({value * (1 + found.step[0]):.4g})" if value is not None else ""
-            causes.append(_Cause(found.mended / max(excess, 1e-9), f"{text} {change}{where}"))
+            where = f" ({value * (1 + found.step[0]):.4g} {unit})" if value is not None else ""
+            causes.append(Cause(found.mended, f"{text} {change}{where}"))
 
     for name, at in (("A", 0), ("B", 1)):
         own = release.knowledge.physics.a if at == 0 else release.knowledge.physics.b
@@ -61,15 +77,12 @@ def likely_causes(release: Release, minimum: Minimum, end_s: float) -> list[str]
             moved = _moved(release, minimum.theta, at, field)
             if moved is not None:
                 angle, _ = moved[0].problem().predict(moved[1], end_s)
-                judge((angle - base) / _MOVED, f"pendulum {name}'s {what} in {unit}", value)
+                judge((angle - base) / _MOVED, f"pendulum {name}'s {what}", value, unit)
         scale = np.zeros(n)
         rows = slice(0, sizes[0]) if at == 0 else slice(sizes[0], n)
         scale[rows] = base[rows] - release.locked_rad[at]
-        judge(scale, f"the scale of encoder {name} (counts_per_revolution)", None)
-    causes.sort(key=lambda c: -c.share)
-    if not causes or causes[0].share < _EXPLAINS:
-        return []
-    return [c.text for c in causes if c.share > _AS_GOOD * causes[0].share]
+        judge(scale, f"the scale of encoder {name} (counts_per_revolution)", None, "")
+    return sorted(causes, key=lambda c: -c.mended)
 
 
 def _moved(release: Release, theta: np.ndarray, at: int, field: str) -> tuple[Release, np.ndarray] | None:

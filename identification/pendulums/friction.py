@@ -87,9 +87,7 @@ class Evidence:
         return self.gain > self.limit
 
 
-def evidence(
-    minimum: Minimum, columns: np.ndarray, rounding: np.ndarray | None, sizes: tuple[int, int]
-) -> Evidence:
+def evidence(minimum: Minimum, columns: np.ndarray, rounding: np.ndarray | None, sizes: tuple[int, int]) -> Evidence:
     """The score test for parameters that a fit went without.
 
     Args:

@@ -145,7 +145,9 @@ def _noise(rest: np.ndarray, step: float, apart_s: float) -> tuple[float, float]
 
 
 def _third(value: np.ndarray, stride: int) -> float:
-    third = value[3 * stride :] - 3 * value[2 * stride : -stride] + 3 * value[stride : -2 * stride] - value[: -3 * stride]
+    third = (
+        value[3 * stride :] - 3 * value[2 * stride : -stride] + 3 * value[stride : -2 * stride] - value[: -3 * stride]
+    )
     robust = float(np.median(np.abs(third))) / 0.6745
     return float(np.mean(np.clip(np.abs(third), 0, 6 * robust if robust else np.inf) ** 2))
 

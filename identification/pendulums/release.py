@@ -19,10 +19,11 @@ from daq.signals import Run
 from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering
-from identification.pendulums.diagnosis import likely_causes
+from identification.pendulums.diagnosis import candidates, likely_causes
 from identification.pendulums.free_angles import laid_over
+from identification.pendulums.friction import Evidence
 from identification.pendulums.release_problem import SUSPENSION, Release, Shape
-from identification.pendulums.release_search import GOOD, Effort, NotFollowed, Search, Tell, holding
+from identification.pendulums.release_search import Effort, NotFollowed, Search, Tell, holding
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
 from identification.pendulums.unknown_phase import angles_to_try, race, told
@@ -33,6 +34,7 @@ from identification.tracking.release_start import damping_start
 _SHIFTS = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
 _FAN = sorted(product(_SHIFTS, _SHIFTS), key=lambda s: (abs(s[0]) + abs(s[1]), s))  # of ln c3, ln c4, near ones first
 _MUCH = 0.5  # share of a misfit that friction must explain to be tried
+_AS_GOOD, _NEGATIVE = 0.9, 0.2  # of what friction mends; of the larger torque
 _ALIKE = 8.0  # χ² between two shapes of friction that are as good
 
 
@@ -75,13 +77,16 @@ def fit_release(
     horizons, effort, tell = release.horizons(setting), effort or Effort(), tell or (lambda _: None)
     end = horizons[-1]
     shape: Shape | None = None
+    other: list[str] = []
     try:
         answers = _viscous(release, horizons, effort, tell)
         ask = release.friction_evidence(answers[0], end)
-        if knowledge.friction is not None or (ask.found and ask.step.max() > 0):
-            answers, shape = _with_friction(release, horizons, answers[0].theta, ask.step, Effort(0.0), tell) or (
-                answers, None
-            )  # fmt: skip
+        dry = knowledge.friction is not None
+        if not dry and ask.found:
+            dry, other = _dry_or_else(release, answers[0], end, ask)
+        found = _with_friction(release, [end], answers[0].theta, ask.step, effort, tell) if dry else None
+        if found is not None:
+            answers, shape = found
     except NotFollowed as stuck:
         found = _rescued(release, horizons, stuck, effort, tell)
         if found is None:
@@ -93,6 +98,7 @@ def fit_release(
         raise FitFailed(
             f"{run.source}: {fit.horizon_s:.2g} s of the release do not show the damping; record a longer one"
         )
+    fit = replace(fit, warnings=[*fit.warnings, *other])
     if shape is not None:
         friction = release.friction(best, problem.covariance(best, end, setting, (16, 17)), shape)
         fit = replace(fit, friction=friction, warnings=[*fit.warnings, friction.told(f"release {run.test}")])
@@ -152,11 +158,22 @@ def _rescued(
         return None
     minimum, end = stuck.doubtful
     ask = release.friction_evidence(minimum, end)
-    excess = minimum.cost - len(minimum.residual)
-    likely = ask.found and ask.mended > _MUCH * excess and ask.step.max() > 0
-    if release.knowledge.friction is None and not likely:
-        return None
-    return _with_friction(release, horizons, minimum.theta, ask.step, Effort(effort.left), tell)
+    if release.knowledge.friction is None:
+        excess = minimum.cost - len(minimum.residual)
+        if ask.mended < _MUCH * excess or not _dry_or_else(release, minimum, end, ask)[0]:
+            return None
+    return _with_friction(release, [h for h in horizons if h >= end], minimum.theta, ask.step, effort, tell)
+
+
+def _dry_or_else(release: Release, minimum: Minimum, end_s: float, ask: Evidence) -> tuple[bool, list[str]]:
+    """Whether dry friction is the best explanation of what viscous damping leaves, and a warning where it is not."""
+    if not ask.found or ask.step.max() <= 0 or ask.step.min() < -_NEGATIVE * ask.step.max():
+        return False, []
+    causes = candidates(release, minimum, end_s)
+    if not causes or causes[0].mended < _AS_GOOD * ask.mended:
+        return True, []
+    text = f"release {release.run.test}: the residuals are no noise; {causes[0].text} would explain them. Measure it"
+    return False, [text]
 
 
 def _left_out(release: Release, stuck: NotFollowed) -> ReleaseLeftOut:

@@ -1,9 +1,9 @@
 """The search for what a release's readings say: growing horizons from several starts, and when to stop trying.
 
-A release starts near an unstable equilibrium, so the fit proceeds over growing horizons, each from the one before. Where
-the start is at fault another start ends elsewhere. Where the model is at fault (masses, lengths, friction) starts far
-apart end at the same place with the same residual: three of them, and the search ends, with what it found kept for the
-question what would mend it. A search whose starts all end at different places is bounded by its effort.
+A release starts near an unstable equilibrium, so the fit proceeds over growing horizons, each from the one before.
+Where the start is at fault another start ends elsewhere. Where the model is at fault (masses, lengths, friction) starts
+far apart end at the same place with the same residual: three of them, and the search ends, with what it found kept for
+the question what would mend it. A search whose starts all end at different places is bounded by its effort.
 """
 
 from __future__ import annotations

@@ -132,9 +132,7 @@ class TransientProblem:
         first, second = (r.averages.between(-np.inf, end_s) for r in self.readings)
         return first, second
 
-    def solve(
-        self, start: np.ndarray, end_s: float, iterations: int = 25, plateau: float | None = None
-    ) -> Minimum:
+    def solve(self, start: np.ndarray, end_s: float, iterations: int = 25, plateau: float | None = None) -> Minimum:
         """Least squares on the data up to end_s.
 
         Args:
@@ -183,7 +181,7 @@ class TransientProblem:
     def covariance(
         self, minimum: Minimum, end_s: float, setting: Setting, wanted: Sequence[int] = (0, 1)
     ) -> np.ndarray:
-        """Of some of θ, by default ln c3, ln c4, shape (m, m): knowledge and rounding, stretched by what is no noise."""
+        """Of some of θ, by default ln c3, ln c4, shape (m, m): of knowledge and rounding, stretched by misfit."""
         own_columns = list(wanted)
         sizes = [len(c.time_s) for c in self.cut(end_s)]
         n = sum(sizes)
