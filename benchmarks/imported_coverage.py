@@ -7,7 +7,9 @@ two ring-downs, a run-up, a spin-down and a release at speed at 1 kHz, with nois
 samples. The csv files are imported and identified with a rig file whose suspension is up to 15 % wrong and whose
 dampings are wrong by a factor 2. With --wide the rigs and the recorders leave the ordinary: ζ 0.001 to 0.2, c 1e-4 to
 1e-2, sensors turned by up to 20°, 0.5 to 5 kHz, 1 to 30 µm of noise, up to 1 % outliers, 5 % of the encoders' samples
-lost, 1024 to 16384 counts, ramps of 25 to 100 s. Printed per parameter: mean and spread of z = (found − true)/std, the
+lost, 1024 to 16384 counts, ramps of 25 to 100 s. With --change the phase comes in steps, the point has a noisy speed in place
+of it, the pendulums have dry friction (a torque, one that goes with the contact force) or A is lighter than the rig
+file says. Printed per parameter: mean and spread of z = (found − true)/std, the
 share within 1.96, the largest, and the relative std; the same for each test alone.
 """
 
@@ -16,7 +18,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,25 +37,30 @@ MASS_KG = DISK_KG + 2 * PENDULUM_KG + WEIGHT_KG
 
 @njit(cache=True)
 def slope(t, s, psi0, w0, ramp, p, free):
-    """ẋ of (x, y, φA, φB, rates): absolute pendulum angles; speed w0 + ramp t; locked pendulums turn with the rotor."""
-    k1, k2, c1, c2, ca, cb, imbalance = p
+    """ẋ of (x, y, φA, φB, rates): absolute pendulum angles; speed w0 + ramp t; locked pendulums turn with the rotor.
+
+    Dry friction's sign is smoothed over 2e-4 rad/s: a pendulum that sticks creeps by less than an encoder's step.
+    """
+    k1, k2, c1, c2, ca, cb, imbalance, torque, contact, mass_a = p
     w = w0 + ramp * t
     psi = psi0 + w0 * t + 0.5 * ramp * t * t
-    first_moment, inertia = PENDULUM_KG * LENGTH_M, PENDULUM_KG * LENGTH_M**2
     matrix, right = np.zeros((4, 4)), np.zeros(4)
-    matrix[0, 0] = matrix[1, 1] = MASS_KG
+    matrix[0, 0] = matrix[1, 1] = MASS_KG + mass_a - PENDULUM_KG
     right[0] = -c1 * s[4] - k1 * s[0] + imbalance * (w * w * np.cos(psi) + ramp * np.sin(psi))
     right[1] = -c2 * s[5] - k2 * s[1] + imbalance * (w * w * np.sin(psi) - ramp * np.cos(psi))
     for i in range(2):
         phi, rate, damping = s[2 + i], s[6 + i], (ca, cb)[i]
         sin, cos = np.sin(phi), np.cos(phi)
+        mass = mass_a if i == 0 else PENDULUM_KG
+        first_moment, inertia = mass * LENGTH_M, mass * LENGTH_M**2
+        dry = (torque + contact * rate * rate) * np.tanh((rate - w) / 2e-4)
         matrix[0, 2 + i], matrix[1, 2 + i] = -first_moment * sin, first_moment * cos
         right[0] += first_moment * rate * rate * cos
         right[1] += first_moment * rate * rate * sin
         matrix[2 + i, 2 + i] = inertia
         if free:
             matrix[2 + i, 0], matrix[2 + i, 1] = -first_moment * sin, first_moment * cos
-            right[2 + i] = -damping * (rate - w)
+            right[2 + i] = -damping * (rate - w) - dry
         else:
             right[2 + i] = inertia * ramp
     out = np.empty(8)
@@ -73,6 +80,11 @@ class Recorder:
     outliers: float = 0.0
     ramp_s: float = 50.0
     pluck_m: float = 2.5e-3
+    phase_step_deg: float = 0.0
+    speed_noise_rpm: float = 0.0
+    torque_Nm: float = 0.0
+    contact_kg_m2: float = 0.0
+    light_A: float = 0.0
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Recorder:
@@ -90,10 +102,13 @@ class Rig:
     rng: np.random.Generator
     folder: Path
     wide: bool = False
+    changes: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         draw = self.rng.uniform
-        self.recorder = Recorder.drawn(self.rng) if self.wide else Recorder()
+        self.recorder = replace(Recorder.drawn(self.rng) if self.wide else Recorder(), **self.changes)
+        self.mass_A = PENDULUM_KG * (1 - self.recorder.light_A)
+        self.mass = MASS_KG + self.mass_A - PENDULUM_KG
         self.k = np.array([2583.07, 38487.79]) * (1 + 0.1 * draw(-1, 1, 2))
         self.zeta = 0.001 * 200 ** draw(0, 1, 2) if self.wide else 0.02 * 10 ** draw(-0.5, 0.5, 2)
         self.c = 1e-3 * 10 ** (draw(-1, 1, 2) if self.wide else draw(-0.5, 0.5, 2))
@@ -101,7 +116,8 @@ class Rig:
         self.beta = np.radians(draw(-20, 20) if self.wide else draw(-5, 5))
         self.gain = 1 + 1e-3 * self.rng.normal(size=2)
         self.zero = np.radians(0.05) * self.rng.normal(size=2)
-        self.p = np.r_[self.k, 2 * self.zeta * np.sqrt(self.k * MASS_KG), self.c, self.imbalance]
+        dry = self.recorder.torque_Nm, self.recorder.contact_kg_m2
+        self.p = np.r_[self.k, 2 * self.zeta * np.sqrt(self.k * self.mass), self.c, self.imbalance, dry, self.mass_A]
         self.number = 0
 
     @property
@@ -112,7 +128,9 @@ class Rig:
     def move(self, start, times, motion, free):
         """States at the times, shape (n, 8)."""
         span = (times[0], times[-1])
-        found = solve_ivp(slope, span, start, "DOP853", times, args=(*motion, self.p, free), rtol=1e-10, atol=1e-12)
+        stiff = free and max(self.p[7:9]) > 0
+        method, rtol = ("LSODA", 1e-9) if stiff else ("DOP853", 1e-10)
+        found = solve_ivp(slope, span, start, method, times, args=(*motion, self.p, free), rtol=rtol, atol=1e-12)
         assert found.success, found.message
         return found.y.T
 
@@ -124,11 +142,15 @@ class Rig:
         xy[spoilt] = self.rng.uniform(-5e-3, 5e-3, int(spoilt.sum()))
         step = 2 * np.pi / self.recorder.counts
         theta = np.round((theta + self.zero) / step + 0.3 * self.rng.normal(size=theta.shape)) * step
-        rows = np.column_stack([t, xy * 1e3, np.degrees(theta), psi])
+        if self.recorder.phase_step_deg:
+            phase_step = np.radians(self.recorder.phase_step_deg)
+            psi = np.round(psi / phase_step) * phase_step
+        rpm = np.gradient(psi, t) * 30 / np.pi + self.recorder.speed_noise_rpm * self.rng.normal(size=len(t))
+        rows = np.column_stack([t, xy * 1e3, np.degrees(theta), psi, rpm])
         rows[self.rng.random(len(t)) < self.recorder.lost, 3:5] = np.nan
         self.number += 1
         path = self.folder / f"r{self.number}.csv"
-        header = "t_s,x_mm,y_mm,theta3_deg,theta4_deg,psi_rad"
+        header = "t_s,x_mm,y_mm,theta3_deg,theta4_deg,psi_rad,speed_rpm"
         np.savetxt(path, rows, "%.9g", ",", header=header, comments="")
         return path
 
@@ -144,7 +166,7 @@ class Rig:
         start = np.r_[held, lock, np.zeros(4)]
         # locked pendulums on a resting rotor: two independent oscillators
         for i in range(2):
-            w, z = np.sqrt(self.k[i] / MASS_KG), self.zeta[i]
+            w, z = np.sqrt(self.k[i] / self.mass), self.zeta[i]
             wd, s = w * np.sqrt(1 - z * z), t[after] - release
             state[after, i] = held[i] * np.exp(-z * w * s) * (np.cos(wd * s) + z * w / wd * np.sin(wd * s))
         return self.write(t, state, np.tile(start[2:4], (len(t), 1)), np.zeros(len(t)))
@@ -186,8 +208,8 @@ class Rig:
 
     def steady(self, w, psi0, lock):
         """The locked rotor's orbit at t = 0."""
-        moment = self.imbalance + PENDULUM_KG * LENGTH_M * np.exp(1j * lock).sum()
-        a = moment * w * w * np.exp(1j * psi0) / (self.p[:2] - MASS_KG * w * w + 1j * w * self.p[2:4])
+        moment = self.imbalance + LENGTH_M * (np.array([self.mass_A, PENDULUM_KG]) * np.exp(1j * lock)).sum()
+        a = moment * w * w * np.exp(1j * psi0) / (self.p[:2] - self.mass * w * w + 1j * w * self.p[2:4])
         x, y = a[0], -1j * a[1]
         return np.r_[x.real, y.real, psi0 + lock, (1j * w * x).real, (1j * w * y).real, w, w]
 
@@ -204,6 +226,8 @@ class Rig:
             path, go = self.point()
             options["release_s"] = (go,)
         turning = {"phase": "psi_rad:rad"} if test in ("run-up", "point") else {}
+        if test == "point" and self.recorder.speed_noise_rpm:  # an encoder for the run-up, a tachometer for the point
+            turning = {"speed": "speed_rpm:rpm"}
         recipe = make_recipe(test="point-E" if test == "point" else test, time="t_s:s", x="x_mm:mm", y="y_mm:mm",
                              theta3="theta3_deg:deg", theta4="theta4_deg:deg", **turning, **options)  # fmt: skip
         log = path.with_suffix(".mcap")
@@ -228,13 +252,18 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--wide", action="store_true", help="extreme rigs and recorders")
     parser.add_argument("--tests", default=",".join(TESTS))
+    parser.add_argument(
+        "--change", action="append", default=[], metavar="NAME=VALUE",
+        help="of the recorder or the rig: phase_step_deg, speed_noise_rpm, torque_Nm, contact_kg_m2, light_A, rate_Hz …",
+    )  # fmt: skip
     arguments = parser.parse_args()
+    changes = {name: float(value) for name, value in (text.split("=") for text in arguments.change)}
     z: dict[str, list[float]] = {}
     relative: dict[str, list[float]] = {}
     seconds = []
     for number in range(arguments.campaigns):
         with tempfile.TemporaryDirectory() as folder:
-            rig = Rig(np.random.default_rng([arguments.seed, number]), Path(folder), arguments.wide)
+            rig = Rig(np.random.default_rng([arguments.seed, number]), Path(folder), arguments.wide, changes)
             logs = [rig.record(test) for test in arguments.tests.split(",")]
             began = time.perf_counter()
             try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,9 @@ from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
 from identification.joint.provenance import with_tests
-from identification.pendulums.release import fit_release
+from identification.pendulums.friction import Friction
+from identification.pendulums.release import ReleaseLeftOut, fit_release
+from identification.pendulums.release_search import Effort
 from identification.pendulums.spin_down_run import damping_estimate, fit_spin_down_run
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
@@ -71,6 +73,8 @@ class _Work:
     estimates: list[Estimate]
     fits: list[NamedFit]
     warnings: list[str]
+    effort: Effort = field(default_factory=Effort)
+    left_out: list[tuple[str, ReleaseLeftOut]] = field(default_factory=list)
 
     def add(self, run: Run, fit: Fit, estimate: Estimate | None) -> None:
         self.fits.append(NamedFit(run.test, run.source, fit))
@@ -80,13 +84,18 @@ class _Work:
 
     def knowledge(self) -> Knowledge:
         """The rig file with what the tests so far have found laid over it."""
-        known = Knowledge.nominal(self.rig.physics)
+        known = replace(Knowledge.nominal(self.rig.physics), friction=self._friction())
         if not self.estimates:
             return known
         found, _, _ = combine(self.estimates)
         damping = {n: v for n, v in found.values.items() if n.startswith(("c3", "c4"))}
         known = known.with_found(found.values, found.std)
         return replace(known, physics=known.physics.with_values(**damping))
+
+    def _friction(self) -> Friction | None:
+        """What the spin-downs found, the last one's."""
+        found = [f.fit.friction for f in self.fits if f.test == "spin-down" and isinstance(f.fit, TransientFit)]
+        return found[-1] if found else None
 
 
 @on_one_thread
@@ -124,6 +133,7 @@ def identify(
     # short transients first; each sharpens the start of the next
     for run in sorted(points, key=lambda r: r.angle_time_s[-1] if len(r.angle_time_s) else 0.0):
         _one(run, work, _release)
+    work.warnings += _left_out(work.left_out)
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
     return _finished(given, work)
@@ -175,6 +185,8 @@ def _one(run: Run, work: _Work, fit: Callable[[Run, _Work], tuple[Fit, Estimate]
     work.tell(f"{run.test}: fitting {Path(run.source).name}")
     try:
         work.add(run, *fit(run, work))
+    except ReleaseLeftOut as error:
+        work.left_out.append((run.test, error))
     except IdentificationError as error:
         work.warnings.append(f"{run.test} left out: {error}")
 
@@ -198,7 +210,13 @@ def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 
 
 def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
-    fit = fit_release(run, work.knowledge(), np.radians(work.rig.devices.encoder.zero_std_deg), setting=work.setting)
+    zero_std = np.radians(work.rig.devices.encoder.zero_std_deg)
+    name = Path(run.source).name
+
+    def tell(what: str) -> None:
+        work.tell(f"{run.test}: {name}: {what}")
+
+    fit = fit_release(run, work.knowledge(), zero_std, setting=work.setting, tell=tell, effort=work.effort)
     return fit, damping_estimate(run, fit, "transient after release, nonlinear least squares over growing horizons")
 
 
@@ -245,7 +263,7 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     parameters, rows, warnings = combine(work.estimates)
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
     if missing:
-        warnings.append(f"not identified: {', '.join(missing)}; {_advice(missing)}")
+        warnings.append(f"not identified: {', '.join(missing)}; {_advice(missing, runs)}")
     facts = _provenance(runs, work, rows)
     angle, std = _axis_angle(work.fits)
     found = Identification(
@@ -255,19 +273,43 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     return replace(found, parameters=with_tests(found, runs))
 
 
-def _advice(missing: list[str]) -> str:
-    tests = []
+def _left_out(releases: list[tuple[str, ReleaseLeftOut]]) -> list[str]:
+    """A sentence for each release that the model does not follow, and one with what would explain them all."""
+    if not releases:
+        return []
+    told = [f"{test} left out: {error}" for test, error in releases]
+    named = {test: error.causes for test, error in releases if error.causes}
+    if named:
+        which = "; ".join(f"{test}: {' or '.join(causes)}" for test, causes in named.items())
+        told.append(f"a likely cause is one number of the rig file; it would explain {which}. Weigh and measure it")
+    else:
+        told.append(
+            "no single mass, length or encoder scale explains the releases left out: look whether A and B are swapped, "
+            "at the speed's marks and at what may have touched a pendulum"
+        )
+    return told
+
+
+def _advice(missing: list[str], given: Sequence[Run]) -> str:
+    """What to record; a test that was given is to be repeated, for the reason told above."""
+    wanted = {}
     if any(n.startswith(("k", "zeta")) for n in missing):
-        tests.append("ring-downs along x and y")
+        wanted["ring-downs along x and y"] = "ring-down"
     if any(n.startswith("c") for n in missing):
-        tests.append("a spin-down")
+        wanted["a spin-down"] = "spin-down"
     if "SP_kg_m" in missing:
-        tests.append("a run-up")
-    return "record " + ", ".join(tests)
+        wanted["a run-up"] = "run-"
+    tests = [run.test for run in given]
+    new = [name for name, test in wanted.items() if not any(t.startswith(test) for t in tests)]
+    again = sorted({t for test in wanted.values() for t in tests if t.startswith(test)})
+    parts = ["record " + ", ".join(new)] if new else []
+    parts += [f"the given {', '.join(again)} did not show them: the warnings say why"] if again else []
+    return "; ".join(parts)
 
 
 def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) -> dict[str, Any]:
     digests = {r.source: r.metadata.get("digest", "") for r in runs}
+    friction = {f.source: f.fit.friction for f in work.fits if isinstance(f.fit, TransientFit) and f.fit.friction}
     tests = [
         {
             "test": e.test,
@@ -276,6 +318,11 @@ def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) ->
             "method": e.method,
             "values": {n: float(v) for n, v in zip(e.names, e.values, strict=True)},
             "std": e.std,
+            **(
+                {"friction": friction[e.source].values, "friction_std": friction[e.source].std}
+                if e.source in friction
+                else {}
+            ),
         }
         for e in work.estimates
     ]

@@ -47,12 +47,14 @@ class Minimum:
         return float(self.residual @ self.residual)
 
 
-def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) -> Minimum:
+def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
     """Levenberg–Marquardt with Marquardt's scaling.
 
     Args:
         evaluate: θ to residual (n,) in standard deviations and Jacobian (n, p). Columns may differ in scale.
         start: shape (p,).
+        plateau: mean square of the residuals above which three steps in a row that together gain less than a
+            tenth end the iteration: what is left there is no noise, and more steps do not change that.
     Raises:
         FitFailed: the model gives no finite numbers at the start.
     """
@@ -61,6 +63,7 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) ->
     if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
         raise FitFailed(f"the model gives no finite numbers at its start values {np.array2string(theta, precision=4)}")
     damping, converged, used, idle = 1e-4, False, 1, 0
+    costs = [float(residual @ residual)]
     while used < max_iterations and not converged:
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
         normal = (jacobian / scale).T @ (jacobian / scale)
@@ -79,6 +82,9 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40) ->
         if better:
             theta, residual, jacobian = theta + step / scale, trial_residual, trial_jacobian
             damping = max(damping / 10, 1e-10)
+            costs.append(float(residual @ residual))
+            if plateau is not None and len(costs) > 3 and costs[-1] > max(plateau * len(residual), 0.9 * costs[-4]):
+                break
         else:
             damping *= 10
             if damping > 1e10:

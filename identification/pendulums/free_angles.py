@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.integrate import fastest_rate
-from dynamics.kernels import rates
+from dynamics.kernels import FA, FB, rates
 from dynamics.parameters import RotorParameters
 from dynamics.sensitivities import packed_derivatives
 from dynamics.speed_history import SpeedHistory
+from identification.pendulums.frictional_motion import frictional_motion
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
-from identification.pendulums.variational import COLUMNS, PARAMETER_COLUMNS, free_motion
+from identification.pendulums.variational import PARAMETER_COLUMNS, free_motion
 from identification.samples import Averages
 
 _OUTPUT_S = 0.004
@@ -26,7 +27,8 @@ class FreeMotion:
     Attributes:
         time_s: shape (n,).
         states: shape (n, 8).
-        derivatives: by the start state (8) and by ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P (7), (n, 8, 15).
+        derivatives: by the start state (8) and by ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P (7), (n, 8, 15);
+            with dry friction also by its torques M_A, M_B and contact parts F_A, F_B, (n, 8, 19).
         start_rates: ẏ at the start, shape (8,).
     """
 
@@ -36,7 +38,7 @@ class FreeMotion:
     start_rates: np.ndarray
 
     def angle(self, pendulum: int, blocks: Averages) -> tuple[np.ndarray, np.ndarray]:
-        """Block means of one pendulum's angle (n,) and their derivatives (n, 15).
+        """Block means of one pendulum's angle (n,) and their derivatives (n, 15 or 19).
 
         Cubic Hermite interpolation, and half the samples' variance of time times the second derivative.
         """
@@ -70,9 +72,14 @@ def log_suspension(physics: RotorParameters) -> np.ndarray:
 
 
 def swing(
-    physics: RotorParameters, history: SpeedHistory, start: np.ndarray, start_s: float, first_s: float, last_s: float
-) -> FreeMotion | None:
+    physics: RotorParameters, history: SpeedHistory, start: np.ndarray, start_s: float, first_s: float, last_s: float,
+    dry: np.ndarray | None = None,
+) -> FreeMotion | None:  # fmt: skip
     """Both pendulums free from a state (8,) at start_s; output from first_s (not before it) to past last_s.
+
+    Args:
+        dry: friction torques M_A, M_B (N m) and contact parts F_A, F_B (kg m²: torque per φ̇²); None for what the
+            parameters hold, without derivatives where they hold none.
 
     None where the motion cannot be integrated: a trial far outside, which a minimiser refuses.
     """
@@ -83,15 +90,22 @@ def swing(
     step = max(step, (last_s - start_s) / 400_000)
     times = first_s + _OUTPUT_S * np.arange(int(np.ceil((last_s - first_s) / _OUTPUT_S)) + 2)
     packed = physics.packed()
-    states, raw = free_motion(start, start_s, times, step, history.knots_s, history.coefficients, packed)
+    if dry is None and np.any(packed[[FA, FB]]):
+        dry = np.r_[0.0, 0.0, packed[[FA, FB]]]
+    if dry is None:
+        states, raw = free_motion(start, start_s, times, step, history.knots_s, history.coefficients, packed)
+    else:
+        packed[[FA, FB]] = dry[2:]
+        states, raw = frictional_motion(
+            start, start_s, times, step, history.knots_s, history.coefficients, packed, dry[:2]
+        )
     if not np.all(np.isfinite(states)):
         return None
     rate = np.empty(8)
     psi, omega, alpha = history.phase(start_s)[0]
     rates(start, psi, omega, alpha, packed, 1.0, 1.0, rate)
-    derivatives = np.empty_like(raw)
-    derivatives[:, :, :8] = raw[:, :, :8]
-    derivatives[:, :, 8:] = raw[:, :, 8:] @ _chain(physics)
+    derivatives = raw.copy()
+    derivatives[:, :, 8:15] = raw[:, :, 8:15] @ _chain(physics)
     return FreeMotion(times, states, derivatives, rate)
 
 
@@ -104,15 +118,19 @@ def _chain(physics: RotorParameters) -> np.ndarray:
 
 
 def both_angles(
-    motion: FreeMotion, blocks: tuple[Averages, Averages], start_by: np.ndarray, log_by: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    motion: FreeMotion, blocks: tuple[Averages, Averages], start_by: np.ndarray, log_by: np.ndarray,
+    dry_by: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Both encoders' block means (n,) and derivatives (n, p) by a fit's own parameters.
 
     Args:
         start_by: derivative of the start state by them, shape (8, p).
         log_by: derivative of (ln c3, ln c4, ln k1 …) by them, shape (7, p).
+        dry_by: derivative of (M_A, M_B, F_A, F_B) by them, shape (4, p), of a motion with dry friction; None for 0.
     """
-    chain = np.vstack([start_by, log_by])
-    assert len(chain) == COLUMNS
+    chain = np.zeros((motion.derivatives.shape[2], start_by.shape[1]))
+    chain[:8], chain[8:15] = start_by, log_by
+    if dry_by is not None:
+        chain[15:] = dry_by
     pairs = [motion.angle(i, channel) for i, channel in enumerate(blocks)]
     return np.concatenate([a for a, _ in pairs]), np.concatenate([d @ chain for _, d in pairs])

@@ -36,10 +36,9 @@ class LockedStart:
     begin_s: float
     release_s: float
 
-    def turned(self, angle_rad: float) -> LockedStart:
-        """The same with a phase that is ahead by an angle."""
-        coefficients = self.history.coefficients + np.array([angle_rad, 0.0, 0.0, 0.0])
-        return LockedStart(SpeedHistory(self.history.knots_s, coefficients), self.begin_s, self.release_s)
+    def along(self, history: SpeedHistory) -> LockedStart:
+        """The same with another phase."""
+        return LockedStart(history, self.begin_s, self.release_s)
 
     def at(
         self, physics: RotorParameters, theta3_rad: float, theta4_rad: float, shift_s: float

@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 from identification.pendulums.decline import decline_of, encoder_step
-from identification.pendulums.run_down import RunDown
+from identification.pendulums.run_down import RunDown, stop_time
 from identification.pendulums.spin_down import first_fit
 from identification.pendulums.transient import Readings
 from identification.samples import block_averages, encoder_noise
@@ -25,6 +25,8 @@ class Decline:
     Attributes:
         push_s, start_s, end_s: the push's begin, the fastest instant, four and a half time constants on.
         rate_per_s, speed_rad_s: of the bare exponential.
+        friction_share, stop_s: dry friction's share of the first torque as the angle alone shows it, and when it stops
+            the pendulum; inf where it does not.
     """
 
     push_s: float
@@ -32,6 +34,8 @@ class Decline:
     end_s: float
     rate_per_s: float
     speed_rad_s: float
+    friction_share: float = 0.0
+    stop_s: float = np.inf
 
 
 def find_decline(time_s: np.ndarray, angle_rad: np.ndarray) -> Decline:
@@ -47,7 +51,9 @@ def find_decline(time_s: np.ndarray, angle_rad: np.ndarray) -> Decline:
     theta = first_fit(RunDown(data.time_s - start, data.angle_rad, data.noise_rad, data.step_rad))
     rate, speed = float(np.exp(theta[2])), abs(float(theta[1]))
     end = min(float(data.time_s[-1]), start + TIME_CONSTANTS / rate)
-    return Decline(_push(time_s, angle_rad, start, speed), start, end, rate, speed)
+    share = float(theta[3])
+    stop = start + stop_time(rate, share)
+    return Decline(_push(time_s, angle_rad, start, speed), start, end, rate, speed, share, stop)
 
 
 def _push(time_s: np.ndarray, angle_rad: np.ndarray, start_s: float, speed_rad_s: float) -> float:

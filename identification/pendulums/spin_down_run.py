@@ -3,36 +3,42 @@
 θ = (ln c3, ln c4, θ3, θ4, θ̇3, θ̇4, ψ, x, y, ẋ, ẏ, ln k1, ln k2, ln ζ1, ln ζ2) at the stretch's start. The rotor stands
 at an angle ψ that nothing measures; it matters because the suspension differs between x and y. Turning everything by
 half a revolution changes nothing the encoders see, so ψ is searched over half a revolution from several starts.
+
+Dry friction (M_A, M_B) and a drag that goes with the square of the speed (F_A, F_B) follow in θ where the readings ask
+for them: one evaluation at the end of the fit without tells what they would mend.
 """
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from daq.signals import Run
-from dynamics.speed_history import SpeedHistory
 from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering, plausible_answers
-from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
+from identification.pendulums.friction import Friction
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
+from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientFit, TransientProblem, log_intervals
-from identification.samples import Averages
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 
-_ANGLES, _SPEEDS, _PSI, _DISK, _SUSPENSION, _COUNT = slice(2, 4), slice(4, 6), 6, slice(7, 11), slice(11, 15), 15
+_PSI, _COUNT = PSI, COUNT
+_ANGLES_TRIED = tuple((np.arange(6) * np.pi / 6).tolist())
+_KINDS: dict[Kind, str] = {"torque": "dry friction", "contact": "a drag with the square of the speed"}
+_ATTEMPTS = 8
+_FOLLOWED, _HOPELESS = 10.0, 50.0  # χ²/dof
+_WORTH = 8.0  # χ² that another kind of friction must mend when fitted
 _MOST_STEPS = 80  # the angle at which the rotor stands can be a long valley
 _BEFORE_PUSH_S, _WORTH_S = 0.03, 0.08
 _EARLY_S = 0.1
-_DAMPING_STD = 1.0  # ln c; a pendulum that does not move yet says nothing of its own
-_DISK_STD_M = 3e-4  # how far a flick may leave the disk shaking
 
 
 @on_one_thread
@@ -71,22 +77,77 @@ def _fit_from(
     """One stretch; begins later while the residual right after its begin stands out."""
     begin, limit = span
     slowest, fastest = min(d.rate_per_s for d in declines), max(d.rate_per_s for d in declines)
-    for attempts_left in range(8, -1, -1):
+    angles: tuple[float, ...] = _ANGLES_TRIED
+    for attempts_left in range(_ATTEMPTS, -1, -1):
         end = min(*(float(w.averages.time_s[-1]) for w in whole), begin + TIME_CONSTANTS / slowest, limit)
-        problem, start = _problem(whole, declines, begin, end, knowledge)
-        answers = _answers(problem, start, end)
-        minimum = answers[0]
+        case = SpinDown(whole, declines, begin, end, knowledge)
+        kinds, answers, rows = _chosen(case, angles)
+        minimum, problem = answers[0], case.problem(kinds)
         if attempts_left and _early_excess(problem, minimum) and end - begin > _WORTH_S:
             begin += min(0.04, 0.25 / fastest)  # the hand was still there
+            if problem.chi2_per_dof(minimum, end) > _HOPELESS:
+                angles = (float(minimum.theta[_PSI]),)
             continue
-        fit = problem.result(minimum, end, "spin-down", 2, setting, _model_table(problem, minimum, declines, end))
-        if minimum.converged and fit.chi2_per_dof < 10:
+        table = _model_table(problem, minimum, declines, end, rows)
+        fit = problem.result(minimum, end, "spin-down", 2, setting, table)
+        if minimum.converged and fit.chi2_per_dof < _FOLLOWED:
+            fit = _with_friction(case, fit, minimum, kinds, setting)
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
+        why = "" if minimum.converged else f", not settled after {minimum.iterations} iterations"
         raise FitFailed(
-            f"{run.source}: the coupled model does not follow the spin-down: χ²/dof {fit.chi2_per_dof:.3g}, "
-            f"{minimum.iterations} iterations"
+            f"{run.source}: no model of the run-down follows the spin-down, with dry friction or without: χ²/dof "
+            f"{fit.chi2_per_dof:.3g}{why}; did the rotor stand still, and did nothing touch a pendulum after its flick?"
         )
     raise AssertionError("the last attempt returns or raises")
+
+
+def _chosen(case: SpinDown, angles: Sequence[float]) -> tuple[Kinds, list[Minimum], list[ModelChoice]]:
+    """The smallest adequate damping: viscous, and beside it dry friction, a drag with the square of the speed, both.
+
+    Returns:
+        Its kinds of friction, the answers with it, and a row for each model that was asked for.
+    """
+    kinds: Kinds = ()
+    answers = _answers(case, kinds, [case.start(kinds, psi) for psi in angles])
+    rows: list[ModelChoice] = []
+    for _ in range(len(_KINDS)):
+        asks = {kind: case.ask(kinds, kind, answers[0]) for kind in _KINDS if kind not in kinds}
+        own = case.problem(kinds)
+        chi2 = own.chi2_per_dof(answers[0], case.end_s)
+        for kind, ask in asks.items():
+            name = " and ".join(["viscous damping", *(_KINDS[k] for k in (*kinds, kind))])
+            why = f"would mend χ² by {ask.mended:.3g}, {ask.gain:.3g} in units of chance (limit {ask.limit:.3g})"
+            cost = answers[0].cost - ask.mended + 2 * (len(answers[0].theta) + 2)
+            rows.append(ModelChoice(name, len(answers[0].theta) + 2, cost, False, why))
+        likely = [k for k, ask in asks.items() if ask.found and ask.step.max() > 0]
+        tried: list[tuple[float, Kinds, list[Minimum]]] = []
+        for kind in likely:
+            more: Kinds = tuple(k for k in _KINDS if k in (*kinds, kind))
+            starts = [case.extended(a.theta, kinds, more, {kind: asks[kind].step}) for a in answers[:1]]
+            if chi2 > _FOLLOWED:  # far from a minimum, what it asks for is a poor guide
+                starts += [case.start(more, psi) for psi in angles]
+            found = _answers(case, more, starts)
+            if case.positive(found[0], more):
+                tried.append((found[0].cost, more, found))
+        if not tried or min(t[0] for t in tried) > answers[0].cost - _WORTH:
+            break
+        _, kinds, answers = min(tried, key=lambda t: t[0])
+    return kinds, answers, rows
+
+
+def _with_friction(case: SpinDown, fit: TransientFit, minimum: Minimum, kinds: Kinds, setting: Setting) -> TransientFit:
+    if not kinds:
+        return fit
+    at = list(range(_COUNT, _COUNT + 2 * len(kinds)))
+    std = np.sqrt(np.diag(case.problem(kinds).covariance(minimum, case.end_s, setting, at)))
+    values: dict[Kind, tuple[float, float]] = {"torque": (0.0, 0.0), "contact": (0.0, 0.0)}
+    spread = dict(values)
+    for i, kind in enumerate(kinds):
+        a, b = at[2 * i], at[2 * i + 1]
+        values[kind] = float(minimum.theta[a]), float(minimum.theta[b])
+        spread[kind] = float(std[2 * i]), float(std[2 * i + 1])
+    friction = Friction(values["torque"], spread["torque"], values["contact"], spread["contact"])
+    return replace(fit, friction=friction, warnings=[*fit.warnings, friction.told("spin-down")])
 
 
 def _together(fits: list[TransientFit]) -> TransientFit:
@@ -112,69 +173,10 @@ def damping_estimate(run: Run, fit: TransientFit, method: str) -> Estimate:
     return Estimate(run.test, run.source, names, values, fit.covariance, shared, method)
 
 
-def _problem(
-    whole: list[Readings], declines: list[Decline], begin: float, end: float, knowledge: Knowledge
-) -> tuple[TransientProblem, np.ndarray]:
-    ends = [min(end, max(begin, d.start_s) + TIME_CONSTANTS / d.rate_per_s) for d in declines]
-    readings = (whole[0].between(begin, ends[0]), whole[1].between(begin, ends[1]))
-    angles = [r.averages for r in readings]
-    if min(len(a.time_s) for a in angles) < 12:
-        raise NotIdentifiable(
-            "fewer than 12 blocks of readings between two flicks; flick both at once or a second apart"
-        )
-    physics = knowledge.physics
-    inertias = (physics.a.inertia_kg_m2, physics.b.inertia_kg_m2)
-
-    def predict(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
-        return _readings_of(theta, problem.cut(end_s), knowledge, begin)
-
-    start = np.zeros(_COUNT)
-    for i, (channel, decline) in enumerate(zip(angles, declines, strict=True)):
-        rate = decline.rate_per_s
-        t = channel.time_s - begin
-        basis = np.column_stack([np.ones_like(t), np.exp(-rate * t)])
-        rest, amplitude = np.linalg.lstsq(basis, channel.value, rcond=None)[0]
-        if begin < decline.push_s:  # not flicked yet
-            rest, amplitude = float(np.mean(channel.value)), 0.0
-        start[i] = np.log(rate * inertias[i])
-        start[2 + i], start[4 + i] = rest + amplitude, -rate * amplitude
-    start[_SUSPENSION] = log_suspension(physics)[:4]
-    omega = np.array(physics.natural_frequencies_rad_s)
-    prior_std = np.full(_COUNT, np.inf)
-    prior_std[:2], prior_std[_PSI] = _DAMPING_STD, np.pi
-    prior_std[_DISK] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
-    prior_std[_SUSPENSION] = knowledge.log_std[:4]
-    problem = TransientProblem(readings, predict, start.copy(), prior_std)
-    return problem, start
-
-
-def _readings_of(
-    theta: np.ndarray, cut: tuple[Averages, Averages], knowledge: Knowledge, begin: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Both encoders' angles and derivatives on a rotor that stands at ψ."""
-    count = sum(len(c.time_s) for c in cut)
-    if np.max(np.abs(theta[:2])) > 40 or np.max(np.abs(theta[_SUSPENSION])) > 40:
-        return np.full(count, np.nan), np.zeros((count, _COUNT))
-    now = laid_over(knowledge, theta[:2], theta[_SUSPENSION])
-    state = np.r_[theta[7:9], theta[_ANGLES], theta[9:11], theta[_SPEEDS]]
-    still = SpeedHistory.constant(0.0, float(theta[_PSI]), begin)
-    motion = swing(now, still, state, begin, begin, max(float(c.time_s[-1]) for c in cut))
-    if motion is None:
-        return np.full(count, np.nan), np.zeros((count, _COUNT))
-    start_by, log_by = np.zeros((8, _COUNT)), np.zeros((7, _COUNT))
-    start_by[[0, 1, 2, 3, 4, 5, 6, 7], [7, 8, 2, 3, 9, 10, 4, 5]] = 1.0
-    start_by[[2, 3], _PSI] = 1.0  # a turned rotor is two turned pendulums, read from a turned zero
-    log_by[0, 0] = log_by[1, 1] = 1.0
-    log_by[2:6, _SUSPENSION] = np.eye(4)
-    angle, slope = both_angles(motion, cut, start_by, log_by)
-    slope[:, _PSI] -= 1.0
-    return angle, slope
-
-
 def _model_table(
-    problem: TransientProblem, minimum: Minimum, declines: list[Decline], end_s: float
+    problem: TransientProblem, minimum: Minimum, declines: list[Decline], end_s: float, asked: list[ModelChoice]
 ) -> list[ModelChoice]:
-    """The coupled motion beside what each pendulum would do on a rotor that does not move."""
+    """The coupled motion beside what each pendulum would do on a rotor that does not move, and kinds of friction."""
     bare, size = 0.0, 0
     for channel, decline in zip(problem.cut(end_s), declines, strict=True):
         t = channel.time_s - channel.time_s[0]
@@ -183,28 +185,31 @@ def _model_table(
         bare += float(np.sum((data - basis @ np.linalg.lstsq(basis, data, rcond=None)[0]) ** 2))
         size += len(t)
     coupled = float(minimum.residual[:size] @ minimum.residual[:size])
-    needed = bare + 2 * 6 > coupled + 2 * _COUNT
+    count = len(minimum.theta)
+    needed = bare + 2 * 6 > coupled + 2 * count
     why = f"χ² {bare:.3g} against {coupled:.3g} for {size} blocks: " + (
         "the disk's push on the pendulums shows" if needed else "the disk's push is below the noise"
     )
+    name = "coupled motion of disk and pendulums" + (" with friction" if count > _COUNT else "")
     return [
         ModelChoice("bare exponentials, rotor held", 6, bare + 2 * 6, False, why),
         # also where it is not needed: it contains the other, and its interval what the suspension leaves open
-        ModelChoice("coupled motion of disk and pendulums", _COUNT, coupled + 2 * _COUNT, True, why),
+        ModelChoice(name, count, coupled + 2 * count, True, why),
+        *(row for row in asked if row.parameters != count),
     ]
 
 
-def _answers(problem: TransientProblem, start: np.ndarray, end: float) -> list[Minimum]:
-    """The minima reached from several angles ψ, distinct ones, the best first; those far worse are left out."""
+def _answers(case: SpinDown, kinds: Kinds, starts: Sequence[np.ndarray]) -> list[Minimum]:
+    """The minima reached from several starts, distinct ones, the best first; those far worse are left out."""
+    problem, begin, end = case.problem(kinds), case.begin_s, case.end_s
     begin_s = problem.readings[0].averages.time_s[0]
-    early = begin_s + 0.35 * (end - begin_s)
+    early = begin_s + 0.35 * (end - begin)
     found: list[Minimum] = []
-    for psi in np.arange(6) * np.pi / 6:
-        begin = start.copy()
-        begin[_PSI] = problem.prior[_PSI] = psi
-        begin = problem.solve(begin, early, 6).theta
-        problem.prior[_PSI] = begin[_PSI]
-        found.append(problem.solve(begin, end, _MOST_STEPS))
+    for start in starts:
+        problem.prior[_PSI] = start[_PSI]
+        theta = problem.solve(start, early, 6).theta
+        problem.prior[_PSI] = theta[_PSI]
+        found.append(problem.solve(theta, end, _MOST_STEPS, plateau=_FOLLOWED))
     return plausible_answers(found)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.parameters import RotorParameters
+from identification.pendulums.friction import Friction
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
 NOMINAL_SHARE = (0.15, 0.15, 0.7, 0.7, 0.05)  # what a rig file's numbers are worth
@@ -19,10 +20,12 @@ class Knowledge:
     Attributes:
         physics: the rig with the best values so far.
         log_std: standard deviation of the logarithm of k1, k2, ζ1, ζ2, S_P, shape (5,).
+        friction: dry friction that a spin-down found; None where none is known of.
     """
 
     physics: RotorParameters
     log_std: np.ndarray
+    friction: Friction | None = None
 
     @classmethod
     def nominal(cls, physics: RotorParameters) -> Knowledge:
@@ -37,4 +40,4 @@ class Knowledge:
                 # no tighter than integration and model carry
                 log_std[i] = max(std[name] / abs(values[name]), 1e-6)
         found = {n: values[n] for n in NAMES if n in values}
-        return Knowledge(self.physics.with_values(**found), log_std)
+        return Knowledge(self.physics.with_values(**found), log_std, self.friction)

@@ -8,7 +8,7 @@ hardly moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from identification.curve import Curve
 from identification.least_squares import Minimum, minimise
+from identification.pendulums.friction import Friction
 from identification.pendulums.quantiser import rounding_errors
 from identification.samples import Averages, correlation_inflation
 from identification.setting import ModelChoice, Setting
@@ -40,6 +41,7 @@ class TransientFit:
         start_angles_rad: θ3, θ4 at its beginning.
         model, model_table: the smallest adequate model in words, and what it was compared with.
         warnings: what a reader must know.
+        friction: dry friction beside the viscous damping, where the readings show it; it is in the fit.
     """
 
     values: dict[str, float]
@@ -52,6 +54,7 @@ class TransientFit:
     model: str
     model_table: list[ModelChoice]
     warnings: list[str]
+    friction: Friction | None = None
 
     @property
     def std(self) -> dict[str, float]:
@@ -129,8 +132,12 @@ class TransientProblem:
         first, second = (r.averages.between(-np.inf, end_s) for r in self.readings)
         return first, second
 
-    def solve(self, start: np.ndarray, end_s: float, iterations: int = 25) -> Minimum:
-        """Least squares on the data up to end_s."""
+    def solve(self, start: np.ndarray, end_s: float, iterations: int = 25, plateau: float | None = None) -> Minimum:
+        """Least squares on the data up to end_s.
+
+        Args:
+            plateau: χ² per reading above which steps that gain little end it: the model is at fault there.
+        """
         data = self.cut(end_s)
         measured = np.concatenate([d.value for d in data])
         weight = np.concatenate([d.weight for d in data])
@@ -144,7 +151,7 @@ class TransientProblem:
                 return np.full(len(residual), np.inf), np.zeros((len(residual), len(theta)))
             return residual, np.concatenate([jacobian * weight[:, None], rows])
 
-        return minimise(evaluate, start, iterations)
+        return minimise(evaluate, start, iterations, plateau)
 
     def chi2_per_dof(self, minimum: Minimum, end_s: float) -> float:
         """Reduced χ² of the data alone."""
@@ -154,11 +161,11 @@ class TransientProblem:
 
     def misfit(self, minimum: Minimum, end_s: float, draws: int = 12) -> float:
         """χ²/dof over what noise and the encoders' rounding of this very curve make of it; 1 for a right model."""
-        rounding = self._rounding(minimum, end_s, draws)
+        rounding = self.rounding(minimum, end_s, draws)
         level = 1.0 if rounding is None else max(1.0, float(np.mean(rounding**2)))
         return self.chi2_per_dof(minimum, end_s) / level
 
-    def _rounding(self, minimum: Minimum, end_s: float, draws: int) -> np.ndarray | None:
+    def rounding(self, minimum: Minimum, end_s: float, draws: int) -> np.ndarray | None:
         """Errors of all block averages, in their standard deviations, for curves like the fitted one; (draws, n)."""
         parts = [r.between(-np.inf, end_s) for r in self.readings]
         if draws == 0 or not all(p.step_rad > 0 for p in parts):
@@ -171,19 +178,22 @@ class TransientProblem:
         both = np.split(curves, [sizes[0]], axis=1)
         return np.hstack([p.rounding(c, 4 + i) for i, (p, c) in enumerate(zip(parts, both, strict=True))])
 
-    def covariance(self, minimum: Minimum, end_s: float, setting: Setting) -> np.ndarray:
-        """Of ln c3, ln c4, shape (2, 2): knowledge and rounding, stretched where residuals are not noise."""
+    def covariance(
+        self, minimum: Minimum, end_s: float, setting: Setting, wanted: Sequence[int] = (0, 1)
+    ) -> np.ndarray:
+        """Of some of θ, by default ln c3, ln c4, shape (m, m): of knowledge and rounding, stretched by misfit."""
+        own_columns = list(wanted)
         sizes = [len(c.time_s) for c in self.cut(end_s)]
         n = sum(sizes)
         own = (slice(0, sizes[0]), slice(sizes[0], n))
         together = max(correlation_inflation(minimum.residual[part]) for part in own)
-        covariance, white, level = minimum.covariance[:2, :2], 1.0, 1.0
-        errors = self._rounding(minimum, end_s, _DRAWS[setting])
+        covariance, white, level = minimum.covariance[np.ix_(own_columns, own_columns)], 1.0, 1.0
+        errors = self.rounding(minimum, end_s, _DRAWS[setting])
         if errors is not None:
-            wrong = errors @ (minimum.jacobian[:n] @ minimum.covariance[:, :2])
+            wrong = errors @ (minimum.jacobian[:n] @ minimum.covariance[:, own_columns])
             white = max(correlation_inflation(e[part]) for e in errors[:10] for part in own)
             level = max(1.0, float(np.mean(errors**2)))
-            priors = minimum.jacobian[n:] @ minimum.covariance[:, :2]
+            priors = minimum.jacobian[n:] @ minimum.covariance[:, own_columns]
             covariance = wrong.T @ wrong / len(wrong) + priors.T @ priors
         chi2 = self.chi2_per_dof(minimum, end_s) / level
         return covariance * max(1.0, together / white) ** 2 * max(1.0, chi2 / (1 + 3 * np.sqrt(2 / n)))
@@ -203,8 +213,6 @@ class TransientProblem:
         covariance = self.covariance(minimum, end_s, setting)
         start = (float(minimum.theta[angles_at]), float(minimum.theta[angles_at + 1]))
         warnings = []
-        if not minimum.converged:
-            warnings.append(f"{label}: the fit had not settled after {minimum.iterations} iterations; do not quote it")
         if misfit > 1.3:
             warnings.append(
                 f"{label}: residuals exceed the encoder noise: χ²/dof {chi2:.3g}, {misfit:.3g} times what noise and "

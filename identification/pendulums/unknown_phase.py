@@ -1,4 +1,7 @@
-"""A release on a rotor whose recorded phase is wrong by a constant angle: one more unknown, the last of θ.
+"""A release on a rotor whose recorded phase is not exact: how far it may be otherwise is unknown, the last of θ.
+
+A phase without reference is wrong by a constant angle, a noisy one by the errors its smoothing leaves
+(identification.pendulums.recorded_speed).
 
 Where the suspension is stiffer one way than the other the motion depends on it. Turning everything by half a revolution
 changes nothing the encoders see unless gravity pulls in the disk's plane. From a wrong angle a fit may end in a side
@@ -22,6 +25,7 @@ from identification.pendulums.transient import Predict, TransientFit, TransientP
 TURN_STD_RAD = np.pi
 _PER_HALF = 6
 _DIFFERENCE = 1e-5  # rad
+_MODE_DIFFERENCE = 1e-2  # standard deviations
 _FURTHEST = 7.5  # ln c: three standard deviations of what is known of a damping
 _HORIZONS, _ITERATIONS = 3, 8
 _BEHIND = 50.0  # χ² above the leader's
@@ -29,7 +33,7 @@ _SEEN_DEG = 30.0
 _ALIKE = 1.0  # squared standard deviations between runners that are one
 
 Hold = Callable[[TransientProblem, np.ndarray], TransientProblem]
-Turned = Callable[[np.ndarray, float, float], tuple[np.ndarray, np.ndarray]]
+Phased = Callable[[np.ndarray, float, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def angles_to_try(physics: RotorParameters) -> np.ndarray:
@@ -38,22 +42,32 @@ def angles_to_try(physics: RotorParameters) -> np.ndarray:
     return np.pi * (np.arange(halves * _PER_HALF) / _PER_HALF - 0.5 * halves)
 
 
-def with_turn(predict: Turned, damping: np.ndarray) -> Predict:
-    """Readings and derivatives with the angle as last parameter.
+def with_phase(predict: Phased, damping: np.ndarray, modes: int, turn: bool) -> Predict:
+    """Readings and derivatives with the phase's errors as last parameters.
 
     Args:
-        predict: (other parameters, last instant, angle) ↦ readings (n,) and derivatives (n, p), NaN for infinite ones.
+        predict: (other parameters, last instant, standard deviations of each mode and a last angle) ↦ readings (n,) and
+            derivatives (n, p), NaN for infinite ones.
         damping: ln c3, ln c4 as given. From a wrong angle trials run off to dampings that take seconds to follow; they
             are refused.
+        modes, turn: how many modes there are, and whether the angle is unknown.
     """
+    count, free = modes + 1, modes + int(turn)
 
-    def turned(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
-        own = theta[:-1] if np.max(np.abs(theta[:2] - damping)) < _FURTHEST else np.full(len(theta) - 1, np.inf)
-        angle, slope = predict(own, end_s, float(theta[-1]))
-        moved, _ = predict(own, end_s, float(theta[-1]) + _DIFFERENCE)
-        return angle, np.column_stack([slope, (moved - angle) / _DIFFERENCE])
+    def phased(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
+        own, by = theta[: len(theta) - free], np.zeros(count)
+        by[:free] = theta[len(theta) - free :]
+        if turn and np.max(np.abs(theta[:2] - damping)) >= _FURTHEST:
+            own = np.full(len(own), np.inf)
+        angle, slope = predict(own, end_s, by)
+        columns = [slope]
+        for j in range(free):
+            step = _DIFFERENCE if j == modes else _MODE_DIFFERENCE
+            moved, _ = predict(own, end_s, by + step * np.eye(count)[j])
+            columns.append((moved - angle)[:, None] / step)
+        return angle, np.column_stack(columns)
 
-    return turned
+    return phased
 
 
 def race(

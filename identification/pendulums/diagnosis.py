@@ -1,0 +1,108 @@
+"""What in the rig file would explain a release that the model does not follow.
+
+Each candidate is one more unknown: a pendulum's mass or length, an encoder's counts per revolution, dry friction. How
+much of the misfit it takes away is judged by one linear step (the score test) at the horizon where the residuals first
+were more than noise, where that is a good guide. A mass or a length changes what the other tests have found, too: the
+frequencies and the locked rig's imbalance were measured, so k goes with the total mass, and S_P makes up for the
+pendulums' moments. Candidates that explain as much as the best one are named with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynamics.parameters import Pendulum, RotorParameters
+from identification.least_squares import Minimum
+from identification.pendulums.friction import evidence
+from identification.pendulums.release_problem import SUSPENSION, Release
+
+_MOVED = 1e-4  # relative
+_EXPLAINS = 0.7  # share of the misfit
+_AS_GOOD = 0.9  # of the best one's share
+_FURTHEST = 0.5  # a change by more is no slip of a scale
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One number of the rig file that may be wrong.
+
+    Attributes:
+        mended: drop of χ² if it were right.
+        text: which, and by how much.
+    """
+
+    mended: float
+    text: str
+
+
+def likely_causes(release: Release, minimum: Minimum, end_s: float) -> list[str]:
+    """What would explain most of a fit's misfit, in words, the best first; empty where no single number does.
+
+    Args:
+        minimum, end_s: the first fit whose residuals are not noise, and its horizon.
+    """
+    n = sum(len(c.time_s) for c in release.problem().cut(end_s))
+    excess = float(minimum.residual[:n] @ minimum.residual[:n]) - n
+    causes = candidates(release, minimum, end_s)
+    if not causes or causes[0].mended < _EXPLAINS * excess:
+        return []
+    return [c.text for c in causes if c.mended > _AS_GOOD * causes[0].mended]
+
+
+def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
+    """Every number that could be at fault and what of χ² it would mend, the most first."""
+    problem = release.problem()
+    cut = problem.cut(end_s)
+    sizes = (len(cut[0].time_s), len(cut[1].time_s))
+    n = sum(sizes)
+    weight = np.concatenate([c.weight for c in cut])
+    base, _ = problem.predict(minimum.theta, end_s)
+    causes: list[Cause] = []
+
+    def judge(column: np.ndarray, text: str, value: float | None, unit: str) -> None:
+        if not np.all(np.isfinite(column)) or not np.any(column):
+            return
+        found = evidence(minimum, (column * weight)[:, None], None, sizes)
+        if abs(found.step[0]) < _FURTHEST:
+            change = f"{100 * found.step[0]:+.2g} %"
+            where = f" ({value * (1 + found.step[0]):.4g} {unit})" if value is not None else ""
+            causes.append(Cause(found.mended, f"{text} {change}{where}"))
+
+    for name, at in (("A", 0), ("B", 1)):
+        own = release.knowledge.physics.a if at == 0 else release.knowledge.physics.b
+        for what, unit, field in (("mass", "kg", "mass_kg"), ("length", "m", "length_m")):
+            value = float(getattr(own, field))
+            moved = _moved(release, minimum.theta, at, field)
+            if moved is not None:
+                angle, _ = moved[0].problem().predict(moved[1], end_s)
+                judge((angle - base) / _MOVED, f"pendulum {name}'s {what}", value, unit)
+        scale = np.zeros(n)
+        rows = slice(0, sizes[0]) if at == 0 else slice(sizes[0], n)
+        scale[rows] = base[rows] - release.locked_rad[at]
+        judge(scale, f"the scale of encoder {name} (counts_per_revolution)", None, "")
+    return sorted(causes, key=lambda c: -c.mended)
+
+
+def _moved(release: Release, theta: np.ndarray, at: int, field: str) -> tuple[Release, np.ndarray] | None:
+    """The release and θ with one pendulum's number moved and what other tests measured kept."""
+    physics = release.knowledge.physics
+    own: Pendulum = physics.a if at == 0 else physics.b
+    other = replace(own, **{field: getattr(own, field) * (1 + _MOVED)})
+    now: RotorParameters = replace(physics, a=other) if at == 0 else replace(physics, b=other)
+    grown = now.total_mass_kg / physics.total_mass_kg
+    suspension = theta[SUSPENSION].copy()
+    suspension[:2] += np.log(grown)
+
+    def moment(p: RotorParameters) -> float:
+        return p.a.first_moment_kg_m - p.b.first_moment_kg_m  # locked at 0° and 180°
+
+    imbalance = float(np.exp(suspension[4]))
+    left = (imbalance + moment(physics)) * grown - moment(now)
+    if left <= 0:
+        return None
+    suspension[4] = np.log(left)
+    changed = theta.copy()
+    changed[SUSPENSION] = suspension
+    return release.laid_over(replace(release.knowledge, physics=now)), changed

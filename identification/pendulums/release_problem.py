@@ -1,0 +1,245 @@
+"""What the encoders read of a release, as least squares: unknowns, knowledge, readings and derivatives.
+
+θ = (ln c3, ln c4, θ3, θ4 at release, two encoder zeros, shift of the release's time, the disk's deviation x, y, ẋ, ẏ
+from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P), then with dry friction its torque on A and B at the rotor's
+speed, then what the recorded phase leaves open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from daq.signals import Run
+from dynamics.errors import OutsideDomain
+from identification.errors import NotIdentifiable
+from identification.least_squares import Minimum
+from identification.pendulums.decline import encoder_step
+from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
+from identification.pendulums.friction import Evidence, Friction, evidence
+from identification.pendulums.locked_start import LockedStart
+from identification.pendulums.recorded_speed import RecordedSpeed, recorded_speed
+from identification.pendulums.suspension_knowledge import Knowledge
+from identification.pendulums.transient import Readings, TransientProblem
+from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
+from identification.samples import Averages, block_averages, encoder_noise
+from identification.setting import Setting
+
+Shape = Literal["torque", "contact"]
+"""How dry friction goes with the speed: a torque that is the same at any, or one that goes with the contact force."""
+
+SUSPENSION, _BASE = slice(11, 16), 16
+_START, _ZEROS, _SHIFT, _DISK = slice(2, 4), slice(4, 6), 6, slice(7, 11)
+_BLOCK_S = {"fast": 0.004, "balanced": 0.004, "reference": 0.001}
+_SHIFT_STD_S, _DISK_STD_M = 1e-3, 2e-5
+_LONGEST_S, _AFTER_SETTLING_S, _MEMORY_S = 25.0, 0.5, 12.0
+_DAMPING_STD = 2.5  # ln c: a start a hundred times wrong is within two of it
+
+
+@dataclass(frozen=True)
+class Release:
+    """One recorded release.
+
+    Attributes:
+        run: the recording.
+        knowledge: masses, lengths, suspension, and damping to start from.
+        rest: the locked rig up to it.
+        speed: the rotor's phase, and how far it may be otherwise.
+        begin_s: from where on readings are fitted.
+        release_std_s: how well its instant is known.
+        readings: both encoders from begin_s on.
+        locked_rad: their mean readings before, shape (2,).
+        zero_std_rad: of the encoders' zeros.
+    """
+
+    run: Run
+    knowledge: Knowledge
+    rest: LockedStart
+    speed: RecordedSpeed
+    begin_s: float
+    release_std_s: float
+    readings: tuple[Readings, Readings]
+    locked_rad: np.ndarray
+    zero_std_rad: float
+
+    @classmethod
+    def of(cls, run: Run, knowledge: Knowledge, zero_std_rad: float, setting: Setting) -> Release:
+        """What a run holds of a release.
+
+        Raises:
+            NotIdentifiable: no releases, or too few marks or samples.
+        """
+        go, go_std = _release_time(run)
+        rest, speed = _locked_start(run, go)
+        begin = go + max(_BLOCK_S["balanced"], 4 * go_std)
+        readings = _readings(run, begin, _BLOCK_S[setting])
+        before = (run.angle_time_s < go - 0.02) & (run.angle_time_s > go - 2.0)
+        if np.count_nonzero(before) < 100:
+            raise NotIdentifiable(f"{run.source}: no encoder samples of the locked pendulums before the release")
+        locked = np.nanmean(run.angle_rad[before], axis=0)
+        return cls(run, knowledge, rest, speed, begin, go_std, readings, locked, zero_std_rad)
+
+    @property
+    def speed_rad_s(self) -> float:
+        """The rotor's speed at the release."""
+        return float(self.rest.history.phase(self.rest.release_s)[0, 1])
+
+    @property
+    def start(self) -> np.ndarray:
+        """θ to begin with, without friction and phase, shape (16,)."""
+        physics = self.knowledge.physics
+        damping = np.log([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
+        return np.r_[damping, self.locked_rad, np.zeros(7), log_suspension(physics)]
+
+    @property
+    def open_phase(self) -> int:
+        """How many unknowns the phase brings, the last of θ."""
+        return len(self.speed.modes) + int(not self.run.phase_absolute)
+
+    def problem(self, shape: Shape | None = None) -> TransientProblem:
+        """The least-squares problem, with dry friction of a shape or without."""
+        start, omega = self.start, self.knowledge.physics.natural_frequencies_rad_s[0]
+        # start angles are the locked ones less the zeros; the mean of quantised readings at rest is good to a step/√12
+        angle_std = max(max(r.step_rad for r in self.readings) / np.sqrt(12), 1e-5)
+        std = np.r_[
+            _DAMPING_STD, _DAMPING_STD, angle_std, angle_std, self.zero_std_rad, self.zero_std_rad, self.release_std_s,
+            _DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega, _DISK_STD_M * omega, self.knowledge.log_std,
+        ]  # fmt: skip
+        dry, modes, turn = 0 if shape is None else 2, len(self.speed.modes), not self.run.phase_absolute
+        prior = np.r_[start, np.zeros(dry + modes + int(turn))]
+        std = np.r_[std, np.full(dry, np.inf), np.ones(modes), np.full(int(turn), TURN_STD_RAD)]
+
+        def predict(theta: np.ndarray, end_s: float, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return self.angles(theta, problem.cut(end_s), phase, shape)
+
+        problem = TransientProblem(self.readings, with_phase(predict, start[:2], modes, turn), prior, std)
+        return problem
+
+    def angles(
+        self, theta: np.ndarray, cut: tuple[Averages, Averages], phase: np.ndarray, shape: Shape | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Readings of both encoders and derivatives: θ's start angles are readings, the true ones less by the zeros."""
+        count, size = sum(len(c.time_s) for c in cut), len(theta)
+        bad = np.full(count, np.nan), np.zeros((count, size))
+        if not np.all(np.isfinite(theta)) or np.max(np.abs(theta[[0, 1, *range(11, 16)]])) > 40:
+            return bad
+        rest = self.rest.along(self.speed.moved(phase)) if np.any(phase) else self.rest
+        now = laid_over(self.knowledge, theta[:2], theta[SUSPENSION])
+        true, at = theta[_START] - theta[_ZEROS], theta[_SHIFT]
+        state, by = rest.at(now, true[0], true[1], at)
+        state[[0, 1, 4, 5]] += theta[_DISK]
+        last = max(float(c.time_s[-1]) for c in cut)
+        dry, dry_by = self._dry(theta, shape)
+        motion = swing(now, rest.history, state, rest.release_s + at, self.begin_s, last, dry)
+        if motion is None:
+            return bad
+        start_by, log_by = np.zeros((8, size)), np.zeros((7, size))
+        start_by[:, _START], start_by[:, _ZEROS] = by[:, :2], -by[:, :2]
+        start_by[:, _SHIFT] = by[:, 2] - motion.start_rates  # a later start has moved less
+        start_by[[0, 1, 4, 5], [7, 8, 9, 10]] = 1.0
+        start_by[:, SUSPENSION] = by[:, 3:]
+        log_by[0, 0] = log_by[1, 1] = 1.0
+        log_by[2:, SUSPENSION] = np.eye(5)
+        angle, slope = both_angles(motion, cut, start_by, log_by, dry_by)
+        zero = np.repeat([0, 1], [len(c.time_s) for c in cut])
+        slope[np.arange(count), 4 + zero] += 1.0
+        return angle + theta[_ZEROS][zero], slope
+
+    def _dry(self, theta: np.ndarray, shape: Shape | None) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """M_A, M_B, F_A, F_B and their derivatives by θ."""
+        if shape is None:
+            return None, None
+        unit = np.zeros((4, 2))
+        if shape == "torque":
+            unit[0, 0] = unit[1, 1] = 1.0
+        else:
+            unit[2, 0] = unit[3, 1] = 1.0 / self.speed_rad_s**2
+        by = np.zeros((4, len(theta)))
+        by[:, _BASE : _BASE + 2] = unit
+        return unit @ theta[_BASE : _BASE + 2], by
+
+    def with_torque(self, theta: np.ndarray, torque_Nm: np.ndarray) -> np.ndarray:
+        """θ of a problem without friction as one with it."""
+        return np.r_[theta[:_BASE], torque_Nm, theta[_BASE:]]
+
+    def friction_evidence(self, minimum: Minimum, end_s: float) -> Evidence:
+        """Whether friction would mend a fit that goes without."""
+        problem, plain = self.problem("torque"), self.problem()
+        _, slope = problem.predict(self.with_torque(minimum.theta, np.zeros(2)), end_s)
+        cut = problem.cut(end_s)
+        weight = np.concatenate([c.weight for c in cut])
+        columns = slope[:, _BASE : _BASE + 2] * weight[:, None]
+        sizes = (len(cut[0].time_s), len(cut[1].time_s))
+        return evidence(minimum, columns, plain.rounding(minimum, end_s, 40), sizes)
+
+    def friction(self, minimum: Minimum, covariance: np.ndarray, shape: Shape) -> Friction:
+        """The friction that a fit found; covariance of both torques, shape (2, 2)."""
+        first, second = minimum.theta[_BASE : _BASE + 2].tolist()
+        std = np.sqrt(np.diag(covariance))
+        if shape == "torque":
+            return Friction((first, second), (float(std[0]), float(std[1])), speed_rad_s=self.speed_rad_s)
+        w2 = self.speed_rad_s**2
+        none = (0.0, 0.0)
+        return Friction(none, none, (first / w2, second / w2), (std[0] / w2, std[1] / w2), self.speed_rad_s)
+
+    def horizons(self, setting: Setting) -> list[float]:
+        """Last instants: 0.5 s on, then 1.6 times as long each time, up to where both angles have come to rest."""
+        found = _horizons(self.readings)
+        return found[: max(2, len(found) - 2)] if setting == "fast" else found
+
+    def laid_over(self, physics_knowledge: Knowledge) -> Release:
+        """The same recording with other masses and lengths."""
+        return replace(self, knowledge=physics_knowledge)
+
+
+def _release_time(run: Run) -> tuple[float, float]:
+    times = {r.pendulum: r.time_s for r in run.releases}
+    if set(times) != {0, 1}:
+        raise NotIdentifiable(f"{run.source}: it holds no release of both pendulums")
+    if abs(times[0] - times[1]) > 2e-3 + 3 * max(r.time_std_s for r in run.releases):
+        raise NotIdentifiable(f"{run.source}: pendulums released {abs(times[0] - times[1]):.3g} s apart")
+    return 0.5 * (times[0] + times[1]), max(_SHIFT_STD_S, *(r.time_std_s for r in run.releases))
+
+
+def _locked_start(run: Run, release_s: float) -> tuple[LockedStart, RecordedSpeed]:
+    """The speed over what the fit needs."""
+    try:
+        speed = recorded_speed(run, release_s - _MEMORY_S - 1.0)
+    except OutsideDomain as error:
+        raise NotIdentifiable(f"{run.source}: {error}") from error
+    history = speed.history
+    earliest = max(float(history.knots_s[0]), release_s - _MEMORY_S)
+    if earliest > release_s - 0.2:
+        raise NotIdentifiable(f"{run.source}: the speed before the release is not known")
+    return LockedStart(history, earliest, release_s), speed
+
+
+def _readings(run: Run, begin_s: float, block_s: float) -> tuple[Readings, Readings]:
+    keep = run.angle_time_s > begin_s
+    out = []
+    for i in range(2):
+        good = keep & np.isfinite(run.angle_rad[:, i])
+        time, angle = run.angle_time_s[good], run.angle_rad[good, i]
+        if len(angle) < 500:
+            raise NotIdentifiable(f"{run.source}: {len(angle)} encoder samples after the release are too few")
+        step = encoder_step(angle)  # what the recording says of it may be wrong, or it is not quantised
+        noise = encoder_noise(angle, step) if step else encoder_noise(angle, 1e-6)
+        out.append(Readings(time, angle, block_averages(time, angle, block_s, noise), step))
+    return out[0], out[1]
+
+
+def _horizons(readings: tuple[Readings, Readings]) -> list[float]:
+    """Last instants: 0.5 s on, then 1.6 times as long each time, up to where both angles have come to rest."""
+    blocks = [r.averages for r in readings]
+    begin = last = blocks[0].time_s[0]
+    for channel in blocks:
+        tail = channel.value[channel.time_s > channel.time_s[-1] - 1.0]
+        moving = np.abs(channel.value - tail.mean()) > 0.03 * np.ptp(channel.value) + 2 * np.ptp(tail)
+        if np.ptp(tail) > 0.2 * np.ptp(channel.value):  # it creeps, or swings on
+            last = channel.time_s[-1]
+        elif moving.any():
+            last = max(last, channel.time_s[np.flatnonzero(moving)[-1]])
+    end = min(last + _AFTER_SETTLING_S, begin + _LONGEST_S, *(float(c.time_s[-1]) for c in blocks))
+    return [float(begin + s) for s in 0.5 * 1.6 ** np.arange(10) if s < 0.7 * (end - begin)] + [float(end)]

@@ -1,0 +1,166 @@
+"""What the encoders read of a spin-down on a resting rotor, as least squares: unknowns, readings and derivatives.
+
+θ as in identification.pendulums.spin_down_run, then for each kind of friction its value for A and B.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dynamics.speed_history import SpeedHistory
+from identification.errors import NotIdentifiable
+from identification.least_squares import Minimum
+from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
+from identification.pendulums.friction import Evidence, evidence
+from identification.pendulums.push import TIME_CONSTANTS, Decline
+from identification.pendulums.suspension_knowledge import Knowledge
+from identification.pendulums.transient import Readings, TransientProblem
+from identification.samples import Averages
+
+Kind = Literal["torque", "contact"]
+Kinds = tuple[Kind, ...]
+"""Of friction: a torque that is the same at any speed, one that goes with its square (the contact force)."""
+
+PSI, COUNT = 6, 15
+_ANGLES, _SPEEDS, _DISK, _SUSPENSION = slice(2, 4), slice(4, 6), slice(7, 11), slice(11, 15)
+_DAMPING_STD = 1.0  # ln c; a pendulum that does not move yet says nothing of its own
+_DISK_STD_M = 3e-4  # how far a flick may leave the disk shaking
+_AFTER_STOP_S = 0.05
+_SURELY = 2.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class SpinDown:
+    """One stretch of a spin-down.
+
+    Attributes:
+        whole: both encoders' readings.
+        declines: when each pendulum was pushed and how it slows.
+        begin_s, end_s: the stretch.
+        knowledge: masses, lengths and what is known of the suspension.
+    """
+
+    whole: list[Readings]
+    declines: list[Decline]
+    begin_s: float
+    end_s: float
+    knowledge: Knowledge
+
+    @property
+    def readings(self) -> tuple[Readings, Readings]:
+        """Of the stretch; each encoder's end after so many of its own time constants, or where friction has won.
+
+        Raises:
+            NotIdentifiable: hardly anything is left.
+        """
+        ends = [
+            min(self.end_s, max(self.begin_s, d.start_s) + TIME_CONSTANTS / d.rate_per_s, d.stop_s + _AFTER_STOP_S)
+            for d in self.declines
+        ]
+        first, second = (w.between(self.begin_s, e) for w, e in zip(self.whole, ends, strict=True))
+        if min(len(first.averages.time_s), len(second.averages.time_s)) < 12:
+            raise NotIdentifiable(
+                "fewer than 12 blocks of readings between two flicks; flick both at once or a second apart"
+            )
+        return first, second
+
+    def problem(self, kinds: Kinds) -> TransientProblem:
+        """The least-squares problem with some kinds of friction."""
+        size = COUNT + 2 * len(kinds)
+        prior_std = np.full(size, np.inf)
+        omega = np.array(self.knowledge.physics.natural_frequencies_rad_s)
+        prior_std[:2], prior_std[PSI] = _DAMPING_STD, np.pi
+        prior_std[_DISK] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
+        prior_std[_SUSPENSION] = self.knowledge.log_std[:4]
+
+        def predict(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
+            return self._angles(theta, problem.cut(end_s), kinds)
+
+        problem = TransientProblem(self.readings, predict, self.start(kinds, 0.0), prior_std)
+        return problem
+
+    def start(self, kinds: Kinds, psi: float) -> np.ndarray:
+        """θ from bare exponentials, the rotor standing at ψ, friction as the declines show it."""
+        physics, start = self.knowledge.physics, np.zeros(COUNT + 2 * len(kinds))
+        inertias = (physics.a.inertia_kg_m2, physics.b.inertia_kg_m2)
+        for i, (reading, decline) in enumerate(zip(self.readings, self.declines, strict=True)):
+            channel, rate = reading.averages, decline.rate_per_s
+            t = channel.time_s - self.begin_s
+            basis = np.column_stack([np.ones_like(t), np.exp(-rate * t)])
+            rest, amplitude = np.linalg.lstsq(basis, channel.value, rcond=None)[0]
+            if self.begin_s < decline.push_s:  # not flicked yet
+                rest, amplitude = float(np.mean(channel.value)), 0.0
+            start[i] = np.log(rate * inertias[i])
+            start[2 + i], start[4 + i] = rest + amplitude, -rate * amplitude
+            if "torque" in kinds:
+                at = COUNT + 2 * kinds.index("torque") + i
+                start[at] = max(0.0, decline.friction_share) * rate * inertias[i] * decline.speed_rad_s
+        start[PSI] = psi
+        start[_SUSPENSION] = log_suspension(physics)[:4]
+        return start
+
+    def extended(self, theta: np.ndarray, kinds: Kinds, more: Kinds, values: Mapping[Kind, np.ndarray]) -> np.ndarray:
+        """θ of a problem with some kinds as one with more of them, at given values, not below zero."""
+        out = np.r_[theta[:COUNT], np.zeros(2 * len(more))]
+        for i, kind in enumerate(more):
+            at = COUNT + 2 * i
+            if kind in kinds:
+                old = COUNT + 2 * kinds.index(kind)
+                out[at : at + 2] = theta[old : old + 2]
+            else:
+                out[at : at + 2] = np.maximum(values[kind], 0.0)
+        return out
+
+    def ask(self, kinds: Kinds, kind: Kind, minimum: Minimum) -> Evidence:
+        """How much another kind of friction would mend."""
+        more: Kinds = (*kinds, kind)
+        plain, problem = self.problem(kinds), self.problem(more)
+        theta = self.extended(minimum.theta, kinds, more, {kind: np.zeros(2)})
+        _, slope = problem.predict(theta, self.end_s)
+        cut = problem.cut(self.end_s)
+        weight = np.concatenate([c.weight for c in cut])
+        columns = slope[:, -2:] * weight[:, None]
+        sizes = (len(cut[0].time_s), len(cut[1].time_s))
+        return evidence(minimum, columns, plain.rounding(minimum, self.end_s, 40), sizes)
+
+    def positive(self, minimum: Minimum, kinds: Kinds) -> bool:
+        """Whether no friction is surely below zero, which none is."""
+        std = np.sqrt(np.diag(minimum.covariance))
+        return bool(np.all(minimum.theta[COUNT:] > -_SURELY * std[COUNT:])) if kinds else True
+
+    def _angles(self, theta: np.ndarray, cut: tuple[Averages, Averages], kinds: Kinds) -> tuple[np.ndarray, np.ndarray]:
+        """Both encoders' angles and derivatives on a rotor that stands at ψ."""
+        count, size = sum(len(c.time_s) for c in cut), len(theta)
+        bad = np.full(count, np.nan), np.zeros((count, size))
+        if np.max(np.abs(theta[:2])) > 40 or np.max(np.abs(theta[_SUSPENSION])) > 40:
+            return bad
+        now = laid_over(self.knowledge, theta[:2], theta[_SUSPENSION])
+        state = np.r_[theta[7:9], theta[_ANGLES], theta[9:11], theta[_SPEEDS]]
+        still = SpeedHistory.constant(0.0, float(theta[PSI]), self.begin_s)
+        dry, dry_by = self._dry(theta, kinds)
+        motion = swing(now, still, state, self.begin_s, self.begin_s, max(float(c.time_s[-1]) for c in cut), dry)
+        if motion is None:
+            return bad
+        start_by, log_by = np.zeros((8, size)), np.zeros((7, size))
+        start_by[[0, 1, 2, 3, 4, 5, 6, 7], [7, 8, 2, 3, 9, 10, 4, 5]] = 1.0
+        start_by[[2, 3], PSI] = 1.0  # a turned rotor is two turned pendulums, read from a turned zero
+        log_by[0, 0] = log_by[1, 1] = 1.0
+        log_by[2:6, _SUSPENSION] = np.eye(4)
+        angle, slope = both_angles(motion, cut, start_by, log_by, dry_by)
+        slope[:, PSI] -= 1.0
+        return angle, slope
+
+    @staticmethod
+    def _dry(theta: np.ndarray, kinds: Kinds) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """M_A, M_B, F_A, F_B and their derivatives by θ."""
+        if not kinds:
+            return None, None
+        by = np.zeros((4, len(theta)))
+        for i, kind in enumerate(kinds):
+            row = 0 if kind == "torque" else 2
+            by[row, COUNT + 2 * i] = by[row + 1, COUNT + 2 * i + 1] = 1.0
+        return by @ theta, by
