@@ -16,6 +16,7 @@ from identification.estimate import Estimate
 from identification.ring_down.attempt import Plan
 from identification.ring_down.begin import proposed, settled
 from identification.ring_down.decay import Decay, Priors, both_alike, second_mode_gain
+from identification.ring_down.disturbances import without_lines
 from identification.ring_down.evidence import coarse_remark, refuse_nothing_rings, refuse_too_fast
 from identification.ring_down.model import BETA, RATIO
 from identification.ring_down.outliers import without_spikes
@@ -123,7 +124,7 @@ def _fit(
     channels, warnings = _read(records)
     refuse_too_fast(channels)
     valid = tuple(tuple(c.keep for c in own) for own in channels)
-    start = proposed(tuple(tuple(without_spikes(c)[0] for c in own) for own in channels))
+    start = proposed(tuple(tuple(without_lines(without_spikes(c)[0]) for c in own) for own in channels))
     findings = Findings(setting, priors, mass, warnings)
     if len(records[0]) == 1:
         return _one_direction(start, valid, findings, 0)

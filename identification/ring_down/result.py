@@ -8,6 +8,7 @@ import numpy as np
 
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
+from identification.lines import sentences
 from identification.ring_down.amplitude import AmplitudeDependence, amplitude_dependence
 from identification.ring_down.attempt import stretches
 from identification.ring_down.decay import Fitted, Priors
@@ -108,7 +109,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     minimum = fitted.solution.minimum
     chi2 = fitted.solution.chi2_per_dof
     stretch = stretches(fitted)
-    warnings = list(findings.warnings)
+    warnings = [*findings.warnings, *_lines_said(fitted, labels)]
     found: Resolution | None = None
     if fitted.model.turned:
         held = (
@@ -155,11 +156,16 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     )
 
 
+def _lines_said(fitted: Fitted, labels: tuple[str, ...]) -> list[str]:
+    """Lines by name; a lone sensor is that of its direction."""
+    axes = "xy" if len(labels) == 2 else "xy"[int(labels[0]) - 1]
+    return sentences([(a, c.lines) for own in fitted.decay.records for a, c in zip(axes, own, strict=True)])
+
+
 def _curves(fitted: Fitted, chi2: float) -> tuple[list[Curve], list[float]]:
     curves, rms = [], []
-    for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.channel_residuals(), strict=True)):
-        for axis, channel, own in zip("xy", record.channels, residuals, strict=False):
-            metres = own / channel.weight
+    for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.plain_residuals(), strict=True)):
+        for axis, channel, metres in zip("xy", record.channels, residuals, strict=False):
             left_over = float(np.std(metres) / np.std(channel.value))
             white = float(np.std(1 / channel.weight) + np.mean(1 / channel.weight)) / float(np.std(channel.value))
             if left_over > max(_LEFT_OVER, 2 * white) and chi2 > _WRONG_CHI2:
