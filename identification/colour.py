@@ -66,7 +66,8 @@ def colour_of(residual: np.ndarray, noise: float, width_s: float, modes: list[tu
     quiet = _quietest(residual)
     n = len(quiet)
     size = 1 << int(np.ceil(np.log2(2 * n)))
-    power = np.abs(np.fft.rfft(quiet - quiet.mean(), size)) ** 2 / n
+    taper = np.hanning(n) * np.sqrt(8 / 3)  # a misfit of the modes must not leak far
+    power = np.abs(np.fft.rfft((quiet - quiet.mean()) * taper, size)) ** 2 / n
     spacing = 1 / (size * width_s)
     covariance = np.fft.irfft(_bridged(power, spacing, modes))[: _HIGHEST_ORDER + 1]
     predictors, variances = _levinson(covariance)

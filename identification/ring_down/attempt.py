@@ -87,21 +87,27 @@ class Plan:
             other = other_oscillation(fitted)
             if other is None:
                 break
-            alone = self.again(fitted, without_other(fitted, other))
-            fitted = alone if other.steady or not self.turned else self.better_shaped(fitted, alone, other)
+            apart = self.again(fitted, without_other(fitted, other))
+            fitted = apart if other.line or not self.turned else self.better_shaped(fitted, apart, other)
         return fitted
 
-    def better_shaped(self, fitted: Fitted, other_apart: Fitted, other: Other) -> Fitted:
-        """Of a mode and another oscillation that decays: the pair's weaker mode is the one that its shape befits."""
+    def better_shaped(self, fitted: Fitted, apart: Fitted, other: Other) -> Fitted:
+        """Of a pair's weaker mode and another oscillation that decays: which is the mode, as its shape tells.
+
+        The weaker mode may also have been none at all, from a wrong minimum.
+        """
         weak = int(np.argmin([mode_size(fitted, m) for m in range(2)]))
         theta = fitted.theta.copy()
         theta[2 * weak : 2 * weak + 2] = np.log(abs(other.lam)), -other.lam.real / abs(other.lam)
-        decay = without_mode(fitted, weak)
-        swapped = self.refitted(decay, [theta], float(np.max(np.exp(theta[0:4:2]))), fitted.model.drift)
-        return swapped if swapped.chi2 < other_apart.chi2 else other_apart
+        fastest, drift = float(np.max(np.exp(theta[0:4:2]))), fitted.model.drift
+        choices = [self.refitted(fitted.decay, [theta], fastest, drift), apart]
+        if np.all(fitted.zetas > 0):
+            choices.append(self.refitted(without_mode(fitted, weak), [theta], fastest, drift))
+        return min(choices, key=lambda f: f.chi2 / max(f.count, 1) + f.model.linear * np.log(f.count) / f.count)
 
     def with_known_noise(self, fitted: Fitted) -> Fitted:
         """The fit weighted by its noise's spectrum where that is not white."""
+        fitted = self.with_residual_noise(fitted)
         for _ in range(_COLOURS):
             decay = coloured(fitted)
             if decay is None:

@@ -38,10 +38,15 @@ def without_lines(channel: Channel) -> Channel:
 
 @dataclass(frozen=True)
 class Other:
-    """An oscillation that is no mode: its rate, 1/s, and whether it does not decay."""
+    """An oscillation that residuals show.
+
+    Attributes:
+        lam: its rate, 1/s.
+        line: whether it does not decay, or belongs to a line that is known already.
+    """
 
     lam: complex
-    steady: bool
+    line: bool
 
 
 def steady_mode(fitted: Fitted) -> int | None:
@@ -53,9 +58,9 @@ def steady_mode(fitted: Fitted) -> int | None:
     sizes = [mode_size(fitted, m) for m in range(fitted.model.modes)]
     for m in np.argsort(sizes):
         zeta, std, omega = float(fitted.zetas[m]), float(stds[2 * m + 1]), float(fitted.omegas[m])
-        if zeta + _STEADY * std < _SURELY_STEADY:
-            return int(m)
         small = sizes[m] < _SMALL * max(sizes)
+        if zeta + _STEADY * std < _SURELY_STEADY and (small or abs(zeta) < _SURELY_STEADY + _STEADY * std):
+            return int(m)
         if small and zeta < _STEADY * std and std * omega * span < _VAGUE:
             return int(m)
     return None
@@ -100,6 +105,9 @@ def other_oscillation(fitted: Fitted) -> Other | None:
     span = min(float(t[-1]) for record in rest.records for t in record.times)
     if not np.isfinite(omega) or moved > max(2 / span, 0.02 * frequency):
         return None
+    known = {line.frequency_Hz for channels in fitted.decay.records for c in channels for line in c.lines}
+    if any(abs(f - frequency) < _SAME_Hz for f in known):
+        return Other(complex(0.0, omega), True)
     std = float(np.sqrt(solution.minimum.covariance[1, 1] * max(1.0, solution.chi2_per_dof)))
     steady = zeta < max(_STEADY * std, _SURELY_STEADY)
     if not steady and (zeta < _DECAYS * std or zeta > 0.1):
@@ -128,7 +136,9 @@ def _most_prominent(t: np.ndarray, residual: np.ndarray, fitted: Fitted) -> tupl
         if np.exp(-zeta * omega * span / 2) > _GONE:
             reach = max(_OWN_BAND * abs(zeta) * omega / (2 * np.pi), 1.5 / span)
             prominence[np.abs(frequency - omega / (2 * np.pi)) < reach] = 0.0
-    k = int(np.argmax(prominence))
+    inner = power[1:-1]
+    prominence[1:-1][(inner <= power[:-2]) | (inner < power[2:])] = 0.0  # a peak's skirt is none
+    k = int(np.argmax(prominence[:-1]))
     return float(prominence[k]), float(frequency[k])
 
 

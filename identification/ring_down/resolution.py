@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.colour import colour_of
 from identification.errors import IdentificationError
 from identification.ring_down.attempt import Plan
 from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors
@@ -48,7 +49,7 @@ def lone_direction(decay: Decay) -> Lone | None:
         return None
     weak = coarse[1 - strong]
     rest = without_modes(weak, [complex(rate(float(fitted.omegas[0]), float(fitted.zetas[0])))], weak.time_s[0])
-    if _explained(rest) > _NOTICED * max(1.0, fitted.solution.chi2_per_dof):
+    if _explained(_whitened(rest, fitted)) > _NOTICED * max(1.0, fitted.solution.chi2_per_dof):
         return None
     axis = "xy"[1 - strong]
     if _explained(weak) > _NOTICED:
@@ -63,6 +64,17 @@ def _alone(decay: Decay, axis: int) -> Fitted:
     own = decay.only(axis)
     valid = tuple(tuple(c.keep for c in channels) for channels in own.records)
     return Plan(False, "fast", Priors(), valid)(own)
+
+
+def _whitened(rest: Averages, fitted: Fitted) -> Averages:
+    """What is left of a sensor, its noise's correlation taken out."""
+    width = float(np.median(np.diff(rest.time_s)))
+    modes = [(w / (2 * np.pi), z * w / (2 * np.pi)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+    colour = colour_of(rest.value * rest.weight, rest.noise, width, modes)
+    if colour is None:
+        return rest
+    weight = np.sqrt(rest.count) / colour.noise
+    return replace(rest, value=colour.whitened(rest.value * weight) / weight, noise=colour.noise)
 
 
 def _explained(channel: Averages) -> float:
