@@ -1,6 +1,6 @@
 """Noise that is not white: its spectrum as an autoregression, and rows of a least-squares problem made white by it.
 
-Residual r_k of evenly spaced block means, noise with r_k = Σ φ_j r_{k−j} + e_k. The rows (r_k − Σ φ_j r_{k−j})/s are white;
+Residuals of evenly spaced block means follow r_k = Σ φ_j r_{k−j} + e_k. The rows (r_k − Σ φ_j r_{k−j})/s are white;
 applied to data, basis and tangent alike this is generalised least squares. The first rows take the predictors of lower
 order (Levinson's recursion has them all), so no row is lost, and the first ones hold the most of a decay.
 """
@@ -96,7 +96,7 @@ def _bridged(power: np.ndarray, spacing: float, modes: list[tuple[float, float]]
     out = power.copy()
     for frequency, half in modes:
         reach = max(0.4, 3 * half)
-        a, b = (int(round((frequency + s * reach) / spacing)) for s in (-1, 1))
+        a, b = (round((frequency + s * reach) / spacing) for s in (-1, 1))
         beside = max(b - a, 8) // 2
         sides = [out[max(a - beside, 1) : max(a, 1)], out[b : b + beside]]
         levels = [float(s.mean()) for s in sides if len(s)]

@@ -48,6 +48,11 @@ class Line:
     decay: float = 0.0
     order: int = 1
 
+    @property
+    def rate(self) -> complex:
+        """Its rate, 1/s."""
+        return complex(-self.decay, 2 * np.pi * self.frequency_Hz)
+
     def at(self, time_s: np.ndarray) -> np.ndarray:
         """The line at some instants, m; a decaying one from its zero on."""
         since = time_s - self.zero_s
@@ -176,10 +181,9 @@ def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line 
     omega, length = 2 * np.pi * frequency, span.length_s
     if uneven > _UNEVEN + 3 * own / mean or -decay * length > 0.5 + 3 * cov * length:
         return None
-    surely = decay + 3 * cov < _SURELY_STEADY * omega
-    if not surely and (
-        cov * length > _VAGUE or decay > max(3 * cov, _SURELY_STEADY * omega) or mean > _LARGE * largest
-    ):
+    large = mean > _LARGE * largest  # it may be all that moves, and grow
+    surely = (abs(decay) if large else decay) + 3 * cov < _SURELY_STEADY * omega
+    if not surely and (cov * length > _VAGUE or decay > max(3 * cov, _SURELY_STEADY * omega) or large):
         return None
     phase = np.unwrap(np.angle(amplitude))
     bent = float(np.max(np.abs(phase - np.polyval(np.polyfit(middle, phase, 1), middle))))

@@ -108,7 +108,7 @@ def amplitude_dependence(fitted: Fitted, mode: int, stretch: float = 1.0) -> Amp
 
 
 def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarray, complex, Colour | None]:
-    """The channel with the mode's largest amplitude against noise: blocks, times, residual, complex amplitude, colour."""
+    """The channel with the mode's largest amplitude against noise: blocks, times, residual, amplitude, colour."""
     best = (-1.0, 0, 0, 0j)
     for r, record in enumerate(fitted.model.records):
         for axis, channel in enumerate(record.channels):

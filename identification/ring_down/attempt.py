@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors, refuse_too_short, solve, width_for
 from identification.ring_down.disturbances import (
+    SMALL,
     Other,
     coloured,
     mode_size,
@@ -62,7 +63,8 @@ class Plan:
         """
         fitted = self.from_starts(decay, near)
         refuse_too_short(fitted)
-        fitted, _ = self.without_outliers(self.with_known_noise(self.without_lines(fitted, near)))
+        fitted = self.with_known_noise(self.without_lines(self.with_residual_noise(fitted), near))
+        fitted, _ = self.without_outliers(fitted)
         return fitted if self.turned else self.with_second_mode(fitted)
 
     def from_starts(self, decay: Decay, near: Fitted | None = None) -> Fitted:
@@ -88,26 +90,30 @@ class Plan:
             if other is None:
                 break
             apart = self.again(fitted, without_other(fitted, other))
-            fitted = apart if other.line or not self.turned else self.better_shaped(fitted, apart, other)
+            fitted = apart if other.line else self.better_shaped(fitted, apart, other)
         return fitted
 
     def better_shaped(self, fitted: Fitted, apart: Fitted, other: Other) -> Fitted:
-        """Of a pair's weaker mode and another oscillation that decays: which is the mode, as its shape tells.
+        """Of the weakest mode and another oscillation that decays: which is the mode, as the fits tell.
 
-        The weaker mode may also have been none at all, from a wrong minimum.
+        The weakest mode may have been none at all, from a wrong minimum; or the other's shape befits a turned pair.
         """
-        weak = int(np.argmin([mode_size(fitted, m) for m in range(2)]))
+        sizes = [mode_size(fitted, m) for m in range(fitted.model.modes)]
+        weak = int(np.argmin(sizes))
+        small = len(sizes) > 1 and sizes[weak] < SMALL * max(sizes)
         theta = fitted.theta.copy()
         theta[2 * weak : 2 * weak + 2] = np.log(abs(other.lam)), -other.lam.real / abs(other.lam)
-        fastest, drift = float(np.max(np.exp(theta[0:4:2]))), fitted.model.drift
-        choices = [self.refitted(fitted.decay, [theta], fastest, drift), apart]
-        if np.all(fitted.zetas > 0):
+        fastest, drift = float(np.max(np.exp(theta[0 : 2 * len(sizes) : 2]))), fitted.model.drift
+        choices = [apart]
+        if small or not self.turned:
+            choices.append(self.refitted(fitted.decay, [theta], fastest, drift))
+        if small and self.turned and np.all(fitted.zetas > 0):
             choices.append(self.refitted(without_mode(fitted, weak), [theta], fastest, drift))
-        return min(choices, key=lambda f: f.chi2 / max(f.count, 1) + f.model.linear * np.log(f.count) / f.count)
+        noise = min(f.solution.chi2_per_dof for f in choices)
+        return min(choices, key=lambda f: (f.chi2 / noise + f.model.linear * np.log(f.count)) / f.count)
 
     def with_known_noise(self, fitted: Fitted) -> Fitted:
         """The fit weighted by its noise's spectrum where that is not white."""
-        fitted = self.with_residual_noise(fitted)
         for _ in range(_COLOURS):
             decay = coloured(fitted)
             if decay is None:

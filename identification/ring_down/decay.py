@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Solution, solve_separable
+from identification.lines import Line
 from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
 from identification.ring_down.record import Channel
 from identification.samples import Averages
@@ -141,6 +142,28 @@ class Fitted:
             return complex(mix[axis, mode] * complex(c[2 * mode], c[2 * mode + 1]))
         at = 2 * (axis * self.model.modes + mode)
         return complex(c[at], c[at + 1])
+
+    def found_lines(self) -> list[list[list[Line]]]:
+        """[record][channel], lines with what the fit found besides what was taken off the samples."""
+        out = []
+        for record, channels, c in zip(self.model.records, self.decay.records, self.solution.coefficients, strict=True):
+            drifts = len(record.channels) * (self.model.drift + 1)
+            at = len(c) - drifts - record.line_columns.shape[1]
+            own = []
+            for channel, means, times in zip(channels, record.channels, record.times, strict=True):
+                lines = []
+                for line in channel.lines:
+                    order = line.order + 1 if channel.in_blocks(line, self.width_s) else 0
+                    if order:
+                        first = float(means.time_s[0])
+                        more = complex(c[at], -c[at + order])
+                        since = line.amplitude_m * np.exp(line.rate * (first - line.zero_s))
+                        line = replace(line, amplitude_m=complex(since + more), zero_s=first)
+                    lines.append(line)
+                    at += 2 * order
+                own.append(lines)
+            out.append(own)
+        return out
 
     @property
     def omegas(self) -> np.ndarray:

@@ -7,6 +7,7 @@ peak is a line where it does not decay, and something else that rings where it d
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -23,9 +24,10 @@ from identification.ring_down.record import Channel
 _SURELY_STEADY = 5e-5  # ζ of no suspension, whatever the statistics say
 _STEADY, _DECAYS = 3.0, 4.0  # standard deviations of ζ
 _VAGUE = 0.15  # standard deviation of the decay over the record, beyond which steady is not decided
-_SMALL = 0.25  # of the strongest mode's amplitude; what does not decay and is larger is the user's to explain
+SMALL = 0.25  # of the strongest mode's amplitude; what does not decay and is larger is the user's to explain
 _GROUP, _PROMINENT = 24, 40.0  # ordinates of a level; power over its median
-_OWN_BAND, _GONE = 3.0, 0.2  # half-bandwidths of a mode; what is left of it where its band may be looked at
+_OWN_BAND, _LOBE = 3.0, 4.0  # half-bandwidths, and ordinates, next to a mode in which what decays is its misfit
+_TRIED, _MOST_DAMPED = 3, 0.1
 _SAME_Hz = 0.3
 _WANDERS_S = 2.0  # of a record per order of a wandering line's polynomial
 
@@ -58,7 +60,7 @@ def steady_mode(fitted: Fitted) -> int | None:
     sizes = [mode_size(fitted, m) for m in range(fitted.model.modes)]
     for m in np.argsort(sizes):
         zeta, std, omega = float(fitted.zetas[m]), float(stds[2 * m + 1]), float(fitted.omegas[m])
-        small = sizes[m] < _SMALL * max(sizes)
+        small = sizes[m] < SMALL * max(sizes)
         if zeta + _STEADY * std < _SURELY_STEADY and (small or abs(zeta) < _SURELY_STEADY + _STEADY * std):
             return int(m)
         if small and zeta < _STEADY * std and std * omega * span < _VAGUE:
@@ -90,56 +92,63 @@ def without_mode(fitted: Fitted, mode: int) -> Decay:
 
 def other_oscillation(fitted: Fitted) -> Other | None:
     """The most prominent oscillation in the residuals that is none of the modes."""
-    best: tuple[float, float] = (0.0, 0.0)
+    peaks: list[tuple[float, float]] = []
     for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
         for t, residual in zip(record.times, residuals, strict=True):
-            best = max(best, _most_prominent(t, residual, fitted))
-    prominence, frequency = best
-    if prominence < _PROMINENT:
-        return None
+            peaks += _peaks(t, residual)
+    for _, frequency in sorted(peaks, reverse=True)[:_TRIED]:
+        other = _refined(fitted, frequency)
+        if other is not None:
+            return other
+    return None
+
+
+def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
+    """Narrow peaks of a channel's residuals: power over the local level, and frequency in Hz."""
+    step = float(np.median(np.diff(t)))
+    grid = np.arange(t[0], t[-1] + 0.5 * step, step)
+    if len(grid) < 8 * _GROUP:
+        return []
+    even = np.interp(grid, t, residual) if len(grid) != len(t) else residual
+    size = next_fast_len(len(even), real=True)
+    power = np.abs(np.fft.rfft((even - even.mean()) * _window(len(even)), size)) ** 2
+    count = len(power) // _GROUP
+    level = np.repeat(np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1), _GROUP)
+    level = np.r_[level, np.full(len(power) - len(level), level[-1])]
+    prominence = power[1:-1] / np.maximum(level[1:-1], 1e-300)
+    frequency = np.arange(1, len(power) - 1) / (size * step)
+    top = (prominence > _PROMINENT) & (power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])
+    top &= frequency > 6 / (grid[-1] - grid[0])
+    return list(zip(prominence[top].tolist(), frequency[top].tolist(), strict=True))
+
+
+@lru_cache(8)
+def _window(size: int) -> np.ndarray:
+    return nuttall(size, sym=False)
+
+
+def _refined(fitted: Fitted, frequency: float) -> Other | None:
+    """What oscillates at a residual's peak; None where it may be a mode's own misfit."""
     rest = _residual_model(fitted)
     start = np.array([np.log(2 * np.pi * frequency), 0.0])
     solution = solve_separable(rest, start, np.zeros(2), np.full(2, np.inf), 20)
     omega, zeta = float(np.exp(solution.minimum.theta[0])), float(solution.minimum.theta[1])
-    moved = abs(omega / (2 * np.pi) - frequency)
     span = min(float(t[-1]) for record in rest.records for t in record.times)
-    if not np.isfinite(omega) or moved > max(2 / span, 0.02 * frequency):
+    if not np.isfinite(omega) or abs(omega / (2 * np.pi) - frequency) > max(2 / span, 0.02 * frequency):
         return None
-    known = {line.frequency_Hz for channels in fitted.decay.records for c in channels for line in c.lines}
-    if any(abs(f - frequency) < _SAME_Hz for f in known):
+    if any(
+        abs(line.frequency_Hz - frequency) < _SAME_Hz for own in fitted.decay.records for c in own for line in c.lines
+    ):
         return Other(complex(0.0, omega), True)
     std = float(np.sqrt(solution.minimum.covariance[1, 1] * max(1.0, solution.chi2_per_dof)))
-    steady = zeta < max(_STEADY * std, _SURELY_STEADY)
-    if not steady and (zeta < _DECAYS * std or zeta > 0.1):
-        return None
-    return Other(complex(0.0, omega) if steady else rate(omega, zeta), steady)
-
-
-def _most_prominent(t: np.ndarray, residual: np.ndarray, fitted: Fitted) -> tuple[float, float]:
-    """Power over the local level and frequency of the narrow peak that stands out most."""
-    step = float(np.median(np.diff(t)))
-    grid = np.arange(t[0], t[-1] + 0.5 * step, step)
-    if len(grid) < 8 * _GROUP:
-        return 0.0, 0.0
-    even = np.interp(grid, t, residual) if len(grid) != len(t) else residual
-    size = next_fast_len(len(even), real=True)
-    power = np.abs(np.fft.rfft((even - even.mean()) * nuttall(len(even), sym=False), size)) ** 2
-    spacing = 1 / (size * step)
-    count = len(power) // _GROUP
-    level = np.repeat(np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1), _GROUP)
-    level = np.r_[level, np.full(len(power) - len(level), level[-1])]
-    prominence = power / np.maximum(level, 1e-300)
-    frequency = spacing * np.arange(len(power))
-    prominence[frequency < 6 / (grid[-1] - grid[0])] = 0.0
-    span = float(t[-1])
-    for omega, zeta in zip(fitted.omegas, fitted.zetas, strict=True):
-        if np.exp(-zeta * omega * span / 2) > _GONE:
-            reach = max(_OWN_BAND * abs(zeta) * omega / (2 * np.pi), 1.5 / span)
-            prominence[np.abs(frequency - omega / (2 * np.pi)) < reach] = 0.0
-    inner = power[1:-1]
-    prominence[1:-1][(inner <= power[:-2]) | (inner < power[2:])] = 0.0  # a peak's skirt is none
-    k = int(np.argmax(prominence[:-1]))
-    return float(prominence[k]), float(frequency[k])
+    if abs(zeta) < max(_STEADY * std, _SURELY_STEADY):
+        return Other(complex(0.0, omega), True)
+    lam = rate(omega, zeta)
+    for own, damping in zip(fitted.omegas, fitted.zetas, strict=True):
+        mode = rate(float(own), float(damping))
+        if abs(lam - mode) < max(_OWN_BAND * max(-mode.real, -lam.real), 2 * np.pi * _LOBE / span):
+            return None
+    return Other(lam, False) if _DECAYS * std < zeta < _MOST_DAMPED else None
 
 
 def _residual_model(fitted: Fitted) -> DecayModel:

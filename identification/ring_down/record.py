@@ -78,14 +78,18 @@ class Channel:
         columns: list[np.ndarray] = []
         middles = np.empty(0)
         for line in self.lines:
-            if line.frequency_Hz * width_s > _BEYOND_BLOCKS:
-                continue  # averaged away
-            rate = complex(-line.decay, 2 * np.pi * line.frequency_Hz)
-            middles, wave = _average_wave(time, keep, width_s, rate.real, rate.imag)
+            if not self.in_blocks(line, width_s):
+                continue
+            middles, wave = _average_wave(time, keep, width_s, line.rate.real, line.rate.imag)
             span = max(float(middles[-1] - middles[0]), 1e-9)
             shapes = np.polynomial.legendre.legvander(2 * (middles - middles[0]) / span - 1, line.order)
             columns += [shapes * wave.real[:, None], shapes * wave.imag[:, None]]
         return np.hstack(columns) if columns else np.empty((0, 0))
+
+    @staticmethod
+    def in_blocks(line: Line, width_s: float) -> bool:
+        """Whether block means still show a line."""
+        return line.frequency_Hz * width_s < _BEYOND_BLOCKS
 
     def without(self, lines: Sequence[Line]) -> Channel:
         """The samples less some lines, which a fit then has beside its modes."""
