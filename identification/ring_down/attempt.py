@@ -12,9 +12,11 @@ from identification.ring_down.disturbances import (
     SMALL,
     Other,
     coloured,
+    is_disturbed,
     mode_size,
     other_oscillation,
     steady_mode,
+    white_rests,
     without_mode,
     without_other,
 )
@@ -64,6 +66,7 @@ class Plan:
         fitted = self.from_starts(decay, near)
         refuse_too_short(fitted)
         fitted = self.with_known_noise(self.without_lines(self.with_residual_noise(fitted), near))
+        fitted = self.with_hidden_mode(fitted)
         fitted, _ = self.without_outliers(fitted)
         return fitted if self.turned else self.with_second_mode(fitted)
 
@@ -111,6 +114,24 @@ class Plan:
             choices.append(self.refitted(without_mode(fitted, weak), [theta], fastest, drift))
         noise = min(f.solution.chi2_per_dof for f in choices)
         return min(choices, key=lambda f: (f.chi2 / noise + f.model.linear * np.log(f.count)) / f.count)
+
+    def with_hidden_mode(self, fitted: Fitted) -> Fitted:
+        """A turned pair that shares one rate, where lines or noise hid the fainter mode from the first start values."""
+        if not self.turned or not is_disturbed(fitted):
+            return fitted
+        lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+        if abs(lams[0] - lams[1]) > _APART * max(abs(lam.real) for lam in lams):
+            return fitted
+        hidden = damped_periodogram(white_rests(fitted))
+        fastest, drift = float(np.max(fitted.omegas)), fitted.model.drift
+        best = fitted
+        for place in range(2):
+            theta = fitted.theta.copy()
+            theta[2 * place : 2 * place + 2] = theta_of([hidden])
+            theta[BETA] = 0.0
+            found = self.refitted(fitted.decay, [theta], fastest, drift)  # the same blocks, so that χ² compares
+            best = found if found.chi2 < best.chi2 - _SECOND_MODE_GAIN else best
+        return fitted if best is fitted else self.with_known_noise(self.again(best))
 
     def with_known_noise(self, fitted: Fitted) -> Fitted:
         """The fit weighted by its noise's spectrum where that is not white."""

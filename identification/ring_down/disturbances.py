@@ -20,6 +20,7 @@ from identification.ring_down.decay import Decay, Fitted
 from identification.ring_down.model import DecayModel, DecayRecord
 from identification.ring_down.modes import averaged_decay, rate
 from identification.ring_down.record import Channel
+from identification.samples import Averages
 
 _SURELY_STEADY = 5e-5  # ζ of no suspension, whatever the statistics say
 _STEADY, _DECAYS = 3.0, 4.0  # standard deviations of ζ
@@ -194,3 +195,16 @@ def coloured(fitted: Fitted) -> Decay | None:
     if not found and not any(c.colour for channels in fitted.decay.records for c in channels):
         return None
     return fitted.decay.with_channels(lambda r, axis, channel: replace(channel, colour=found.get((r, axis))))
+
+
+def is_disturbed(fitted: Fitted) -> bool:
+    """Whether lines or coloured noise were found in any channel."""
+    return any(c.lines or c.colour is not None for channels in fitted.decay.records for c in channels)
+
+
+def white_rests(fitted: Fitted) -> list[list[Averages]]:
+    """[record][channel], what a fit left with its noise's correlation taken out."""
+    return [
+        [replace(c, value=own / c.weight) for c, own in zip(record.channels, residuals, strict=True)]
+        for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True)
+    ]

@@ -20,7 +20,7 @@ CLOSE, _CERTAIN = 3.0, 0.1  # half-bandwidths; relative standard deviation of a 
 WALD_STD = np.radians(3.0)  # beyond, the axis angle's interval is no ellipse
 _STEP = 1e-7  # of ln ω and ζ
 _NOTICED = 45.0  # of χ²: noise alone explains 2 ln of the number of cells searched, about 25
-_WEAK = 0.25  # amplitude of the weaker sensor against the stronger
+WEAK = 0.25  # amplitude of the weaker sensor against the stronger
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,10 @@ def lone_direction(decay: Decay) -> Lone | None:
 
     The weaker sensor is asked whether anything is left once the stronger one's mode is taken out of it.
     """
-    if len(decay.records) > 1:
+    strong = stronger_sensor(decay, WEAK)
+    if strong is None:
         return None
     coarse = decay.averages(COARSE_S)[0]
-    energy = [float(np.var(c.value)) - c.noise**2 / float(np.median(c.count)) for c in coarse]
-    strong = int(np.argmax(energy))
-    if max(energy[1 - strong], 0.0) > _WEAK**2 * energy[strong]:
-        return None
     try:
         fitted = _alone(decay, strong)
     except IdentificationError:
@@ -51,8 +48,23 @@ def lone_direction(decay: Decay) -> Lone | None:
     rest = without_modes(weak, [complex(rate(float(fitted.omegas[0]), float(fitted.zetas[0])))], weak.time_s[0])
     if _explained(_whitened(rest, fitted)) > _NOTICED * max(1.0, fitted.solution.chi2_per_dof):
         return None
+    return own_mode_missing(strong, _explained(weak) > _NOTICED)
+
+
+def stronger_sensor(decay: Decay, ratio: float) -> int | None:
+    """The sensor of a single record whose motion exceeds the other's by more than 1/ratio; None where neither does."""
+    if len(decay.records) > 1 or len(decay.records[0]) < 2:
+        return None
+    coarse = decay.averages(COARSE_S)[0]
+    energy = [float(np.var(c.value)) - c.noise**2 / float(np.median(c.count)) for c in coarse]
+    strong = int(np.argmax(energy))
+    return strong if max(energy[1 - strong], 0.0) < ratio**2 * energy[strong] else None
+
+
+def own_mode_missing(strong: int, others: bool) -> Lone:
+    """A record in which the weaker sensor shows no mode of its own; others: but the stronger one's."""
     axis = "xy"[1 - strong]
-    if _explained(weak) > _NOTICED:
+    if others:
         reason = f"axes not resolved: sensor {axis} shows the other's mode and none of its own"
     else:
         reason = f"sensor {axis} shows no mode of its own"
