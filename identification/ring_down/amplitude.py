@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from identification.colour import Colour
 from identification.ring_down.decay import Fitted
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
@@ -72,7 +73,7 @@ def amplitude_dependence(fitted: Fitted, mode: int, stretch: float = 1.0) -> Amp
         mode: 0 or 1.
         stretch: noise above white, as a factor of standard deviations.
     """
-    channel, t, residual, amplitude = _clearest(fitted, mode)
+    channel, t, residual, amplitude, colour = _clearest(fitted, mode)
     omega, zeta = float(fitted.omegas[mode]), float(fitted.zetas[mode])
     lam = rate(omega, zeta)
     wave, slope = averaged_decay(lam, t, channel.spread_s2)
@@ -87,6 +88,7 @@ def amplitude_dependence(fitted: Fitted, mode: int, stretch: float = 1.0) -> Amp
         )
         * channel.weight[:, None]
     )
+    columns = columns if colour is None else colour.whitened(columns)
     rows = []
     for first, last in _windows(t, channel, abs(amplitude), lam):
         own = columns[first:last]
@@ -105,8 +107,8 @@ def amplitude_dependence(fitted: Fitted, mode: int, stretch: float = 1.0) -> Amp
     )
 
 
-def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarray, complex]:
-    """The channel with the mode's largest amplitude against noise: blocks, times, residual, complex amplitude."""
+def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarray, complex, Colour | None]:
+    """The channel with the mode's largest amplitude against noise: blocks, times, residual, amplitude, colour."""
     best = (-1.0, 0, 0, 0j)
     for r, record in enumerate(fitted.model.records):
         for axis, channel in enumerate(record.channels):
@@ -115,7 +117,8 @@ def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarr
                 best = (abs(amplitude) / channel.noise, r, axis, amplitude)
     _, r, axis, amplitude = best
     record = fitted.model.records[r]
-    return record.channels[axis], record.times[axis], fitted.channel_residuals()[r][axis], amplitude
+    colour = record.colours[axis] if record.colours else None
+    return record.channels[axis], record.times[axis], fitted.channel_residuals()[r][axis], amplitude, colour
 
 
 def _windows(t: np.ndarray, channel: Averages, amplitude: float, lam: complex) -> list[tuple[int, int]]:

@@ -8,6 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors, refuse_too_short, solve, width_for
+from identification.ring_down.disturbances import (
+    SMALL,
+    Other,
+    coloured,
+    is_disturbed,
+    mode_size,
+    other_oscillation,
+    steady_mode,
+    white_rests,
+    without_mode,
+    without_other,
+)
 from identification.ring_down.model import BETA
 from identification.ring_down.modes import Start, damped_periodogram, rate
 from identification.ring_down.outliers import suspicious, trimmed
@@ -20,6 +32,7 @@ BLOCKS_PER_CYCLE: dict[Setting, int] = {"fast": 12, "balanced": 20, "reference":
 
 _STARTS: dict[Setting, int] = {"fast": 1, "balanced": 2, "reference": 6}
 _TRIMS = 12
+_LINES, _COLOURS = 8, 2
 _CUT_AT = 8.0  # decay times; beyond, a mode is below 1/3000 of its start
 _COLOURED = 1.15
 _SECOND_MODE_GAIN = 20.0  # of χ², above what BIC asks: noise's largest peak of thousands stays below
@@ -50,6 +63,15 @@ class Plan:
         Raises:
             NotIdentifiable: too little is left after the release.
         """
+        fitted = self.from_starts(decay, near)
+        refuse_too_short(fitted)
+        fitted = self.with_known_noise(self.without_lines(self.with_residual_noise(fitted), near))
+        fitted = self.with_hidden_mode(fitted)
+        fitted, _ = self.without_outliers(fitted)
+        return fitted if self.turned else self.with_second_mode(fitted)
+
+    def from_starts(self, decay: Decay, near: Fitted | None = None) -> Fitted:
+        """The best fit from start values found in the decay itself."""
         coarse = decay.model(COARSE_S, 2 if self.turned else 1, self.turned, 0, self.priors.delay_s > 0)
         if self.turned:
             starts = pair_starts(coarse)[: _STARTS[self.setting]]
@@ -58,10 +80,67 @@ class Plan:
         else:
             start = damped_periodogram([list(r.channels) for r in coarse.records])
             starts, fastest = [theta_of([start])], start.omega
-        fitted = self.refitted(decay, starts, fastest, 0)
-        refuse_too_short(fitted)
-        fitted, _ = self.without_outliers(fitted)
-        return fitted if self.turned else self.with_second_mode(fitted)
+        return self.refitted(decay, starts, fastest, 0)
+
+    def without_lines(self, fitted: Fitted, near: Fitted | None = None) -> Fitted:
+        """The fit with lines that it shows beside its modes, until it shows none."""
+        for _ in range(_LINES):
+            mode = steady_mode(fitted)
+            if mode is not None:
+                fitted = self.from_starts(without_mode(fitted, mode), near)
+                continue
+            other = other_oscillation(fitted)
+            if other is None:
+                break
+            apart = self.again(fitted, without_other(fitted, other))
+            fitted = apart if other.line else self.better_shaped(fitted, apart, other)
+        return fitted
+
+    def better_shaped(self, fitted: Fitted, apart: Fitted, other: Other) -> Fitted:
+        """Of the weakest mode and another oscillation that decays: which is the mode, as the fits tell.
+
+        The weakest mode may have been none at all, from a wrong minimum; or the other's shape befits a turned pair.
+        """
+        sizes = [mode_size(fitted, m) for m in range(fitted.model.modes)]
+        weak = int(np.argmin(sizes))
+        small = len(sizes) > 1 and sizes[weak] < SMALL * max(sizes)
+        theta = fitted.theta.copy()
+        theta[2 * weak : 2 * weak + 2] = np.log(abs(other.lam)), -other.lam.real / abs(other.lam)
+        fastest, drift = float(np.max(np.exp(theta[0 : 2 * len(sizes) : 2]))), fitted.model.drift
+        choices = [apart]
+        if small or not self.turned:
+            choices.append(self.refitted(fitted.decay, [theta], fastest, drift))
+        if small and self.turned and np.all(fitted.zetas > 0):
+            choices.append(self.refitted(without_mode(fitted, weak), [theta], fastest, drift))
+        noise = min(f.solution.chi2_per_dof for f in choices)
+        return min(choices, key=lambda f: (f.chi2 / noise + f.model.linear * np.log(f.count)) / f.count)
+
+    def with_hidden_mode(self, fitted: Fitted) -> Fitted:
+        """A turned pair that shares one rate, where lines or noise hid the fainter mode from the first start values."""
+        if not self.turned or not is_disturbed(fitted):
+            return fitted
+        lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+        if abs(lams[0] - lams[1]) > _APART * max(abs(lam.real) for lam in lams):
+            return fitted
+        hidden = damped_periodogram(white_rests(fitted))
+        fastest, drift = float(np.max(fitted.omegas)), fitted.model.drift
+        best = fitted
+        for place in range(2):
+            theta = fitted.theta.copy()
+            theta[2 * place : 2 * place + 2] = theta_of([hidden])
+            theta[BETA] = 0.0
+            found = self.refitted(fitted.decay, [theta], fastest, drift)  # the same blocks, so that χ² compares
+            best = found if found.chi2 < best.chi2 - _SECOND_MODE_GAIN else best
+        return fitted if best is fitted else self.with_known_noise(self.again(best))
+
+    def with_known_noise(self, fitted: Fitted) -> Fitted:
+        """The fit weighted by its noise's spectrum where that is not white."""
+        for _ in range(_COLOURS):
+            decay = coloured(fitted)
+            if decay is None:
+                break
+            fitted = self.again(fitted, decay)
+        return fitted
 
     def refitted(
         self, decay: Decay, starts: Sequence[np.ndarray], fastest: float, drift: int, modes: int = 0
@@ -102,9 +181,9 @@ class Plan:
         if fitted.solution.chi2_per_dof < 1 + 4 * np.sqrt(2 / dof):
             return fitted
         rest = []
-        for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True):
+        for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
             pairs = zip(record.channels, residuals, strict=True)
-            rest.append([replace(c, value=r / c.weight) for c, r in pairs])
+            rest.append([replace(c, value=r) for c, r in pairs])
         second = damped_periodogram(rest)
         theta = np.r_[fitted.theta, theta_of([second])]
         fastest = max(float(np.max(fitted.omegas)), second.omega)
@@ -213,7 +292,7 @@ def drift_criteria(fitted: Fitted) -> dict[int, float]:
         higher = replace(fitted.model, drift=order)
         gain, channels = 0.0, 0
         for record, columns, residual in zip(fitted.model.records, known, residuals, strict=True):
-            extra = higher.drift_columns(record) * record.weight[:, None]
+            extra = record.scaled(higher.drift_columns(record))
             gain += gain_of(residual, columns, extra)
             channels += len(record.channels)
         out[order] = (order - fitted.model.drift) * channels * np.log(fitted.count) - gain / noise

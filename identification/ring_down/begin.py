@@ -145,9 +145,9 @@ def _misfits_everywhere(fitted: Fitted) -> bool:
     """Whether much of a sensor's signal is left, and not as noise: then no window need stand out."""
     if fitted.solution.chi2_per_dof < _ALL_OFF:
         return False
-    pairs = zip(fitted.model.records, fitted.channel_residuals(), strict=True)
+    pairs = zip(fitted.model.records, fitted.plain_residuals(), strict=True)
     return any(
-        float(np.std(residual / channel.weight)) > _UNEXPLAINED * float(np.std(channel.value))
+        float(np.std(residual)) > _UNEXPLAINED * float(np.std(channel.value))
         for record, residuals in pairs
         for channel, residual in zip(record.channels, residuals, strict=True)
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Solution, solve_separable
+from identification.lines import Line
 from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
 from identification.ring_down.record import Channel
 from identification.samples import Averages
@@ -60,8 +61,23 @@ class Decay:
 
     def model(self, width_s: float, modes: int, turned: bool, drift: int = 0, delays: bool = False) -> DecayModel:
         """The model over this decay's blocks."""
-        records = [DecayRecord(tuple(own), float(own[0].time_s[0])) for own in self.averages(width_s)]
-        return DecayModel(tuple(records), modes, turned, drift, delays and turned)
+        records = []
+        spans = zip(self.records, self.begins, self.ends, strict=True)
+        for own, (channels, begin, end) in zip(self.averages(width_s), spans, strict=True):
+            lines = (
+                tuple(c.line_columns(width_s, begin, end) for c in channels) if any(c.lines for c in channels) else ()
+            )
+            colours = tuple(c.colour_for(width_s) for c in channels)
+            records.append(DecayRecord(tuple(own), float(own[0].time_s[0]), lines, colours if any(colours) else ()))
+        return DecayModel(tuple(records), modes, turned, drift, delays and turned, width_s)
+
+    def with_channels(self, change: Callable[[int, int, Channel], Channel]) -> Decay:
+        """The same spans with every channel changed: (record, axis, channel) to channel."""
+        records = tuple(
+            tuple(change(r, axis, channel) for axis, channel in enumerate(channels))
+            for r, channels in enumerate(self.records)
+        )
+        return replace(self, records=records)
 
     def only(self, axis: int) -> Decay:
         """One sensor of every record."""
@@ -91,8 +107,27 @@ class Fitted:
         """Number of blocks."""
         return sum(len(r) for r in self.solution.residuals)
 
+    @property
+    def width_s(self) -> float:
+        """Length of a block, s."""
+        return self.model.width_s
+
+    def plain_residuals(self) -> list[list[np.ndarray]]:
+        """[record][channel], block means less the model, m: with the noise's correlation left in."""
+        if not any(any(record.colours) for record in self.model.records):
+            return [
+                [own / channel.weight for channel, own in zip(record.channels, residuals, strict=True)]
+                for record, residuals in zip(self.model.records, self.channel_residuals(), strict=True)
+            ]
+        plain = replace(self.model, records=tuple(replace(r, colours=()) for r in self.model.records))
+        out = []
+        for record, block, c in zip(plain.records, plain(self.theta), self.solution.coefficients, strict=True):
+            residual = (block.data - block.basis @ c) / record.weight
+            out.append(np.split(residual, np.cumsum([len(t) for t in record.times])[:-1]))
+        return out
+
     def channel_residuals(self) -> list[list[np.ndarray]]:
-        """[record][channel], in standard deviations."""
+        """[record][channel], in standard deviations, white as far as the noise's colour is known."""
         out = []
         for record, residual in zip(self.model.records, self.solution.residuals, strict=True):
             edges = np.cumsum([len(t) for t in record.times])[:-1]
@@ -107,6 +142,28 @@ class Fitted:
             return complex(mix[axis, mode] * complex(c[2 * mode], c[2 * mode + 1]))
         at = 2 * (axis * self.model.modes + mode)
         return complex(c[at], c[at + 1])
+
+    def found_lines(self) -> list[list[list[Line]]]:
+        """[record][channel], lines with what the fit found besides what was taken off the samples."""
+        out = []
+        for record, channels, c in zip(self.model.records, self.decay.records, self.solution.coefficients, strict=True):
+            drifts = len(record.channels) * (self.model.drift + 1)
+            at = len(c) - drifts - record.line_columns.shape[1]
+            own = []
+            for channel, means, times in zip(channels, record.channels, record.times, strict=True):
+                lines = []
+                for line in channel.lines:
+                    order = line.order + 1 if channel.in_blocks(line, self.width_s) else 0
+                    if order:
+                        first = float(means.time_s[0])
+                        more = complex(c[at], -c[at + order])
+                        since = line.amplitude_m * np.exp(line.rate * (first - line.zero_s))
+                        line = replace(line, amplitude_m=complex(since + more), zero_s=first)
+                    lines.append(line)
+                    at += 2 * order
+                own.append(lines)
+            out.append(own)
+        return out
 
     @property
     def omegas(self) -> np.ndarray:

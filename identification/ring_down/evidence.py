@@ -31,7 +31,7 @@ def refuse_nothing_rings(fitted: Fitted) -> None:
     higher = replace(fitted.model, drift=max(_CUBIC, fitted.model.drift))
     alone = 0.0
     for record, block in zip(fitted.model.records, fitted.model(fitted.theta), strict=True):
-        columns = higher.drift_columns(record) * record.weight[:, None]
+        columns = record.scaled(higher.beside_columns(record))
         rest = block.data - columns @ np.linalg.lstsq(columns, block.data, rcond=None)[0]
         alone += float(rest @ rest)
     modes = fitted.model.modes

@@ -12,16 +12,26 @@ import numpy as np
 
 from daq.signals import Run
 from identification.clocks import clock_errors
-from identification.errors import NotIdentifiable
+from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.ring_down.attempt import Plan
 from identification.ring_down.begin import proposed, settled
 from identification.ring_down.decay import Decay, Priors, both_alike, second_mode_gain
+from identification.ring_down.disturbances import without_lines
 from identification.ring_down.evidence import coarse_remark, refuse_nothing_rings, refuse_too_fast
 from identification.ring_down.model import BETA, RATIO
 from identification.ring_down.outliers import without_spikes
 from identification.ring_down.record import Channel, read_channel
-from identification.ring_down.resolution import CLOSE, RESOLVED_GAIN, lone_direction, resolution
+from identification.ring_down.resolution import (
+    CLOSE,
+    RESOLVED_GAIN,
+    WEAK,
+    Lone,
+    lone_direction,
+    own_mode_missing,
+    resolution,
+    stronger_sensor,
+)
 from identification.ring_down.result import Findings, RingDownFit, result
 from identification.setting import Setting, check_setting
 from identification.threads import on_one_thread
@@ -29,6 +39,7 @@ from identification.threads import on_one_thread
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted, where a run-up has to rely on it
 DELAY_STD_S = 3e-3  # between two lasers' clocks
 _ANOTHER_ANGLE, _AS_GOOD, _BETTER = np.radians(10.0), 8.0, 4.0  # beyond 3 std of a resolved angle, which costs 9 of χ²
+_HARDLY_MOVES = 0.5  # a sensor's amplitude over the other's, below which it vetoes nothing
 _PULLED, _FREE_RATIO = 4.5, 0.3  # standard deviations of the gains' ratio; what it may be then
 
 
@@ -120,15 +131,34 @@ def _fit(
     channels, warnings = _read(records)
     refuse_too_fast(channels)
     valid = tuple(tuple(c.keep for c in own) for own in channels)
-    start = proposed(tuple(tuple(without_spikes(c)[0] for c in own) for own in channels))
+    start = proposed(tuple(tuple(without_lines(without_spikes(c)[0]) for c in own) for own in channels))
     findings = Findings(setting, priors, mass, warnings)
     if len(records[0]) == 1:
         return _one_direction(start, valid, findings, 0)
     lone = lone_direction(start)
     if lone is not None:
-        findings.warnings.append(lone.sentence)
-        return _one_direction(start.only(lone.axis), tuple((v[lone.axis],) for v in valid), findings, lone.axis)
-    plan = Plan(True, setting, priors, valid)
+        return _lone(start, valid, findings, lone)
+    said = list(warnings)
+    try:
+        return _both_directions(start, valid, findings)
+    except IdentificationError as error:
+        strong = stronger_sensor(start, _HARDLY_MOVES)
+        if strong is None:
+            raise
+        findings.warnings[:] = said
+        sentence = f"sensor {'xy'[1 - strong]}, which moves little, is left out, as with it: {error}"
+        return _lone(start, valid, findings, Lone(strong, sentence))
+
+
+def _lone(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings, lone: Lone) -> RingDownFit:
+    findings.warnings.append(lone.sentence)
+    return _one_direction(start.only(lone.axis), tuple((v[lone.axis],) for v in valid), findings, lone.axis)
+
+
+def _both_directions(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings) -> RingDownFit:
+    warnings, priors = findings.warnings, findings.priors
+    said = list(warnings)
+    plan = Plan(True, findings.setting, priors, valid)
     fitted, count = plan.without_outliers(settled(start, plan))
     findings.tell_left_out(count)
     pull = abs(float(fitted.theta[RATIO])) / priors.ratio
@@ -143,6 +173,10 @@ def _fit(
     refuse_nothing_rings(fitted)
     warnings += coarse_remark(fitted)
     gain, single = second_mode_gain(fitted)
+    strong = stronger_sensor(start, WEAK)
+    if gain < RESOLVED_GAIN and strong is not None:
+        warnings[:] = said
+        return _lone(start, valid, findings, own_mode_missing(strong, True))
     if gain < RESOLVED_GAIN or resolution(fitted, plan.priors, 1.0, gain).split < CLOSE:
         rival = both_alike(fitted, single, plan.priors)
         other = abs(float(rival.theta[BETA] - fitted.theta[BETA])) > _ANOTHER_ANGLE

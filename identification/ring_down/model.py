@@ -23,6 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
+from identification.colour import Colour
 from identification.least_squares import Block
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
@@ -33,10 +34,19 @@ _ZETA_LIMIT, _LOG_LIMIT, _GROWTH_LIMIT = 0.95, 12.0, 20.0
 
 @dataclass(frozen=True)
 class DecayRecord:
-    """The channels of one ring-down from its release on; a turned pair needs two, x and y."""
+    """The channels of one ring-down from its release on; a turned pair needs two, x and y.
+
+    Attributes:
+        channels: block means.
+        zero_s: where its time counts from.
+        lines: per channel the columns of its lines, shape (blocks, columns); may be left out.
+        colours: per channel its noise's colour, None where it is white; may be left out.
+    """
 
     channels: tuple[Averages, ...]
     zero_s: float
+    lines: tuple[np.ndarray, ...] = ()
+    colours: tuple[Colour | None, ...] = ()
 
     @cached_property
     def times(self) -> list[np.ndarray]:
@@ -51,7 +61,27 @@ class DecayRecord:
     @cached_property
     def data(self) -> np.ndarray:
         """Values in standard deviations, channels one after the other."""
-        return np.concatenate([c.value for c in self.channels]) * self.weight
+        return self.scaled(np.concatenate([c.value for c in self.channels]))
+
+    def scaled(self, rows: np.ndarray) -> np.ndarray:
+        """Rows (n,) or (n, m) of all channels in standard deviations of white noise."""
+        rows = rows * (self.weight if rows.ndim == 1 else self.weight[:, None])
+        if not any(self.colours):
+            return rows
+        edges = np.cumsum([len(c.time_s) for c in self.channels])[:-1]
+        parts = zip(np.split(rows, edges), self.colours, strict=True)
+        return np.concatenate([part if colour is None else colour.whitened(part) for part, colour in parts])
+
+    @cached_property
+    def line_columns(self) -> np.ndarray:
+        """The lines' columns, each in its own channel's rows only, shape (n, columns)."""
+        out = np.zeros((len(self.weight), sum(part.shape[1] for part in self.lines)))
+        row = column = 0
+        for i, channel in enumerate(self.channels):
+            own = self.lines[i] if self.lines else np.empty((0, 0))
+            out[row : row + len(own), column : column + own.shape[1]] = own
+            row, column = row + len(channel.time_s), column + own.shape[1]
+        return out
 
     @cached_property
     def same_times(self) -> bool:
@@ -73,6 +103,7 @@ class DecayModel:
         turned: a turned pair; otherwise free modes.
         drift: order of every channel's polynomial.
         delays: whether the two channels' clocks may differ, per record.
+        width_s: length of a block.
     """
 
     records: tuple[DecayRecord, ...]
@@ -80,6 +111,7 @@ class DecayModel:
     turned: bool
     drift: int = 0
     delays: bool = False
+    width_s: float = 0.0
 
     @property
     def size(self) -> int:
@@ -91,7 +123,8 @@ class DecayModel:
         """Number of amplitudes and drift coefficients."""
         channels = sum(len(r.channels) for r in self.records)
         own = len(self.records) if self.turned else channels
-        return own * 2 * self.modes + channels * (self.drift + 1)
+        lines = sum(part.shape[1] for r in self.records for part in r.lines)
+        return own * 2 * self.modes + channels * (self.drift + 1) + lines
 
     def __call__(self, theta: np.ndarray) -> list[Block]:
         """The model at θ, one block per record."""
@@ -111,8 +144,10 @@ class DecayModel:
     def _nowhere(self, record: DecayRecord) -> Block:
         """Not a number everywhere: least squares steps back from there."""
         n, size = len(record.weight), self.size
-        columns = 2 * self.modes * (1 if self.turned else len(record.channels)) + len(record.channels) * (
-            self.drift + 1
+        columns = (
+            2 * self.modes * (1 if self.turned else len(record.channels))
+            + len(record.channels) * (self.drift + 1)
+            + record.line_columns.shape[1]
         )
         return Block(record.data, np.full((n, columns), np.nan), lambda c: np.full((n, size), np.nan))
 
@@ -122,21 +157,19 @@ class DecayModel:
         moves = [(lam, damping_derivative(w, z)) for lam, w, z in zip(lams, omegas, zetas, strict=True)]
         delay = theta[DELAYS + index] if self.delays else 0.0
         waves, slopes = self._waves(record, lams, delay)
-        drift = self.drift_columns(record)
+        beside = self.beside_columns(record)
         if self.turned:
             mix, turned = rotation(theta[BETA], np.exp(theta[RATIO]))
-            basis = _turned_basis(waves, mix, drift, record.weight)
+            basis = record.scaled(_turned_basis(waves, mix, beside))
             delayed = index if self.delays else None
 
             def tangent(c: np.ndarray) -> np.ndarray:
-                return (
-                    _turned_tangent(c, waves, slopes, moves, mix, turned, self.size, delayed) * record.weight[:, None]
-                )
+                return record.scaled(_turned_tangent(c, waves, slopes, moves, mix, turned, self.size, delayed))
         else:
-            basis = _free_basis(waves, drift, record.weight)
+            basis = record.scaled(_free_basis(waves, beside))
 
             def tangent(c: np.ndarray) -> np.ndarray:
-                return _free_tangent(c, slopes, moves) * record.weight[:, None]
+                return record.scaled(_free_tangent(c, slopes, moves))
 
         return Block(record.data, basis, tangent)
 
@@ -157,6 +190,11 @@ class DecayModel:
             slopes.append([p[1] for p in parts])
         return waves, slopes
 
+    def beside_columns(self, record: DecayRecord) -> np.ndarray:
+        """What is linear and no mode: lines, then drift, shape (n, columns)."""
+        drift = self.drift_columns(record)
+        return np.hstack([record.line_columns, drift]) if any(part.size for part in record.lines) else drift
+
     def drift_columns(self, record: DecayRecord) -> np.ndarray:
         """Legendre polynomials of each channel's time, shape (n, channels × (order + 1))."""
         out = np.zeros((len(record.weight), len(record.channels) * (self.drift + 1)))
@@ -175,13 +213,13 @@ def rotation(beta: float, ratio: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array([[cos, sin], [-ratio * sin, ratio * cos]]), np.array([[-sin, cos], [-ratio * cos, -ratio * sin]])
 
 
-def _turned_basis(waves: list[list[np.ndarray]], mix: np.ndarray, drift: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    out = np.empty((len(weight), 4 + drift.shape[1]))
+def _turned_basis(waves: list[list[np.ndarray]], mix: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    out = np.empty((len(beside), 4 + beside.shape[1]))
     for mode in range(2):
         signal = np.concatenate([mix[i, mode] * waves[mode][i] for i in range(2)])
         out[:, 2 * mode], out[:, 2 * mode + 1] = np.real(signal), -np.imag(signal)
-    out[:, 4:] = drift
-    return out * weight[:, None]
+    out[:, 4:] = beside
+    return out
 
 
 def _turned_tangent(
@@ -210,9 +248,9 @@ def _turned_tangent(
     return out
 
 
-def _free_basis(waves: list[list[np.ndarray]], drift: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _free_basis(waves: list[list[np.ndarray]], beside: np.ndarray) -> np.ndarray:
     count, channels = len(waves), len(waves[0])
-    out = np.zeros((len(weight), 2 * count * channels + drift.shape[1]))
+    out = np.zeros((len(beside), 2 * count * channels + beside.shape[1]))
     at = 0
     for i in range(channels):
         rows = slice(at, at + len(waves[0][i]))
@@ -220,8 +258,8 @@ def _free_basis(waves: list[list[np.ndarray]], drift: np.ndarray, weight: np.nda
         for mode in range(count):
             column = 2 * (i * count + mode)
             out[rows, column], out[rows, column + 1] = np.real(waves[mode][i]), -np.imag(waves[mode][i])
-    out[:, 2 * count * channels :] = drift
-    return out * weight[:, None]
+    out[:, 2 * count * channels :] = beside
+    return out
 
 
 def _free_tangent(c: np.ndarray, slopes: list[list[np.ndarray]], moves: list[tuple[complex, complex]]) -> np.ndarray:

@@ -70,11 +70,11 @@ def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
             [averaged_decay(lam + lam.real, t, c.spread_s2)[0] for lam in lams]
             for t, c in zip(record.times, record.channels, strict=True)
         ]
-        extra = _own_columns(faded, record.weight)
+        extra = record.scaled(_own_columns(faded))
         bent[0] += gain_of(residual, columns, extra)
         bent[1] += extra.shape[1]
         if fitted.model.turned:
-            extra = _own_columns(waves, record.weight)
+            extra = record.scaled(_own_columns(waves))
             shaped[0] += gain_of(residual, columns, extra)
             shaped[1] += extra.shape[1] // 2
     out["amplitude-dependent rates"] = (bent[0], int(bent[1]))
@@ -83,13 +83,13 @@ def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
     return out
 
 
-def _own_columns(waves: list[list[np.ndarray]], weight: np.ndarray) -> np.ndarray:
+def _own_columns(waves: list[list[np.ndarray]]) -> np.ndarray:
     """Real and imaginary part of every mode in every channel by itself."""
-    out = np.zeros((len(weight), 2 * sum(len(w) for w in waves)))
+    out = np.zeros((sum(len(own[0]) for own in waves), 2 * sum(len(w) for w in waves)))
     at = column = 0
     for own in waves:
         for wave in own:
             out[at : at + len(wave), column], out[at : at + len(wave), column + 1] = np.real(wave), np.imag(wave)
             column += 2
         at += len(own[0])
-    return out * weight[:, None]
+    return out

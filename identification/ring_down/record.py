@@ -6,18 +6,23 @@ compiled, so that ten times the sampling rate costs little.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 
+from identification.colour import Colour
 from identification.errors import NotIdentifiable
+from identification.lines import Line
 from identification.samples import Averages, clipped, white_noise
 
 _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # noise is known to 1 % from so many
 _LEVEL_SAMPLES, _TOP_SHARES, _LEAST_VISITS = 20_000, (0.02, 0.005, 0.001), 3
 _LEAST_SAMPLES = 40
 _STUCK_REPEATS, _STUCK_CHANCE = 4, 1e-2
+_SAME_WIDTH = 0.1  # ln of two block lengths for which one colour holds
+_BEYOND_BLOCKS = 0.9  # cycles a block, of which nothing is left in its mean
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,8 @@ class Channel:
         keep: shape (n,), false where a sample is left out.
         noise: white noise of one sample, m.
         rail_m: lower and upper value at which the sensor saturated; ∓inf where it never did.
+        lines: sinusoids that are none of the motion; value_m is without them, as far as they are known.
+        colour: of the noise of block means, where it is not white.
     """
 
     time_s: np.ndarray
@@ -37,6 +44,8 @@ class Channel:
     keep: np.ndarray
     noise: float
     rail_m: tuple[float, float]
+    lines: tuple[Line, ...] = ()
+    colour: Colour | None = None
 
     def averages(self, width_s: float, begin_s: float = -np.inf, end_s: float = np.inf) -> Averages:
         """Block means of the kept samples in a span of time.
@@ -50,7 +59,44 @@ class Channel:
         mean, spread, value, count = _average(
             self.time_s[first:last], self.value_m[first:last], self.keep[first:last], width_s
         )
-        return Averages(mean, spread, value, count, self.noise)
+        colour = self.colour_for(width_s)
+        return Averages(mean, spread, value, count, colour.noise if colour else self.noise)
+
+    def colour_for(self, width_s: float) -> Colour | None:
+        """The noise's colour, if it was found for about such blocks."""
+        own = self.colour
+        return own if own is not None and abs(np.log(own.width_s / width_s)) < _SAME_WIDTH else None
+
+    def line_columns(self, width_s: float, begin_s: float, end_s: float) -> np.ndarray:
+        """Block means of what each line may still contribute in a span, shape (blocks, columns).
+
+        Its complex amplitude is a polynomial of time: the line that was taken off the samples was not quite it, and
+        what the modes can be known to beside it is then honest.
+        """
+        first, last = np.searchsorted(self.time_s, (begin_s, end_s))
+        time, keep = self.time_s[first:last], self.keep[first:last]
+        columns: list[np.ndarray] = []
+        middles = np.empty(0)
+        for line in self.lines:
+            if not self.in_blocks(line, width_s):
+                continue
+            middles, wave = _average_wave(time, keep, width_s, line.rate.real, line.rate.imag)
+            span = max(float(middles[-1] - middles[0]), 1e-9)
+            shapes = np.polynomial.legendre.legvander(2 * (middles - middles[0]) / span - 1, line.order)
+            columns += [shapes * wave.real[:, None], shapes * wave.imag[:, None]]
+        return np.hstack(columns) if columns else np.empty((0, 0))
+
+    @staticmethod
+    def in_blocks(line: Line, width_s: float) -> bool:
+        """Whether block means still show a line."""
+        return line.frequency_Hz * width_s < _BEYOND_BLOCKS
+
+    def without(self, lines: Sequence[Line]) -> Channel:
+        """The samples less some lines, which a fit then has beside its modes."""
+        value = self.value_m.copy()
+        for line in lines:
+            value -= line.at(self.time_s)
+        return replace(self, value_m=value, lines=(*self.lines, *lines))
 
     def with_noise(self, noise: float) -> Channel:
         """The same samples, their noise better known."""
@@ -253,3 +299,33 @@ def taylor_at_samples(time: np.ndarray, centre: np.ndarray, derivatives: np.ndar
             derivatives[1, j] + u / 2 * (derivatives[2, j] + u / 3 * (derivatives[3, j] + u / 4 * derivatives[4, j]))
         )
     return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _average_wave(
+    time: np.ndarray, keep: np.ndarray, width: float, growth: float, omega: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean time and mean of e^{(growth + i omega)(t − first t)} in each of the blocks that `_average` makes."""
+    n = len(time)
+    middle, mean = np.empty(n), np.empty(n, np.complex128)
+    blocks, label, m = -1, -1, 0
+    sum_t, total = 0.0, 0.0 + 0.0j
+    zero = np.nan
+    for i in range(n):
+        if not keep[i]:
+            continue
+        if np.isnan(zero):
+            zero = time[i]
+        since = time[i] - zero
+        own = int(np.floor(since / width + 1e-6))
+        if own != label:
+            if m > 0:
+                middle[blocks], mean[blocks] = sum_t / m, total / m
+            blocks, label, m = blocks + 1, own, 0
+            sum_t, total = 0.0, 0.0 + 0.0j
+        sum_t += since
+        total += np.exp(growth * since) * (np.cos(omega * since) + 1j * np.sin(omega * since))
+        m += 1
+    if m > 0:
+        middle[blocks], mean[blocks] = sum_t / m, total / m
+    return middle[: blocks + 1].copy(), mean[: blocks + 1].copy()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.colour import colour_of
 from identification.errors import IdentificationError
 from identification.ring_down.attempt import Plan
 from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors
@@ -19,7 +20,7 @@ CLOSE, _CERTAIN = 3.0, 0.1  # half-bandwidths; relative standard deviation of a 
 WALD_STD = np.radians(3.0)  # beyond, the axis angle's interval is no ellipse
 _STEP = 1e-7  # of ln ω and ζ
 _NOTICED = 45.0  # of χ²: noise alone explains 2 ln of the number of cells searched, about 25
-_WEAK = 0.25  # amplitude of the weaker sensor against the stronger
+WEAK = 0.25  # amplitude of the weaker sensor against the stronger
 
 
 @dataclass(frozen=True)
@@ -35,23 +36,35 @@ def lone_direction(decay: Decay) -> Lone | None:
 
     The weaker sensor is asked whether anything is left once the stronger one's mode is taken out of it.
     """
-    if len(decay.records) > 1:
+    strong = stronger_sensor(decay, WEAK)
+    if strong is None:
         return None
     coarse = decay.averages(COARSE_S)[0]
-    energy = [float(np.var(c.value)) - c.noise**2 / float(np.median(c.count)) for c in coarse]
-    strong = int(np.argmax(energy))
-    if max(energy[1 - strong], 0.0) > _WEAK**2 * energy[strong]:
-        return None
     try:
         fitted = _alone(decay, strong)
     except IdentificationError:
         return None
     weak = coarse[1 - strong]
     rest = without_modes(weak, [complex(rate(float(fitted.omegas[0]), float(fitted.zetas[0])))], weak.time_s[0])
-    if _explained(rest) > _NOTICED * max(1.0, fitted.solution.chi2_per_dof):
+    if _explained(_whitened(rest, fitted)) > _NOTICED * max(1.0, fitted.solution.chi2_per_dof):
         return None
+    return own_mode_missing(strong, _explained(weak) > _NOTICED)
+
+
+def stronger_sensor(decay: Decay, ratio: float) -> int | None:
+    """The sensor of a single record whose motion exceeds the other's by more than 1/ratio; None where neither does."""
+    if len(decay.records) > 1 or len(decay.records[0]) < 2:
+        return None
+    coarse = decay.averages(COARSE_S)[0]
+    energy = [float(np.var(c.value)) - c.noise**2 / float(np.median(c.count)) for c in coarse]
+    strong = int(np.argmax(energy))
+    return strong if max(energy[1 - strong], 0.0) < ratio**2 * energy[strong] else None
+
+
+def own_mode_missing(strong: int, others: bool) -> Lone:
+    """A record in which the weaker sensor shows no mode of its own; others: but the stronger one's."""
     axis = "xy"[1 - strong]
-    if _explained(weak) > _NOTICED:
+    if others:
         reason = f"axes not resolved: sensor {axis} shows the other's mode and none of its own"
     else:
         reason = f"sensor {axis} shows no mode of its own"
@@ -63,6 +76,17 @@ def _alone(decay: Decay, axis: int) -> Fitted:
     own = decay.only(axis)
     valid = tuple(tuple(c.keep for c in channels) for channels in own.records)
     return Plan(False, "fast", Priors(), valid)(own)
+
+
+def _whitened(rest: Averages, fitted: Fitted) -> Averages:
+    """What is left of a sensor, its noise's correlation taken out."""
+    width = float(np.median(np.diff(rest.time_s)))
+    modes = [(w / (2 * np.pi), z * w / (2 * np.pi)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+    colour = colour_of(rest.value * rest.weight, rest.noise, width, modes)
+    if colour is None:
+        return rest
+    weight = np.sqrt(rest.count) / colour.noise
+    return replace(rest, value=colour.whitened(rest.value * weight) / weight, noise=colour.noise)
 
 
 def _explained(channel: Averages) -> float:

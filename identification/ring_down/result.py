@@ -8,6 +8,7 @@ import numpy as np
 
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
+from identification.lines import sentences
 from identification.ring_down.amplitude import AmplitudeDependence, amplitude_dependence
 from identification.ring_down.attempt import stretches
 from identification.ring_down.decay import Fitted, Priors
@@ -108,7 +109,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     minimum = fitted.solution.minimum
     chi2 = fitted.solution.chi2_per_dof
     stretch = stretches(fitted)
-    warnings = list(findings.warnings)
+    warnings = [*findings.warnings, *_lines_said(fitted, labels)]
     found: Resolution | None = None
     if fitted.model.turned:
         held = (
@@ -147,7 +148,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
         intervals={n: (float(a), float(b)) for n, a, b in zip(numbers.names, numbers.low, numbers.high, strict=True)},
         model=next(choice.name for choice in table if choice.chosen),
         model_table=table,
-        verdict=_verdict(white, chi2, stretch, warnings),
+        verdict=_verdict(white, chi2, stretch, warnings, _coloured_said(fitted)),
         whiteness=white,
         axes_resolved=found is None or found.resolved,
         amplitude=dependence,
@@ -155,11 +156,31 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     )
 
 
+def _lines_said(fitted: Fitted, labels: tuple[str, ...]) -> list[str]:
+    """Lines by name; a lone sensor is that of its direction."""
+    found = fitted.found_lines()
+    return sentences([(a, lines) for own in found for a, lines in zip(_axes(labels), own, strict=True)])
+
+
+def _axes(labels: tuple[str, ...]) -> str:
+    return "xy" if len(labels) == 2 else "xy"[int(labels[0]) - 1]
+
+
+def _coloured_said(fitted: Fitted) -> str:
+    """How much noise is beyond the white part, "" where all is white."""
+    said = []
+    for record in fitted.model.records:
+        for colour, channel in zip(record.colours, record.channels, strict=False):
+            if colour is not None:
+                rms = colour.rms * colour.noise / float(np.sqrt(np.median(channel.count)))
+                said.append(f"{1e6 * rms:.2g} µm")
+    return f"{' and '.join(said)} rms in the means that are fitted" if said else ""
+
+
 def _curves(fitted: Fitted, chi2: float) -> tuple[list[Curve], list[float]]:
     curves, rms = [], []
-    for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.channel_residuals(), strict=True)):
-        for axis, channel, own in zip("xy", record.channels, residuals, strict=False):
-            metres = own / channel.weight
+    for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.plain_residuals(), strict=True)):
+        for axis, channel, metres in zip("xy", record.channels, residuals, strict=False):
             left_over = float(np.std(metres) / np.std(channel.value))
             white = float(np.std(1 / channel.weight) + np.mean(1 / channel.weight)) / float(np.std(channel.value))
             if left_over > max(_LEFT_OVER, 2 * white) and chi2 > _WRONG_CHI2:
@@ -258,9 +279,11 @@ def _unresolved(found: Resolution) -> str:
     )
 
 
-def _verdict(white: Whiteness, chi2: float, stretch: np.ndarray, warnings: list[str]) -> str:
+def _verdict(white: Whiteness, chi2: float, stretch: np.ndarray, warnings: list[str], coloured: str) -> str:
     if any("depends on amplitude" in w for w in warnings):
         return "not adequate: the decay is not exponential; see damping over amplitude"
+    if coloured:
+        return f"the noise is not white, {coloured}; its spectrum is in the weights and in the intervals"
     if white.p >= _WHITE_P and chi2 < 1.3:
         return f"adequate: residuals are white (p = {white.p:.2g}, χ²/dof {chi2:.3g})"
     widest = float(np.max(stretch))

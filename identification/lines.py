@@ -1,0 +1,274 @@
+"""Steady spectral lines in a sensor's record: mains hum, a fan, a pump; found before anything is fitted.
+
+A line is told from a mode by what a mode cannot do: it does not decay. A smooth window (Nuttall's, side lobes below
+1/40 000) keeps the spectrum of a decaying motion millimetres high out of the bands beyond a few of its bins, so lines
+of a micrometre show there without any model of the motion. Amplitudes in five overlapping windows then tell a decay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import next_fast_len
+from scipy.signal.windows import nuttall
+
+_HIGHEST_RATE_Hz = 1000.0  # of the grid that is searched; faster records are averaged to it
+_LEAST_SAMPLES = 400
+_LOBE = 4  # bins from a peak's middle to the window's first zero
+_GROUP = 24  # bins whose median is the local level
+_PROMINENT = 50.0  # power over that median; noise's largest of 10⁵ ordinates stays below 17
+_MOST_LINES, _MOST_LOOKED_AT = 12, 40
+_CENTRES = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)  # of the windows that tell a decay, a third of the span each
+_UNEVEN = 0.2  # scatter of their amplitudes that a steady line may show
+_VAGUE = 0.15  # standard deviation of the decay over the span, beyond which nothing is decided here
+_SURELY_STEADY = 5e-5  # ζ: below what any suspension has, whatever the statistics say
+_LARGE = 0.25  # of the largest motion
+_WIDE_S = 1.0  # a quiet head this long tells whether a line was there before the pull
+_TOLD = 6
+
+
+@dataclass(frozen=True)
+class Line:
+    """A sinusoid that is none of the motion to be identified.
+
+    Attributes:
+        frequency_Hz: apparent frequency in the samples.
+        decay: 1/s; 0 for a steady line.
+        amplitude_m: complex amplitude at zero_s, m.
+        zero_s: where time counts from.
+        order: of the polynomial that its complex amplitude may follow over the record in a fit: 1 leaves a constant
+            frequency free, more lets it wander.
+    """
+
+    frequency_Hz: float
+    amplitude_m: complex
+    zero_s: float
+    decay: float = 0.0
+    order: int = 1
+
+    @property
+    def rate(self) -> complex:
+        """Its rate, 1/s."""
+        return complex(-self.decay, 2 * np.pi * self.frequency_Hz)
+
+    def at(self, time_s: np.ndarray) -> np.ndarray:
+        """The line at some instants, m; a decaying one from its zero on."""
+        since = time_s - self.zero_s
+        out = (self.amplitude_m * np.exp(2j * np.pi * self.frequency_Hz * since)).real
+        if self.decay == 0.0:
+            return out
+        return out * np.where(since >= 0, np.exp(-self.decay * np.maximum(since, 0.0)), 0.0)
+
+
+def steady_lines(time_s: np.ndarray, value_m: np.ndarray, keep: np.ndarray) -> list[Line]:
+    """Lines of one sensor that stand clear of its motion's own peaks, strongest first.
+
+    Args:
+        time_s: shape (n,), s, ascending.
+        value_m: shape (n,), m.
+        keep: shape (n,), false where a sample is not valid; those are interpolated.
+    """
+    grid = _uniform(time_s, value_m, keep)
+    if grid is None:
+        return []
+    start, step, value = grid
+    rest = float(np.median(value[3 * len(value) // 4 :]))
+    largest = float(np.max(np.abs(value - rest)))
+    first = int(np.flatnonzero(np.abs(value - rest) >= 0.9 * largest)[-1])
+    tail = value[first:] if len(value) - first >= max(_LEAST_SAMPLES, len(value) // 4) else value
+    span = Span(start + (len(value) - len(tail)) * step, step, tail - rest)
+    head = _quiet_head(value - np.median(value[: max(len(value) // 50, 1)]), largest)
+    found: list[Line] = []
+    for at, noise in _peaks(span):
+        line = _steady(span, at, noise, largest)
+        if line is None:
+            continue
+        if head * step >= _WIDE_S and _absent(value[:head], start, step, line):
+            continue
+        found.append(_true_frequency(line, time_s, value_m, keep, step))
+        if len(found) == _MOST_LINES:
+            break
+    return found
+
+
+@dataclass(frozen=True)
+class Span:
+    """Evenly spaced values from start_s on."""
+
+    start_s: float
+    step_s: float
+    value: np.ndarray
+
+    @property
+    def length_s(self) -> float:
+        """How long it is."""
+        return self.step_s * len(self.value)
+
+
+def _uniform(time: np.ndarray, value: np.ndarray, keep: np.ndarray) -> tuple[float, float, np.ndarray] | None:
+    """Start, step and values of a record on an even grid of at most 1 kHz; None where too little is there."""
+    t, y = (time, value) if keep.all() else (time[keep], value[keep])
+    if len(t) < _LEAST_SAMPLES or t[-1] <= t[0]:
+        return None
+    own = (t[-1] - t[0]) / (len(t) - 1)
+    step = max(float(np.median(np.diff(t)[:: max(1, len(t) // 20000)])), 0.2 * own)
+    many = int(1 / (step * _HIGHEST_RATE_Hz) * (1 + 1e-6))
+    grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-6) + 1)
+    even = y if len(grid) == len(t) and np.max(np.abs(grid - t)) < 0.02 * step else np.interp(grid, t, y)
+    if many > 1:
+        count = len(even) // many
+        even = even[: count * many].reshape(count, many).mean(axis=1)
+        return float(t[0] + 0.5 * (many - 1) * step), step * many, even
+    return float(t[0]), step, even
+
+
+def _spectrum(span: Span) -> tuple[np.ndarray, np.ndarray, float]:
+    """Windowed power, its local level, and the spacing of the ordinates in Hz."""
+    n = len(span.value)
+    size = next_fast_len(n, real=True)
+    power = np.abs(np.fft.rfft(span.value * nuttall(n, sym=False), size)) ** 2
+    count = -(-len(power) // _GROUP)
+    padded = np.concatenate([power, np.full(count * _GROUP - len(power), power[-_GROUP:].mean())])
+    level = np.median(padded.reshape(count, _GROUP), axis=1)
+    return power, np.repeat(level, _GROUP)[: len(power)], 1 / (size * span.step_s)
+
+
+def _peaks(span: Span) -> Iterable[tuple[float, float]]:
+    """Frequencies of narrow peaks, the strongest first, each with the noise of a complex amplitude there, m."""
+    power, level, spacing = _spectrum(span)
+    inner = power[1:-1]
+    top = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > _PROMINENT * level[1:-1]))
+    lowest = 2 * _LOBE / (span.length_s * spacing)
+    top = top[top > lowest]
+    weight = float(nuttall(len(span.value), sym=False).sum())
+    for k in top[np.argsort(power[top])[::-1]][:_MOST_LOOKED_AT]:
+        a, b, c = np.log(power[k - 1 : k + 2])
+        shift = 0.5 * (a - c) / (a - 2 * b + c)
+        yield (k + shift) * spacing, 2 * float(np.sqrt(level[k] / np.log(2) / 2)) / weight
+
+
+def _amplitudes(span: Span, frequency: float) -> tuple[np.ndarray, np.ndarray]:
+    """Middle times since the span's start and complex amplitudes (phase at the span's start) in the windows."""
+    size = len(span.value) // 3
+    window = nuttall(size, sym=False)
+    window /= 0.5 * window.sum()
+    wave = np.exp(-2j * np.pi * frequency * span.step_s * np.arange(size))
+    middles, out = [], []
+    for centre in _CENTRES:
+        first = round(centre * len(span.value) - size / 2)
+        part = span.value[first : first + size]
+        out.append(np.sum((part - part.mean()) * window * wave) * np.exp(-2j * np.pi * frequency * span.step_s * first))
+        middles.append((first + size / 2) * span.step_s)
+    return np.array(middles), np.array(out)
+
+
+def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line | None:
+    """The line at a peak; None where it decays, jumps, is too faint to tell, or may well be the motion itself."""
+    middle, amplitude = _amplitudes(span, frequency)
+    phase = np.unwrap(np.angle(amplitude))
+    turn, _ = np.polyfit(middle, phase, 1)
+    frequency += float(turn) / (2 * np.pi)
+    middle, amplitude = _amplitudes(span, frequency)
+    size, own = np.abs(amplitude), 1.8 * noise  # a third of the span, wider noise bandwidth
+    if size.min() < 3 * own:
+        return None
+    mean = float(size.mean())
+    line, cov = np.polyfit(middle, np.log(size), 1), 1.3 * own / mean / np.sqrt(np.sum((middle - middle.mean()) ** 2))
+    decay = -float(line[0])
+    uneven = float(np.std(np.log(size) - np.polyval(line, middle)))
+    omega, length = 2 * np.pi * frequency, span.length_s
+    if uneven > _UNEVEN + 3 * own / mean or -decay * length > 0.5 + 3 * cov * length:
+        return None
+    large = mean > _LARGE * largest  # it may be all that moves, and grow
+    surely = (abs(decay) if large else decay) + 3 * cov < _SURELY_STEADY * omega
+    if not surely and (cov * length > _VAGUE or decay > max(3 * cov, _SURELY_STEADY * omega) or large):
+        return None
+    phase = np.unwrap(np.angle(amplitude))
+    bent = float(np.max(np.abs(phase - np.polyval(np.polyfit(middle, phase, 1), middle))))
+    order = 1 if bent < 0.02 + 3 * own / mean else max(4, round(length / 2.0))
+    constant = complex(np.mean(amplitude)) if order == 1 else complex(mean * np.exp(1j * phase.mean()))
+    return Line(frequency, constant, span.start_s, order=min(order, 40))
+
+
+def _quiet_head(value: np.ndarray, largest: float) -> int:
+    """How many values pass before anything moves much."""
+    moved = np.abs(value) > 0.05 * largest
+    return int(np.argmax(moved)) if moved.any() else len(value)
+
+
+def _absent(head: np.ndarray, start: float, step: float, line: Line) -> bool:
+    """Whether a quiet head shows clearly less than half of a line: then it began with the release."""
+    t = step * np.arange(len(head))
+    wave = np.exp(2j * np.pi * line.frequency_Hz * (t + start - line.zero_s))
+    basis = np.column_stack([wave.real, -wave.imag, np.ones_like(t), t])
+    found, *_ = np.linalg.lstsq(basis, head, rcond=None)
+    left = float(np.std(head - basis @ found)) * np.sqrt(2 / max(len(head) / 10, 1))
+    return float(np.hypot(found[0], found[1])) + 3 * left < 0.5 * abs(line.amplitude_m)
+
+
+def _true_frequency(line: Line, time: np.ndarray, value: np.ndarray, keep: np.ndarray, step: float) -> Line:
+    """Where the record was averaged before it was searched: which of the frequencies that look alike there it is."""
+    every = float(np.median(np.diff(time)[:: max(1, len(time) // 20000)]))
+    if step < 1.5 * every:
+        return line
+    rate = 1 / step
+    alike = [
+        line.frequency_Hz,
+        *(k * rate + s * line.frequency_Hz for k in range(1, int(0.5 / every / rate) + 1) for s in (-1, 1)),
+    ]
+    alike = [f for f in alike if f < 0.5 / every]
+    first = int(np.searchsorted(time, line.zero_s))
+    stop = min(len(time), first + 60_000)
+    since, part = time[first:stop] - line.zero_s, np.where(keep, value, 0.0)[first:stop]
+    window = nuttall(len(since), sym=False)
+    part = (part - part.mean()) * window * 2 / window.sum()
+    best = [complex(np.sum(part * np.exp(-2j * np.pi * f * since))) for f in alike]
+    k = int(np.argmax(np.abs(best)))
+    mean = np.sinc(line.frequency_Hz * step) / np.sinc(line.frequency_Hz * every)
+    if k == 0:
+        return Line(line.frequency_Hz, line.amplitude_m / mean, line.zero_s, 0.0, line.order)
+    return Line(alike[k], best[k], line.zero_s, 0.0, line.order)
+
+
+def sentences(per_sensor: Sequence[tuple[str, Sequence[Line]]]) -> list[str]:
+    """A sentence that names lines by frequency and amplitude in each sensor; none where there are none.
+
+    Args:
+        per_sensor: (sensor's name, its lines), of every record.
+    """
+    groups: list[list[tuple[str, Line]]] = []
+    for sensor, lines in per_sensor:
+        for line in lines:
+            near = [g for g in groups if abs(g[0][1].frequency_Hz - line.frequency_Hz) < 0.06]
+            if near:
+                near[0].append((sensor, line))
+            else:
+                groups.append([(sensor, line)])
+    groups.sort(key=lambda g: -max(abs(line.amplitude_m) for _, line in g))
+    steady = [_named(g) for g in groups if g[0][1].decay == 0.0]
+    out = []
+    if steady:
+        more = f"; and {len(steady) - _TOLD} more" if len(steady) > _TOLD else ""
+        out.append(f"steady lines fitted out: {'; '.join(steady[:_TOLD])}{more}")
+    ringing = [_named(g) for g in groups if g[0][1].decay > 0.0]
+    if ringing:
+        out.append(f"something else rings as well and is fitted out: {'; '.join(ringing[:_TOLD])}")
+    return out
+
+
+def _named(group: Sequence[tuple[str, Line]]) -> str:
+    frequency = group[int(np.argmax([abs(line.amplitude_m) for _, line in group]))][1].frequency_Hz
+    largest: dict[str, float] = {}
+    for sensor, line in group:
+        largest[sensor] = max(largest.get(sensor, 0.0), abs(line.amplitude_m))
+    seen = ", ".join(f"{1e6 * a:.3g} µm in {sensor}" for sensor, a in sorted(largest.items()))
+    said = f"{frequency:.2f} Hz, {seen}"
+    if group[0][1].decay > 0.0:
+        return f"{said}, decays within {1 / group[0][1].decay:.2g} s"
+    for mains in (50.0, 60.0):
+        times = round(frequency / mains)
+        if times and abs(frequency - times * mains) < 0.002 * frequency + 0.02:
+            return f"{said}: mains hum?"
+    return said

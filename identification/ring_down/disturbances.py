@@ -1,0 +1,210 @@
+"""What moves in a ring-down's record besides the modes: lines that a fit shows, and noise that is not white.
+
+A mode that a fit found, but that does not decay, is a line. What stands out in the residuals' spectrum as a narrow
+peak is a line where it does not decay, and something else that rings where it does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.fft import next_fast_len
+from scipy.signal.windows import nuttall
+
+from identification.colour import Colour, colour_of
+from identification.least_squares import solve_separable
+from identification.lines import Line, steady_lines
+from identification.ring_down.decay import Decay, Fitted
+from identification.ring_down.model import DecayModel, DecayRecord
+from identification.ring_down.modes import averaged_decay, rate
+from identification.ring_down.record import Channel
+from identification.samples import Averages
+
+_SURELY_STEADY = 5e-5  # ζ of no suspension, whatever the statistics say
+_STEADY, _DECAYS = 3.0, 4.0  # standard deviations of ζ
+_VAGUE = 0.15  # standard deviation of the decay over the record, beyond which steady is not decided
+SMALL = 0.25  # of the strongest mode's amplitude; what does not decay and is larger is the user's to explain
+_GROUP, _PROMINENT = 24, 40.0  # ordinates of a level; power over its median
+_OWN_BAND, _LOBE = 3.0, 4.0  # half-bandwidths, and ordinates, next to a mode in which what decays is its misfit
+_TRIED, _MOST_DAMPED = 3, 0.1
+_SAME_Hz = 0.3
+_WANDERS_S = 2.0  # of a record per order of a wandering line's polynomial
+
+
+def without_lines(channel: Channel) -> Channel:
+    """A channel less the lines that stand clear of its motion."""
+    lines = steady_lines(channel.time_s, channel.value_m, channel.keep)
+    return channel.without(lines) if lines else channel
+
+
+@dataclass(frozen=True)
+class Other:
+    """An oscillation that residuals show.
+
+    Attributes:
+        lam: its rate, 1/s.
+        line: whether it does not decay, or belongs to a line that is known already.
+    """
+
+    lam: complex
+    line: bool
+
+
+def steady_mode(fitted: Fitted) -> int | None:
+    """The index of a fitted mode that does not decay, and therefore is none."""
+    if not np.all(np.isfinite(fitted.theta)):
+        return None
+    stds = np.sqrt(np.diag(fitted.solution.minimum.covariance)) * np.sqrt(max(1.0, fitted.solution.chi2_per_dof))
+    span = min(float(t[-1]) for record in fitted.model.records for t in record.times)
+    sizes = [mode_size(fitted, m) for m in range(fitted.model.modes)]
+    for m in np.argsort(sizes):
+        zeta, std, omega = float(fitted.zetas[m]), float(stds[2 * m + 1]), float(fitted.omegas[m])
+        small = sizes[m] < SMALL * max(sizes)
+        if zeta + _STEADY * std < _SURELY_STEADY and (small or abs(zeta) < _SURELY_STEADY + _STEADY * std):
+            return int(m)
+        if small and zeta < _STEADY * std and std * omega * span < _VAGUE:
+            return int(m)
+    return None
+
+
+def mode_size(fitted: Fitted, mode: int) -> float:
+    """A mode's largest amplitude in any sensor, m."""
+    return max(
+        abs(fitted.amplitude(r, axis, mode))
+        for r, record in enumerate(fitted.model.records)
+        for axis in range(len(record.channels))
+    )
+
+
+def without_mode(fitted: Fitted, mode: int) -> Decay:
+    """The decay with a fitted mode taken for none: for a line where it is steady."""
+    frequency = float(fitted.omegas[mode]) / (2 * np.pi)
+
+    decay = float(fitted.zetas[mode] * fitted.omegas[mode]) if mode != steady_mode(fitted) else 0.0
+
+    def change(r: int, axis: int, channel: Channel) -> Channel:
+        amplitude = fitted.amplitude(r, axis, mode)
+        return channel.without([Line(frequency, amplitude, fitted.model.records[r].zero_s, decay)])
+
+    return fitted.decay.with_channels(change)
+
+
+def other_oscillation(fitted: Fitted) -> Other | None:
+    """The most prominent oscillation in the residuals that is none of the modes."""
+    peaks: list[tuple[float, float]] = []
+    for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
+        for t, residual in zip(record.times, residuals, strict=True):
+            peaks += _peaks(t, residual)
+    for _, frequency in sorted(peaks, reverse=True)[:_TRIED]:
+        other = _refined(fitted, frequency)
+        if other is not None:
+            return other
+    return None
+
+
+def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
+    """Narrow peaks of a channel's residuals: power over the local level, and frequency in Hz."""
+    step = float(np.median(np.diff(t)))
+    grid = np.arange(t[0], t[-1] + 0.5 * step, step)
+    if len(grid) < 8 * _GROUP:
+        return []
+    even = np.interp(grid, t, residual) if len(grid) != len(t) else residual
+    size = next_fast_len(len(even), real=True)
+    power = np.abs(np.fft.rfft((even - even.mean()) * _window(len(even)), size)) ** 2
+    count = len(power) // _GROUP
+    level = np.repeat(np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1), _GROUP)
+    level = np.r_[level, np.full(len(power) - len(level), level[-1])]
+    prominence = power[1:-1] / np.maximum(level[1:-1], 1e-300)
+    frequency = np.arange(1, len(power) - 1) / (size * step)
+    top = (prominence > _PROMINENT) & (power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])
+    top &= frequency > 6 / (grid[-1] - grid[0])
+    return list(zip(prominence[top].tolist(), frequency[top].tolist(), strict=True))
+
+
+@lru_cache(8)
+def _window(size: int) -> np.ndarray:
+    return nuttall(size, sym=False)
+
+
+def _refined(fitted: Fitted, frequency: float) -> Other | None:
+    """What oscillates at a residual's peak; None where it may be a mode's own misfit."""
+    rest = _residual_model(fitted)
+    start = np.array([np.log(2 * np.pi * frequency), 0.0])
+    solution = solve_separable(rest, start, np.zeros(2), np.full(2, np.inf), 20)
+    omega, zeta = float(np.exp(solution.minimum.theta[0])), float(solution.minimum.theta[1])
+    span = min(float(t[-1]) for record in rest.records for t in record.times)
+    if not np.isfinite(omega) or abs(omega / (2 * np.pi) - frequency) > max(2 / span, 0.02 * frequency):
+        return None
+    if any(
+        abs(line.frequency_Hz - frequency) < _SAME_Hz for own in fitted.decay.records for c in own for line in c.lines
+    ):
+        return Other(complex(0.0, omega), True)
+    std = float(np.sqrt(solution.minimum.covariance[1, 1] * max(1.0, solution.chi2_per_dof)))
+    if abs(zeta) < max(_STEADY * std, _SURELY_STEADY):
+        return Other(complex(0.0, omega), True)
+    lam = rate(omega, zeta)
+    for own, damping in zip(fitted.omegas, fitted.zetas, strict=True):
+        mode = rate(float(own), float(damping))
+        if abs(lam - mode) < max(_OWN_BAND * max(-mode.real, -lam.real), 2 * np.pi * _LOBE / span):
+            return None
+    return Other(lam, False) if _DECAYS * std < zeta < _MOST_DAMPED else None
+
+
+def _residual_model(fitted: Fitted) -> DecayModel:
+    """One free oscillation, in every channel, of what a fit left."""
+    records = []
+    for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
+        channels = tuple(replace(c, value=own) for c, own in zip(record.channels, residuals, strict=True))
+        records.append(DecayRecord(channels, record.zero_s))
+    return DecayModel(tuple(records), 1, False, 0, False, fitted.width_s)
+
+
+def without_other(fitted: Fitted, other: Other) -> Decay:
+    """The decay less an oscillation that the residuals show; one that is known already may wander more."""
+    frequency = other.lam.imag / (2 * np.pi)
+    rests = fitted.plain_residuals()
+
+    def change(r: int, axis: int, channel: Channel) -> Channel:
+        near = [line for line in channel.lines if abs(line.frequency_Hz - frequency) < _SAME_Hz]
+        record = fitted.model.records[r]
+        t = record.times[axis]
+        if near:
+            order = min(max(4, 2 * near[0].order, round(float(t[-1]) / _WANDERS_S)), 40)
+            wandering = replace(near[0], order=order)
+            return replace(channel, lines=tuple(wandering if line is near[0] else line for line in channel.lines))
+        wave, _ = averaged_decay(other.lam, t, record.channels[axis].spread_s2)
+        basis = np.column_stack([wave.real, -wave.imag])
+        c, *_ = np.linalg.lstsq(basis, rests[r][axis], rcond=None)
+        return channel.without([Line(frequency, complex(c[0], c[1]), record.zero_s, -other.lam.real)])
+
+    return fitted.decay.with_channels(change)
+
+
+def coloured(fitted: Fitted) -> Decay | None:
+    """The decay with its noise's colours; None where all of it is white."""
+    modes = [(w / (2 * np.pi), z * w / (2 * np.pi)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+    found: dict[tuple[int, int], Colour] = {}
+    for r, residuals in enumerate(fitted.plain_residuals()):
+        for axis, residual in enumerate(residuals):
+            channel, means = fitted.decay.records[r][axis], fitted.model.records[r].channels[axis]
+            own = colour_of(residual * np.sqrt(means.count) / channel.noise, channel.noise, fitted.width_s, modes)
+            if own is not None:
+                found[r, axis] = own
+    if not found and not any(c.colour for channels in fitted.decay.records for c in channels):
+        return None
+    return fitted.decay.with_channels(lambda r, axis, channel: replace(channel, colour=found.get((r, axis))))
+
+
+def is_disturbed(fitted: Fitted) -> bool:
+    """Whether lines or coloured noise were found in any channel."""
+    return any(c.lines or c.colour is not None for channels in fitted.decay.records for c in channels)
+
+
+def white_rests(fitted: Fitted) -> list[list[Averages]]:
+    """[record][channel], what a fit left with its noise's correlation taken out."""
+    return [
+        [replace(c, value=own / c.weight) for c, own in zip(record.channels, residuals, strict=True)]
+        for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True)
+    ]
