@@ -102,6 +102,7 @@ class Interlocks:
         self._limits, self._driving = limits, driving
         self._rest_ns = int(patience(_AT_REST_S) * 1e9)
         deadlines = {t: (_DEVICES[t], patience(s if driving else _AT_REST_S)) for t, s in _DEADLINE_S.items()}
+        self._node_s = deadlines["pendulums"][1]
         self.channels = ChannelWatch({**deadlines, "tacho": (_DEVICES["tacho"], float("inf"))}, patience)
         self.rotor = RotorWatch(limits.speed_rpm, patience)
         self._sight = {topic: Share(_BLIND_S) for topic in LASERS}
@@ -179,7 +180,8 @@ class Interlocks:
             out: list[Event | Stop] = [*self.channels.tick(now_ns)]
             if turning and (why := self.rotor.unseen(now_ns)) is not None:
                 out += self.channels.miss("tacho", now_ns, why.removeprefix("tacho: "))
-                out.append(Stop("device", why))
+                if not self._node_late(now_ns):  # else it is not the index sensor, and soon said
+                    out.append(Stop("device", why))
             elif not turning:
                 out += self.channels.excuse("tacho", now_ns)
                 self.rotor.turns_begin()
@@ -227,6 +229,9 @@ class Interlocks:
             return out
 
     # --- parts -------------------------------------------------------------------------------------------------
+
+    def _node_late(self, now_ns: int) -> bool:
+        return 2 * self.channels.silent_s("pendulums", now_ns) > self._node_s
 
     def _silent(self, now_ns: int, turning: bool) -> list[str]:
         due = set(_DEADLINE_S) if turning else self._needed & set(_DEADLINE_S)

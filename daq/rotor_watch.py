@@ -211,9 +211,10 @@ class RotorWatch:
 
     def _disagree(self, host_ns: int) -> str | None:
         """Index marks that come much faster or slower than any word of the drive around that time, twice."""
-        marks = [(at, turn) for at, turn in self._marks if at > self._marks[-1][0] - 3 * _ns(_MARKS_S)]
-        first, last = marks[0], marks[-1]
-        if len(marks) < _MARKS or last[0] - first[0] < _ns(_MARKS_S):
+        last = self._marks[-1]
+        first = next((mark for number, mark in enumerate(reversed(self._marks), 1)
+                      if number >= _MARKS and last[0] - mark[0] >= _ns(_MARKS_S)), None)  # fmt: skip
+        if first is None:
             return None
         margin = self._late_ns + _ns(0.2)
         around = [(a, b) for at, a, b in self._words if first[0] - margin <= at <= last[0] + margin]
