@@ -26,8 +26,9 @@ from rig_configs.schema import Limits
 LASERS: tuple[str, ...] = ("laser/x", "laser/y")
 GUARDS = (*LASERS, "pendulums", "tacho", "motor")
 """Channels that are due while the rotor turns."""
-_DEADLINE_S = {"laser/x": 0.5, "laser/y": 0.5, "pendulums": 1.0, "motor": 0.5}  # wall, while the rotor turns
-_AT_REST_S = 2.0  # wall, for a channel that a test needs
+_DEADLINE_S = {"laser/x": 0.3, "laser/y": 0.3, "pendulums": 1.0, "motor": 0.3}  # rig time, while the rotor turns …
+_AT_REST_S = 2.0  # … and at rest, for a channel that a test needs
+_HOST_S = 0.3  # wall time that the host's threads may add
 _BLIND_S = 0.25  # of samples, more than half of them invalid; a flash is shorter
 _GONE_SAMPLES = 5  # invalid ones in a row after a large displacement
 _LARGE = 0.7  # of the amplitude limit
@@ -100,8 +101,9 @@ class Interlocks:
 
     def __init__(self, limits: Limits, patience: Callable[[float], float], *, driving: bool) -> None:
         self._limits, self._driving = limits, driving
-        self._rest_ns = int(patience(_AT_REST_S) * 1e9)
-        deadlines = {t: (_DEVICES[t], patience(s if driving else _AT_REST_S)) for t, s in _DEADLINE_S.items()}
+        self._rest_s = _AT_REST_S + patience(_HOST_S)
+        late_s = patience(_HOST_S)
+        deadlines = {t: (_DEVICES[t], (s if driving else _AT_REST_S) + late_s) for t, s in _DEADLINE_S.items()}
         self._node_s = deadlines["pendulums"][1]
         self.channels = ChannelWatch({**deadlines, "tacho": (_DEVICES["tacho"], float("inf"))}, patience)
         self.rotor = RotorWatch(limits.speed_rpm, patience)
@@ -235,7 +237,7 @@ class Interlocks:
 
     def _silent(self, now_ns: int, turning: bool) -> list[str]:
         due = set(_DEADLINE_S) if turning else self._needed & set(_DEADLINE_S)
-        least_s = 0.0 if turning else self._rest_ns * 1e-9
+        least_s = 0.0 if turning else self._rest_s
         return [
             f"{topic}: silent for {self.channels.silent_s(topic, now_ns):.1f} s. Look at the device, its cable, its "
             "power or battery, its radio"

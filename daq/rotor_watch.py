@@ -71,11 +71,12 @@ class RotorWatch:
         else:
             passed = min(host_ns - self._word_ns, self._word_age_ns) * 1e-9
             self._turns_unseen += max(0.0, passed) * abs(last) / 60.0
-        self._word, self._word_ns = last, host_ns
         if abs(last) > AT_REST_RPM:
             self._zero_since_ns = None
-        elif self._zero_since_ns is None:
-            self._zero_since_ns, self._marks_after_zero = host_ns, 0
+        elif self._zero_since_ns is None:  # found at rest, or just come to it
+            self._zero_since_ns = host_ns - (self._settled_ns if self._word is None else 0)
+            self._marks_after_zero = 0
+        self._word, self._word_ns = last, host_ns
         self._words.append((host_ns, least, greatest))
         while self._words[0][0] < host_ns - _ns(_HISTORY_S) - 3 * self._late_ns:
             self._words.popleft()
