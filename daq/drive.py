@@ -70,7 +70,7 @@ class DriveControl:
         speed: Callable[[], float] | None = None,
     ) -> None:
         self._config, self._send, self._clock, self._permit = config, send, clock, permit
-        self._at_rest = at_rest or (lambda: self.actual_rpm == 0)
+        self._at_rest = at_rest or (lambda: None if math.isnan(self.actual_rpm) else self.actual_rpm == 0)
         self._speed = speed or (lambda: abs(self.actual_rpm))
         self._network = canopen.Network(bus=_SendOnlyBus(send))
         self._node = canopen.RemoteNode(config.node_id, canopen.ObjectDictionary())
@@ -78,7 +78,7 @@ class DriveControl:
         self._network.add_node(self._node)
         self._beating = threading.Event()
         self._beat: threading.Thread | None = None
-        self._bus_open = self._watched = False
+        self._bus_open = self._watched = self._ordered = False
         self._statusword: int | None = None
         self._word_rpm = 0.0
         self._word_ns = 0
@@ -126,12 +126,12 @@ class DriveControl:
         self._bus_open = True
         self._send(b"\rC\r" + rate + b"\rO\r")
         watchdog_ms = min(65535, round(self._clock.patience(c.heartbeat_timeout_ms)))
+        self._start_heartbeat()  # before it is watched: a drive may miss it from the moment it is told to
         self._write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
         self._write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
         self._watched = True
         self._write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
         self.set_ramp(c.ramp_rpm_per_s)
-        self._start_heartbeat()
         self._network.send_message(0, bytes([NMT_START, c.node_id]))
 
     def _write(self, index: int, sub: int, value: int, size: int) -> None:
@@ -201,16 +201,19 @@ class DriveControl:
         return "".join(f"; emergency {cia402.emergency_words(code)}" for code in dict.fromkeys(self.emergencies))
 
     def _pdo(self, control: int, rpm: int) -> None:
+        self._ordered = True
         self._network.send_message(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
 
     def _start_heartbeat(self) -> None:
         self._beating.set()
         period = self._config.heartbeat_ms * 1e-3
 
+        identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])
+        self._network.send_message(identifier, operational)
+
         def beat() -> None:
-            identifier = cia402.cob_heartbeat(self._config.host_node_id)
             while self._beating.is_set():
-                self._network.send_message(identifier, bytes([cia402.Heartbeat.OPERATIONAL]))
+                self._network.send_message(identifier, operational)
                 time.sleep(period)
 
         self._beat = threading.Thread(target=self._guard(beat), name="heartbeat", daemon=True)
@@ -261,7 +264,8 @@ class DriveControl:
 
     def _rest(self, told: Callable[[str], None]) -> bool:
         """Quick stop, and wait until the rotor stands: as long as it grows slower, or runs down by itself."""
-        if self._at_rest() and self.state != cia402.OPERATION_ENABLED:
+        never_turned = not self._word_ns and not self._ordered  # it never said a word, nor was it told one
+        if never_turned or (self._at_rest() and self.state != cia402.OPERATION_ENABLED):
             return True
         begun = slower = said = time.monotonic()
         next_stop, least = begun, math.inf

@@ -147,6 +147,8 @@ class SimulatedDrive:
             self._control(value)
         if (index, sub) == (cia402.TARGET_VELOCITY, 0):
             self._target_rpm = value
+        if (index, sub) == (cia402.CONSUMER_HEARTBEAT, 1):
+            self._heard_s = None  # watched from the next heartbeat on (CiA 301)
 
     def _control(self, word: int) -> None:
         s = self.state

@@ -87,9 +87,7 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigPro
     try:
         with (
             pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was stopped"),
-            Session(  # noqa: PT012
-                rig, HostClock(TIME_SCALE)
-            ) as session,
+            Session(rig, HostClock(TIME_SCALE)) as session,
         ):
             Procedures(session, SimulatedOperator(far_end.line), tmp_path, dies).run_up(600.0, 25.0)
     finally:
@@ -108,16 +106,16 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigPro
 
 
 def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match=r"drive: the drive started again \(boot-up"):  # noqa: PT012
-        with Session(rig, HostClock(TIME_SCALE)) as session:
-            session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-            turning(session, 300)
-            far_end.line.ask("fail", device="drive", what="restart")
-            try:
-                session.wait_for_rest(30.0)
-            finally:
-                assert math.isnan(session.drive.actual_rpm)
-                assert session.drive.state == cia402.UNKNOWN
+    restarted = r"drive: the drive started again \(boot-up"
+    with pytest.raises(DeviceError, match=restarted), Session(rig, HostClock(TIME_SCALE)) as session:  # noqa: PT012
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        turning(session, 300)
+        far_end.line.ask("fail", device="drive", what="restart")
+        try:
+            session.wait_for_rest(30.0)
+        finally:
+            assert math.isnan(session.drive.actual_rpm)
+            assert session.drive.state == cia402.UNKNOWN
     assert "the drive started again" in str(summary_of(tmp_path / "a.mcap")["ended"])
     assert far_end.line.ask("state")["speed_rpm"] < 0.5  # it ran down, and was waited for
     with open_log(tmp_path / "a.mcap") as log:
@@ -140,12 +138,12 @@ def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig,
 
 
 def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
-    with pytest.raises(ProcedureError, match=r"drive went to FAULT by itself; emergency 0x3220, DC link under-voltage"):  # noqa: PT012
-        with Session(rig, HostClock(TIME_SCALE)) as session:
-            session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-            turning(session, 200)
-            far_end.line.ask("fail", device="drive", what="fault", value=0x3220)
-            session.wait_for(lambda: False, 5.0, "nothing")
+    fault = r"drive went to FAULT by itself; emergency 0x3220, DC link under-voltage"
+    with pytest.raises(ProcedureError, match=fault), Session(rig, HostClock(TIME_SCALE)) as session:  # noqa: PT012
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        turning(session, 200)
+        far_end.line.ask("fail", device="drive", what="fault", value=0x3220)
+        session.wait_for(lambda: False, 5.0, "nothing")
     assert "0x3220, DC link under-voltage" in str(summary_of(tmp_path / "a.mcap")["ended"])
     assert far_end.line.ask("state")["speed_rpm"] < 0.5
     far_end.line.ask("fail", device="drive", what="restart")
@@ -169,7 +167,7 @@ def test_a_rotor_that_is_blind_to_a_laser_is_not_turned(far_end: VirtualRigProce
             session.clock.sleep(1.0)
             with pytest.raises(DeviceError, match="not turned: laser/x: no valid sample"):
                 session.drive.enable()
-            with pytest.raises(ProcedureError, match="5000 rpm wanted, limits.speed_rpm is 1200"):
+            with pytest.raises(ProcedureError, match="5000 rpm wanted"):
                 session.drive.set_speed(5000)
             assert far_end.line.ask("state")["drive"] != cia402.OPERATION_ENABLED
     finally:
