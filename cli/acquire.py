@@ -101,7 +101,7 @@ def record(
     loaded, identities = rig_or_log(rig, settings or [])
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
-    session = Session(loaded, clock, identities)
+    session = Session(loaded, clock, identities, say)
     with session.listen(output, facts) if listen else session.open():
         if not listen:
             session.start_recording(output, facts)
@@ -111,12 +111,13 @@ def record(
         path = session.stop_recording({"ended": ended})
     slow_s = disk.slow_s if disk else 0.0
     if json:
-        print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s})
+        print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s,
+                    "warnings": session.notices})  # fmt: skip
     else:
         say(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}")
         if slow_s:
             say(f"warning: the disk was behind for {slow_s:.1f} s in all; nothing was lost by that")
-    return 0
+    return 3 if session.notices else 0
 
 
 def _record_until(
@@ -164,7 +165,7 @@ def test(
 
             tracking.compile_tracker(loaded.physics)
     with ExitStack() as stack:
-        session = stack.enter_context(Session(loaded, HostClock(time_scale)))
+        session = stack.enter_context(Session(loaded, HostClock(time_scale), say=say))
         progress = stack.enter_context(StepProgress({name: 1.0}))
         progress.step(name)
         following = None
@@ -179,14 +180,14 @@ def test(
         if parameters is not None:
             tests.parameters = IdentifiedParameters.label(parameters)
         done = run_test(tests, loaded, wanted, top_rpm, duration)
-    result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary}
+    result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary, "warnings": session.notices}
     if following is not None:
         result["tracked"] = following.facts()
     if json:
         print_json(result)
     else:
         say(f"{done.log}: {done.test} done")
-    return 0
+    return 3 if session.notices else 0
 
 
 def check_test(rig: Rig, name: str) -> None:

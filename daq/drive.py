@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -12,11 +14,15 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from daq.errors import DeviceError
 from daq.protocols import cia402, slcan
+from daq.protocols.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.transports.host_clock import HostClock
 from rig_configs.schema import Drive
 
 _SETUP_WAIT_S = 0.3  # wall seconds to wait for an SDO answer
-_REST_WAIT_S = 5.0  # wall seconds a quick stop may take
+_WORD_S = 0.5  # wall seconds after which the drive's word is too old
+_RUN_DOWN_S = 60.0  # rig seconds a rotor without torque may take
+_NO_SLOWER_S = 5.0  # wall seconds after which a rotor that grows no slower is given up
+_REPEAT_S, _SAY_EVERY_S = 0.25, 2.0  # wall seconds between two quick stops, between two words about the wait
 
 
 class _SendOnlyBus(can.BusABC):
@@ -42,38 +48,72 @@ class DriveControl:
     Args:
         config: the drive's table of the rig file.
         send: writes bytes to the drive's link (and to the log).
-        clock: for time-outs.
+        clock: for time-outs, and for the age of the drive's word.
+        permit: asked with each speed (rpm) before the drive is told, with None before it is enabled; raises where the
+            rotor must not turn so.
+        at_rest: whether the rotor stands, by all that is known; None when nobody can tell. Without it the drive's own
+            word counts.
+        speed: how fast the rotor turns, by all that is known, rpm; NaN when nobody can tell.
+
+    Attributes:
+        dropped_out: state it fell into by itself while it should have been running.
+        emergencies: error codes it has sent since it was set up, without those it has reset.
     """
 
-    def __init__(self, config: Drive, send: Callable[[bytes], None], clock: HostClock) -> None:
-        self._config, self._send, self._clock = config, send, clock
+    def __init__(
+        self,
+        config: Drive,
+        send: Callable[[bytes], None],
+        clock: HostClock,
+        permit: Callable[[float | None], None] = lambda rpm: None,
+        at_rest: Callable[[], bool | None] | None = None,
+        speed: Callable[[], float] | None = None,
+    ) -> None:
+        self._config, self._send, self._clock, self._permit = config, send, clock, permit
+        self._at_rest = at_rest or (lambda: None if math.isnan(self.actual_rpm) else self.actual_rpm == 0)
+        self._speed = speed or (lambda: abs(self.actual_rpm))
         self._network = canopen.Network(bus=_SendOnlyBus(send))
         self._node = canopen.RemoteNode(config.node_id, canopen.ObjectDictionary())
         self._node.sdo.RESPONSE_TIMEOUT = _SETUP_WAIT_S
         self._network.add_node(self._node)
         self._beating = threading.Event()
         self._beat: threading.Thread | None = None
-        self._target_rpm = 0
-        self.statusword: int | None = None
-        self.actual_rpm = 0.0
-        self.dropped_out: str | None = None  # state it fell into by itself while it should have been running
+        self._bus_open = self._watched = self._ordered = False
+        self._statusword: int | None = None
+        self._word_rpm = 0.0
+        self._word_ns = 0
+        self.dropped_out: str | None = None
+        self.emergencies: list[int] = []
         self._armed = False
 
     def notice(self, frames: list[slcan.CanFrame]) -> None:
         """Frames the link's reader decoded."""
+        node = self._config.node_id
         for frame in frames:
-            if frame.arbitration_id == cia402.cob_tpdo(1, self._config.node_id) and len(frame.data) == 4:
-                self.statusword, rpm = cia402.unpack_tpdo1(frame.data)
-                self.actual_rpm = float(rpm)
+            identifier, data = frame.arbitration_id, frame.data
+            if identifier == cia402.cob_tpdo(1, node) and len(data) == 4:
+                self._statusword, rpm = cia402.unpack_tpdo1(data)
+                self._word_rpm, self._word_ns = float(rpm), self._clock.now_ns()
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
                     self.dropped_out = self.state
-            elif frame.arbitration_id == cia402.cob_sdo_answer(self._config.node_id) and len(frame.data) == 8:
-                self._network.notify(frame.arbitration_id, bytearray(frame.data), self._clock.now_s())
+            elif identifier == cia402.cob_sdo_answer(node) and len(data) == 8:
+                self._network.notify(identifier, bytearray(data), self._clock.now_s())
+            elif identifier == cia402.cob_emergency(node) and len(data) == 8:
+                code = cia402.unpack_emergency(data).error_code
+                self.emergencies = [*self.emergencies, code] if code else []
+            elif identifier == cia402.cob_heartbeat(node) and cia402.heartbeat(data) == cia402.Heartbeat.BOOT_UP:
+                self._statusword = None
+
+    @property
+    def actual_rpm(self) -> float:
+        """The drive's word on its speed, rpm; NaN when it has said nothing for so long that nobody knows."""
+        fresh = self._clock.now_ns() - self._word_ns <= self._clock.patience(_WORD_S) * 1e9
+        return self._word_rpm if fresh and self._statusword is not None else math.nan
 
     @property
     def state(self) -> str:
         """The drive's CiA 402 state as last reported."""
-        return cia402.UNKNOWN if self.statusword is None else cia402.state(self.statusword)
+        return cia402.UNKNOWN if self._statusword is None else cia402.state(self._statusword)
 
     def start(self) -> None:
         """Open the bus, set the drive up, start the heartbeat, go operational.
@@ -83,18 +123,16 @@ class DriveControl:
         """
         c = self._config
         rate = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}[c.bitrate]
+        self._bus_open = True
         self._send(b"\rC\r" + rate + b"\rO\r")
         watchdog_ms = min(65535, round(self._clock.patience(c.heartbeat_timeout_ms)))
-        settings = (
-            (0x1017, 0, c.heartbeat_ms, 2),
-            (0x6060, 0, cia402.MODE_VELOCITY, 1),
-            (0x1016, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4),
-        )
-        for index, sub, value, size in settings:
-            self._write(index, sub, value, size)
+        self._start_heartbeat()  # before it is watched: a drive may miss it from the moment it is told to
+        self._write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
+        self._write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
+        self._watched = True
+        self._write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
         self.set_ramp(c.ramp_rpm_per_s)
-        self._start_heartbeat()
-        self._network.send_message(0, bytes([1, c.node_id]))
+        self._network.send_message(0, bytes([NMT_START, c.node_id]))
 
     def _write(self, index: int, sub: int, value: int, size: int) -> None:
         for attempt in (1, 2, 3):
@@ -122,48 +160,60 @@ class DriveControl:
 
         Raises:
             DeviceError: it does not get there.
+            RigError: whatever `permit` raises.
         """
         deadline = time.monotonic() + 3.0
         self._armed, self.dropped_out = False, None
         while self.state != cia402.OPERATION_ENABLED:
+            self._permit(None)
             word = cia402.towards_operation(self.state)
             if word is not None:
                 self._pdo(word, 0)
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"drive: expected OPERATION ENABLED, it stays in {self.state}. Look at its display for a fault"
+                    f"drive: expected OPERATION ENABLED, it stays in {self.state}{self.why()}. "
+                    "Look at its display for a fault"
                 )
             time.sleep(0.005)
         self._armed = True
 
     def set_speed(self, rpm: float) -> None:
-        """Ramp to a speed (whole rpm on this drive's wire)."""
-        self._target_rpm = round(rpm)
-        self._pdo(cia402.ENABLE_OPERATION, self._target_rpm)
+        """Ramp to a speed (whole rpm on this drive's wire).
+
+        Raises:
+            RigError: whatever `permit` raises.
+        """
+        self._permit(rpm)
+        self._pdo(cia402.ENABLE_OPERATION, round(rpm))
 
     def disable(self) -> None:
         """Take the torque away; the rotor must be at rest."""
         self._armed = False
-        self._target_rpm = 0
         self._pdo(cia402.SHUTDOWN, 0)
 
     def quick_stop(self) -> None:
         """Stop as fast as the drive can."""
         self._armed = False
-        self._target_rpm = 0
         self._pdo(cia402.QUICK_STOP, 0)
 
+    def why(self) -> str:
+        """The emergencies that stand, in words for a message: code and meaning; empty without one."""
+        return "".join(f"; emergency {cia402.emergency_words(code)}" for code in dict.fromkeys(self.emergencies))
+
     def _pdo(self, control: int, rpm: int) -> None:
+        self._ordered = True
         self._network.send_message(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
 
     def _start_heartbeat(self) -> None:
         self._beating.set()
         period = self._config.heartbeat_ms * 1e-3
 
+        identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])
+        self._network.send_message(identifier, operational)
+
         def beat() -> None:
-            identifier = cia402.cob_heartbeat(self._config.host_node_id)
             while self._beating.is_set():
-                self._network.send_message(identifier, bytes([cia402.Heartbeat.OPERATIONAL]))
+                self._network.send_message(identifier, operational)
                 time.sleep(period)
 
         self._beat = threading.Thread(target=self._guard(beat), name="heartbeat", daemon=True)
@@ -178,25 +228,59 @@ class DriveControl:
 
         return run
 
-    def stop(self) -> None:
-        """Stop the rotor, then end the heartbeat and the node's operation.
+    def stop(self, told: Callable[[str], None] = lambda text: None) -> bool:
+        """Stop the rotor, then let go of the drive; whether the rotor is known to stand.
 
-        Torque is taken away only at rest: a rotor left to run down would pass its resonances slowly.
+        Torque is taken away only at rest: a rotor left to run down would pass its resonances slowly. The drive's
+        watch over our heartbeat is ended only then too: as long as rest is not confirmed it stays, and stops the
+        rotor by itself when the heartbeat ends, however this process ends.
+
+        Args:
+            told: called with what is being waited for.
         """
+        rest = self._beat is None
+        try:
+            rest = rest or self._rest(told)
+            if rest and self._watched:
+                with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
+                    self._write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
+                self._watched = False
+        finally:
+            self._let_go(rest)
+        return rest
+
+    def _let_go(self, rest: bool) -> None:
+        """End the heartbeat, the node's operation and the adapter's; of a rotor that may turn nothing is taken away."""
         if self._beat is not None:
-            self._rest()
             self._beating.clear()
             self._beat.join(timeout=2.0)
-            self._pdo(cia402.DISABLE_VOLTAGE, 0)
-            self._network.send_message(0, bytes([0x80, self._config.node_id]))
-            self._send(b"C\r")
             self._beat = None
+            if rest:
+                self._pdo(cia402.DISABLE_VOLTAGE, 0)
+                self._network.send_message(0, bytes([NMT_PRE_OPERATIONAL, self._config.node_id]))
+        if self._bus_open:
+            self._bus_open = False
+            self._send(b"C\r")
 
-    def _rest(self) -> None:
-        """Quick stop, and wait for the drive's own word that the rotor stands."""
-        if self.actual_rpm == 0 and self.state != cia402.OPERATION_ENABLED:
-            return
-        self.quick_stop()
-        deadline = time.monotonic() + _REST_WAIT_S
-        while self.actual_rpm != 0 and time.monotonic() < deadline:
+    def _rest(self, told: Callable[[str], None]) -> bool:
+        """Quick stop, and wait until the rotor stands: as long as it grows slower, or runs down by itself."""
+        never_turned = not self._word_ns and not self._ordered  # it never said a word, nor was it told one
+        if never_turned or (self._at_rest() and self.state != cia402.OPERATION_ENABLED):
+            return True
+        begun = slower = said = time.monotonic()
+        next_stop, least = begun, math.inf
+        while not (rest := self._at_rest()):
+            now, speed = time.monotonic(), self._speed()
+            if not speed > least - 1.0:  # also where nobody tells it: index marks alone decide then
+                slower, least = now, speed
+            too_long = now - begun > self._clock.wall(_RUN_DOWN_S) or now - slower > _NO_SLOWER_S
+            if too_long or (rest is None and now - begun > _NO_SLOWER_S):
+                return False
+            if now >= next_stop:
+                self.quick_stop()  # again: one frame may be lost
+                next_stop = now + _REPEAT_S
+            if now - said > _SAY_EVERY_S:
+                told("waiting for the rotor to stop" + ("" if math.isnan(speed) else f", {speed:.0f} rpm"))
+                said = now
             time.sleep(0.01)
+        return True

@@ -25,6 +25,7 @@ class DrivePipeline:
         self._joined = False
         self._target_rpm = 0.0
         self._status: int | None = None
+        self._network: cia402.Heartbeat | None = None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
@@ -42,14 +43,16 @@ class DrivePipeline:
             self.losses["damaged_lines"] += damaged
             out.append(Event("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
         rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
-        report = cia402.cob_tpdo(1, self._node)
+        report, beat = cia402.cob_tpdo(1, self._node), cia402.cob_heartbeat(self._node)
         for frame in found.frames:
             if frame.arbitration_id == report:  # nearly all of them
                 if len(frame.data) == 4:
                     rows.append((*cia402.unpack_tpdo1(frame.data), self._target_rpm))
                 continue
             self._heed_target(frame)
-            if frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
+            if frame.arbitration_id == beat:
+                out += self._heartbeat(frame)
+            elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
                 emergency = cia402.unpack_emergency(frame.data)
                 facts = {"error_code": emergency.error_code, "register": emergency.error_register}
                 out.append(Event("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
@@ -60,6 +63,21 @@ class DrivePipeline:
     def _heed_target(self, frame: slcan.CanFrame) -> None:
         if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
             self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
+
+    def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | Event]:
+        """A boot-up message, or a change of the drive's network state; only in operation does it report its speed."""
+        state = cia402.heartbeat(frame.data)
+        before, self._network = self._network, self._network if state is None else state
+        if state is None or state == before:
+            return []
+        if state == cia402.Heartbeat.BOOT_UP:
+            text = "the drive started again (boot-up message): its settings are gone, its speed is unknown"
+            return [Event("restart", self._device, text)]
+        operational = state == cia402.Heartbeat.OPERATIONAL
+        if operational and before is None:
+            return []  # as it should be
+        text = f"network state {state.name.replace('_', '-')}" + ("" if operational else ": it reports no speed")
+        return [Event("network", self._device, text, {"network_state": int(state), "operational": operational})]
 
     def _speed(self, rows: list[tuple[int, int, float]], host_ns: int) -> list[Batch | Event]:
         out: list[Batch | Event] = []

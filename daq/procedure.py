@@ -251,6 +251,7 @@ class Procedures:
         number = 1 + max(numbers, default=0)
         path = self._folder / f"{number:02d}-{test}.mcap"
         known = {"parameters": self.parameters} if self.parameters else {}
+        self._s.need(*(["laser/x", "laser/y"] if test.startswith("ring-down") else ["pendulums"]))
         self._s.start_recording(path, {"test": test, "note": self._note, **known, **facts})
 
     def _end(self, test: str, summary: Mapping[str, Any]) -> TestDone:
@@ -355,8 +356,9 @@ class Procedures:
         if drive.actual_rpm != 0 or drive.state == cia402.OPERATION_ENABLED:
             drive.set_ramp(_STOP_RAMP_RPM_S)
             drive.set_speed(0)
-            self._until(lambda: drive.actual_rpm == 0, 30.0, "the rotor to stop")
+            self._s.wait_for_rest(30.0)
             self._clock.sleep(0.5)
+            self._s.wait_for_rest(30.0)
             drive.disable()
 
     def _lock_both(self) -> None:

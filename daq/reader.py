@@ -8,7 +8,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from daq.errors import LinkLost
 from daq.streams import Pipeline
@@ -20,6 +20,9 @@ _NEXT_S = 0.005  # wall seconds to wait for the next arrival
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
 _LARGE_BYTES = 128 * 1024
 _WAIT_S = 0.1  # wall seconds between two looks whether to end
+
+Take = Callable[[Sequence[tuple[bytes, int]], bytes, int], None]
+"""Takes what went out, each with its host time in ns, then what arrived and when."""
 
 
 def keep_heap_whole() -> None:
@@ -46,7 +49,8 @@ class DeviceReader:
         clock: stamps arrivals.
 
     Attributes:
-        lock: held while bytes, in either direction, go to log and pipeline: both see one order.
+        lock: held while bytes, in either direction, go to log and pipeline: both see one order. Nothing that goes out
+            waits for it.
         replies: text answers of the device.
         heard_s: when bytes came last, `time.monotonic`.
     """
@@ -58,15 +62,35 @@ class DeviceReader:
         self.bytes_in = 0
         self.heard_s = time.monotonic()
         self._clock = clock
+        self._writing, self._stamping = threading.Lock(), threading.Lock()
+        self._sent: list[tuple[bytes, int]] = []  # on their way into the log
         self._rest_s = _LASER_REST_S if name.startswith("laser") else _REST_S
         self._ending = False
         self._thread: threading.Thread | None = None
 
-    def start(self, take: Callable[[bytes, int], None], fail: Callable[[Exception], None]) -> None:
+    def send(self, data: bytes) -> None:
+        """Write bytes to the device at once, whatever log and decoders are busy with; the log gets them afterwards.
+
+        Raises:
+            LinkLost: the device is gone.
+        """
+        with self._writing:  # what goes out and what is kept of it have one order
+            with self._stamping:
+                self._sent.append((data, self._clock.now_ns()))
+            self.link.write(data)
+
+    def sent(self) -> list[tuple[bytes, int]]:
+        """What went out since the last call, each with its host time, ns; call it under `lock`."""
+        with self._stamping:
+            out, self._sent = self._sent, []
+            return out
+
+    def start(self, take: Take, fail: Callable[[Exception], None]) -> None:
         """Begin to read.
 
         Args:
-            take: called under `lock` with bytes and the host time of the last one's arrival, ns.
+            take: called under `lock` with what went out since its last call, then the bytes that arrived (or none) and
+                the host time of the last one's arrival.
             fail: called once when the device is gone, or with a decoder's bug: either must stop the rig.
         """
         self.heard_s = time.monotonic()
@@ -80,14 +104,14 @@ class DeviceReader:
             self._thread.join(timeout=2.0)
         self.link.close()
 
-    def _run(self, take: Callable[[bytes, int], None], fail: Callable[[Exception], None]) -> None:
+    def _run(self, take: Take, fail: Callable[[Exception], None]) -> None:
         try:
             self._read(take)
         except Exception as error:
             if not self._ending:
                 fail(error)
 
-    def _read(self, take: Callable[[bytes, int], None]) -> None:
+    def _read(self, take: Take) -> None:
         """Take bytes some fifty times a second, each turn stamped with the arrival of its last byte.
 
         What came while the thread rested is not stamped as it is fetched, which would be late by an unknown part of
@@ -101,15 +125,19 @@ class DeviceReader:
                 if rested:  # its last bytes are bytes too
                     self._arrived(rested, take)
                 raise
-            if rested or data:
+            if rested or data or self._sent:
                 self._arrived(rested + data, take)
                 self._clock.sleep(self._rest_s)
                 rested = b""  # not twice, should the next line fail
                 rested = self.link.read(0.0)
 
-    def _arrived(self, data: bytes, take: Callable[[bytes, int], None]) -> None:
+    def _arrived(self, data: bytes, take: Take) -> None:
         host_ns = self._clock.now_ns()
         with self.lock:
-            self.bytes_in += len(data)
-            self.heard_s = time.monotonic()
-            take(data, host_ns)
+            if data:
+                self.bytes_in += len(data)
+                self.heard_s = time.monotonic()
+            sent = self.sent()
+            take([item for item in sent if item[1] <= host_ns], data, host_ns)
+            if later := [item for item in sent if item[1] > host_ns]:
+                take(later, b"", host_ns)

@@ -8,20 +8,20 @@ import queue
 import secrets
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, nullcontext
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from types import TracebackType
 from typing import Any
-
-import numpy as np
 
 from daq import lasers
 from daq.drive import DriveControl
 from daq.drive_stream import DrivePipeline
-from daq.errors import DeviceError, LinkLost, ProcedureError
+from daq.errors import DeviceError, LinkLost, ProcedureError, RigError
+from daq.interlocks import Interlocks, Stop
 from daq.laser_blocks import compile_loop
-from daq.protocols import optoncdt, rotorlink
+from daq.protocols import cia402, rotorlink
 from daq.reader import DeviceReader, keep_heap_whole
 from daq.recent import Recent
 from daq.recorder import DiskState, Recorder
@@ -33,9 +33,10 @@ from rig_configs.schema import Rig
 
 _KEEP_S = 90.0
 _HEALTH_S = 1.0
-_WATCH_S = 0.25  # wall seconds between two looks for silent devices
+_LOOK_S = 0.1  # wall seconds between two looks at every channel
+_WATCH_S = 0.25  # wall seconds between two looks for silent devices, and at the disk
 _SILENCE_S = 2.0  # wall seconds
-_OUT_OF_RANGE_SAMPLES = 5  # in one read; fewer may be a flash of light
+_REASON_S = 0.3  # wall seconds that a drive may take to say why it stopped
 
 
 class Session:
@@ -45,25 +46,39 @@ class Session:
         rig: the rig file.
         clock: the host clock.
         identities: what the devices are known to be, for a session that only listens; `open` asks them itself.
+        say: told what the operator has to know at once, a line each.
     Raises (from `open` and `listen`):
         LinkLost: a port cannot be opened.
         DeviceError: a device does not answer as it should.
+    Raises (at the end of a `with` that nothing else ends):
+        DeviceError: the rotor still turns.
+
+    Attributes:
+        trouble: the first thing that ended the run; None as long as it is fine.
+        notices: what was said to the operator: a run with any is not a clean one.
     """
 
-    def __init__(self, rig: Rig, clock: HostClock, identities: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        clock: HostClock,
+        identities: Mapping[str, Mapping[str, Any]] | None = None,
+        say: Callable[[str], None] = lambda text: None,
+    ) -> None:
         self.rig, self.clock = rig, clock
         self.recent = Recent(_KEEP_S)
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
         self.trouble: Exception | None = None
+        self.notices: list[str] = []
+        self._say = say
         self._drive: DriveControl | None = None
         self._devices: dict[str, DeviceReader] = {}
         self._recorder: Recorder | None = None
         self._acknowledges: queue.Queue[Event] = queue.Queue()
-        self._watchers: list[Callable[[Batch], None]] = [self._guard_amplitude]
+        self._interlocks = Interlocks(rig.limits, clock.patience, driving=True)
         # The node remembers the seq of past commands, also those of an earlier session, and acts once on each.
         self._command_seq = secrets.randbelow(0x8000)
-        self._closing = False
-        self._tripped = False
+        self._opened = self._guarding = self._closing = False
         self._disk_slow = False
 
     def open(self) -> Session:
@@ -71,7 +86,10 @@ class Session:
         d = self.rig.devices
         try:
             self._open_links()
-            self._drive = DriveControl(d.drive, lambda data: self.send("drive", data), self.clock)
+            self._drive = DriveControl(
+                d.drive, lambda data: self.send("drive", data), self.clock, self._permit, self.rotor_at_rest,
+                lambda: self._interlocks.speed_rpm(self.clock.now_ns()),
+            )  # fmt: skip
             self._start_readers()
             for name, config in (("laser_x", d.laser_x), ("laser_y", d.laser_y)):
                 self.identities[name] = lasers.configure(
@@ -83,9 +101,10 @@ class Session:
             self.wait_for(self._all_alive, 3.0, "every device to send samples")
             self._begin_anew(None)  # what waited in the ports' buffers was late and would mislead the clock maps
             self.wait_for(self._all_alive, 3.0, "every device to go on sending samples")
+            self._opened = self._guarding = True
             self._start_watching()
-        except BaseException:
-            self.close()
+        except BaseException as error:
+            self.close(error)
             raise
         return self
 
@@ -95,13 +114,15 @@ class Session:
         Nothing is configured and nothing is turned; a device may be silent. Identities are those given to the session,
         else the rig file's word counts.
         """
+        self._interlocks = Interlocks(self.rig.limits, self.clock.patience, driving=False)
         try:
             self._open_links()
             self.start_recording(path, metadata)
             self._start_readers()
+            self._opened = self._guarding = True
             self._start_watching()
-        except BaseException:
-            self.close()
+        except BaseException as error:
+            self.close(error)
             raise
         return self
 
@@ -121,7 +142,7 @@ class Session:
 
     def _start_readers(self) -> None:
         for device in self._devices.values():
-            device.start(partial(self._take, device, RX), self._fail)
+            device.start(partial(self._take, device), self._fail)
 
     def _start_watching(self) -> None:
         threading.Thread(target=self._watch, name="health", daemon=True).start()
@@ -129,35 +150,73 @@ class Session:
     def __enter__(self) -> Session:
         return self if self._devices else self.open()
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close(error)
 
-    def close(self) -> None:
-        """Stop drive and streams, close every link."""
+    def close(self, because: BaseException | None = None) -> None:
+        """Stop drive and streams, close every link; a log that is still open ends with how it ended.
+
+        Args:
+            because: what ended the session; None when it came to its end.
+        Raises:
+            DeviceError: the rotor still turns, or may, and nothing else ended the session.
+        """
         if self._closing:
             return
+        self._guarding = False  # what ends now ends because we say so
+        rest = "the wait for the rotor to stop was interrupted"
         try:
-            self._stop_devices()
+            rest = self._stop_devices()
         finally:
             try:
                 if self._recorder is not None:
-                    self.stop_recording({"ended": str(self.trouble or "session closed")})
+                    ended = self._ended(because) or "session closed"
+                    self.stop_recording({"ended": f"{ended}; {rest}" if rest else ended})
             finally:
                 self._closing = True
                 for device in self._devices.values():
                     device.stop()
+        if rest and because is None:
+            raise DeviceError(rest)
 
-    def _stop_devices(self) -> None:
-        """Rotor to rest, streams off; a device that is gone does not keep the others from being stopped."""
+    def _ended(self, because: BaseException | None) -> str:
+        """What ended the session or a log, in words; empty when nothing did."""
+        if self.trouble is not None:
+            return str(self.trouble)
+        if isinstance(because, KeyboardInterrupt):
+            return str(because) or "Ctrl-C"
+        if because is None or isinstance(because, GeneratorExit | SystemExit):
+            return ""
+        return str(because) if isinstance(because, RigError) else f"{type(because).__name__}: {because}"
+
+    def _stop_devices(self) -> str:
+        """Rotor to rest, streams off; a device that is gone does not keep the others from being stopped.
+
+        Returns:
+            What there is to say of a rotor that is not known to stand; empty when it stands.
+        """
         if self._drive is None:
-            return
-        for step in (
-            self.drive.stop,
-            lambda: self.send("laser_x", b"OUTPUT NONE\n"),
-            lambda: self.send("laser_y", b"OUTPUT NONE\n"),
-        ):
+            return ""
+        rest = False
+        with contextlib.suppress(LinkLost, DeviceError):
+            rest = self.drive.stop(self._say)
+        for name in ("laser_x", "laser_y"):
             with contextlib.suppress(LinkLost, DeviceError):
-                step()
+                self.send(name, b"OUTPUT NONE\n")
+        if rest or not self._opened or self.rotor_at_rest():
+            return ""
+        still = "nobody can tell whether the rotor stands" if self.rotor_at_rest() is None else "the rotor still turns"
+        text = f"{still} ({self.rotor_words()}); keep away from it"
+        self._notice(text)
+        return text
+
+    def _notice(self, text: str) -> None:
+        """Say something to the operator, once; it stays on record."""
+        if text not in self.notices:
+            self.notices.append(text)
+            self._say(f"warning: {text}")
 
     @property
     def drive(self) -> DriveControl:
@@ -171,68 +230,121 @@ class Session:
     # --- bytes -------------------------------------------------------------------------------------------------
 
     def send(self, name: str, data: bytes) -> None:
-        """Write to a device; the bytes go into the log as they go out.
+        """Write to a device at once, whatever log and decoders are busy with; the log gets the bytes afterwards.
 
         Raises:
             LinkLost: the device is gone.
         """
-        device = self._devices[name]
-        with device.lock:
-            self._take(device, TX, data, self.clock.now_ns())
-            device.link.write(data)
+        self._devices[name].send(data)
 
-    def _take(self, device: DeviceReader, direction: int, data: bytes, host_ns: int) -> None:
-        recorder = self._recorder
-        with nullcontext() if recorder is None else recorder.together():
-            if recorder is not None and not recorder.raw(device.name, direction, data, host_ns):
-                recorder = None  # the run has ended; interlocks go on
-            found = device.pipeline.feed(direction, data, host_ns)
-            if recorder is not None:
-                for item in found:
-                    recorder.batch(item, host_ns) if isinstance(item, Batch) else recorder.event(item, host_ns)
+    def _take(self, device: DeviceReader, sent: Sequence[tuple[bytes, int]], data: bytes, host_ns: int) -> None:
+        """What went to a device and then what came from it: into the log, through the pipeline, to the interlocks."""
+        for written, written_ns in sent:
+            self._keep(device, TX, written, written_ns)
+        if not data:
+            return
+        found = self._keep(device, RX, data, host_ns)
+        if self._drive is not None and isinstance(device.pipeline, DrivePipeline):
+            self.drive.notice(device.pipeline.frames)
         for item in found:
             if isinstance(item, Batch):
                 self.recent.add(item)
-                for watch in self._watchers:
-                    watch(item)
+                self._heed(self._interlocks.feed(item, host_ns), host_ns)
             elif item.kind == "reply":
                 device.replies.put(item.text)
             elif item.kind == "acknowledge":
                 self._acknowledges.put(item)
-            elif item.kind in ("fault", "restart") and self.trouble is None:
-                self.trouble = DeviceError(f"{item.device}: {item.text}")
-        if self._drive is not None and isinstance(device.pipeline, DrivePipeline) and direction == RX:
-            self.drive.notice(device.pipeline.frames)
+            else:
+                self._happened(item, host_ns)
+
+    def _keep(self, device: DeviceReader, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+        """Decode, and leave bytes and what they hold to the recorder together; the decoding keeps nobody waiting."""
+        recorder = self._recorder
+        found: list[Batch | Event] = []
+        try:
+            found = device.pipeline.feed(direction, data, host_ns)
+        finally:  # bytes that no decoder takes are those the log needs most
+            if recorder is not None:
+                with recorder.together():
+                    # after the run's end the recorder takes no more; interlocks go on
+                    for item in found if recorder.raw(device.name, direction, data, host_ns) else ():
+                        recorder.batch(item, host_ns) if isinstance(item, Batch) else recorder.event(item, host_ns)
+        return found
+
+    def _happened(self, event: Event, host_ns: int) -> None:
+        if event.kind == "emergency":
+            self._tell_emergency(event)
+        if self._guarding:
+            self._heed(self._interlocks.happened(event), host_ns)
+
+    def _tell_emergency(self, event: Event) -> None:
+        code = int(event.facts["error_code"])
+        if code and not self._closing:
+            self._notice(f"{event.device}: emergency {cia402.emergency_words(code)}. The run is not clean")
+
+    def _heed(self, found: Iterable[Event | Stop], host_ns: int) -> None:
+        """Carry out what the interlocks found."""
+        for item in found:
+            if isinstance(item, Event):
+                recorder = self._recorder
+                if recorder is not None:
+                    recorder.event(item, host_ns)
+            elif self._guarding and self._drive is not None:
+                kind = DeviceError if item.cause == "device" else ProcedureError
+                turning = self._interlocks.turning(host_ns)
+                self._fail(kind(f"{item.text}; the rotor was stopped" if turning else item.text))
+            elif self._guarding:
+                self._notice(item.text)
 
     def _fail(self, error: Exception) -> None:
         """Remember the first trouble and stop the rotor; whoever waits is told."""
-        if self.trouble is None:
+        first = self.trouble is None
+        if first:
             self.trouble = error
-        try:
-            self.drive.quick_stop()
-        except Exception:
-            return  # the drive's own watchdog stops it when our heartbeat ends
+        if self._drive is not None:
+            with contextlib.suppress(Exception):  # the drive's own watchdog stops it when our heartbeat ends
+                self._drive.quick_stop()
+            self._interlocks.told(0.0)
+        recorder = self._recorder
+        if first and recorder is not None:
+            recorder.event(Event("stop", "host", str(error)), self.clock.now_ns())
 
-    def _guard_amplitude(self, batch: Batch) -> None:
-        if batch.channel.topic not in ("laser/x", "laser/y") or self._tripped:
-            return
-        if self._drive is None or self._drive.actual_rpm == 0:
-            return
-        largest = np.nanmax(np.abs(batch.columns["displacement_m"]), initial=0.0)
-        codes = batch.columns["code"]
-        beyond_range = (
-            int(codes.max()) > optoncdt.CODE_MAX
-            and np.count_nonzero(np.isin(codes, optoncdt.OUT_OF_RANGE)) >= _OUT_OF_RANGE_SAMPLES
-        )
-        if largest > self.rig.limits.amplitude_m or beyond_range:
-            self._tripped = True
-            seen = "out of the sensor's range" if beyond_range else f"{largest * 1e3:.1f} mm"
-            self._fail(
-                ProcedureError(
-                    f"{batch.channel.topic}: {seen}, limits.amplitude_m is "
-                    f"{self.rig.limits.amplitude_m * 1e3:g} mm; the rotor was stopped"
-                )
-            )
+    def _permit(self, rpm: float | None) -> None:
+        """Whether the drive may be enabled (None) or told a speed; raises why not."""
+        self.check()
+        if rpm is not None and abs(rpm) > self.rig.limits.speed_rpm:
+            limit = self.rig.limits.speed_rpm
+            raise ProcedureError(f"{rpm:.0f} rpm wanted, limits.speed_rpm is {limit:.0f}: the drive was not told")
+        if rpm != 0 and (obstacles := self._interlocks.obstacles(self.clock.now_ns())):
+            raise DeviceError(f"the rotor is not turned: {'; '.join(obstacles)}")
+        if rpm is not None:
+            self._interlocks.told(rpm)
+
+    def need(self, *topics: str) -> None:
+        """Channels that the running test lives on, at rest too; silence of one ends it. Without any: none."""
+        self._interlocks.need(topics)
+
+    def rotor_at_rest(self) -> bool | None:
+        """Whether the rotor stands, by the drive's fresh word and the index marks; None when neither tells."""
+        return self._interlocks.at_rest(self.clock.now_ns())
+
+    def rotor_words(self) -> str:
+        """What is known of the rotor's speed, for a message."""
+        return self._interlocks.rotor_words(self.clock.now_ns())
+
+    def wait_for_rest(self, wall_s: float) -> None:
+        """Wait until the rotor stands.
+
+        Raises:
+            DeviceError: it does not, or nobody can tell.
+        """
+        deadline = time.monotonic() + wall_s
+        while not (rest := self.rotor_at_rest()):
+            self.check()
+            if time.monotonic() > deadline:
+                still = "nobody can tell whether the rotor stands" if rest is None else "the rotor still turns"
+                raise DeviceError(f"{still} after {wall_s:g} s: {self.rotor_words()}. Look at drive and rotor")
+            time.sleep(0.003)
 
     def _watch(self) -> None:
         try:
@@ -241,11 +353,17 @@ class Session:
             self._fail(error)
 
     def _report_health(self) -> None:
-        due = time.monotonic()
+        due = look = time.monotonic()
         silent: set[str] = set()
         while not self._closing:
-            time.sleep(_WATCH_S)
-            now = time.monotonic()
+            time.sleep(_LOOK_S)
+            now, now_ns = time.monotonic(), self.clock.now_ns()
+            self._heed(self._interlocks.tick(now_ns), now_ns)
+            if self._drive is not None and self._guarding:
+                self._watch_drive(self._drive)
+            if now < look:
+                continue
+            look = now + _WATCH_S
             still = {n for n, d in self._devices.items() if now - d.heard_s > _SILENCE_S}
             for name in still & silent if self._drive is not None else ():  # seen twice: no host that was asleep
                 self._fail(
@@ -260,6 +378,12 @@ class Session:
                 facts = {"losses": self.losses(), "disk": recorder.state().facts()}
                 facts["bytes"] = {n: d.bytes_in for n, d in self._devices.items()}
                 recorder.health({"kind": "health", "device": "host", "text": "", **facts})
+
+    def _watch_drive(self, drive: DriveControl) -> None:
+        if self.trouble is None and drive.dropped_out is not None:
+            self._fail(self._dropped_out(drive.dropped_out))
+        elif self.trouble is not None and drive.state == cia402.OPERATION_ENABLED:
+            self._fail(self.trouble)  # again: one frame may be lost
 
     def _look_at_disk(self, recorder: Recorder) -> None:
         """Say that the disk is slow while nothing is lost yet; end the run when it has to be."""
@@ -293,11 +417,14 @@ class Session:
         return None if recorder is None else recorder.state()
 
     def losses(self) -> dict[str, dict[str, int]]:
-        """Counted losses of every device since the recording began."""
-        return {name: dict(device.pipeline.losses) for name, device in self._devices.items()}
+        """Counted losses of every device since the recording began; a silence counts while it lasts."""
+        silences = self._interlocks.losses(self.clock.now_ns())
+        return {name: {**device.pipeline.losses, **silences.get(name, {})} for name, device in self._devices.items()}
 
     def start_recording(self, path: Path, metadata: Mapping[str, str]) -> None:
         """Begin a log. Every device gets a fresh pipeline, so that the log alone decodes to the same samples."""
+        if self._recorder is not None:
+            self.stop_recording({"ended": self._ended(None) or "another recording began"})
         facts = {
             "rig": self.rig.name,
             "software": software_version(),
@@ -315,36 +442,54 @@ class Session:
     def _begin_anew(self, recorder: Recorder | None) -> None:
         """Give every device a fresh pipeline, at a boundary between two reads."""
         pipelines = make_pipelines(self.rig.devices, self.identities)
-        with ExitStack() as stack:
-            for device in self._devices.values():
-                stack.enter_context(device.lock)
+        with self._between_reads():
             self.recent.clear()
             for name, device in self._devices.items():
                 device.pipeline = pipelines[name]
             self._recorder = recorder
+            self._interlocks.begin(self.clock.now_ns())
 
-    def stop_recording(self, summary: Mapping[str, Any]) -> Path:
-        """End the log; losses go into its summary."""
-        recorder = self._recorder
-        assert recorder is not None
+    @contextlib.contextmanager
+    def _between_reads(self) -> Iterator[None]:
+        """No device is being read; what has gone out to them is in the log."""
         with ExitStack() as stack:
             for device in self._devices.values():
                 stack.enter_context(device.lock)
-            self._recorder = None
+                self._take(device, device.sent(), b"", 0)
+            yield
+
+    def stop_recording(self, summary: Mapping[str, Any]) -> Path:
+        """End the log; losses and how it ended go into its summary."""
+        recorder = self._recorder
+        assert recorder is not None
+        with self._between_reads():
+            now_ns = self.clock.now_ns()
             losses = self.losses()
-        return recorder.close({"losses": losses, **summary})
+            for event in self._interlocks.end(now_ns):
+                recorder.event(event, now_ns)
+            self._recorder = None
+        ended = {"ended": self._ended(None) or "the test's end"}
+        notices = {"warnings": self.notices} if self.notices else {}
+        return recorder.close({"losses": losses, **notices, **ended, **summary})
 
     # --- waiting and commands ----------------------------------------------------------------------------------
 
     def check(self) -> None:
         """Raise the first trouble a background thread met."""
+        if self.trouble is None and self._drive is not None and self._drive.dropped_out is not None:
+            self.trouble = self._dropped_out(self._drive.dropped_out)
         if self.trouble is not None:
             raise self.trouble
-        if self._drive is not None and self._drive.dropped_out is not None:
-            state, self._drive.dropped_out = self._drive.dropped_out, None
-            raise ProcedureError(
-                f"the drive went to {state} by itself. Look at the log's events and at the drive, then repeat the test"
-            )
+
+    def _dropped_out(self, state: str) -> ProcedureError:
+        """What to say of a drive that left operation by itself; its reason may come a little after its state."""
+        deadline = time.monotonic() + _REASON_S
+        while not self.drive.emergencies and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return ProcedureError(
+            f"the drive went to {state} by itself{self.drive.why()}. Look at the log's events and at the drive, then "
+            "repeat the test"
+        )
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
         """Wait until a condition holds, at most so long on the wall's clock.

@@ -45,10 +45,14 @@ class Marks:
         if kind in ("gap", "damage"):
             lost = self._lost.setdefault(device, np.zeros(self._columns, bool))
             self._shade(lost, time - seconds(event, "span_s"), time)
+        elif kind == "silence":
+            if "span_s" in event:
+                lost = self._lost.setdefault(str(event.get("of", device)), np.zeros(self._columns, bool))
+                self._shade(lost, time - seconds(event, "span_s"), time)
         elif kind == "lock" and event.get("state") in ("locked", "released", "fault"):
             self._mark(time, text.replace("pendulum ", ""), event["state"] == "fault")
-        elif kind in ("fault", "restart", "emergency", "disk"):
-            words = text if kind in ("emergency", "disk") else f"{device} {kind}"
+        elif kind in ("fault", "restart", "emergency", "disk", "blind", "encoder", "stop", "network"):
+            words = text if kind in ("emergency", "disk", "blind", "encoder", "stop") else f"{device} {kind}"
             self._mark(time, words, True)
 
     def add_missing(self, start: float, end: float | None) -> None:

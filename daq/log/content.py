@@ -70,7 +70,7 @@ class EventContent:
         kinds: how many events of each kind.
         lines: events alike taken together, in the order of their first.
         more: events beyond the lines there is room for.
-        lost: by device and kind ("gap", "damage"): how many events, and the seconds they tell of.
+        lost: by device and kind ("gap", "damage", "silence"): how many events, and the seconds they tell of.
     """
 
     kinds: Counter[str] = field(default_factory=Counter)
@@ -147,7 +147,9 @@ def event_content(events: Iterable[dict[str, Any]], start_ns: int) -> EventConte
             content.lines.append(known[alike])
         else:
             content.more += 1
-        if kind in ("gap", "damage"):
+        if kind == "silence":
+            device = str(event.get("of", device))
+        if kind in ("gap", "damage") or (kind == "silence" and "span_s" in event):  # a silence counts when it ends
             count, span_s = content.lost.setdefault(device, {}).get(kind, (0, 0.0))
             content.lost[device][kind] = (count + 1, span_s + seconds(event, "span_s"))
     return content

@@ -15,6 +15,7 @@ from daq.log import Log
 _SENSORS_OWN = ("invalid",)  # arrived in order, but the sensor said that it saw nothing
 _LOG = "log"
 _COUNTED = ("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines")
+_SILENT_MS = "_silent_ms"  # how such a count of a channel's silence ends
 
 
 @dataclass(frozen=True)
@@ -94,4 +95,7 @@ def _from_events(events: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
         if event.get("kind") in ("gap", "damage"):
             for kind in _COUNTED:
                 counts[str(event.get("device", ""))][kind] += int(event.get(kind, 0))
+        elif event.get("kind") == "silence":  # the host's own event, of a device's channel
+            for kind in (name for name in event if name.endswith(_SILENT_MS)):
+                counts[str(event.get("of", ""))][kind] += int(event[kind])
     return {device: {kind: n for kind, n in kinds.items() if n} for device, kinds in counts.items()}

@@ -134,6 +134,88 @@ def unpack_emergency(data: bytes) -> Emergency:
     return Emergency(*_EMERGENCY.unpack(data))
 
 
+_EMERGENCIES = {
+    0x0000: "error reset",
+    0x1000: "generic error",
+    0x2000: "current",
+    0x2100: "current on the input side",
+    0x2200: "current inside the device",
+    0x2300: "current on the output side",
+    0x2310: "continuous over-current on the output side",
+    0x2320: "short circuit or earth leakage on the output side",
+    0x3000: "voltage",
+    0x3100: "mains voltage",
+    0x3110: "mains over-voltage",
+    0x3120: "mains under-voltage",
+    0x3130: "mains phase failure",
+    0x3200: "DC link voltage",
+    0x3210: "DC link over-voltage",
+    0x3220: "DC link under-voltage",
+    0x3300: "output voltage",
+    0x4000: "temperature",
+    0x4100: "ambient temperature",
+    0x4200: "device temperature",
+    0x4210: "device over-temperature",
+    0x4300: "drive temperature",
+    0x4310: "drive over-temperature",
+    0x5000: "device hardware",
+    0x5100: "supply of the device hardware",
+    0x5200: "control of the device hardware",
+    0x5300: "operating unit",
+    0x5400: "power section",
+    0x5500: "data storage",
+    0x6000: "device software",
+    0x6100: "internal software",
+    0x6200: "user software",
+    0x6300: "data set",
+    0x7000: "additional modules",
+    0x7100: "power of additional modules",
+    0x7110: "brake chopper",
+    0x7120: "motor",
+    0x7121: "motor blocked",
+    0x7200: "measurement circuit",
+    0x7300: "sensor",
+    0x7305: "incremental sensor",
+    0x7310: "speed measurement",
+    0x7320: "position measurement",
+    0x7400: "computation circuit",
+    0x7500: "communication of additional modules",
+    0x8000: "monitoring",
+    0x8100: "communication",
+    0x8110: "CAN overrun, objects lost",
+    0x8120: "CAN in error passive mode",
+    0x8130: "life guard or heartbeat error: the host's heartbeat stayed away",
+    0x8140: "recovered from bus off",
+    0x8150: "CAN identifier collision",
+    0x8200: "protocol error",
+    0x8210: "PDO not processed, wrong length",
+    0x8220: "PDO too long",
+    0x8300: "torque control",
+    0x8311: "excess torque",
+    0x8400: "speed controller",
+    0x8500: "position controller",
+    0x8600: "positioning controller",
+    0x8611: "following error",
+    0x8612: "reference limit",
+    0x8700: "synchronising controller",
+    0x8800: "winding controller",
+    0x8900: "process data monitoring",
+    0x9000: "external error",
+    0xF000: "additional functions",
+    0xFF00: "device specific",
+}
+"""Error codes and their classes. Sources: CiA 301 (emergency object), CiA 402 (error codes)."""
+
+
+def emergency_words(error_code: int) -> str:
+    """An error code and what it means; of a code the standard does not name, its class."""
+    known = next(
+        (error_code & mask for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
+         if error_code & mask in _EMERGENCIES and (error_code & mask or not error_code)), None
+    )  # fmt: skip
+    return f"0x{error_code:04X}, " + ("unknown to CiA 301 and 402" if known is None else _EMERGENCIES[known])
+
+
 def heartbeat(data: bytes) -> Heartbeat | None:
     """NMT state in a heartbeat frame; None when the byte is none (the top bit may toggle and is ignored)."""
     value = data[0] & 0x7F if len(data) == 1 else -1

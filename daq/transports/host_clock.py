@@ -31,6 +31,10 @@ class HostClock:
         """Wait for some rig time."""
         time.sleep(max(0.0, seconds) / self.rate)
 
+    def wall(self, seconds: float) -> float:
+        """How many wall seconds some rig time takes."""
+        return seconds / self.rate
+
     def patience(self, wall_seconds: float) -> float:
         """A time-out that guards against a stalled host or cable, as rig time.
 

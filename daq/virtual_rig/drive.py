@@ -36,6 +36,9 @@ class SimulatedDrive:
     def __init__(self, config: Drive, motion: Motion, report_s: float) -> None:
         self._config, self._motion, self._node, self._report_s = config, motion, config.node_id, report_s
         self.frames_sent = 0
+        self.emergencies: list[int] = []
+        self._reports = True
+        self._reported_share = 1.0
         self._adapter = Adapter()
         self._nmt = NmtState(self._node)
         self.state = cia402.SWITCH_ON_DISABLED
@@ -50,11 +53,53 @@ class SimulatedDrive:
         self._objects = drive_objects() | makers
         measured = {
             (cia402.STATUSWORD, 0): lambda: struct.pack("<H", _STATUS[self.state]),
-            (cia402.ACTUAL_VELOCITY, 0): lambda: struct.pack("<h", round(self.speed_rpm)),
+            (cia402.ACTUAL_VELOCITY, 0): lambda: struct.pack("<h", self._reported_rpm),
             (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", self._objects[cia402.MODE_OF_OPERATION, 0][0]),
         }
         self._sdo = SdoServer(self._objects, measured, self._written)
         self._out: list[slcan.CanFrame] = []
+
+    def fail(self, what: str, value: float) -> None:
+        """Something goes wrong: see `VirtualRig` for what there is.
+
+        Raises:
+            ValueError: no such fault.
+        """
+        match what:
+            case "emergency":
+                self._emergency(int(value))
+            case "fault":  # no torque: the rotor runs down by itself
+                self.state = cia402.FAULT
+                self._emergency(int(value))
+            case "restart":
+                self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0, None
+                self._objects[cia402.CONSUMER_HEARTBEAT, 1] = (0, "<I")
+                self._nmt.state = cia402.Heartbeat.PRE_OPERATIONAL
+                self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP])))
+            case "network":
+                self._nmt.state = cia402.Heartbeat(int(value))
+            case "silent reports":
+                self._reports = not value
+            case "reported share":
+                self._reported_share = value
+            case "speed":  # it runs away
+                self._target_rpm = int(value)
+            case other:
+                raise ValueError(f"a drive knows no fault {other!r}")
+
+    def _emergency(self, code: int) -> None:
+        self.emergencies.append(code)
+        data = cia402.pack_emergency(cia402.Emergency(code, 0x11 if code else 0, bytes(5)))
+        self._out.append(slcan.CanFrame(cia402.cob_emergency(self._node), data))
+
+    @property
+    def watchdog_ms(self) -> int:
+        """How long the host's heartbeat may stay away (1016h); 0 when it is not watched."""
+        return self._objects[cia402.CONSUMER_HEARTBEAT, 1][0] & 0xFFFF
+
+    @property
+    def _reported_rpm(self) -> int:
+        return round(self.speed_rpm * self._reported_share)
 
     @property
     def speed_rpm(self) -> float:
@@ -102,6 +147,8 @@ class SimulatedDrive:
             self._control(value)
         if (index, sub) == (cia402.TARGET_VELOCITY, 0):
             self._target_rpm = value
+        if (index, sub) == (cia402.CONSUMER_HEARTBEAT, 1):
+            self._heard_s = None  # watched from the next heartbeat on (CiA 301)
 
     def _control(self, word: int) -> None:
         s = self.state
@@ -143,24 +190,23 @@ class SimulatedDrive:
         return self._take()
 
     def _watch(self, now_s: float) -> None:
-        limit_ms = self._objects[0x1016, 1][0] & 0xFFFF
+        limit_ms = self.watchdog_ms
         if not limit_ms or self._heard_s is None or now_s - self._heard_s <= limit_ms * 1e-3:
             return
         self._heard_s = None
         if self.state == cia402.OPERATION_ENABLED:
             self._quick_stop()
-        data = cia402.pack_emergency(cia402.Emergency(_HEARTBEAT_ERROR, 0x11, bytes(5)))
-        self._out.append(slcan.CanFrame(cia402.cob_emergency(self._node), data))
+        self._emergency(_HEARTBEAT_ERROR)
 
     def _cyclic(self, now_s: float) -> None:
         every = self._objects[0x1017, 0][0] * 1e-3
         if every and now_s >= self._heartbeat_due:
             self._heartbeat_due = max(self._heartbeat_due + every, now_s - every)
             self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([self._nmt.state])))
-        if self._nmt.state != cia402.Heartbeat.OPERATIONAL:
+        if self._nmt.state != cia402.Heartbeat.OPERATIONAL or not self._reports:
             self._tpdo_due = now_s
             return
         while now_s >= self._tpdo_due:
             self._tpdo_due = max(self._tpdo_due + self._report_s, now_s - _LATE_S)
-            data = cia402.pack_tpdo1(_STATUS[self.state], round(self.speed_rpm))
+            data = cia402.pack_tpdo1(_STATUS[self.state], self._reported_rpm)
             self._out.append(slcan.CanFrame(cia402.cob_tpdo(1, self._node), data))

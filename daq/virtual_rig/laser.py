@@ -31,6 +31,9 @@ class DeviceClock:
 class SimulatedLaser:
     """One sensor on its serial line.
 
+    Attributes:
+        fault_code: a distance word it gives in place of what it sees (262076: no peak); None when it is sound.
+
     Args:
         config: its table of the rig file.
         look: shape (2,), what it sees of x and y (axis angle and gain in it), dimensionless.
@@ -50,6 +53,7 @@ class SimulatedLaser:
     ) -> None:
         self._config, self._look, self._offset, self._noise = config, look, offset_m, noise_m
         self._clock, self._rng = clock, rng
+        self.fault_code: int | None = None
         self._next = 0  # number of the next sample on the device's clock
         self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
         info = optoncdt.Info(name="ILD1420", serial=serial, range_m=config.range_m, version="001.019")
@@ -97,6 +101,8 @@ class SimulatedLaser:
         codes = optoncdt.code(np.clip(seen, -half, half) + half, self._config.range_m).astype(np.int64)
         codes[seen > half] = _ERROR_BEHIND
         codes[seen < -half] = _ERROR_BEFORE
+        if self.fault_code is not None:
+            codes[:] = self.fault_code
         ticks = np.rint(device_s / optoncdt.TICK_S).astype(np.int64) % optoncdt.TIMESTAMP_WRAP
         columns = [codes]
         if "COUNTER" in self._commands.outputs:

@@ -64,6 +64,12 @@ class Air:
 class SimulatedNode:
     """Node, air and dongle behind one serial line.
 
+    Attributes:
+        dead: the node sends nothing any more; its dongle goes on.
+        fault_flags: encoder faults it reports (bit 0 A, bit 1 B).
+        marks_lost: its index sensor sees nothing.
+        locks_stuck: a lock that is told to move reports a fault.
+
     Args:
         config: its table of the rig file.
         zero_error_rad: shape (2,), what each encoder reads too much.
@@ -84,6 +90,8 @@ class SimulatedNode:
     ) -> None:
         self._config, self._motion, self._zero, self._noise = config, motion, zero_error_rad, noise_counts
         self._play, self._clock, self.air, self._rng = play_rad, clock, air, rng
+        self.dead = self.marks_lost = self.locks_stuck = False
+        self.fault_flags = 0
         self._period = 1.0 / config.rate_Hz
         self._next = 0
         self._index = 0
@@ -103,6 +111,8 @@ class SimulatedNode:
         return int(float(self._clock.device_s(time_s)) * 1e6) % 2**32
 
     def _send(self, time_s: float, build: Callable[[int], bytes]) -> None:
+        if self.dead:
+            return
         payload = build(self._seq)
         self._seq = (self._seq + 1) & 0xFFFF
         self.air.uplink(time_s, payload)
@@ -145,6 +155,10 @@ class SimulatedNode:
         pendulums = [i for i in pendulums if self._closed[i] != wanted]
         if not pendulums:
             return 4
+        if self.locks_stuck:
+            for i in pendulums:
+                self._lock_event(now_s, i, 3, frame.seq)
+            return 0
         for i in pendulums:
             if wanted:
                 self._motion.lock(i, float(self._rng.uniform(-self._play, self._play)))
@@ -208,6 +222,8 @@ class SimulatedNode:
         return out
 
     def _mark(self, time_s: float, revolutions: int) -> None:
+        if self.marks_lost:
+            return
         us = self._us(time_s)
         self._send(time_s, lambda seq: rotorlink.IndexMark(_NODE, seq, us, revolutions % 2**32).pack())
 
@@ -236,7 +252,7 @@ class SimulatedNode:
         return out
 
     def _block(self, time_s: float, first_s: float, counts: NDArray[np.int32]) -> None:
-        flags = (32 if self._closed[0] else 0) | (64 if self._closed[1] else 0)
+        flags = (32 if self._closed[0] else 0) | (64 if self._closed[1] else 0) | self.fault_flags
         index, self._index = self._index, self._index + len(counts)
         us, period = round(first_s * 1e6) % 2**32, round(self._period * 1e6)
         self._send(

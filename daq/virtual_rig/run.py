@@ -179,7 +179,11 @@ class VirtualRig:
                     "speed_rpm": self.drive.speed_rpm,
                     "drive": self.drive.state,
                     "can_frames": self.drive.frames_sent,
+                    "emergencies": self.drive.emergencies,
+                    "watchdog_ms": self.drive.watchdog_ms,
                 }
+            case "fail":
+                self._fail(str(request["device"]), str(request["what"]), request.get("value", 1))
             case "unplug":
                 self.wires[str(request["device"])].close()
             case "quit":
@@ -187,6 +191,25 @@ class VirtualRig:
             case other:
                 raise ValueError(f"unknown request {other!r}")
         return {"ok": True}
+
+    def _fail(self, device: str, what: str, value: Any) -> None:
+        """A device fails: laser_x "code" (0 ends it); encoder "dead", "flags", "marks lost", "locks stuck"; drive
+        "emergency", "fault", "restart", "network", "silent reports", "reported share", "speed"."""
+        match device, what:
+            case (("laser_x" | "laser_y"), "code"):
+                self.lasers[device].fault_code = int(value) or None
+            case "encoder", "dead":
+                self.node.dead = bool(value)
+            case "encoder", "flags":
+                self.node.fault_flags = int(value)
+            case "encoder", "marks lost":
+                self.node.marks_lost = bool(value)
+            case "encoder", "locks stuck":
+                self.node.locks_stuck = bool(value)
+            case "drive", _:
+                self.drive.fail(what, float(value))
+            case _:
+                raise ValueError(f"{device} knows no fault {what!r}")
 
     def _set(self, key: str, value: Any) -> None:
         """Change the truth from now on (a clamp has moved, a magnet pack was replaced)."""

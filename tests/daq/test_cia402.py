@@ -76,3 +76,26 @@ def test_connection_set_of_node_5():
     ids = [cia.cob_emergency(5), cia.cob_tpdo(1, 5), cia.cob_rpdo(1, 5), cia.cob_tpdo(4, 5), cia.cob_rpdo(4, 5)]
     assert ids == [0x085, 0x185, 0x205, 0x485, 0x505]
     assert [cia.cob_sdo_answer(5), cia.cob_sdo_request(5), cia.cob_heartbeat(5)] == [0x585, 0x605, 0x705]
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (0x0000, "0x0000, error reset"),
+        (0x3220, "0x3220, DC link under-voltage"),
+        (0x8130, "0x8130, life guard or heartbeat error: the host's heartbeat stayed away"),
+        (0x3225, "0x3225, DC link under-voltage"),
+        (0x42FF, "0x42FF, device temperature"),
+        (0x9ABC, "0x9ABC, external error"),
+        (0xFF12, "0xFF12, device specific"),
+        (0x0010, "0x0010, unknown to CiA 301 and 402"),
+        (0xA000, "0xA000, unknown to CiA 301 and 402"),
+    ],
+)
+def test_an_emergency_is_told_with_its_meaning(code, words):
+    assert cia.emergency_words(code) == words
+
+
+@given(U16)
+def test_every_emergency_code_has_words(code):
+    assert cia.emergency_words(code).startswith(f"0x{code:04X}, ")

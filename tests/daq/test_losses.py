@@ -6,6 +6,7 @@ import pytest
 
 from daq.errors import LogError
 from daq.log import open_log
+from daq.log.content import event_content
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
 from daq.stream_items import Event
@@ -56,6 +57,20 @@ def test_a_cut_log_tells_by_its_last_health_report_or_by_its_events(tmp_path):
         assert losses_of(log).source == "none"
     with open_log(write(tmp_path / "d.mcap", None, (), GAPS[-1:])) as log:
         assert (losses_of(log).source, losses_of(log).words()) == ("events", "nothing lost")
+
+
+def test_a_silence_counts_for_the_device_whose_channel_was_silent(tmp_path):
+    said = {"of": "encoder", "channel": "tacho"}
+    events = [
+        Event("silence", "host", "tacho: silent", {**said, "since_ns": START}),
+        Event("silence", "host", "tacho: came back", {**said, "tacho_silent_ms": 1500, "span_s": 1.5}),
+        Event("silence", "host", "tacho: silent", {**said, "since_ns": START}),
+        Event("silence", "host", "tacho: still silent", {**said, "tacho_silent_ms": 250, "span_s": 0.25}),
+    ]
+    with open_log(write(tmp_path / "a.mcap", None, (), events)) as log:
+        assert losses_of(log).by_device == {"encoder": {"tacho_silent_ms": 1750}}
+        assert losses_of(log).words() == "encoder 1750 tacho silent ms"
+        assert event_content(log.events, START).lost == {"encoder": {"silence": (2, 1.75)}}
 
 
 @pytest.mark.parametrize("hostile", [5, [1], {"laser_x": 5}, {"laser_x": {"samples": "many"}}, {"x": {"y": [1]}}])

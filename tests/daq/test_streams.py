@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import channels
+from daq.drive_stream import DrivePipeline
 from daq.laser_stream import LaserPipeline
 from daq.node_stream import NodePipeline
-from daq.protocols import optoncdt, rotorlink
+from daq.protocols import cia402, optoncdt, rotorlink, slcan
 from daq.stream_items import RX, Batch, Event
 from daq.streams import make_pipelines
 from rig_configs import load_rig
@@ -241,3 +242,22 @@ def test_the_quick_way_is_taken_and_a_split_block_waits_for_its_rest() -> None:
     batches, events = feed(pipeline, [wire[60:301], wire[301:302], wire[302:]])
     assert events == []
     assert [len(b.time_ns) for b in batches] == [20, 15]
+
+
+def heard(*frames: tuple[int, bytes]) -> list[Event]:
+    """Events of a drive that sends these frames, each in a read of its own."""
+    pipeline = DrivePipeline("drive", DEVICES.drive)
+    found: list[Batch | Event] = []
+    for number, (identifier, data) in enumerate(frames):
+        found += pipeline.feed(RX, slcan.encode(slcan.CanFrame(identifier, data)), START_NS + number)
+    return [item for item in found if isinstance(item, Event)]
+
+
+def test_a_drive_that_starts_again_or_leaves_operation_is_an_event() -> None:
+    beat = cia402.cob_heartbeat(DEVICES.drive.node_id)
+    states = [0x05, 0x05, 0x85, 0x00, 0x7F, 0x7F, 0x05, 0x04, 0x33]
+    events = heard(*((beat, bytes([state])) for state in states))
+    told = [(e.kind, e.facts.get("network_state"), e.facts.get("operational")) for e in events]
+    assert told == [("restart", None, None), ("network", 0x7F, False), ("network", 0x05, True), ("network", 4, False)]
+    assert heard((beat + 1, b"\x00"), (beat, b""), (beat, b"\x05")) == []
+    assert [e.facts["network_state"] for e in heard((beat, b"\x04"))] == [4]  # found so: nobody started it

@@ -1,0 +1,120 @@
+"""The virtual rig's far ends, the real pipelines and the interlocks in one thread, on a time of their own."""
+
+from __future__ import annotations
+
+import contextlib
+
+from daq.interlocks import Interlocks, Stop
+from daq.protocols import cia402, slcan
+from daq.stream_items import RX, Batch, Event
+from daq.streams import make_pipelines
+from daq.virtual_rig.run import VirtualRig
+from rig_configs import load_rig
+
+START_NS = 1_700_000_000_000_000_000
+STEP_S = 0.02
+
+
+class Bench:
+    """Far ends that are stepped by hand; what the interlocks say is kept.
+
+    Attributes:
+        stops: what they say, each with the rig time, s.
+        events: what belongs into a log.
+    """
+
+    def __init__(self, *settings: str, patience: float = 1.0) -> None:
+        self.rig = load_rig("virtual", settings=["virtual.seed=5", *settings])
+        self.far = VirtualRig(self.rig)
+        for wire in self.far.wires.values():
+            wire.close()
+        self.far.control.close()
+        self.pipelines = make_pipelines(self.rig.devices, {})
+        self.interlocks = Interlocks(self.rig.limits, lambda s: s * patience, driving=True)
+        self.now_s = self.far.motion.time_s
+        self.stops: list[tuple[float, Stop]] = []
+        self.events: list[Event] = []
+        self.muted: set[str] = set()
+        self._hear("drive", self.far.drive.receive(b"O\r", 0.0))
+        for laser in ("laser_x", "laser_y"):
+            self.far.lasers[laser].receive(b"OUTADD_RS422 COUNTER TIMESTAMP\nOUTPUT RS422\n")
+        self.far.drive._objects[cia402.PRODUCER_HEARTBEAT, 0] = (100, "<H")
+        self._to_drive(0, bytes([1, self.rig.devices.drive.node_id]))
+        self.interlocks.begin(self.now_ns)
+        self.pass_time(0.5)
+        assert self.stops == []
+
+    @property
+    def now_ns(self) -> int:
+        return START_NS + round(self.now_s * 1e9)
+
+    def pass_time(self, seconds: float, until_stop: bool = False) -> float:
+        """Let rig time pass; returns how long until the first stop when that was asked for."""
+        begun = self.now_s
+        while self.now_s < begun + seconds - 1e-9 and not (until_stop and self.stops):
+            self._step()
+        return self.now_s - begun
+
+    def _step(self) -> None:
+        self.now_s += STEP_S
+        self.far.node.mechanisms(self.far.motion.time_s)
+        self._hear("drive", self.far.drive.step(self.far.motion.time_s))
+        stretch = self.far.motion.advance(self.now_s)
+        assert stretch is not None
+        for name, laser in self.far.lasers.items():
+            self._hear(name, laser.sample(stretch))
+        self.far.node.sample(stretch)
+        self._hear("encoder", self.far.node.dongle(self.far.motion.time_s))
+        if round(self.now_s / STEP_S) % 5 == 0:
+            self._heed(self.interlocks.tick(self.now_ns))
+
+    def _hear(self, name: str, data: bytes) -> None:
+        if not data or name in self.muted:
+            return
+        for item in self.pipelines[name].feed(RX, data, self.now_ns):
+            if isinstance(item, Batch):
+                self._heed(self.interlocks.feed(item, self.now_ns))
+            else:
+                self._heed(self.interlocks.happened(item))
+
+    def _heed(self, found: list[Event | Stop] | list[Stop]) -> None:
+        for item in found:
+            if isinstance(item, Event):
+                self.events.append(item)
+            else:
+                self.stops.append((self.now_s, item))
+
+    def _to_drive(self, identifier: int, data: bytes) -> None:
+        self._hear("drive", self.far.drive.receive(slcan.encode(slcan.CanFrame(identifier, data)), self.now_s))
+
+    def turn(self, rpm: int, seconds: float | None = None) -> None:
+        """Enable the drive, ramp to a speed and wait until it is there."""
+        node = self.rig.devices.drive.node_id
+        self.interlocks.told(float(rpm))
+        for word in (cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE_OPERATION):
+            self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(word, rpm))
+        for sub, value in ((0x6048, 400), (0x6049, 400)):
+            self.far.drive._objects[sub, 1] = (value, "<I")
+        self.far.drive._objects[0x6060, 0] = (2, "<b")
+        self.pass_time(rpm / 400 + 1.0 if seconds is None else seconds)
+
+    def quick_stop(self) -> None:
+        """As the session does when it is told to stop."""
+        self.interlocks.told(0.0)
+        node = self.rig.devices.drive.node_id
+        self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(cia402.QUICK_STOP, 0))
+
+    def fails(self, device: str, what: str, value: float = 1) -> None:
+        """See `VirtualRig`."""
+        self.far._fail(device, what, value)
+
+    def why(self) -> str:
+        """What the first stop says."""
+        return self.stops[0][1].text if self.stops else ""
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(OSError):
+            self.far.control.close()

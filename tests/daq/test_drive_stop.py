@@ -1,0 +1,142 @@
+"""How the host lets go of a drive: its watch over our heartbeat ends at rest and not before."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from daq.drive import DriveControl
+from daq.errors import DeviceError, LinkLost
+from daq.protocols import cia402, slcan
+from daq.protocols.canopen_node import SdoServer, drive_objects
+from daq.transports import HostClock
+from rig_configs import load_rig
+
+CONFIG = load_rig("virtual").devices.drive
+WATCH = (cia402.CONSUMER_HEARTBEAT, 1)
+
+
+class FarEnd:
+    """A drive that answers at once and keeps the order of what it was told; it reports what it is made to report."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[int, bytes]] = []
+        self.watched: list[tuple[int, float]] = []  # each write of 1016h, with the speed at that time
+        self.rpm, self.state = 0, cia402.SWITCH_ON_DISABLED
+        self.refused: set[int] = set()
+        self.gone = False
+        self.brakes = True
+        self._lines, self._answers = slcan.LineDecoder(), slcan.LineDecoder()
+        self._sdo = SdoServer(drive_objects(), {}, self._written)
+        self.control = DriveControl(CONFIG, self.send, HostClock(), speed=lambda: abs(self.rpm))
+        self.control._at_rest = lambda: self.rpm == 0
+
+    def _written(self, index: int, sub: int, value: int) -> None:
+        if (index, sub) == WATCH:
+            self.watched.append((value, self.rpm))
+
+    def send(self, data: bytes) -> None:
+        if self.gone:
+            raise LinkLost("gone")
+        for frame in self._lines.feed(data).frames:
+            self.told.append((frame.arbitration_id, frame.data))
+            if frame.arbitration_id == cia402.cob_sdo_request(CONFIG.node_id):
+                answer = self._sdo.answer(frame.data)
+                if struct.unpack_from("<H", frame.data, 1)[0] in self.refused:
+                    answer = b"\x80" + frame.data[1:4] + struct.pack("<I", 0x06090030)
+                self.report(cia402.cob_sdo_answer(CONFIG.node_id), answer)
+            if frame.arbitration_id == cia402.cob_rpdo(1, CONFIG.node_id):
+                word, _ = cia402.unpack_rpdo1(frame.data)
+                if word == cia402.QUICK_STOP and self.brakes:
+                    self.rpm = max(0, self.rpm - 100)
+                    self.state = cia402.QUICK_STOP_ACTIVE
+                self.speak()
+
+    def report(self, identifier: int, data: bytes) -> None:
+        self.control.notice(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
+
+    def speak(self) -> None:
+        _, word = cia402.STATES[self.state]
+        self.report(cia402.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(word, self.rpm))
+
+    def runs(self, rpm: int) -> None:
+        self.control.start()
+        self.rpm, self.state = rpm, cia402.OPERATION_ENABLED
+        self.speak()
+
+    def controlwords(self) -> list[int]:
+        pdo = cia402.cob_rpdo(1, CONFIG.node_id)
+        return [cia402.unpack_rpdo1(data)[0] for identifier, data in self.told if identifier == pdo]
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.drive._NO_SLOWER_S", 0.3)
+    monkeypatch.setattr("daq.drive._REPEAT_S", 0.02)
+
+
+def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:
+    far = FarEnd()
+    far.runs(300)
+    assert far.told[0][0] == cia402.cob_heartbeat(CONFIG.host_node_id)  # it beats before it is watched
+    assert far.control.stop() is True
+    assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms, 0]
+    assert far.watched[-1] == (0, 0)
+    assert far.controlwords()[-1] == cia402.DISABLE_VOLTAGE
+    assert far.told[-1] == (0, bytes([0x80, CONFIG.node_id]))
+
+
+def test_a_rotor_that_does_not_stop_keeps_torque_and_watch() -> None:
+    far = FarEnd()
+    far.runs(300)
+    far.brakes = False
+    assert far.control.stop() is False
+    assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms]
+    words = far.controlwords()
+    assert set(words) == {cia402.QUICK_STOP}
+    assert len(words) > 3  # again and again: one frame may be lost
+
+
+def test_a_set_up_that_fails_leaves_nothing_watched() -> None:
+    far = FarEnd()
+    far.refused = {cia402.VELOCITY_DECELERATION}
+    with pytest.raises(DeviceError, match="refused"):
+        far.control.start()
+    assert far.control.stop() is True
+    assert far.watched[-1] == (0, 0)
+
+
+def test_a_drive_that_is_gone_is_let_go_of() -> None:
+    far = FarEnd()
+    far.runs(0)
+    far.state = cia402.SWITCH_ON_DISABLED
+    far.speak()
+    far.gone = True
+    with pytest.raises(LinkLost):
+        far.control.stop()
+    assert not far.control._beating.is_set()
+
+
+def test_a_speed_has_an_age_and_a_restart_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    far = FarEnd()
+    far.runs(300)
+    assert far.control.actual_rpm == 300
+    now_ns = far.control._clock.now_ns()
+    monkeypatch.setattr(far.control._clock, "now_ns", lambda: now_ns + 1_000_000_000)
+    assert far.control.actual_rpm != far.control.actual_rpm
+    far.speak()
+    assert far.control.actual_rpm == 300
+    far.report(cia402.cob_heartbeat(CONFIG.node_id), b"\x00")
+    assert far.control.actual_rpm != far.control.actual_rpm
+    assert far.control.state == cia402.UNKNOWN
+    monkeypatch.undo()
+    far.control._beating.clear()
+
+
+def test_emergencies_stand_until_they_are_reset() -> None:
+    far = FarEnd()
+    for code, standing in ((0x3220, [0x3220]), (0x4310, [0x3220, 0x4310]), (0, [])):
+        far.report(cia402.cob_emergency(CONFIG.node_id), cia402.pack_emergency(cia402.Emergency(code, 0, bytes(5))))
+        assert far.control.emergencies == standing
+        assert ("DC link under-voltage" in far.control.why()) == (0x3220 in standing)

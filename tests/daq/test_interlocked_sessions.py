@@ -1,0 +1,210 @@
+"""Sessions on a virtual rig that fails: the rotor is stopped, the right words are said, the log says how it ended."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.errors import DeviceError, ProcedureError
+from daq.log import open_log
+from daq.log.losses import losses_of
+from daq.procedure import Procedures
+from daq.protocols import cia402
+from daq.replay import check
+from daq.session import Session
+from daq.transports import HostClock
+from rig_configs import load_rig
+from rig_configs.schema import Rig
+from tests.conftest import TIME_SCALE
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="one rig for all, on ptys")
+
+
+@pytest.fixture(scope="module")
+def far_end() -> Iterator[VirtualRigProcess]:
+    """One virtual rig for all tests: what one breaks it mends."""
+    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE) as process:
+        yield process
+
+
+@pytest.fixture
+def rig(far_end: VirtualRigProcess) -> Rig:
+    return load_rig("virtual", settings=far_end.port_settings())
+
+
+def quiet(text: str, share: float | None) -> None:
+    """No progress in tests."""
+
+
+def wait_rig_time(far_end: VirtualRigProcess, seconds: float) -> None:
+    end = far_end.line.ask("state")["time_s"] + seconds
+    while far_end.line.ask("state")["time_s"] < end:
+        threading.Event().wait(0.02)
+
+
+def turning(session: Session, rpm: float) -> None:
+    session.drive.enable()
+    session.drive.set_ramp(1000)
+    session.drive.set_speed(rpm)
+    session.wait_for(lambda: session.drive.actual_rpm > 0.9 * rpm, 5.0, "the rotor to turn")
+
+
+def only_log(folder: Path) -> Path:
+    (path,) = folder.glob("*.mcap")
+    return path
+
+
+def summary_of(path: Path) -> dict[str, object]:
+    with open_log(path) as log:
+        return {key: json.loads(text) for key, text in log.metadata["summary"].items()}
+
+
+def test_a_clean_end_leaves_the_drive_unwatched_and_no_emergency(far_end: VirtualRigProcess, rig: Rig) -> None:
+    before = far_end.line.ask("state")["emergencies"]
+    with Session(rig, HostClock(TIME_SCALE)) as session:
+        turning(session, 300)
+        assert far_end.line.ask("state")["watchdog_ms"] >= 500
+    state = far_end.line.ask("state")
+    assert (state["watchdog_ms"], state["drive"]) == (0, cia402.SWITCH_ON_DISABLED)
+    assert state["speed_rpm"] < 0.5
+    wait_rig_time(far_end, 5.0)
+    assert far_end.line.ask("state")["emergencies"] == before
+    assert session.notices == []
+
+
+def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+    def dies(text: str, share: float | None) -> None:
+        if share is not None and share > 0.4:
+            far_end.line.ask("fail", device="encoder", what="dead", value=1)
+
+    try:
+        with (
+            pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was stopped"),
+            Session(rig, HostClock(TIME_SCALE)) as session,
+        ):
+            Procedures(session, SimulatedOperator(far_end.line), tmp_path, dies).run_up(600.0, 25.0)
+    finally:
+        far_end.line.ask("fail", device="encoder", what="dead", value=0)
+    assert far_end.line.ask("state")["speed_rpm"] < 0.5
+    path = only_log(tmp_path)
+    assert "pendulums: silent" in str(summary_of(path)["ended"])
+    assert not check(path).channels[-1].difference
+    with open_log(path) as log:
+        silences = [e for e in log.events if e["kind"] == "silence" and e["channel"] == "pendulums"]
+        assert len(silences) == 2
+        assert "as the log ends" in silences[1]["text"]
+        counted = losses_of(log).by_device["encoder"]["pendulums_silent_ms"]
+        assert counted == silences[1]["pendulums_silent_ms"] > 100
+        assert log["motor"]["speed_rpm"].max() < 600
+
+
+def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+    restarted = r"drive: the drive started again \(boot-up"
+    with pytest.raises(DeviceError, match=restarted), Session(rig, HostClock(TIME_SCALE)) as session:  # noqa: PT012
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        turning(session, 300)
+        far_end.line.ask("fail", device="drive", what="restart")
+        try:
+            session.wait_for_rest(30.0)
+        finally:
+            assert math.isnan(session.drive.actual_rpm)
+            assert session.drive.state == cia402.UNKNOWN
+    assert "the drive started again" in str(summary_of(tmp_path / "a.mcap")["ended"])
+    assert far_end.line.ask("state")["speed_rpm"] < 0.5  # it ran down, and was waited for
+    with open_log(tmp_path / "a.mcap") as log:
+        assert [e["device"] for e in log.events if e["kind"] == "restart"] == ["drive"]
+
+
+def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+    said: list[str] = []
+    with Session(rig, HostClock(TIME_SCALE), say=said.append) as session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        far_end.line.ask("fail", device="drive", what="emergency", value=0x3220)
+        session.wait_for(lambda: bool(session.notices), 5.0, "the emergency")
+        session.check()  # it goes on
+        far_end.line.ask("fail", device="drive", what="emergency", value=0)
+        session.wait_for(lambda: not session.drive.emergencies, 5.0, "the error reset")
+        path = session.stop_recording({})
+    assert said == ["warning: drive: emergency 0x3220, DC link under-voltage. The run is not clean"]
+    assert summary_of(path)["warnings"] == session.notices
+    assert summary_of(path)["ended"] == "the test's end"
+
+
+def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+    fault = r"drive went to FAULT by itself; emergency 0x3220, DC link under-voltage"
+    with pytest.raises(ProcedureError, match=fault), Session(rig, HostClock(TIME_SCALE)) as session:  # noqa: PT012
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        turning(session, 200)
+        far_end.line.ask("fail", device="drive", what="fault", value=0x3220)
+        session.wait_for(lambda: False, 5.0, "nothing")
+    assert "0x3220, DC link under-voltage" in str(summary_of(tmp_path / "a.mcap")["ended"])
+    assert far_end.line.ask("state")["speed_rpm"] < 0.5
+    far_end.line.ask("fail", device="drive", what="restart")
+
+
+@pytest.mark.parametrize(
+    ("stop", "words"),
+    [(KeyboardInterrupt(), "Ctrl-C"), (KeyboardInterrupt("SIGTERM"), "SIGTERM"), (ValueError("x"), "ValueError: x")],
+)
+def test_the_log_says_what_ended_it(rig: Rig, tmp_path: Path, stop: BaseException, words: str) -> None:
+    with pytest.raises(type(stop)), Session(rig, HostClock(TIME_SCALE)) as session:  # noqa: PT012
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        raise stop
+    assert summary_of(tmp_path / "a.mcap")["ended"] == words
+
+
+def test_a_rotor_that_is_blind_to_a_laser_is_not_turned(far_end: VirtualRigProcess, rig: Rig) -> None:
+    try:
+        with Session(rig, HostClock(TIME_SCALE)) as session:
+            far_end.line.ask("fail", device="laser_x", what="code", value=262076)
+            session.clock.sleep(1.0)
+            with pytest.raises(DeviceError, match="not turned: laser/x: no valid sample"):
+                session.drive.enable()
+            with pytest.raises(ProcedureError, match="5000 rpm wanted"):
+                session.drive.set_speed(5000)
+            assert far_end.line.ask("state")["drive"] != cia402.OPERATION_ENABLED
+    finally:
+        far_end.line.ask("fail", device="laser_x", what="code", value=0)
+
+
+def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+    with Session(rig, HostClock(TIME_SCALE)) as session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        turning(session, 300)
+        recorder = session._recorder
+        assert recorder is not None
+        held, let_go = threading.Event(), threading.Event()
+
+        def hold() -> None:
+            with recorder.together(), session._devices["drive"].lock:
+                held.set()
+                let_go.wait(20)
+
+        holder = threading.Thread(target=hold)
+        holder.start()
+        held.wait()
+        stopping = threading.Thread(target=session.drive.quick_stop)
+        stopping.start()
+        stopping.join(10)
+        waited = stopping.is_alive()
+        while not waited and far_end.line.ask("state")["speed_rpm"] > 0.5:
+            threading.Event().wait(0.01)
+        let_go.set()
+        holder.join()
+        stopping.join()
+        session.wait_for(lambda: session.rotor_at_rest() is True, 5.0, "rest")
+        path = session.stop_recording({})
+    assert not waited
+    with open_log(path) as log:
+        written = [(c.direction, c.host_ns, c.data) for c in log.raw("drive")]
+    quick = cia402.pack_rpdo1(cia402.QUICK_STOP, 0).hex().upper().encode()
+    assert any(direction == 1 and quick in data for direction, _, data in written)
+    assert [ns for _, ns, _ in written] == sorted(ns for _, ns, _ in written)  # rx and tx as they were
+    assert [row.topic for row in check(path) if row.difference] == []

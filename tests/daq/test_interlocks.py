@@ -1,0 +1,282 @@
+"""What stops the rotor: the virtual rig's far ends fail one by one under the real pipelines; no clock, no wait."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daq.channel_watch import ChannelWatch
+from daq.interlocks import Share
+from daq.rotor_watch import RotorWatch
+from tests.daq.far_ends import Bench
+
+
+def patience(seconds: float) -> float:
+    return seconds
+
+
+def test_a_sound_rig_is_never_stopped_and_nothing_is_silent() -> None:
+    with Bench() as bench:
+        bench.turn(900)
+        bench.pass_time(2.0)
+        bench.quick_stop()
+        bench.pass_time(2.0)
+        assert bench.stops == []
+        assert bench.events == []
+        assert bench.interlocks.losses(bench.now_ns) == {}
+        assert bench.interlocks.at_rest(bench.now_ns) is True
+
+
+FAILURES = [
+    # device, what, value, seconds in which the rotor must be stopped, words
+    ("encoder", "dead", 1, 2.0, "pendulums: silent"),
+    ("laser_x", "code", 262076, 0.5, r"laser/x: no valid sample .*code 262076"),
+    ("laser_y", "code", 262075, 0.5, "laser/y: no valid sample"),
+    ("laser_y", "code", 262080, 0.5, "laser/y: no valid sample"),
+    ("encoder", "flags", 1, 0.4, "pendulums: the node reports a fault of encoder A"),
+    ("encoder", "flags", 2, 0.4, "fault of encoder B"),
+    ("encoder", "marks lost", 1, 3.0, "tacho: no index mark for"),
+    ("drive", "restart", 1, 0.1, r"drive: the drive started again \(boot-up"),
+    ("drive", "network", 0x04, 0.3, "drive: network state STOPPED"),
+    ("drive", "network", 0x7F, 0.3, "drive: network state PRE-OPERATIONAL"),
+    ("drive", "silent reports", 1, 1.0, "motor: silent"),
+    ("drive", "reported share", 0.5, 3.0, "the index marks come at 5.. rpm, the drive reports"),
+    ("drive", "reported share", 2.2, 4.0, "the drive reports .* rpm, (it was told 600|limits)"),
+    ("drive", "speed", 1100, 2.0, "the drive reports .* rpm, it was told 600"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("device", "what", "value", "within_s", "words"), FAILURES)
+def test_each_failure_of_a_guard_stops_a_turning_rotor(
+    device: str, what: str, value: float, within_s: float, words: str
+) -> None:
+    with Bench() as bench:
+        bench.turn(600)
+        assert bench.stops == []
+        bench.fails(device, what, value)
+        assert bench.pass_time(within_s + 1.0, until_stop=True) <= within_s
+        assert bench.stops
+        assert re.search(words, bench.why()), bench.why()
+
+
+@pytest.mark.parametrize("device", ["laser_x", "laser_y", "drive", "encoder"])
+def test_one_device_that_falls_silent_stops_a_turning_rotor(device: str) -> None:
+    with Bench() as bench:
+        bench.turn(600)
+        bench.muted.add(device)
+        assert bench.pass_time(5.0, until_stop=True) <= 2.0
+        assert "silent" in bench.why()
+
+
+def test_a_host_that_slept_is_no_silence() -> None:
+    with Bench() as bench:
+        bench.turn(600)
+        bench.now_s += 1.2  # nothing was read, nobody looked; then everything comes at once
+        bench.pass_time(2.0)
+        assert bench.stops == []
+        assert bench.events == []
+
+
+def test_a_flash_of_light_is_no_blindness() -> None:
+    with Bench() as bench:
+        bench.turn(600)
+        for _ in range(5):
+            bench.fails("laser_x", "code", 262076)
+            bench.pass_time(0.08)
+            bench.fails("laser_x", "code", 0)
+            bench.pass_time(0.2)
+        assert bench.stops == []
+
+
+def test_at_rest_a_hand_before_the_sensor_is_an_event_and_stops_nothing() -> None:
+    with Bench() as bench:
+        bench.fails("laser_x", "code", 262076)
+        bench.pass_time(3.0)
+        bench.fails("laser_x", "code", 0)
+        bench.pass_time(1.0)
+        assert bench.stops == []
+        assert [(e.kind, e.facts["of"]) for e in bench.events] == [("blind", "laser_x")] * 2
+
+
+@pytest.mark.parametrize(
+    ("device", "what", "value"), [("laser_x", "code", 262076), ("encoder", "flags", 1), ("encoder", "dead", 1)]
+)
+def test_a_rotor_is_not_turned_while_a_guard_is_missing(device: str, what: str, value: int) -> None:
+    with Bench() as bench:
+        assert bench.interlocks.obstacles(bench.now_ns) == []
+        bench.fails(device, what, value)
+        bench.pass_time(2.0)
+        assert len(bench.interlocks.obstacles(bench.now_ns)) == 1
+
+
+def test_at_rest_only_what_the_test_needs_ends_it() -> None:
+    for needed, stopped in (("laser/x", False), ("pendulums", True)):
+        with Bench() as bench:
+            bench.interlocks.need([needed])
+            bench.fails("encoder", "dead")
+            bench.pass_time(4.0)
+            assert bool(bench.stops) == stopped
+            assert [e.kind for e in bench.events] == ["silence"]
+        with Bench() as bench:
+            bench.interlocks.need([needed])
+            bench.fails("encoder", "flags", 2)
+            bench.pass_time(1.0)
+            assert bool(bench.stops) == stopped
+
+
+def test_a_lock_that_reports_a_fault_ends_the_test() -> None:
+    with Bench() as bench:
+        bench.fails("encoder", "locks stuck")
+        bench.far.node._lock_event(bench.now_s, 1, 3, 7)
+        bench.pass_time(0.2)
+        assert "pendulum B fault" in bench.why()
+
+
+def test_silence_counts_while_it_lasts_and_is_an_event_at_both_ends() -> None:
+    with Bench() as bench:
+        bench.fails("encoder", "dead")
+        bench.pass_time(10.0)
+        lasting = bench.interlocks.losses(bench.now_ns)["encoder"]["pendulums_silent_ms"]
+        assert 9_900 < lasting <= 10_050
+        bench.fails("encoder", "dead", 0)
+        bench.pass_time(1.0)
+        begun, ended = bench.events
+        assert (begun.kind, begun.device, begun.facts["of"]) == ("silence", "host", "encoder")
+        assert ended.facts["pendulums_silent_ms"] == pytest.approx(10_000, abs=60)
+        assert ended.facts["span_s"] == pytest.approx(10.0, abs=0.06)
+        after = bench.interlocks.losses(bench.now_ns)
+        bench.pass_time(1.0)
+        assert bench.interlocks.losses(bench.now_ns) == after
+        bench.interlocks.begin(bench.now_ns)
+        assert bench.interlocks.losses(bench.now_ns) == {}
+
+
+def test_a_silence_ends_with_its_log_and_goes_on_in_the_next() -> None:
+    with Bench() as bench:
+        bench.turn(300)
+        bench.fails("encoder", "dead")
+        bench.pass_time(5.0)
+        told = {e.facts["channel"] for e in bench.events}
+        assert told == {"pendulums", "tacho"}
+        ended = bench.interlocks.end(bench.now_ns)
+        assert {e.facts["channel"] for e in ended} == {"pendulums", "tacho"}
+        assert all("as the log ends" in e.text for e in ended)
+        bench.interlocks.begin(bench.now_ns)
+        bench.pass_time(2.0)
+        assert 1_900 < bench.interlocks.losses(bench.now_ns)["encoder"]["pendulums_silent_ms"] <= 2_050
+
+
+# --- rest --------------------------------------------------------------------------------------------------------
+
+
+def test_a_drive_that_says_zero_while_the_rotor_coasts_is_not_believed() -> None:
+    with Bench() as bench:
+        bench.turn(300)
+        bench.fails("drive", "reported share", 0.0)
+        bench.fails("drive", "fault", 0x3220)
+        bench.pass_time(3.0)
+        assert bench.interlocks.at_rest(bench.now_ns) is False
+        assert bench.interlocks.speed_rpm(bench.now_ns) == pytest.approx(bench.far.drive.speed_rpm, rel=0.2)
+        bench.pass_time(20.0)  # it has run down meanwhile
+        assert bench.interlocks.at_rest(bench.now_ns) is True
+
+
+def test_without_a_word_of_the_drive_the_index_marks_tell_rest() -> None:
+    with Bench() as bench:
+        bench.turn(300)
+        bench.fails("drive", "restart")
+        bench.pass_time(2.0)
+        assert np.isnan(bench.interlocks.rotor.word_rpm(bench.now_ns))
+        assert bench.interlocks.at_rest(bench.now_ns) is False
+        bench.pass_time(20.0)
+        assert bench.far.drive.speed_rpm == 0
+        assert bench.interlocks.at_rest(bench.now_ns) is True
+        bench.fails("encoder", "dead")
+        bench.pass_time(3.0)
+        assert bench.interlocks.at_rest(bench.now_ns) is None  # nobody is there to tell
+
+
+def test_a_drive_that_restarts_at_rest_is_at_rest() -> None:
+    with Bench() as bench:
+        bench.fails("drive", "restart")
+        bench.pass_time(4.0)
+        assert bench.interlocks.at_rest(bench.now_ns) is True
+
+
+MOTIONS = st.lists(st.tuples(st.integers(-1100, 1100), st.integers(1, 80)), min_size=1, max_size=8)
+
+
+@settings(max_examples=15)
+@given(MOTIONS, st.integers(1, 40), st.floats(0, 0.03), st.floats(0, 0.2))
+def test_a_drive_that_follows_its_orders_never_ran_away(
+    orders: list[tuple[int, int]], rows: int, noise: float, lag: float
+) -> None:
+    """Any orders, any ramp, any cut into reads, some noise and overshoot: what obeys is not stopped."""
+    rng = np.random.default_rng(rows)
+    watch = RotorWatch(1200.0, patience)
+    now, speed = 0, 0.0
+    for target, steps in orders:
+        watch.told(float(target))
+        for _ in range(steps):
+            out = []
+            for _ in range(rows):
+                speed += float(np.clip(target - speed, -4.0, 4.0))
+                out.append(speed * (1 + noise * rng.uniform(-1, 1)))
+            now += rows * 10_000_000
+            assert watch.drive_said(now, np.array(out)) is None
+
+
+@given(st.integers(-1000, 1000), st.sampled_from([-1, 1]))
+def test_a_drive_that_goes_on_past_its_order_or_the_other_way_is_found(target: int, sign: int) -> None:
+    watch = RotorWatch(1200.0, patience)
+    watch.told(float(target))
+    way = sign if sign * target >= 0 else -sign
+    speeds = np.arange(0.0, 1.1 * abs(target) + 60.0, 2.0) * way
+    assert any(watch.drive_said(k * 10_000_000, speeds[k : k + 1]) is not None for k in range(len(speeds)))
+    other = RotorWatch(1200.0, patience)
+    other.told(float(abs(target)))
+    assert any(other.drive_said(k * 10_000_000, np.array([-2.0 * k])) is not None for k in range(40))
+
+
+@given(st.lists(st.tuples(st.integers(1, 60), st.floats(0, 1)), min_size=1, max_size=60))
+def test_the_share_of_bad_samples_is_that_of_the_newest_stretch(reads: list[tuple[int, float]]) -> None:
+    rng = np.random.default_rng(len(reads))
+    share, times, bad = Share(0.25), np.empty(0, int), np.empty(0, bool)
+    start = 0
+    for count, level in reads:
+        new = start + np.arange(count) * 1_000_000
+        mask = rng.random(count) < level
+        share.add(int(new[0]), int(new[-1]), mask)
+        times, bad, start = np.concatenate([times, new]), np.concatenate([bad, mask]), start + count * 1_000_000
+        good = np.flatnonzero(~bad)
+        assert share.in_a_row == len(bad) - 1 - (int(good[-1]) if len(good) else -1)
+        if share.mostly_bad:  # never said of a stretch whose newest quarter of a second is mostly good
+            assert times[-1] - times[0] >= 0.2e9
+            assert np.count_nonzero(bad[times > times[-1] - 320_000_000]) > 0
+        if len(bad) >= 400 and bad[-400:].all():
+            assert share.mostly_bad
+
+
+@given(st.lists(st.tuples(st.sampled_from(["a", "b", "c"]), st.integers(1, 900)), max_size=60))
+def test_silences_add_up_to_the_time_a_channel_was_not_heard(steps: list[tuple[str, int]]) -> None:
+    """However channels come and go: begun and ended alternate, and what the events tell is what is counted."""
+    watch = ChannelWatch({"a": ("one", 0.5), "b": ("one", 1.0), "c": ("two", float("inf"))}, patience)
+    watch.begin(0, expected=True)
+    now, events = 0, []
+    for topic, ms in steps:
+        for _ in range(ms // 50 + 1):
+            now += 50_000_000
+            events += watch.tick(now)
+        events += [e for e in [watch.heard(topic, now)] if e is not None]
+    events += watch.end(now)
+    for topic, device in (("a", "one"), ("b", "one"), ("c", "two")):
+        own = [e for e in events if e.facts["channel"] == topic]
+        assert [("span_s" in e.facts) for e in own] == [bool(i % 2) for i in range(len(own))]
+        told_s = sum(e.facts.get("span_s", 0.0) for e in own)
+        counted = watch.losses(now).get(device, {}).get(f"{topic}_silent_ms", 0)
+        assert counted == pytest.approx(told_s * 1e3, abs=1.0)
+    assert not any(e.facts["channel"] == "c" for e in events)
