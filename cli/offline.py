@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say
-from cli.options import Json, ParametersPath, Settings, need_folder
+from cli.options import Json, ParametersPath, Settings, need_folder, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 
@@ -106,7 +106,7 @@ def validate(
                     "report": str(report) if report else None})  # fmt: skip
     else:
         if what_if:
-            print(f"what if {', '.join(what_if)}: not the rig's verdict, none is kept")
+            print(f"{what_if_words(what_if)}: not the rig's verdict, none is kept")
         print_points(found.to_json()["points"])
     return 0 if found.passed else 1
 

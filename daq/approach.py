@@ -69,8 +69,10 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float) -> Appro
     tails = _tails(len(means))
     for count in tails:
         found = _one_rate(edges_s[-count:], means[-count:], width, average_s)
-        if found is not None:
-            return _one_rate(edges_s[-count:], means[-count:], _MARGIN * width, average_s) or found
+        if found is None:
+            continue
+        moved = float(np.ptp(means[-count:])) > 2 * width
+        return (moved and _one_rate(edges_s[-count:], means[-count:], _MARGIN * width, average_s)) or found
     for count in tails:
         found = _two_terms(edges_s[-count:], means[-count:], width, _CLEARLY * float(np.ptp(means[late])), average_s)
         if found is not None:
@@ -205,7 +207,7 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
         wave, np.hypot(size[:, 0], size[:, 1]) * np.where(rates < _ENDLESS_PER_S, 2.0, 1.0), size.sum(axis=1)
     )
     off = size[:, 0] * _of_mean(rates, average_s) + size[:, 1] * _of_mean(fast, average_s)
-    left, off = np.where(fits, left, 0.0), np.where(fits, off, 0.0)
+    left, off = np.where(fits, left, 0.0), np.where(fits, np.maximum(off, left), 0.0)
     worst = int(np.argmax(left))
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
     result = Approach(float(left[worst]), float(off.max()), max(0.0, float(rates[worst])), seen)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 Array = NDArray[np.float64]
 
@@ -15,6 +16,7 @@ _LEAST_SHARE = 0.4  # of a window's samples that must have come
 _LEAST_SAMPLES = 20
 _GOOD_OF_NEWEST = 0.75  # share of the newest windows that must be good, the last one among them
 _DEVIATIONS = 3.5  # of a mean's noise that its width holds
+_LEAST_CODES = 5  # samples on either side of the usual code, to know its noise
 _NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
 _DEFAULT_STEP_RAD = 2 * math.pi / 4096  # of a code that never changes
 
@@ -62,19 +64,42 @@ def angle_means(
     if cut is None:
         return None
     step = _step(angles_rad) if step_rad is None else step_rad
-    means, noise, within = [], [], []
+    means, noise, ripple, dither = [], [], [], []
     for phase, values in cut.parts:
         fit = _orders(phase, values)
         means.append(fit[0].real)
         noise.append(np.diff(values, axis=0).std(axis=0) / math.sqrt(2 * len(values)))
-        rest = values - _of_orders(fit, phase)
-        within.append([rest.var(axis=0), np.abs(fit[1]), np.abs(fit[2])])
-    spread, once, twice = np.median(np.array(within), axis=0)
-    half = np.array([half_width(step, s, a, b) for s, a, b in zip(spread, once, twice, strict=True)])
+        ripple.append([np.abs(fit[1]), np.abs(fit[2])])
+        dither.append([code_noise(column / step) for column in values.T])
+    once, twice = np.median(np.array(ripple), axis=0)
+    half = np.array([
+        half_width(step, _usual(seen) if max(a, b) < 0.5 * step else 0.0, a, b)
+        for seen, a, b in zip(np.array(dither).T, once, twice, strict=True)
+    ])  # fmt: skip
     return WindowMeans(cut.edges, np.array(means), half + _DEVIATIONS * np.median(noise, axis=0))
 
 
-def half_width(step: float, variance: float, *ripple: float) -> float:
+def code_noise(codes: Array) -> float:
+    """Standard deviation of the noise before rounding, in steps; nan where the codes do not tell.
+
+    Both codes beside the usual one must have been seen: from two codes alone the noise is not known, for a reading on
+    the edge between them flips without noise too. Normal noise of s steps about μ goes below −½ and above ½ with the
+    quantiles (−½ − μ)/s and (μ − ½)/s, whose sum is −1/s.
+    """
+    off = codes - np.median(codes)
+    below, above = np.mean(off < -0.5), np.mean(off > 0.5)
+    if min(below, above) * len(off) < _LEAST_CODES or max(below, above) >= 0.5:
+        return math.nan
+    return float(-1 / (ndtri(below) + ndtri(above)))
+
+
+def _usual(noise: Array) -> float:
+    """The noise that most windows show; 0 where too few show any."""
+    known = noise[np.isfinite(noise)]
+    return float(np.median(known)) if len(known) >= 3 else 0.0
+
+
+def half_width(step: float, noise: float, *ripple: float) -> float:
     """How far the mean of a rounded code may be from the mean of what was rounded, in the unit of `step`.
 
     A code that stands leaves half a step. Noise of s steps leaves Σ_k e^{−2π²k²s²}/(kπ) at most (the Fourier series
@@ -82,15 +107,14 @@ def half_width(step: float, variance: float, *ripple: float) -> float:
 
     Args:
         step: of the code.
-        variance: of the codes without the ripple; 1/12 of a step² belongs to the rounding.
+        noise: before rounding, in steps (`code_noise`).
         ripple: amplitudes of what repeats with the rotor.
     """
     if step <= 0:
         return 0.0
-    dither = max(0.0, variance / step**2 - 1 / 12)
     total = 0.0
     for k in range(1, 9):
-        term = math.exp(-2 * math.pi**2 * k * k * dither) / (math.pi * k)
+        term = math.exp(-2 * (math.pi * k * noise) ** 2) / (math.pi * k)
         for amplitude in ripple:
             argument = 2 * math.pi * k * amplitude / step
             term *= min(1.0, math.sqrt(2 / (math.pi * max(argument, 1e-9))))  # the envelope of J0
@@ -153,11 +177,6 @@ def _orders(phase: Array, values: Array) -> NDArray[np.complex128]:
     level = values.mean(axis=0)
     fit = np.linalg.solve(basis.T @ basis, basis.T @ (values - level))
     return np.stack([fit[0] + level + 0j, fit[1] - 1j * fit[2], fit[3] - 1j * fit[4]])
-
-
-def _of_orders(fit: NDArray[np.complex128], phase: Array) -> Array:
-    turn = np.exp(1j * phase)[:, None]
-    return np.real(fit[0] + fit[1] * turn + fit[2] * turn * turn)
 
 
 def _step(angles: Array) -> float:
