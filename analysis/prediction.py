@@ -24,7 +24,7 @@ QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
 _ACCURACY = 1e-6
-_UNKNOWN_AXIS_ANGLE_DEG = (0.0, 2.0)  # value and std when no test has shown it
+UNKNOWN_AXIS_ANGLE_DEG = (0.0, 3.0)  # value and std when no test has shown it
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def predict_point(
     rig: Rig,
     identified: IdentifiedParameters,
     speed_rad_s: float,
-    axis_angle_deg: tuple[float, float] = (0.0, 0.0),
+    axis_angle_deg: tuple[float, float] | None = None,
     *,
     speed_std_rad_s: float = 0.0,
     near_rad: Sequence[float] | None = None,
@@ -68,8 +68,8 @@ def predict_point(
         rig: gives masses and lengths; its suspension, damping and S_P are replaced by the identified ones.
         identified: values with covariance; SI.
         speed_rad_s, speed_std_rad_s: running speed and its standard uncertainty.
-        axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty; nan when
-            no test has shown it: then 0 ± 2° is taken.
+        axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty; None for
+            the identified one, 0 ± 3° where no test has shown it.
         near_rad: measured θ3, θ4; of several stable states (mirror images) the nearest is taken.
     Raises:
         NoStableState: no stable steady state, or the search failed.
@@ -82,15 +82,20 @@ def predict_point(
     if not states:
         raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
     state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
-    beta, beta_std = (math.radians(v) for v in known_axis_angle(axis_angle_deg))
+    beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, axis_angle_deg))
     covariance, values = _propagate(physics, identified, state, speed_rad_s, speed_std_rad_s, beta, beta_std)
     response = _per_radian(physics, speed_rad_s, beta)
     return Prediction(state, speed_rad_s, values, covariance, response)
 
 
-def known_axis_angle(axis_angle_deg: tuple[float, float]) -> tuple[float, float]:
-    """The angle and its deviation in degrees as given, or 0 ± 2° where either is nan."""
-    return axis_angle_deg if all(map(math.isfinite, axis_angle_deg)) else _UNKNOWN_AXIS_ANGLE_DEG
+def known_axis_angle(
+    identified: IdentifiedParameters, given_deg: tuple[float, float] | None = None
+) -> tuple[float, float]:
+    """The angle and its deviation in degrees: as given, else as identified, else 0 ± 3°; nan is not given."""
+    for angle in (given_deg, identified.axis_angle_deg):
+        if angle is not None and all(map(math.isfinite, angle)):
+            return angle
+    return UNKNOWN_AXIS_ANGLE_DEG
 
 
 def _distance(state: SteadyState, near: Sequence[float]) -> float:

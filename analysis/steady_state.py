@@ -20,7 +20,6 @@ LOCK_TOLERANCE_RAD = math.radians(2.0)
 BALANCED_SHARE = 0.15  # of S_P: below this rest the pendulums balance (Type I)
 _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
 _DRIFTING_RAD, _DRIFTING_M = math.radians(0.01), 0.2e-6
-_MEAN_LAG = 1.5  # distance to the end of the mean over DRIFTING_AVERAGE_S, in units of the end's, decay 0.4 /s
 _LEAST_SPEED_TOLERANCE = 5e-4  # a revolution further off the plateau's speed belongs to the stop
 
 
@@ -85,11 +84,8 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
     release, end = _span(run)
     angles = _between(run.angle_time_s, run.angle_rad, release - 3.0, end)
     locked, locked_rad = _locked(run, angles)
-    settling = _settling(run, release, end)
-    if settling.span_s == 0.0:
-        raise NotEnoughData(settling.why)
-    drift_rad, drift_m = _drift(settling)
-    start = end - (DRIFTING_AVERAGE_S if drift_rad > _DRIFTING_RAD or drift_m > _DRIFTING_M else AVERAGE_S)
+    settling, start = _settling(run, release, end)
+    drift_rad, drift_m = (off / math.sqrt(3) for off in _mean_off(settling))
     speed = _speed(run, start, end)
     theta = _angles(run, rig, drift_rad, start, end)
     x = _orders(run, run.x_time_s, run.x_m, start, end, "x")
@@ -175,22 +171,37 @@ def _locked(run: Run, angles: tuple[np.ndarray, np.ndarray]) -> tuple[bool, np.n
     return bool(np.all(off < LOCK_TOLERANCE_RAD) and np.all(moved < LOCK_TOLERANCE_RAD)), mean
 
 
-def _settling(run: Run, release: float, end: float) -> Settling:
+def _settling(run: Run, release: float, end: float) -> tuple[Settling, float]:
+    """How the end of the run is judged, and where the average begins: later while a long mean would lag behind."""
     marks = (run.mark_time_s >= release) & (run.mark_time_s <= end)
     late = end - 40.0  # enough for any window; the locked part is needed to see whether the gap has changed
     angles = run.angle_time_s >= min(release - 1.0, late)
     x, y = run.x_time_s >= late, run.y_time_s >= late
-    return settled(
-        run.angle_time_s[angles], run.angle_rad[angles], run.mark_time_s[marks], run.mark_phase_rad[marks],
-        run.x_time_s[x], run.x_m[x], run.y_time_s[y], run.y_m[y], release_time_s=release,
-    )  # fmt: skip
+
+    def judged(average_s: float) -> Settling:
+        return settled(
+            run.angle_time_s[angles], run.angle_rad[angles], run.mark_time_s[marks], run.mark_phase_rad[marks],
+            run.x_time_s[x], run.x_m[x], run.y_time_s[y], run.y_m[y], release_time_s=release,
+            angle_step_rad=run.angle_step_rad, average_s=average_s,
+        )  # fmt: skip
+
+    found = judged(AVERAGE_S)
+    if found.span_s == 0.0:
+        raise NotEnoughData(found.why)
+    off_rad, off_m = _mean_off(found)
+    if off_rad > _DRIFTING_RAD or off_m > _DRIFTING_M:
+        short = judged(DRIFTING_AVERAGE_S)
+        short_rad, short_m = _mean_off(short)
+        if short_rad < 0.5 * off_rad or short_m < 0.5 * off_m:
+            return short, end - DRIFTING_AVERAGE_S
+    return found, end - AVERAGE_S
 
 
-def _drift(settling: Settling) -> tuple[float, float]:
-    """How far the means may still be from where they will end, rad and m; the last change when that is unknown."""
-    angle = settling.remaining_rad if math.isfinite(settling.remaining_rad) else settling.drift_rad
-    orbit = settling.remaining_m if math.isfinite(settling.remaining_m) else settling.drift_m
-    return _MEAN_LAG * np.nan_to_num(angle), _MEAN_LAG * np.nan_to_num(orbit)
+def _mean_off(settling: Settling) -> tuple[float, float]:
+    """Bounds on how far the means may be from where they will end, rad and m; the last change where there is none."""
+    angle = settling.mean_off_rad if math.isfinite(settling.mean_off_rad) else settling.drift_rad
+    orbit = settling.mean_off_m if math.isfinite(settling.mean_off_m) else settling.drift_m
+    return angle, orbit
 
 
 def _speed(run: Run, start: float, end: float) -> Interval:

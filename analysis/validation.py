@@ -41,6 +41,46 @@ _JSON_KEYS = {
 
 
 @dataclass(frozen=True)
+class Score:
+    """How one quantity's z came about, so that a reader can work it out again; rad and m.
+
+    Attributes:
+        z: (measured − predicted) / √(measured_std² + predicted_std²), or for an amplitude where none is predicted the
+            |z| of the same probability as noise.
+        measured, measured_std, predicted, predicted_std: what was compared.
+        noise: of an amplitude where none is predicted: standard deviations of the real or imaginary part, one for x, y
+            or both; empty for a difference.
+        chi2, p: of noise: Σ|X|²/σ² and how often noise alone reaches it; chi2 has twice as many degrees of freedom as
+            there are deviations.
+    """
+
+    z: float
+    measured: float
+    measured_std: float
+    predicted: float
+    predicted_std: float
+    noise: tuple[float, ...] = ()
+    chi2: float = math.nan
+    p: float = math.nan
+
+    def to_json(self, key: tuple[str, float]) -> dict[str, Any]:
+        """Plain values in the unit of a key (name with unit, factor); what is not known is None."""
+        unit, factor = key[0].rpartition("_")[2], key[1]
+        numbers = {
+            f"measured_{unit}": self.measured * factor, f"measured_std_{unit}": self.measured_std * factor,
+            f"predicted_{unit}": self.predicted * factor, f"predicted_std_{unit}": self.predicted_std * factor,
+        }  # fmt: skip
+        found: dict[str, Any] = {"statistic": "noise" if self.noise else "difference"}
+        found |= {name: _finite(value) for name, value in numbers.items()}
+        if self.noise:
+            found |= {
+                f"noise_{unit}": [_finite(s * factor) for s in self.noise],
+                "chi2": _finite(self.chi2), "dof": 2 * len(self.noise), "p": self.p,
+            }  # fmt: skip
+        return found | {"z": _finite(self.z)}
+
+
+@dataclass(frozen=True)
 class PointResult:
     """One point's comparison.
 
@@ -48,7 +88,7 @@ class PointResult:
         name, expected: the point and the rig file's expectation for it (None: the file has no such point).
         state: measured "I", "II", "III", "slipping" or "not settled".
         measurement, prediction: None when there was nothing to measure, or no stable state to predict.
-        z_scores: by quantity (QUANTITIES); empty when nothing could be compared.
+        scores: by quantity (QUANTITIES); empty when nothing could be compared.
         verdict: "pass", "fail", "not settled", "not locked" or "not enough data".
         why: the verdict's reason in one sentence.
         source: the run's log.
@@ -59,10 +99,15 @@ class PointResult:
     state: str
     measurement: SteadyMeasurement | None
     prediction: Prediction | None
-    z_scores: Mapping[str, float]
+    scores: Mapping[str, Score]
     verdict: str
     why: str
     source: str
+
+    @property
+    def z_scores(self) -> dict[str, float]:
+        """z by quantity."""
+        return {name: score.z for name, score in self.scores.items()}
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, units in the names; what is not known is None."""
@@ -77,6 +122,7 @@ class PointResult:
             "z_scores": {k: _finite(v) for k, v in self.z_scores.items()},
             "verdict": self.verdict,
             "why": self.why,
+            "scores": {name: score.to_json(_JSON_KEYS[name]) for name, score in self.scores.items()},
         }
 
 
@@ -100,7 +146,7 @@ def validate(
     runs: Sequence[Run],
     rig: Rig,
     identified: IdentifiedParameters,
-    axis_angle_deg: tuple[float, float] = (0.0, 0.0),
+    axis_angle_deg: tuple[float, float] | None = None,
 ) -> Validation:
     """Compare every "point-NAME" run with the model; other runs are left alone.
 
@@ -108,7 +154,8 @@ def validate(
         runs: recorded tests, any order; a point recorded twice appears as "A" and "A (2)".
         rig: physical part, calibration uncertainties, points with the expected states.
         identified: parameters with covariance.
-        axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees.
+        axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees; None
+            for the identified one, 0 ± 3° where no test has shown it.
     Source: docs/theory/validation.md.
     """
     results: dict[str, PointResult] = {}
@@ -120,7 +167,7 @@ def validate(
 
 
 def validate_point(
-    run: Run, rig: Rig, identified: IdentifiedParameters, axis_angle_deg: tuple[float, float] = (0.0, 0.0)
+    run: Run, rig: Rig, identified: IdentifiedParameters, axis_angle_deg: tuple[float, float] | None = None
 ) -> PointResult:
     """Compare one run with the model; arguments as in `validate`. Never raises for what a log may hold."""
     name = run.test.removeprefix("point-")
@@ -146,13 +193,20 @@ def balanced_z(amplitudes_m: Sequence[float], stds_m: Sequence[float]) -> float:
         The |z| that a normal number exceeds as rarely as noise exceeds Σ|X|²/σ² (χ² with two degrees of freedom
         per amplitude). One or two amplitudes.
     """
-    power = sum((a / s) ** 2 for a, s in zip(amplitudes_m, stds_m, strict=True))
-    log_p = -power / 2 + (math.log1p(power / 2) if len(amplitudes_m) == 2 else 0.0)
-    return float(-ndtri_exp(log_p - math.log(2)))
+    return float(-ndtri_exp(_log_p(_chi2(amplitudes_m, stds_m), len(amplitudes_m)) - math.log(2)))
+
+
+def _chi2(amplitudes_m: Sequence[float], stds_m: Sequence[float]) -> float:
+    return float(sum((a / s) ** 2 for a, s in zip(amplitudes_m, stds_m, strict=True)))
+
+
+def _log_p(chi2: float, amplitudes: int) -> float:
+    """Logarithm of how often noise in one or two complex amplitudes reaches a χ²."""
+    return -chi2 / 2 + (math.log1p(chi2 / 2) if amplitudes == 2 else 0.0)
 
 
 def _predict(
-    rig: Rig, identified: IdentifiedParameters, measured: SteadyMeasurement, axis_angle_deg: tuple[float, float]
+    rig: Rig, identified: IdentifiedParameters, measured: SteadyMeasurement, axis_angle_deg: tuple[float, float] | None
 ) -> tuple[Prediction | None, str]:
     speed = measured.speed_rad_s
     near = [theta.value for theta in measured.theta_rad]
@@ -162,26 +216,42 @@ def _predict(
         return None, str(error)
 
 
-def _scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[str, float]:
+def _scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[str, Score]:
     values = _values(measured)
     std = prediction.std
     scores = {}
     for j, name in enumerate(QUANTITIES):
-        difference = values[name].value - prediction.values[j]
+        value, model = values[name].value, float(prediction.values[j])
+        difference = value - model
         if j < 2:
             difference = (difference + math.pi) % (2 * math.pi) - math.pi
-        scores[name] = float(difference / math.hypot(values[name].std, std[j]))
+        z = float(difference / math.hypot(values[name].std, std[j]))
+        scores[name] = Score(z, value, values[name].std, model, float(std[j]))
     if prediction.state.type == "I":
-        off = measured.settling.remaining_rad
-        off = off if math.isfinite(off) else 0.0
-        stds = [
-            math.hypot(noise, gain * off)
-            for noise, gain in zip((measured.noise_x_m, measured.noise_y_m), prediction.residual_m_per_rad, strict=True)
-        ]
-        amplitudes = [abs(measured.x_m), abs(measured.y_m)]
-        scores["amplitude_x"] = balanced_z(amplitudes[:1], stds[:1])
-        scores["amplitude_y"] = balanced_z(amplitudes[1:], stds[1:])
-        scores["amplitude"] = balanced_z(amplitudes, stds)
+        scores |= _noise_scores(measured, prediction)
+    return scores
+
+
+def _noise_scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[str, Score]:
+    """Of amplitudes where none is predicted: held against noise, drift and what the angles' own drift would cause."""
+    off = measured.settling.remaining_rad
+    off = off / math.sqrt(3) if math.isfinite(off) else 0.0  # a bound, so the deviation of an even spread below it
+    noise_x, noise_y = (
+        math.hypot(noise, gain * off)
+        for noise, gain in zip((measured.noise_x_m, measured.noise_y_m), prediction.residual_m_per_rad, strict=True)
+    )
+    x, y = abs(measured.x_m), abs(measured.y_m)
+    rms = measured.amplitude_m
+    looks = {
+        "amplitude_x": ([x], [noise_x], x, noise_x),
+        "amplitude_y": ([y], [noise_y], y, noise_y),
+        "amplitude": ([x, y], [noise_x, noise_y], rms.value, math.hypot(noise_x, noise_y)),
+    }
+    scores = {}
+    for name, (amplitudes, noise, value, std) in looks.items():
+        chi2 = _chi2(amplitudes, noise)
+        p = math.exp(_log_p(chi2, len(noise)))
+        scores[name] = Score(balanced_z(amplitudes, noise), value, std, 0.0, 0.0, tuple(noise), chi2, p)
     return scores
 
 
@@ -190,7 +260,7 @@ def _judge(
     prediction: Prediction | None,
     trouble: str,
     expected: str | None,
-    scores: Mapping[str, float],
+    scores: Mapping[str, Score],
 ) -> tuple[str, str]:
     """Verdict and reason."""
     if measured.state == "slipping" and measured.locked:
@@ -209,40 +279,39 @@ def _judge(
 
 
 def _compare(
-    measured: SteadyMeasurement, prediction: Prediction, expected: str | None, scores: Mapping[str, float]
+    measured: SteadyMeasurement, prediction: Prediction, expected: str | None, scores: Mapping[str, Score]
 ) -> tuple[str, str]:
     """Verdict and reason of a settled state."""
     if measured.state != prediction.state.type:
         return "fail", f"measured state {measured.state}, but the model's stable state is {prediction.state.type}"
     if expected is not None and measured.state != expected:
         return "fail", f"measured and model state {measured.state}, but the rig file expects {expected}"
-    off = sorted((n for n, z in scores.items() if not abs(z) <= Z_LIMIT), key=lambda n: -abs(scores[n]))
+    off = sorted((n for n, s in scores.items() if not abs(s.z) <= Z_LIMIT), key=lambda n: -abs(scores[n].z))
     if off:
-        return "fail", "; ".join(_sentence(n, measured, prediction, scores[n]) for n in off)
-    largest = max(scores, key=lambda n: abs(scores[n]))
+        return "fail", "; ".join(_sentence(n, scores[n]) for n in off)
+    largest = max(scores, key=lambda n: abs(scores[n].z))
     return "pass", (
         f"state {measured.state}, all within {Z_LIMIT:g} standard deviations; "
-        f"largest: {_NAMES[largest]}, z = {scores[largest]:.1f}"
+        f"largest: {_NAMES[largest]}, z = {scores[largest].z:.1f}"
     )
 
 
-def _sentence(name: str, measured: SteadyMeasurement, prediction: Prediction, z: float) -> str:
-    """One quantity that is off, in words."""
-    value = _values(measured)[name].value
-    j = QUANTITIES.index(name)
-    model, std = prediction.values[j], prediction.std[j]
-    if name.startswith("theta"):
+def _sentence(name: str, score: Score) -> str:
+    """One quantity that is off, in words, with both uncertainties."""
+    if score.noise:
+        noise = " and ".join(f"{s * 1e6:.2g}" for s in score.noise)
         return (
-            f"{_NAMES[name]} {math.degrees(value):.2f}° measured against {math.degrees(model):.2f} ± "
-            f"{math.degrees(std):.2f}° predicted, z = {z:.1f}"
+            f"{_NAMES[name]} {score.measured * 1e6:.2f} µm measured where none is predicted, noise of {noise} µm alone "
+            f"gives χ² = {score.chi2:.3g} on {2 * len(score.noise)}, z = {score.z:.1f}"
         )
-    if prediction.state.type == "I":
-        return f"{_NAMES[name]} {value * 1e6:.2f} µm measured where none is predicted, noise alone gives z = {z:.1f}"
-    digits = max(2, min(4, 1 - math.floor(math.log10(max(std * 1e3, 1e-4)))))
-    return (
-        f"{_NAMES[name]} {value * 1e3:.{digits}f} mm measured against {model * 1e3:.{digits}f} ± "
-        f"{std * 1e3:.{digits}f} mm predicted, z = {z:.1f}"
-    )
+    factor, unit = (180 / math.pi, "°") if name.startswith("theta") else (1e3, " mm")
+    smaller = min(s for s in (score.measured_std, score.predicted_std, math.inf) if s > 0) * factor
+    digits = max(2, min(6, 1 - math.floor(math.log10(max(smaller, 1e-6)))))
+    pairs = [
+        f"{value * factor:.{digits}f} ± {std * factor:.{digits}f}{unit}"
+        for value, std in ((score.measured, score.measured_std), (score.predicted, score.predicted_std))
+    ]
+    return f"{_NAMES[name]} {pairs[0]} measured against {pairs[1]} predicted, z = {score.z:.1f}"
 
 
 def _values(m: SteadyMeasurement) -> dict[str, Any]:

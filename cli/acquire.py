@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from cli.console import STDERR, StepProgress, print_json, say, wait_for_compilation
 from cli.numbers import PositiveRpm, PositiveSeconds, TimeScale
-from cli.options import Json, ParametersPath, Settings, rig_or_log
+from cli.options import Json, ParametersPath, Settings, rig_or_log, what_if_words
 from cli.recording import RecordingStatus
 from daq.log.file import check_name
 from daq.log.losses import Losses
@@ -170,7 +170,9 @@ def test(
         progress.step(name)
         following = None
         if tracking is not None:
-            following = stack.enter_context(tracking.LiveTracking(session, tracking.imbalance_std(parameters)))
+            following = stack.enter_context(
+                tracking.LiveTracking(session, tracking.imbalance_std(parameters, settings or []))
+            )
 
         def tell(text: str, share: float | None) -> None:
             words = following.words() if following is not None else ""
@@ -178,7 +180,7 @@ def test(
 
         tests = Procedures(session, TerminalOperator(), out, tell, note)
         if parameters is not None:
-            tests.parameters = IdentifiedParameters.label(parameters)
+            tests.parameters = IdentifiedParameters.label(parameters) + what_if_words(settings, "; ")
         done = run_test(tests, loaded, wanted, top_rpm, duration)
     result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary, "warnings": session.notices}
     if following is not None:

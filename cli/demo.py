@@ -22,7 +22,7 @@ from daq.log import open_log
 from daq.procedure import Procedures
 from daq.session import Session
 from daq.transports import HostClock
-from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting
+from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig
 
@@ -131,7 +131,7 @@ def _campaign(
             workbench.identify(plugged, logs, parameters).result()
             known = IdentifiedParameters.load(parameters)
             tests.parameters = IdentifiedParameters.label(parameters)
-            identified = load_rig(name, known, [*changes, *simulated.port_settings()])
+            identified = with_parameters(plugged, known)
             for point in rig.points:
                 begin(f"point-{point}")
                 logs.append(run_test(tests, identified, f"point-{point}").log)

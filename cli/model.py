@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from cli.console import print_json, say, share_progress, wait_for_compilation
 from cli.numbers import Positive, PositiveRpm
-from cli.options import Json, ParametersPath, Settings
+from cli.options import Json, ParametersPath, Settings, what_if_words
 from rig_configs import Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ def predict(
 
         title = (
             f"{loaded.name}, Ω = {speed / physics.natural_frequencies_rad_s[0]:.4g} ({speed * 30 / math.pi:.1f} rpm)"
+            f"{what_if_words(settings, '; ')}"
         )
         save(plot, draw_steady_states(physics, found, title, outcome))
     result = {
@@ -70,12 +71,15 @@ def predict(
         "steady_states": [_state_json(s) for s in found],
         "unresolved": list(found.unresolved),
         "release": None if outcome is None else _outcome_json(outcome),
+        "what_if": list(settings or []),
         "plot": None if plot is None else str(plot),
     }
     if json:
         print_json(result)
         return 0
     _print(result, found)
+    if settings:
+        print(what_if_words(settings))
     return 0
 
 
@@ -236,6 +240,7 @@ def map(
         "largest_error_estimate": float(np.max(found.error_estimate)),
         "stable_share": stable,
         "points_beyond_accuracy": found.missed,
+        "what_if": list(settings or []),
         "file": None if output is None else str(output),
         "plot": None if plot is None else str(plot),
     }
@@ -247,6 +252,8 @@ def map(
         f"balanced state stable on {100 * stable:.1f} %, largest error estimate {result['largest_error_estimate']:.1g}"
     )
     print(f"method: {found.method}")
+    if settings:
+        print(what_if_words(settings))
     for path in (output, plot):
         if path is not None:
             print(f"written to {path}")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say
-from cli.options import Json, ParametersPath, Settings, need_folder
-from rig_configs import IdentifiedParameters, RigFileError, load_rig
+from cli.options import Json, ParametersPath, Settings, need_folder, what_if_words
+from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 
 def identify(
@@ -34,7 +35,7 @@ def identify(
     loaded = load_rig(rig, settings=settings or [])
     runs = results.load_runs(logs)
     found = find(runs, loaded, STDERR.print, setting=setting)
-    parameters = results.with_version(found.parameters)
+    parameters = results.with_version(found.parameters, settings or [])
     parameters.save(output)
     limited = limits(found) or []
     if json:
@@ -55,13 +56,17 @@ def validate(
     rig: str,
     *logs: Path,
     parameters: ParametersPath = None,
-    axis_angle_deg: float = 0.0,
-    axis_angle_std_deg: float = 3.0,
+    axis_angle_deg: Annotated[float | None, Parameter(help="instead of the identified one, with its std")] = None,
+    axis_angle_std_deg: Annotated[float | None, Parameter(help="standard uncertainty of --axis-angle-deg")] = None,
     report: Path | None = None,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Compare measured steady states at the points with the model; exit 1 when a point does not pass."""
+    """Compare measured steady states at the points with the model; exit 1 when a point does not pass.
+
+    With --set it answers a what-if: the settings lie over rig file and parameters, and no verdict is kept.
+    """
+    from analysis.prediction import known_axis_angle  # noqa: PLC0415
     from analysis.report.campaign import Campaign, IdentificationResult  # noqa: PLC0415
     from analysis.report.write import write_report  # noqa: PLC0415
     from analysis.validation import validate as compare  # noqa: PLC0415
@@ -69,28 +74,53 @@ def validate(
     from identification.identify import missing_warnings  # noqa: PLC0415
 
     _need(logs, "rig validate RIG LOG…")
-    loaded = load_rig(rig, settings=settings or [])
     if parameters is None:
         raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
-    known = IdentifiedParameters.load(parameters)
+    found_before = IdentifiedParameters.load(parameters)
+    known = found_before.without(overridden(found_before, settings or []))
+    loaded = load_rig(rig, found_before, settings or [])
+    given = _given_angle(axis_angle_deg, axis_angle_std_deg)
+    what_if = list(settings or [])
+    if given is not None and known.axis_angle_deg is not None:
+        what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
     runs = results.load_runs(logs)
-    angle = (axis_angle_deg, axis_angle_std_deg)
-    found = compare(runs, loaded, known, angle)
+    found = compare(runs, loaded, known, given)
     warnings = missing_warnings(runs)
+    if given is None and known.axis_angle_deg is None:
+        value, std = known_axis_angle(known)
+        warnings.append(
+            f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is taken; identify "
+            "again, or give --axis-angle-deg and --axis-angle-std-deg"
+        )
+    if not what_if:
+        warnings += results.keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
     for warning in warnings:
         say(f"warning: {warning}")
-    for fault in results.keep_verdicts(found, runs, IdentifiedParameters.label(parameters)):
-        say(f"warning: {fault}")
     if report is not None:
         identified = IdentificationResult(known, warnings=warnings)
-        title = f"Validation of {loaded.name}"
-        write_report(report, Campaign(title, loaded, runs, identified, found, axis_angle_deg=angle))
+        title = f"{'What if: validation' if what_if else 'Validation'} of {loaded.name}"
+        campaign = Campaign(title, loaded, runs, identified, found, axis_angle_deg=given, what_if=what_if)
+        write_report(report, campaign)
     if json:
-        print_json({**found.to_json(), "passed": found.passed, "warnings": warnings,
+        print_json({**found.to_json(), "passed": found.passed, "what_if": what_if, "warnings": warnings,
                     "report": str(report) if report else None})  # fmt: skip
     else:
+        if what_if:
+            print(f"{what_if_words(what_if)}: not the rig's verdict, none is kept")
         print_points(found.to_json()["points"])
     return 0 if found.passed else 1
+
+
+def _given_angle(value_deg: float | None, std_deg: float | None) -> tuple[float, float] | None:
+    """The axis angle of the command line; None where there is none."""
+    if value_deg is None and std_deg is None:
+        return None
+    if value_deg is None or std_deg is None or not math.isfinite(value_deg) or not 0 <= std_deg < math.inf:
+        raise RigFileError(
+            "rig validate: expected --axis-angle-deg and --axis-angle-std-deg together, finite, the latter not "
+            f"negative, got {value_deg} and {std_deg}"
+        )
+    return value_deg, std_deg
 
 
 def print_points(points: dict[str, Any]) -> None:

@@ -38,6 +38,11 @@ def rig_or_log(source: str, settings: Sequence[str]) -> tuple[Rig, dict[str, Any
     return validate(raw, source), identities
 
 
+def what_if_words(settings: Sequence[str] | None, before: str = "") -> str:
+    """ "what if suspension.zeta2=0.05", with something before it; empty without settings."""
+    return f"{before}what if {', '.join(settings)}" if settings else ""
+
+
 def need_folder(path: Path, option: str) -> None:
     """Whether a file can be written there, asked before the work is done.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from cli.console import STDERR, print_json
-from cli.options import Json, ParametersPath, Settings
+from cli.options import Json, ParametersPath, Settings, what_if_words
 from rig_configs import RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -47,11 +47,13 @@ def plan(
         sensors = sensors.as_in([load_run(path) for path in log])
     found = find(loaded, wants, sensors, mass, lambda text: STDERR.print(f"trying {text}"))
     if json:
-        print_json({"rig": loaded.name, **plan_json(found)})
+        print_json({"rig": loaded.name, **plan_json(found), "what_if": list(settings or [])})
     else:
         from cli.plan_page import print_plan  # noqa: PLC0415
 
         print_plan(loaded.name, found)
+        if settings:
+            print(what_if_words(settings))
     return 0 if found.possible else 1
 
 

@@ -53,10 +53,10 @@ def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> li
     return faults
 
 
-def with_version(parameters: IdentifiedParameters) -> IdentifiedParameters:
-    """The parameters with the software's version in their provenance."""
-    facts = {"software": software_version(), **parameters.provenance}
-    return IdentifiedParameters(parameters.values, parameters.covariance, facts)
+def with_version(parameters: IdentifiedParameters, settings: Sequence[str] = ()) -> IdentifiedParameters:
+    """The parameters with the software's version, and what was set beside the rig file, in their provenance."""
+    said = {"settings": list(settings)} if settings else {}
+    return replace(parameters, provenance={"software": software_version(), **said, **parameters.provenance})
 
 
 def parameters_json(parameters: IdentifiedParameters) -> dict[str, dict[str, Any]]:
@@ -86,13 +86,6 @@ def identification_json(found: Identification) -> dict[str, Any]:
         "consistency": [{"parameter": r.parameter, "test": r.test, "z": r.z, "p": r.p} for r in found.consistency],
         "warnings": found.warnings,
     }
-
-
-def axis_angle(found: Identification) -> tuple[float, float]:
-    """Axis angle and its standard uncertainty in degrees; 0 ± 3 where no run showed it."""
-    if np.isfinite(found.axis_angle_deg):
-        return found.axis_angle_deg, found.axis_angle_std_deg
-    return 0.0, 3.0
 
 
 def report_identification(found: Identification) -> IdentificationResult:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,15 +15,16 @@ from daq.protocols.rotorlink import FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED
 from daq.session import Session
 from dynamics import RotorParameters
 from identification.tracking.tracker import Sensors, Tracked, Tracker
-from rig_configs import IdentifiedParameters
+from rig_configs import IdentifiedParameters, overridden
 
 _TURN_S = 0.1  # wall seconds between two looks at the readings
 _NAMES = (("c3", "c3_Nms_per_rad"), ("c4", "c4_Nms_per_rad"))
 
 
-def imbalance_std(parameters: Path | None) -> float:
-    """Relative standard deviation of S_P: of a parameters file, a rig file's where there is none."""
+def imbalance_std(parameters: Path | None, settings: Sequence[str] = ()) -> float:
+    """Relative standard deviation of S_P: of a parameters file; a rig file's where there is none, or S_P was set."""
     found = IdentifiedParameters({}, np.zeros((0, 0))) if parameters is None else IdentifiedParameters.load(parameters)
+    found = found.without(overridden(found, settings))
     if "SP_kg_m" not in found.values:
         return Tracker.imbalance_std
     return found.std["SP_kg_m"] / abs(found.values["SP_kg_m"])

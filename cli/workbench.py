@@ -56,7 +56,7 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
     from cli import results  # noqa: PLC0415
 
     runs, before, joint = _found["runs"], _found["before"], _found["joint"]
-    validation = validate(runs, rig, before.parameters, results.axis_angle(before))
+    validation = validate(runs, rig, before.parameters)
     results.keep_verdicts(validation, runs, facts["validated_with"])
     results.with_version(joint.parameters).save(out)
     identities = runs[0].metadata.get("identities", {})
@@ -67,7 +67,7 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
         runs=runs,
         identification=results.report_identification(joint),
         validation=validation,
-        axis_angle_deg=results.axis_angle(before),
+        axis_angle_deg=before.parameters.axis_angle_deg,
         devices=devices,
         truth=facts["truth"],
         notes=facts["notes"],

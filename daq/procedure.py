@@ -27,13 +27,13 @@ _SEEN_S = 10.0  # how far back to look for what a person did; a person may take 
 _LOOK_S = 0.5  # rig time between two looks at the signals
 _STOP_RAMP_RPM_S = 400.0
 _POINT_LIMIT_S = 90.0
-# Stricter than the analysis, which looks again at slightly other windows: what is called steady here must be so there.
+# Stricter than the analysis, which asks the same again of the whole log: what is called steady here is so there.
 _STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2e-6}
 _FLICKED_RAD = 0.5
 _PLUCKED_M = 3e-4  # a displacement that is no longer vibration of the building
 _BEFORE_RELEASE_S = 4.0
 _SLOW_SHARE = 0.03  # of the top speed: below it a run-down has too few index marks to go on
-_AFTER_STEADY_S = 2.5  # so that the analysis, with its own windows and clock lines, sees the steady state as well
+_AFTER_STEADY_S = 2.5  # of steady state in the log; asked again after it with the analysis's own tolerances
 
 Progress = Callable[[str, float | None], None]
 
@@ -205,12 +205,16 @@ class Procedures:
             since = (self._clock.now_ns() - released_ns) * 1e-9
             if since < 3.0:
                 return False
-            last = self._steady(released_ns)
+            last = self._steady(released_ns, _STEADY)
             self._tell(f"{test}: {since:.0f} s after release, {last.why}", None)
             return last.settled
 
-        reached = self._look_until(all_steady, _POINT_LIMIT_S)
-        self._clock.sleep(_AFTER_STEADY_S)
+        limit_ns = released_ns + int(_POINT_LIMIT_S * 1e9)
+        reached = False
+        while not reached and self._look_until(all_steady, (limit_ns - self._clock.now_ns()) * 1e-9):
+            self._clock.sleep(_AFTER_STEADY_S)
+            last = self._steady(released_ns, {})
+            reached = last.settled
         why = last.why if last else "no data"
         done = self._end(test, {"steady_before_release": steady, "settled": reached, "why": why})
         self._stop_rotor()
@@ -341,10 +345,11 @@ class Procedures:
         self._tell(f"{test}: waiting for a steady orbit, {found.why}", None)
         return found.settled
 
-    def _steady(self, released_ns: int) -> Settling:
+    def _steady(self, released_ns: int, tolerances: Mapping[str, float]) -> Settling:
         since = released_ns - 1_500_000_000  # some of the time before, to know how the pendulums stood
         signals = self._signals(since, max(since, self._since(15.0)))
-        return settled(*signals, release_time_s=(released_ns - since) * 1e-9, **_STEADY)
+        step = 2 * math.pi / self._s.rig.devices.encoder.counts_per_revolution
+        return settled(*signals, release_time_s=(released_ns - since) * 1e-9, angle_step_rad=step, **tolerances)
 
     def _at_rest_and_locked(self) -> None:
         self._s.check()

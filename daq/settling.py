@@ -1,25 +1,27 @@
-"""Has the rig settled? Asked online by the guided test and afterwards by the analysis.
+"""Has the rig settled? One decision, asked by the guided test while it records and by the analysis of the log.
 
 Judged on means over whole revolutions in consecutive windows, so that the wobble of a periodic orbit does not
-matter. Two questions are asked of the last windows: how much do their means still change, and do the changes
-shrink? An exponential approach loses the share 1 − r of what is left per window, so after a change Δ there is
-Δ r/(1 − r) still to come. Changes that do not shrink mean an approach without end: a creeping pendulum, or one that
-leaves an unstable balance, where the drift is tiny for many seconds and grows. Neither is settled, however small
-the drift is; the orbit's amplitude alone would not show it.
+matter (daq.window_means), and on a bound of what is still to come (daq.approach): settled means that the bound, with
+the encoders' quantisation and the noise in it, is below the tolerance. A drift that does not shrink has no bound: a
+creeping pendulum, or one that leaves an unstable balance, where the drift is tiny for many seconds and grows. In
+doubt it is not settled, and the test records on.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-_NOT_SHRINKING = 0.97  # changes that keep this share per window are taken as not shrinking
+from daq.approach import Approach, bound
+from daq.window_means import WindowMeans, amplitude_means, angle_means, whole_revolutions
+
 _SAME_GAP = math.radians(5.0)  # pendulums this close to their gap at release may still stand on a saddle
-_QUANTISATION_BIAS = 0.05  # of an encoder step: what averaging a dithered code leaves
-_LEAST_SHARE = 0.4  # of a window's samples that must have come
+_MOST_WINDOWS = 30
+# Of a tolerance: the width of a mean is not taken smaller. Angles show an unstable balance being left, by little at
+# first; amplitudes need only be steady, and may wander with temperature and speed for ever.
+_UNSEEN_ANGLE, _UNSEEN_AMPLITUDE = 1 / 50, 1 / 10
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,13 @@ class Settling:
         settled: nothing still to come that matters.
         slipping: a pendulum turns steadily relative to the rotor.
         why: one sentence.
-        drift_rad: change of the mean angles from window to window, the larger pendulum's, rad (nan: no angles).
-        remaining_rad: estimated change of the angles still to come, rad; inf when changes do not shrink.
-        drift_m, remaining_m: the same for the order-1 amplitudes of x and y, m.
+        drift_rad: change of the mean angles over the last window, the larger pendulum's, rad (nan: no angles).
+        remaining_rad: bound on the angles' change still to come after the last window, rad; inf for a drift that does
+            not shrink.
+        mean_off_rad: bound on how far the angles' mean over the last `average_s` is from where they will end, rad.
+        drift_m, remaining_m, mean_off_m: the same for the order-1 amplitudes of x and y, m.
         span_s: how far back the windows reach, s.
+        more_s: about how much longer it will take until all is settled, s; inf where no end is in sight.
     """
 
     settled: bool
@@ -44,6 +49,9 @@ class Settling:
     drift_m: float
     remaining_m: float
     span_s: float
+    mean_off_rad: float = math.nan
+    mean_off_m: float = math.nan
+    more_s: float = math.inf
 
 
 def settled(
@@ -62,6 +70,8 @@ def settled(
     windows: int = 9,
     release_time_s: float | None = None,
     linger_s: float = 30.0,
+    angle_step_rad: float | None = None,
+    average_s: float = 2.0,
 ) -> Settling:
     """Whether released pendulums and the orbit have reached their steady state at the end of the signals.
 
@@ -70,39 +80,43 @@ def settled(
         mark_time_s, mark_phase_rad: tachometer marks and ψ there (rad, unwrapped), shape (n,).
         x_time_s, x_m, y_time_s, y_m: lasers, each with its own times; NaN where invalid.
         angle_tolerance_rad, amplitude_tolerance_m: how much may still be to come.
-        window_s, windows: least length of a window (rounded up to whole revolutions) and how many.
+        window_s, windows: least length of a window (rounded up to whole revolutions) and the least number of them; up
+            to 30 since the release are looked at.
         release_time_s: when the pendulums were let go; None when not known.
         linger_s: a pendulum pair that still has the gap it was released with is not called settled earlier than
             this after release: from an unstable balance it leaves exponentially, unseen at first.
+        angle_step_rad: of the encoders' code; None: the smallest change in the samples.
+        average_s: the stretch before the last mark whose mean's distance from the end is wanted.
     Returns:
         Settling; `settled` is False, with the reason, when the signals are too short or too sparse.
     Source: docs/theory/steady_states.md.
     """
-    edges = _windows(mark_time_s, mark_phase_rad, window_s, windows)
-    if edges is None or (release_time_s is not None and edges[0] < release_time_s):
+    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MOST_WINDOWS)
+    if release_time_s is not None:
+        edges = edges[edges >= release_time_s]
+    if len(edges) <= windows:
         return _unknown(f"fewer than {windows} windows of {window_s:g} s since release")
-    angles, angle_noise = _angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges)
-    orbit, orbit_noise = _amplitudes(mark_time_s, mark_phase_rad, x_time_s, x_m, y_time_s, y_m, edges)
+    angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, angle_step_rad, windows)
+    orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
     if angles is None or orbit is None:
         missing = "pendulum angles" if angles is None else "displacements"
         return _unknown(f"too many samples of the {missing} are missing")
-    slip = _slipping(angles)
-    drift, remaining = _to_come(angles, angle_noise, angle_tolerance_rad / 30)
-    drift_m, remaining_m = _to_come(orbit, orbit_noise, amplitude_tolerance_m / 30)
+    slip = _slipping(angles.means[-windows:])
+    turning = _worst(angles, _UNSEEN_ANGLE * angle_tolerance_rad, average_s)
+    whirling = _worst(orbit, _UNSEEN_AMPLITUDE * amplitude_tolerance_m, average_s)
+    found = _settling(angles, orbit, turning, whirling)
     held = release_time_s is not None and _still_as_released(
-        time_s, angles_rad, angles[-1], edges[-1], release_time_s, linger_s
+        time_s, angles_rad, angles.means[-1], edges[-1], release_time_s, linger_s
     )
-    why = (
-        _speed_change(mark_time_s, mark_phase_rad, edges)
-        or slip
-        or ("pendulums still stand as released; they may be on an unstable balance" if held else "")
-        or _reason("pendulum angles", np.degrees(drift), np.degrees(remaining), np.degrees(angle_tolerance_rad), "°")
-        or _reason("amplitudes", drift_m * 1e6, remaining_m * 1e6, amplitude_tolerance_m * 1e6, " µm")
-    )
-    return Settling(
-        not why, bool(slip), why or "angles and amplitudes are steady", drift, remaining, drift_m, remaining_m,
-        float(edges[-1] - edges[0]),
-    )  # fmt: skip
+    reasons = [
+        _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
+        slip,
+        "pendulums still stand as released; they may be on an unstable balance" if held else "",
+        _reason("pendulum angles", found.drift_rad, turning, angle_tolerance_rad, 180 / math.pi, "°"),
+        _reason("amplitudes", found.drift_m, whirling, amplitude_tolerance_m, 1e6, " µm"),
+    ]
+    lasting = max(_more(turning, angle_tolerance_rad), _more(whirling, amplitude_tolerance_m))
+    return _said(found, reasons, "angles and amplitudes are steady", math.inf if slip else lasting, bool(slip))
 
 
 def locked_settled(
@@ -118,139 +132,56 @@ def locked_settled(
     windows: int = 9,
 ) -> Settling:
     """Whether the locked orbit is steady, before the pendulums are released; arguments as in `settled`."""
-    edges = _windows(mark_time_s, mark_phase_rad, window_s, windows)
-    if edges is None:
+    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MOST_WINDOWS)
+    if len(edges) <= windows:
         return _unknown(f"fewer than {windows} windows of {window_s:g} s at speed")
-    orbit, noise = _amplitudes(mark_time_s, mark_phase_rad, x_time_s, x_m, y_time_s, y_m, edges)
+    orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
-    drift, remaining = _to_come(orbit, noise, amplitude_tolerance_m / 30)
-    why = _speed_change(mark_time_s, mark_phase_rad, edges) or _reason(
-        "amplitudes", drift * 1e6, remaining * 1e6, amplitude_tolerance_m * 1e6, " µm"
-    )
-    span = float(edges[-1] - edges[0])
-    return Settling(not why, False, why or "amplitudes are steady", math.nan, math.nan, drift, remaining, span)
+    whirling = _worst(orbit, _UNSEEN_AMPLITUDE * amplitude_tolerance_m, window_s)
+    found = _settling(None, orbit, Approach(math.nan, math.nan, 0.0, 0.0), whirling)
+    reasons = [
+        _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
+        _reason("amplitudes", found.drift_m, whirling, amplitude_tolerance_m, 1e6, " µm"),
+    ]
+    return _said(found, reasons, "amplitudes are steady", _more(whirling, amplitude_tolerance_m), slipping=False)
 
 
 def _unknown(why: str) -> Settling:
     return Settling(False, False, why, math.nan, math.inf, math.nan, math.inf, 0.0)
 
 
-def _windows(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, window_s: float, count: int) -> np.ndarray | None:
-    """Edges of `count` windows of whole revolutions that end with the last mark, shape (count + 1,)."""
-    if len(mark_time_s) < 3:
-        return None
-    late = mark_time_s >= mark_time_s[-1] - window_s * 2
-    if late.sum() < 2:
-        return None
-    speed = (mark_phase_rad[-1] - mark_phase_rad[late][0]) / (mark_time_s[-1] - mark_time_s[late][0])
-    turns = max(1, math.ceil(window_s * speed / (2 * np.pi)))
-    phases = mark_phase_rad[-1] - 2 * np.pi * turns * np.arange(count, -1, -1)
-    return np.interp(phases, mark_phase_rad, mark_time_s) if phases[0] >= mark_phase_rad[0] else None
+def _worst(seen: WindowMeans, unseen: float, average_s: float) -> Approach:
+    """The larger of the two quantities' bounds."""
+    both = [
+        bound(seen.edges_s, column, max(float(width), unseen), average_s)
+        for column, width in zip(seen.means.T, seen.width, strict=True)
+    ]
+    worst = max(both, key=lambda a: a.remaining)
+    return replace(worst, mean_off=max(a.mean_off for a in both))
 
 
-def _fit(phase: np.ndarray, values: np.ndarray, orders: int) -> np.ndarray | None:
-    """Least squares of 1, cos kψ, sin kψ; shape (1 + 2 orders, …); None with too few samples."""
-    if len(values) < 4 * (1 + 2 * orders):
-        return None
-    columns = [np.ones_like(phase)]
-    for k in range(1, orders + 1):
-        columns += [np.cos(k * phase), np.sin(k * phase)]
-    return np.linalg.lstsq(np.stack(columns, axis=1), values, rcond=None)[0]
+def _settling(angles: WindowMeans | None, orbit: WindowMeans, turning: Approach, whirling: Approach) -> Settling:
+    """The numbers of an answer that is still to be given."""
+    drift = math.nan if angles is None else float(np.abs(angles.means[-1] - angles.means[-2]).max())
+    return Settling(
+        False, False, "", drift, turning.remaining, float(np.abs(orbit.means[-1] - orbit.means[-2]).max()),
+        whirling.remaining, float(orbit.edges_s[-1, 1] - orbit.edges_s[0, 0]), turning.mean_off, whirling.mean_off,
+    )  # fmt: skip
 
 
-def _cut(time: np.ndarray, values: np.ndarray, edges: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Finite samples in each window; an empty list when a window is too thin."""
-    good = np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
-    time, values = time[good], values[good]
-    where = np.searchsorted(time, edges)
-    counts = np.diff(where)
-    steps = np.diff(time[where[0] : where[-1]])
-    if counts.min() < 8 or counts.min() < _LEAST_SHARE * np.diff(edges).max() / np.median(steps):
-        return []
-    return [(time[a:b], values[a:b]) for a, b in pairwise(where)]
+def _said(found: Settling, reasons: list[str], steady: str, more_s: float, slipping: bool) -> Settling:
+    """The answer: the first reason against, or that all is steady."""
+    why = next((reason for reason in reasons if reason), "")
+    return replace(found, settled=not why, slipping=slipping, why=why or steady, more_s=more_s if why else 0.0)
 
 
-def _angle_means(
-    time: np.ndarray, angles: np.ndarray, mark_time: np.ndarray, mark_phase: np.ndarray, edges: np.ndarray
-) -> tuple[np.ndarray | None, np.ndarray]:
-    """Mean angles per window, shape (windows, 2), and the noise of one mean, shape (2,)."""
-    means, noise = [], []
-    for t, values in _cut(time, angles, edges):
-        fit = _fit(np.interp(t, mark_time, mark_phase), values, 2)
-        if fit is None:
-            return None, np.zeros(2)
-        means.append(fit[0])
-        steps = np.diff(values, axis=0)
-        code = np.min(np.abs(steps[steps != 0]), initial=np.inf)  # the encoder's step, when it shows
-        bias = _QUANTISATION_BIAS * code if np.isfinite(code) else 0.0
-        noise.append(np.hypot(steps.std(axis=0) / math.sqrt(2 * len(values)), bias))
-    return (np.array(means), np.median(noise, axis=0)) if means else (None, np.zeros(2))
-
-
-def _amplitudes(
-    mark_time: np.ndarray, mark_phase: np.ndarray,
-    x_time: np.ndarray, x: np.ndarray, y_time: np.ndarray, y: np.ndarray, edges: np.ndarray,
-) -> tuple[np.ndarray | None, np.ndarray]:  # fmt: skip
-    """Order-1 amplitudes of x and y per window, shape (windows, 2), and their noise, shape (2,)."""
-    columns, noise = [], []
-    for time, values in ((x_time, x), (y_time, y)):
-        track, scatter = [], []
-        for t, v in _cut(time, values, edges):
-            fit = _fit(np.interp(t, mark_time, mark_phase), v, 2)
-            if fit is None:
-                return None, np.zeros(2)
-            track.append(math.hypot(fit[1], fit[2]))
-            scatter.append(np.diff(v, 2).std() / math.sqrt(6) * math.sqrt(2 / len(v)))
-        if not track:
-            return None, np.zeros(2)
-        columns.append(track)
-        noise.append(np.median(scatter))
-    return np.array(columns).T, np.array(noise)
-
-
-def _to_come(means: np.ndarray, noise: np.ndarray, unseen: float) -> tuple[float, float]:
-    """Change per window now, and what is still to come (inf when the changes do not shrink).
-
-    The changes of both columns are taken together; their mean squares over the first and the second half of the
-    windows, freed of noise, give the share r that a change keeps per window. r is taken two standard deviations
-    high. Changes from window to window that are lost in the noise, or below `unseen`, are judged on the means of
-    the thirds instead.
-    """
-    changes = np.diff(means, axis=0)
-    power = np.sum(changes**2, axis=1)
-    noise_power = 2 * float(np.sum(np.maximum(noise, unseen) ** 2))
-    half = len(power) // 2
-    apart = len(power) - half
-    early, late = float(power[:half].mean()), float(power[-half:].mean())
-    drift = float(np.sqrt(np.mean(changes[-half:] ** 2, axis=0)).max())
-    early_net, late_net = early - noise_power, late - noise_power
-    if late < 4 * noise_power:  # no drift to be seen
-        return drift, _slow_change(means, noise)
-    if early_net <= 0:
-        return drift, math.inf
-    keep = (late_net / early_net) ** (0.5 / apart)
-    spread = math.sqrt(noise_power / (2 * half) * (1 / late_net + 1 / early_net)) / apart
-    keep *= math.exp(2 * spread)
-    if keep >= _NOT_SHRINKING:
-        return drift, math.inf
-    last = drift / math.sqrt(np.mean(keep ** (-2.0 * np.arange(half))))  # of a geometric row with that rms
-    return last, last * keep / (1 - keep)
-
-
-def _slow_change(means: np.ndarray, noise: np.ndarray) -> float:
-    """What is still to come of a drift too slow to be seen from window to window; inf when it does not shrink.
-
-    Two consecutive differences between the means of the thirds. The noise is not divided by the number of windows:
-    a code's quantisation bias stays the same in all of them.
-    """
-    first, middle, last = (part.mean(axis=0) for part in np.array_split(means, 3))
-    before, now = np.linalg.norm(middle - first), np.linalg.norm(last - middle)
-    sigma = float(np.linalg.norm(noise)) * math.sqrt(2)
-    if now < 2.5 * sigma:
-        return float(math.sqrt(max(now**2 - sigma**2, 0.0)))
-    keep = (now + sigma) / max(before - sigma, 1e-3 * sigma)
-    return float(now * keep / (1 - keep)) if keep < _NOT_SHRINKING ** (len(means) / 3) else math.inf
+def _more(approach: Approach, tolerance: float) -> float:
+    """How long an approach takes until less than the tolerance is to come, s."""
+    if approach.remaining <= tolerance:
+        return 0.0
+    rate = approach.rate_per_s
+    return math.log(approach.remaining / tolerance) / rate if rate > 0 else math.inf
 
 
 def _slipping(angles: np.ndarray) -> str:
@@ -283,9 +214,14 @@ def _speed_change(mark_time: np.ndarray, mark_phase: np.ndarray, edges: np.ndarr
     return f"the speed still changes, by {100 * change:+.2f} % over the last windows" if abs(change) > 1e-3 else ""
 
 
-def _reason(what: str, drift: float, remaining: float, tolerance: float, unit: str) -> str:
-    if math.isinf(remaining):
-        return f"{what} drift by {drift:.2g}{unit} per window and the drift does not shrink"
-    if remaining > tolerance:
-        return f"{what} still have about {remaining:.2g}{unit} to go, wanted below {tolerance:.2g}{unit}"
+def _reason(what: str, drift: float, to_come: Approach, tolerance: float, factor: float, unit: str) -> str:
+    """A sentence when more than the tolerance may be still to come, otherwise empty."""
+    if math.isinf(to_come.remaining):
+        return f"{what} drift by {drift * factor:.2g}{unit} per window and the drift does not shrink"
+    if to_come.remaining > tolerance:
+        more = _more(to_come, tolerance)
+        return (
+            f"{what} may have {to_come.remaining * factor:.2g}{unit} to go, wanted below {tolerance * factor:.2g}{unit}"
+            + (f"; about {math.ceil(more)} s more" if math.isfinite(more) else "")
+        )
     return ""

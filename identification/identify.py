@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -267,10 +268,14 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     facts = _provenance(runs, work, rows)
     angle, std = _axis_angle(work.fits)
     found = Identification(
-        IdentifiedParameters(parameters.values, parameters.covariance, facts), angle, std,
+        IdentifiedParameters(parameters.values, parameters.covariance, facts, _known(angle, std)), angle, std,
         work.estimates, work.fits, rows, work.warnings + warnings,
     )  # fmt: skip
     return replace(found, parameters=with_tests(found, runs))
+
+
+def _known(angle_deg: float, std_deg: float) -> tuple[float, float] | None:
+    return (angle_deg, std_deg) if math.isfinite(angle_deg) and math.isfinite(std_deg) else None
 
 
 def _left_out(releases: list[tuple[str, ReleaseLeftOut]]) -> list[str]:

@@ -50,6 +50,22 @@ def load_rig(
     return validate(raw, source)
 
 
+def with_parameters(rig: Rig, known: IdentifiedParameters) -> Rig:
+    """A rig with identified values in place of its own, whatever settings it was loaded with."""
+    raw = rig.model_dump(exclude_unset=True)
+    _lay_parameters(raw, known)
+    return validate(raw, rig.name)
+
+
+def overridden(known: IdentifiedParameters, settings: Sequence[str]) -> set[str]:
+    """Names of the identified values that settings replace: what was found about them holds no longer."""
+    keys = [parse_setting(text)[0] for text in settings]
+    return {
+        name for name in known.values
+        if any(place == key or place.startswith(f"{key}.") for place in _SETTINGS_OF[name] for key in keys)
+    }  # fmt: skip
+
+
 def with_truth(rig: Rig, key: str, value: Any) -> Rig:
     """A simulated rig with one number of its truth changed; "*1.05" and "+5%" change what holds now.
 
@@ -166,18 +182,21 @@ def _read(path_or_name: str | Path) -> tuple[str, str]:
         raise RigFileError(f"{path}: cannot be read as a text file: {error}") from error
 
 
+_PLACES = {
+    "k1_N_per_m": "suspension.k1_N_per_m",
+    "k2_N_per_m": "suspension.k2_N_per_m",
+    "zeta1": "suspension.zeta1",
+    "zeta2": "suspension.zeta2",
+    "c3_Nms_per_rad": "pendulums.a.damping_Nms_per_rad",
+    "c4_Nms_per_rad": "pendulums.b.damping_Nms_per_rad",
+}
+_SETTINGS_OF = {name: {key} for name, key in _PLACES.items()} | {"SP_kg_m": {"imbalance.mass_kg", "imbalance.radius_m"}}
+
+
 def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters) -> None:
-    places = {
-        "k1_N_per_m": "suspension.k1_N_per_m",
-        "k2_N_per_m": "suspension.k2_N_per_m",
-        "zeta1": "suspension.zeta1",
-        "zeta2": "suspension.zeta2",
-        "c3_Nms_per_rad": "pendulums.a.damping_Nms_per_rad",
-        "c4_Nms_per_rad": "pendulums.b.damping_Nms_per_rad",
-    }
     for name, value in known.values.items():
-        if name in places:
-            apply_setting(raw, places[name], value)
+        if name in _PLACES:
+            apply_setting(raw, _PLACES[name], value)
         elif name == "SP_kg_m":
             apply_setting(raw, "imbalance.radius_m", value / raw["imbalance"]["mass_kg"])
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +38,17 @@ class IdentifiedParameters:
         values: name to value (SI), in the order of the covariance.
         covariance: shape (n, n), products of the values' units.
         provenance: free facts kept with the values: logs with digests, method, software version, consistency.
+        axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees, not
+            correlated with the values; None where no test showed it.
     Raises:
-        ParametersFileError: unknown names, or a covariance of the wrong shape, not symmetric or not positive.
+        ParametersFileError: unknown names, a covariance of the wrong shape, not symmetric or not positive, or an axis
+            angle that is no finite number with a standard uncertainty.
     """
 
     values: dict[str, float]
     covariance: np.ndarray
     provenance: dict[str, Any] = field(default_factory=dict)
+    axis_angle_deg: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.values)
@@ -69,6 +73,9 @@ class IdentifiedParameters:
                 "covariance must have no negative variance in any direction (be positive semidefinite); two parameters "
                 "are correlated by more than 1"
             )
+        angle = self.axis_angle_deg
+        if angle is not None and not (all(map(math.isfinite, angle)) and angle[1] >= 0):
+            raise ParametersFileError(f"axis_angle: expected finite value_deg and std_deg, not negative, got {angle}")
 
     @property
     def std(self) -> dict[str, float]:
@@ -88,6 +95,12 @@ class IdentifiedParameters:
         """The rig's numbers with the identified ones in place of the file's."""
         return physics.with_values(**self.values)
 
+    def without(self, names: Collection[str]) -> IdentifiedParameters:
+        """Without some of the values: the others keep their own covariance."""
+        kept = [j for j, name in enumerate(self.values) if name not in names]
+        values = {name: value for name, value in self.values.items() if name not in names}
+        return replace(self, values=values, covariance=self.covariance[np.ix_(kept, kept)])
+
     def save(self, path: str | Path) -> None:
         """Write parameters.toml."""
         document = tomlkit.document()
@@ -95,6 +108,8 @@ class IdentifiedParameters:
         for name, value in self.values.items():
             document[name] = {"value": value, "std": self.std[name], "unit": PARAMETER_UNITS[name]}
         document["covariance"] = {"order": list(self.values), "matrix": self.covariance.tolist()}
+        if self.axis_angle_deg is not None:
+            document["axis_angle"] = dict(zip(("value_deg", "std_deg"), self.axis_angle_deg, strict=True))
         document["provenance"] = self.provenance
         Path(path).write_text(tomlkit.dumps(document), encoding="utf-8")
 
@@ -122,7 +137,9 @@ class IdentifiedParameters:
             order = raw["covariance"]["order"]
             values = {name: _number(raw[name]["value"]) for name in order}
             matrix = np.array([[_number(cell) for cell in row] for row in raw["covariance"]["matrix"]])
-            return cls(values, matrix, dict(raw.get("provenance", {})))
+            angle = raw.get("axis_angle")  # older files have none
+            axis = None if angle is None else (_number(angle["value_deg"]), _number(angle["std_deg"]))
+            return cls(values, matrix, dict(raw.get("provenance", {})), axis)
         except ParametersFileError as error:
             raise ParametersFileError(f"{path}: {error}") from error
         except (KeyError, TypeError, ValueError) as error:

@@ -83,12 +83,14 @@ class Campaign:
         runs: the recorded tests, in the order they were run.
         identification: parameters with their fits.
         validation: measured against predicted at the points; None when no point was run.
-        axis_angle_deg: angle from the stiffness to the sensor x axis and its standard uncertainty, degrees.
+        axis_angle_deg: angle from the stiffness to the sensor x axis and its standard uncertainty, degrees, where it
+            is not the identified one.
         devices: device name to facts about it (model, serial, firmware, port), as shown.
         losses: log to counted losses by stream; None takes them from the runs.
         truth: a simulated rig's own numbers by parameter name, for the closing comparison.
         notes: paragraphs of the operator.
         software_version, seed: as recorded with the logs.
+        what_if: settings laid over rig file and parameters; the report then answers a question and is marked so.
     """
 
     title: str
@@ -96,10 +98,11 @@ class Campaign:
     runs: Sequence[Run]
     identification: Identification
     validation: Validation | None = None
-    axis_angle_deg: tuple[float, float] = (0.0, 0.0)
+    axis_angle_deg: tuple[float, float] | None = None
     devices: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     losses: Mapping[str, Mapping[str, int]] | None = None
     truth: Mapping[str, float] | None = None
     notes: Sequence[str] = ()
     software_version: str = ""
     seed: int | None = None
+    what_if: Sequence[str] = ()

@@ -7,8 +7,8 @@ import math
 _MINUS = "\u2212"
 
 
-def with_std(value: float, std: float, unit: str = "") -> str:
-    """ "2616.6 ± 0.2 N/m": the deviation to one digit (two when it begins with 1), the value to the same place.
+def with_std(value: float, std: float, unit: str = "", digits: int = 1) -> str:
+    """ "2616.6 ± 0.2 N/m": the deviation to some digits (one more when it begins with 1), the value to the same place.
 
     Very large and very small numbers get a power of ten: "(1.040 ± 0.004)·10⁻³ N m s/rad".
     """
@@ -21,8 +21,8 @@ def with_std(value: float, std: float, unit: str = "") -> str:
     power = magnitude if magnitude < -2 or magnitude > 5 else 0
     value, std = value / 10.0**power, std / 10.0**power
     place = math.floor(math.log10(std))
-    digits = max(0, -place + (1 if round(std / 10.0**place, 6) < 1.95 else 0))
-    text = f"{value:.{digits}f} ± {std:.{digits}f}"
+    decimals = max(0, digits - 1 - place + (1 if round(std / 10.0**place, 6) < 1.95 else 0))
+    text = f"{value:.{decimals}f} ± {std:.{decimals}f}"
     if power:
         text = f"({text})·10{_superscript(power)}"
     return text.replace("-", _MINUS) + tail

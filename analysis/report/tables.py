@@ -12,7 +12,7 @@ import numpy as np
 
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain, signed, with_std
-from analysis.validation import Z_LIMIT, PointResult
+from analysis.validation import Z_LIMIT, PointResult, Score
 from daq.signals import Run
 from rig_configs import PARAMETER_UNITS
 
@@ -143,38 +143,44 @@ def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, 
 
 
 def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
-    """Measured against predicted, quantity by quantity."""
+    """Measured against predicted, quantity by quantity, with the uncertainties that z is made of."""
     values = point.to_json()
     rows = []
     for name, text, key, unit in _QUANTITIES:
-        value, model = values["measured"][key], values["predicted"][key]
-        factor, shown = (1e3, "µm") if unit == "mm" and max(abs(value or 0), abs(model or 0)) < 0.01 else (1.0, unit)
-        z = point.z_scores.get(name)
-        balanced = bool(point.prediction and point.prediction.state.type == "I" and name.startswith("amp"))
-        rows.append(
-            {
-                "name": text,
-                "measured": _pair(value, values["measured_std"][key], factor, shown),
-                "predicted": f"0 {shown}" if balanced else _pair(model, values["predicted_std"][key], factor, shown),
-                "difference": _difference(value, 0.0 if balanced else model, factor, unit, shown),
-                "z": "–" if z is None else (f"{abs(z):.1f}" if balanced else signed(z)),
-                "class": "bad" if z is not None and not abs(z) <= Z_LIMIT else "",
-            }
-        )
+        score = point.scores.get(name)
+        value, std = values["measured"][key], values["measured_std"][key]
+        model, model_std = values["predicted"][key], values["predicted_std"][key]
+        small = unit == "mm" and max(abs(value or 0), abs(model or 0)) < 0.01
+        factor, shown = (1e3, "µm") if small else (1.0, unit)
+        row = {
+            "name": text,
+            "measured": _pair(value, std, factor, shown),
+            "predicted": _pair(model, model_std, factor, shown),
+            "difference": "–",
+            "z": "–" if score is None else signed(score.z, 2),
+            "class": "bad" if score is not None and not abs(score.z) <= Z_LIMIT else "",
+        }
+        if score is not None and score.noise:
+            row |= _noise_row(score, 1e6 if small else 1e3, shown)
+        elif value is not None and model is not None:
+            apart = (value - model + 180) % 360 - 180 if unit == "°" else value - model
+            row["difference"] = _pair(apart, math.hypot(std or 0.0, model_std or 0.0), factor, shown)
+        rows.append(row)
     return rows
+
+
+def _noise_row(score: Score, factor: float, unit: str) -> dict[str, str]:
+    """An amplitude where none is predicted: no difference, but how often noise alone is as large."""
+    noise = " and ".join(plain(s * factor, 3) for s in score.noise)
+    return {
+        "measured": f"{plain(score.measured * factor, 3)} {unit}",
+        "predicted": f"0, noise {noise} {unit}",
+        "difference": f"χ² = {plain(score.chi2, 3)} on {2 * len(score.noise)}, p = {plain(score.p, 2)}",
+        "z": f"|{score.z:.2f}|",
+    }
 
 
 def _pair(value: float | None, std: float | None, factor: float, unit: str) -> str:
     if value is None:
         return "–"
-    return with_std(value * factor, math.nan if std is None else std * factor, unit)
-
-
-def _difference(value: float | None, model: float | None, factor: float, unit: str, shown: str) -> str:
-    if value is None or model is None:
-        return "–"
-    difference = (value - model) * factor
-    if unit == "°":
-        difference = (difference + 180) % 360 - 180
-    text = signed(difference, {"mm": 4, "µm": 2}.get(shown, 2))
-    return f"{text}°" if shown == "°" else f"{text} {shown}"
+    return with_std(value * factor, math.nan if std is None else std * factor, unit, digits=2)

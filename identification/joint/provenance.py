@@ -7,7 +7,7 @@ was recorded and with which devices. Files from before this, or from elsewhere, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -64,7 +64,7 @@ def with_tests(found: Identification, runs: Sequence[Run] = ()) -> IdentifiedPar
         facts["rig"] = " + ".join(rigs)
     if joint.extra_std:
         facts["widened"] = joint.extra_std
-    return IdentifiedParameters(found.parameters.values, found.parameters.covariance, facts)
+    return replace(found.parameters, provenance=facts)
 
 
 def _entry(

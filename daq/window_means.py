@@ -1,0 +1,186 @@
+# pyright: strict
+"""Means of a run's signals over windows of whole revolutions, each with how far it may be from the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+Array = NDArray[np.float64]
+
+_LEAST_SHARE = 0.4  # of a window's samples that must have come
+_LEAST_SAMPLES = 20
+_GOOD_OF_NEWEST = 0.75  # share of the newest windows that must be good, the last one among them
+_DEVIATIONS = 3.5  # of a mean's noise that its width holds
+_LEAST_CODES = 5  # samples on either side of the usual code, to know its noise
+_NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
+_DEFAULT_STEP_RAD = 2 * math.pi / 4096  # of a code that never changes
+
+
+@dataclass(frozen=True)
+class WindowMeans:
+    """Means per window and quantity.
+
+    Attributes:
+        edges_s: start and end of each window that has enough samples, shape (n, 2), s.
+        means: shape (n, 2): θ3 and θ4 in rad, or the order-1 amplitudes of x and y in m.
+        width: how far a mean may be from the truth, shape (2,).
+    """
+
+    edges_s: Array
+    means: Array
+    width: Array
+
+
+def whole_revolutions(mark_time_s: Array, mark_phase_rad: Array, window_s: float, most: int) -> Array:
+    """Edges of up to `most` windows of whole revolutions that end with the last mark, shape (n + 1,); n may be 0."""
+    if len(mark_time_s) < 3:
+        return np.empty(0)
+    late = mark_time_s >= mark_time_s[-1] - window_s * 2
+    if late.sum() < 2:
+        return np.empty(0)
+    speed = (mark_phase_rad[-1] - mark_phase_rad[late][0]) / (mark_time_s[-1] - mark_time_s[late][0])
+    turn = 2 * math.pi * max(1, math.ceil(window_s * speed / (2 * math.pi)))
+    count = min(most, int((mark_phase_rad[-1] - mark_phase_rad[0]) / turn + 1e-9))
+    phases = mark_phase_rad[-1] - turn * np.arange(count, -1, -1)
+    return np.interp(phases, mark_phase_rad, mark_time_s)
+
+
+def angle_means(
+    time_s: Array, angles_rad: Array, mark_time_s: Array, mark_phase_rad: Array, edges: Array, step_rad: float | None,
+    newest: int,
+) -> WindowMeans | None:  # fmt: skip
+    """Mean angles; None when too many samples are missing in the newest windows.
+
+    Args:
+        step_rad: of the encoders' code; None: the smallest change in the samples.
+        newest: how many windows, counted from the end, must be good.
+    """
+    cut = _cut(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, newest)
+    if cut is None:
+        return None
+    step = _step(angles_rad) if step_rad is None else step_rad
+    means, noise, ripple, dither = [], [], [], []
+    for phase, values in cut.parts:
+        fit = _orders(phase, values)
+        means.append(fit[0].real)
+        noise.append(np.diff(values, axis=0).std(axis=0) / math.sqrt(2 * len(values)))
+        ripple.append([np.abs(fit[1]), np.abs(fit[2])])
+        dither.append([code_noise(column / step) for column in values.T])
+    once, twice = np.median(np.array(ripple), axis=0)
+    half = np.array([
+        half_width(step, _usual(seen) if max(a, b) < 0.5 * step else 0.0, a, b)
+        for seen, a, b in zip(np.array(dither).T, once, twice, strict=True)
+    ])  # fmt: skip
+    return WindowMeans(cut.edges, np.array(means), half + _DEVIATIONS * np.median(noise, axis=0))
+
+
+def code_noise(codes: Array) -> float:
+    """Standard deviation of the noise before rounding, in steps; nan where the codes do not tell.
+
+    Both codes beside the usual one must have been seen: from two codes alone the noise is not known, for a reading on
+    the edge between them flips without noise too. Normal noise of s steps about μ goes below −½ and above ½ with the
+    quantiles (−½ − μ)/s and (μ − ½)/s, whose sum is −1/s.
+    """
+    off = codes - np.median(codes)
+    below, above = np.mean(off < -0.5), np.mean(off > 0.5)
+    if min(below, above) * len(off) < _LEAST_CODES or max(below, above) >= 0.5:
+        return math.nan
+    return float(-1 / (ndtri(below) + ndtri(above)))
+
+
+def _usual(noise: Array) -> float:
+    """The noise that most windows show; 0 where too few show any."""
+    known = noise[np.isfinite(noise)]
+    return float(np.median(known)) if len(known) >= 3 else 0.0
+
+
+def half_width(step: float, noise: float, *ripple: float) -> float:
+    """How far the mean of a rounded code may be from the mean of what was rounded, in the unit of `step`.
+
+    A code that stands leaves half a step. Noise of s steps leaves Σ_k e^{−2π²k²s²}/(kπ) at most (the Fourier series
+    of the rounding error, every term at its largest), a ripple of amplitude A steps makes each term |J0(2πkA)| of it.
+
+    Args:
+        step: of the code.
+        noise: before rounding, in steps (`code_noise`).
+        ripple: amplitudes of what repeats with the rotor.
+    """
+    if step <= 0:
+        return 0.0
+    total = 0.0
+    for k in range(1, 9):
+        term = math.exp(-2 * (math.pi * k * noise) ** 2) / (math.pi * k)
+        for amplitude in ripple:
+            argument = 2 * math.pi * k * amplitude / step
+            term *= min(1.0, math.sqrt(2 / (math.pi * max(argument, 1e-9))))  # the envelope of J0
+        total += term
+    return step * min(0.5, total)
+
+
+def amplitude_means(
+    x_time_s: Array, x_m: Array, y_time_s: Array, y_m: Array, mark_time_s: Array, mark_phase_rad: Array, edges: Array,
+    newest: int,
+) -> WindowMeans | None:  # fmt: skip
+    """Order-1 amplitudes of x and y in the windows in which both were seen; None when too many are missing."""
+    x = _cut(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
+    y = _cut(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
+    if x is None or y is None:
+        return None
+    both = np.intersect1d(x.numbers, y.numbers)
+    columns, width = [], []
+    for cut in (x, y):
+        parts = [part for number, part in zip(cut.numbers, cut.parts, strict=True) if number in both]
+        columns.append([abs(_orders(phase, values)[1]) for phase, values in parts])
+        noise = [np.diff(values, 2).std() / math.sqrt(3 * len(values)) for _, values in parts]
+        width.append(_DEVIATIONS * float(np.median(noise)))
+    kept = x.edges[np.isin(x.numbers, both)]
+    return WindowMeans(kept, np.array(columns, float).T, np.array(width))
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Samples per window with enough of them: phases and values, the windows' numbers and their edges."""
+
+    parts: list[tuple[Array, Array]]
+    numbers: NDArray[np.int64]
+    edges: Array
+
+
+def _cut(time: Array, values: Array, mark_time: Array, mark_phase: Array, edges: Array, newest: int) -> _Cut | None:
+    good = np.isfinite(values if values.ndim == 1 else values.sum(axis=1)) & (time >= edges[0])
+    time, values = time[good], values[good]
+    where = np.searchsorted(time, edges)
+    counts = np.diff(where)
+    if len(time) < _LEAST_SAMPLES:
+        return None
+    usual = np.diff(edges) / np.median(np.diff(time))
+    enough = (counts >= _LEAST_SAMPLES) & (counts >= _LEAST_SHARE * usual)
+    late = enough[-newest:]
+    if not late[-1] or late.sum() < _GOOD_OF_NEWEST * newest:
+        return None
+    phase = np.interp(time, mark_time, mark_phase)
+    numbers = np.flatnonzero(enough)
+    parts = [(phase[where[j] : where[j + 1]], values[where[j] : where[j + 1]]) for j in numbers]
+    return _Cut(parts, numbers, np.stack([edges[:-1][enough], edges[1:][enough]], axis=1))
+
+
+def _orders(phase: Array, values: Array) -> NDArray[np.complex128]:
+    """Complex amplitudes of orders 0, 1, 2 by least squares, values ≈ Re Σ A_k e^{ikψ}; shape (3, …)."""
+    turn = np.exp(1j * phase)
+    both = turn * turn
+    basis = np.stack([np.ones_like(phase), turn.real, turn.imag, both.real, both.imag], axis=1)
+    level = values.mean(axis=0)
+    fit = np.linalg.solve(basis.T @ basis, basis.T @ (values - level))
+    return np.stack([fit[0] + level + 0j, fit[1] - 1j * fit[2], fit[3] - 1j * fit[4]])
+
+
+def _step(angles: Array) -> float:
+    """The encoders' step as the samples show it."""
+    changes = np.abs(np.diff(angles, axis=0))
+    changes = changes[changes > _NO_STEP_RAD]  # comparisons with nan are False
+    return float(changes.min()) if len(changes) else _DEFAULT_STEP_RAD

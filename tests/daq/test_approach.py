@@ -1,0 +1,108 @@
+"""The bound on what is still to come: never below it for approaches, decaying swings, creep and growth."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daq.approach import bound
+from daq.window_means import code_noise, half_width
+
+WINDOW_S = 1.02
+
+
+def windows(count: int) -> np.ndarray:
+    edges = np.arange(count + 1) * WINDOW_S
+    return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
+def means(motion, edges: np.ndarray) -> np.ndarray:
+    """Of a motion with time counted back from the last window's end."""
+    share = np.linspace(0, 1, 101)
+    return motion(edges[:, :1] + np.diff(edges, axis=1) * share - edges[-1, 1]).mean(axis=1)
+
+
+def errors(seed: int, count: int, width: float) -> np.ndarray:
+    return width * np.random.default_rng(seed).uniform(-0.9, 0.9, count)
+
+
+sizes = st.floats(-2.5, 0.0).map(lambda p: 10.0**p)
+widths = st.floats(-4.5, -2.0).map(lambda p: 10.0**p)
+counts = st.integers(9, 30)
+seeds = st.integers(0, 1000)
+
+
+@settings(deadline=None, max_examples=60)
+@given(sizes, st.floats(0.09, 1.5), widths, counts, seeds)
+def test_one_rate_is_bounded(left: float, rate: float, width: float, count: int, seed: int) -> None:
+    edges = windows(count)
+    values = means(lambda t: np.minimum(left * np.exp(-rate * t), 3.0), edges) + errors(seed, count, width)
+    found = bound(edges, values, width, 2.0)
+    assert found.remaining >= 0.9 * left - width
+    assert found.mean_off >= 0.97 * found.remaining
+
+
+@settings(deadline=None, max_examples=60)
+@given(sizes, st.floats(0.1, 0.6), st.floats(0.6, 2.5), st.floats(0, 6.3), widths, counts, seeds)
+def test_a_decaying_swing_is_bounded(
+    left: float, rate: float, turn: float, phase: float, width: float, count: int, seed: int
+) -> None:
+    edges = windows(count)
+    values = means(lambda t: left * np.exp(-rate * t) * np.cos(turn * t + phase), edges) + errors(seed, count, width)
+    after = np.linspace(0, 60, 3001)
+    to_come = np.abs(left * np.exp(-rate * after) * np.cos(turn * after + phase)).max()
+    assert bound(edges, values, width, 2.0).remaining >= 0.8 * to_come - 2 * width
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.floats(0.15, 1.0), st.floats(6, 1000), counts, seeds, st.sampled_from([1.0, -1.0]))
+def test_growth_that_shows_has_no_bound(rate: float, size: float, count: int, seed: int, sign: float) -> None:
+    edges, width = windows(count), 1e-3
+    values = means(lambda t: sign * size * width * np.exp(rate * t), edges) + errors(seed, count, width)
+    assert bound(edges, values, width, 2.0).remaining > 0.5 * size * width
+
+
+@pytest.mark.parametrize("count", [9, 15, 30])
+def test_creep_that_shows_has_no_bound_and_creep_that_does_not_is_bounded(count: int) -> None:
+    edges, width = windows(count), 1e-3
+    for seed in range(10):
+        slow = means(lambda t: 0.1 * width / count * t, edges) + errors(seed, count, 0.9 * width)
+        fast = means(lambda t: 8 * width / count * t, edges) + errors(seed, count, width)
+        assert bound(edges, slow, width, 2.0).remaining < 4.5 * width
+        assert bound(edges, fast, width, 2.0).remaining == math.inf
+
+
+def test_the_longer_means_stand_the_less_can_be_to_come() -> None:
+    edges = windows(30)
+    left = [bound(edges[-n:], np.zeros(n), 1.0, 2.0).remaining for n in (9, 15, 22, 30)]
+    assert all(later < 0.75 * earlier for earlier, later in pairwise(left))
+    assert left[0] == pytest.approx(2 / math.expm1(0.08 * 8 * WINDOW_S), rel=0.2)
+
+
+def test_identical_means_leave_no_drift() -> None:
+    """Standing counts: their floating point noise is none of a drift."""
+    edges = windows(12)
+    values = 1.234 + 1e-15 * np.arange(12)
+    assert bound(edges, values, 7.7e-4, 2.0).remaining < 1.5e-3
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.floats(0, 0.6), st.floats(-0.5, 0.5), st.integers(0, 100))
+def test_half_width_holds_the_mean_of_a_noisy_code(noise: float, offset: float, seed: int) -> None:
+    """Against the rounding itself, for any place within a count: on an edge a code flips without noise."""
+    codes = np.round(offset + noise * np.random.default_rng(seed).standard_normal(20_000))
+    seen = code_noise(codes)
+    allowed = half_width(1.0, 0.0 if math.isnan(seen) else seen)
+    assert abs(float(codes.mean()) - offset) <= 1.1 * allowed + 4 * float(codes.std()) / math.sqrt(len(codes))
+    if not math.isnan(seen):
+        assert seen == pytest.approx(noise, rel=0.25)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.floats(0, 3), st.floats(-0.5, 0.5))
+def test_half_width_holds_the_mean_of_a_wobbling_code(ripple: float, offset: float) -> None:
+    codes = np.round(offset + ripple * np.cos(2 * np.pi * np.arange(20_000) / 20_000))
+    assert abs(float(codes.mean()) - offset) <= half_width(1.0, 0.0, ripple) + 1e-3
