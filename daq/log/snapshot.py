@@ -37,7 +37,11 @@ def rig_of(log: Log) -> Rig:
 
 def identities_of(log: Log) -> dict[str, dict[str, Any]]:
     """What each device said of itself when it was opened; empty where nothing was asked."""
-    return _table(log, IDENTITIES) if IDENTITIES in log.attachments else {}
+    told = _table(log, IDENTITIES) if IDENTITIES in log.attachments else {}
+    wrong = next((device for device, identity in told.items() if not isinstance(identity, dict)), None)
+    if wrong is not None:
+        raise LogError(f"{log.path}: {IDENTITIES}: expected a table under {wrong!r:.80}, got {told[wrong]!r:.80}")
+    return told
 
 
 def _table(log: Log, name: str) -> dict[str, Any]:
