@@ -8,7 +8,7 @@ on every machine and however the bytes were split into reads.
 For sample i let D(i) = |x(i−2) − 4x(i−1) + 6x(i) − 4x(i+1) + x(i+2)|, the fourth difference: what a smooth motion
 leaves nothing of, white noise of σ leaves 8.4 σ of, and a lone jump of s leaves 6 s of. It is a spike where
 
-1. D(i) is ten times its own running median (never taken for less than `_QUIET_CODES`): a jump of some 9 σ;
+1. D(i) is 14 times its own running median (never taken for less than `_QUIET_CODES`): a jump of some 13 σ;
 2. D is at most a third of that at the six places before and after which see nothing of sample i: no burst, no onset;
 3. with x(i) put where its four neighbours want it, D is at most a third all around, too: one sample mends it all, so
    there is no ringing that begins;
@@ -33,7 +33,7 @@ LOOK_AHEAD = 10
 SPIKE_BEFORE = 0x1
 """Bit of a laser channel's `flags`: the sample `LOOK_AHEAD` places before this one in the channel is suspect."""
 
-_TIMES_MEDIAN = 10
+_TIMES_MEDIAN = 14
 _TIMES_NEIGHBOURS = 3
 _NEEDED = 2 * LOOK_AHEAD + 1  # readings in a row
 _QUIET_CODES = 4  # a median below is that of rounding alone
