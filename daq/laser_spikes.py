@@ -72,13 +72,20 @@ def _off(code, i, side, half):  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _watch(code, counter, begin, state, flags):  # pragma: no cover - compiled
-    """Judge the samples from `begin` on; state: running median, samples seen, readings in a row, last counter."""
+def _watch(new, counter, before, state, flags):  # pragma: no cover - compiled
+    """Judge new samples; state: running median, samples seen, readings in a row, last counter. True if any is found."""
     median, seen, row, last = state
-    for j in range(begin, len(code)):
-        if code[j] > _CODE_MAX or (counter[j - begin] - last) % _COUNTER_WRAP != 1:
+    begin, found = len(before), False
+    code = np.empty(begin + len(new), np.int64)
+    code[:begin] = before
+    code[begin:] = new
+    for k in range(len(new)):
+        j = begin + k
+        count = np.int64(counter[k])
+        if code[j] > _CODE_MAX or (count - last) % _COUNTER_WRAP != 1:
             row = 0
-        last = counter[j - begin]
+        last = count
+        flags[k] = 0
         if code[j] <= _CODE_MAX:
             row += 1
         if row < 5:
@@ -89,17 +96,25 @@ def _watch(code, counter, begin, state, flags):  # pragma: no cover - compiled
         seen += 1
         i = j - LOOK_AHEAD
         if row >= _NEEDED and _fourth(code, i) << _SCALE > _TIMES_MEDIAN * median and _alone(code, i):
-            flags[j - begin] |= SPIKE_BEFORE
-    state[:] = median, seen, row, last
+            flags[k] = SPIKE_BEFORE
+            found = True
+    before[:] = code[len(new) :]
+    state[0], state[1], state[2], state[3] = median, seen, row, last
+    return found
 
 
 class SpikeWatch:
-    """Watches one laser's codes as they come."""
+    """Watches one laser's codes as they come.
+
+    Attributes:
+        found: whether the last `feed` gave a verdict.
+    """
 
     def __init__(self) -> None:
         # far above any median, so that nothing is judged until it has come down to the signal's own
         self._state = np.array([_CODE_MAX << _SCALE, 0, 0, 0], np.int64)
-        self._before = np.empty(0, np.int64)
+        self._before = np.zeros(_NEEDED, np.int64)
+        self.found = False
 
     def feed(self, code: NDArray[np.integer], counter: NDArray[np.integer]) -> NDArray[np.uint32]:
         """Verdicts that these samples bring.
@@ -110,10 +125,9 @@ class SpikeWatch:
         Returns:
             `SPIKE_BEFORE` on every sample `LOOK_AHEAD` places behind a spike, otherwise 0; shape (n,).
         """
-        flags = np.zeros(len(code), np.uint32)
-        codes = np.concatenate([self._before, code.astype(np.int64)])
-        _watch(codes, counter.astype(np.int64), len(self._before), self._state, flags)
-        self._before = codes[-_NEEDED:]
+        flags = np.empty(len(code), np.uint32)
+        words, counts = np.ascontiguousarray(code, np.uint32), np.ascontiguousarray(counter, np.uint32)
+        self.found = _watch(words, counts, self._before, self._state, flags)
         return flags
 
 

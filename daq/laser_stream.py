@@ -235,16 +235,17 @@ class LaserPipeline:
         displacement = (optoncdt.metres(rows.code, self._range_m) - 0.5 * self._range_m) * self._to_disk
         self.losses["invalid"] += int(np.count_nonzero(np.isnan(displacement)))
         counter = rows.counter.astype(np.uint32)
-        flags = self._spikes.feed(rows.code, rows.counter)
+        code = rows.code.astype(np.uint32)
+        flags = self._spikes.feed(code, counter)
         columns = {
             "displacement_m": displacement,
-            "code": rows.code.astype(np.uint32),
+            "code": code,
             "counter": counter,
             "device_ticks": ticks.astype(np.uint64),
             "flags": flags,
         }
         out.append(Batch(self._channel, time_ns, counter, columns))
-        if flags.any():
+        if self._spikes.found:
             out.append(self._suspects(flags, time_ns))
         return out
 
