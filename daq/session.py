@@ -20,6 +20,7 @@ from daq import lasers
 from daq.drive import DriveControl
 from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError
+from daq.exceedance import Exceedance
 from daq.laser_blocks import compile_loop
 from daq.protocols import optoncdt, rotorlink
 from daq.reader import DeviceReader, keep_heap_whole
@@ -64,6 +65,7 @@ class Session:
         self._command_seq = secrets.randbelow(0x8000)
         self._closing = False
         self._tripped = False
+        self._exceedances = {topic: Exceedance(rig.limits.amplitude_m) for topic in ("laser/x", "laser/y")}
         self._disk_slow = False
 
     def open(self) -> Session:
@@ -218,15 +220,15 @@ class Session:
             return
         if self._drive is None or self._drive.actual_rpm == 0:
             return
-        largest = np.nanmax(np.abs(batch.columns["displacement_m"]), initial=0.0)
+        largest = self._exceedances[batch.channel.topic].feed(batch.columns["displacement_m"])
         codes = batch.columns["code"]
         beyond_range = (
             int(codes.max()) > optoncdt.CODE_MAX
             and np.count_nonzero(np.isin(codes, optoncdt.OUT_OF_RANGE)) >= _OUT_OF_RANGE_SAMPLES
         )
-        if largest > self.rig.limits.amplitude_m or beyond_range:
+        if largest is not None or beyond_range:
             self._tripped = True
-            seen = "out of the sensor's range" if beyond_range else f"{largest * 1e3:.1f} mm"
+            seen = "out of the sensor's range" if largest is None else f"{largest * 1e3:.1f} mm"
             self._fail(
                 ProcedureError(
                     f"{batch.channel.topic}: {seen}, limits.amplitude_m is "
