@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import multiprocessing
+import os
+import threading
 from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from rig_configs.schema import Rig
 
 _found: dict[str, Any] = {}  # the worker's own memory between two jobs of one campaign
+
+
+def _end_with_parent(lifeline: Connection) -> None:
+    """End this process as soon as the one that started it is gone, however it went.
+
+    The other end of the pipe is the parent's alone. When it is closed, nobody waits for what is being worked out.
+    """
+
+    def wait() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            lifeline.recv_bytes()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="lifeline", daemon=True).start()
 
 
 def _warm_up() -> None:
@@ -89,7 +107,10 @@ class Workbench:
     """One worker process; jobs are carried out in the order given."""
 
     def __init__(self) -> None:
-        self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe(duplex=False)
+        self._pool = ProcessPoolExecutor(1, context, _end_with_parent, (ours,))
+        self._lifeline = theirs
         self._pool.submit(_warm_up)
 
     def identify(self, rig: Rig, logs: list[Path], out: Path) -> Future[dict[str, Any]]:
@@ -107,3 +128,4 @@ class Workbench:
     def close(self) -> None:
         """End the worker."""
         self._pool.shutdown(wait=True, cancel_futures=True)
+        self._lifeline.close()

@@ -9,7 +9,7 @@ Raw bytes of devices (`raw/<device>`) are protobuf too, with a variable length; 
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -41,11 +41,13 @@ class Channel:
         topic: name in the log.
         schema_name: protobuf message, like ``rig.LaserSample``.
         fields: (name with unit, kind) in field order; numbers count from 1, at most 15 so that a tag is one byte.
+        later: names of those fields that logs of earlier versions do not have; 0 where nobody gives them.
     """
 
     topic: str
     schema_name: str
     fields: tuple[tuple[str, str], ...]
+    later: tuple[str, ...] = field(default=(), compare=False)
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
@@ -76,7 +78,8 @@ class Channel:
         """Messages of a block of samples.
 
         Args:
-            columns: every field by name; arrays of shape (n,), or scalars that stand for n equal values.
+            columns: every field by name (those of `later` may be left out); arrays of shape (n,), or scalars that
+                stand for n equal values.
 
         Returns:
             Structured array (n,) of `dtype`, tags filled.
@@ -84,6 +87,8 @@ class Channel:
         Raises:
             ValueError: a field is missing or unknown, or lengths differ.
         """
+        if columns.keys() != self._tags.keys():
+            columns = dict.fromkeys(self.later, 0) | dict(columns)
         if columns.keys() != self._tags.keys():
             raise ValueError(f"{self.topic}: expected the fields {self.names}, got {tuple(columns)}")
         arrays = [np.asarray(columns[name]) for name in self.names]
@@ -214,10 +219,16 @@ def _fields(message: bytes) -> Iterable[tuple[int, bytes]]:
         position += size
 
 
-_LASER = (("displacement_m", "double"), ("code", "fixed32"), ("counter", "fixed32"), ("device_ticks", "fixed64"))
+_LASER = (
+    ("displacement_m", "double"),
+    ("code", "fixed32"),
+    ("counter", "fixed32"),
+    ("device_ticks", "fixed64"),
+    ("flags", "fixed32"),
+)
 
-LASER_X = Channel("laser/x", "rig.LaserSample", _LASER)
-LASER_Y = Channel("laser/y", "rig.LaserSample", _LASER)
+LASER_X = Channel("laser/x", "rig.LaserSample", _LASER, ("flags",))
+LASER_Y = Channel("laser/y", "rig.LaserSample", _LASER, ("flags",))
 PENDULUMS = Channel(
     "pendulums",
     "rig.PendulumSample",

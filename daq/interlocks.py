@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channel_watch import HOST, ChannelWatch
+from daq.exceedance import Exceedance
 from daq.rotor_watch import RotorWatch
 from daq.stream_items import Batch, Event
 from rig_configs.schema import Limits
@@ -108,6 +109,7 @@ class Interlocks:
         self.channels = ChannelWatch({**deadlines, "tacho": (_DEVICES["tacho"], float("inf"))}, patience)
         self.rotor = RotorWatch(limits.speed_rpm, patience)
         self._sight = {topic: Share(_BLIND_S) for topic in LASERS}
+        self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in LASERS}
         self._seen_m = dict.fromkeys(LASERS, 0.0)
         self._code = dict.fromkeys(LASERS, 0)
         self._blind = dict.fromkeys(LASERS, False)
@@ -268,7 +270,7 @@ class Interlocks:
         invalid = np.isnan(displacement)
         share = self._sight[topic]
         share.add(int(batch.time_ns[0]), int(batch.time_ns[-1]), invalid)
-        largest = float(np.nanmax(distance, initial=0.0))
+        beyond_m = self._exceedances[topic].feed(displacement)
         if share.in_a_row:
             self._code[topic] = int(batch.columns["code"][-1])
         if share.in_a_row < len(invalid):
@@ -278,10 +280,8 @@ class Interlocks:
             return out
         limit = self._limits.amplitude_m
         gone = share.in_a_row >= _GONE_SAMPLES and self._seen_m[topic] > _LARGE * limit
-        if largest > limit or gone:
-            seen = (
-                f"{largest * 1e3:.1f} mm" if largest > limit else f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm"
-            )
+        if beyond_m is not None or gone:
+            seen = f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm" if beyond_m is None else f"{beyond_m * 1e3:.1f} mm"
             out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm"))
         elif share.mostly_bad:
             out.append(Stop("device", self._blind_words(topic)))

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from daq.laser_spikes import compile_watch
 from daq.protocols import optoncdt
 
 _COUNTER_WRAP, _TIMESTAMP_WRAP = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
@@ -35,7 +36,7 @@ class CleanBlocks(NamedTuple):
 @njit(cache=True, nogil=True)
 def _take(data, places, last_counter, last_tick, nominal_ticks, code, counter, ticks):  # pragma: no cover - compiled
     """Fill the columns; returns how many blocks were clean and continued one another."""
-    words, at_counter, at_low, at_high = places
+    words, at_distance, at_counter, at_low, at_high = places
     for block in range(len(code)):
         low = high = np.int64(0)
         count = np.int64(0)
@@ -45,9 +46,9 @@ def _take(data, places, last_counter, last_tick, nominal_ticks, code, counter, t
             if first >> 6 != 0 or second >> 6 != 1 or third >> 6 != (2 if word == 0 else 3):
                 return block
             value = first & 0x3F | (second & 0x3F) << 6 | (third & 0x3F) << 12
-            if word == 0:
+            if word == at_distance:
                 code[block] = value
-            if word == at_counter:
+            elif word == at_counter:
                 count = value
             elif word == at_low:
                 low = value & 0xFFFF
@@ -64,27 +65,27 @@ def _take(data, places, last_counter, last_tick, nominal_ticks, code, counter, t
 
 
 def take_clean_blocks(
-    data: bytes, words: tuple[str, ...], last_counter: int, last_tick: int, nominal_ticks: float
+    data: bytes, places: optoncdt.Places, last_counter: int, last_tick: int, nominal_ticks: float
 ) -> CleanBlocks:
     """Blocks at the beginning of `data` that are whole, undamaged, and each the one after its predecessor.
 
     Args:
         data: bytes that begin at a block's beginning.
-        words: names of the output values in stream order, with COUNTER, TIMESTAMP_LO and TIMESTAMP_HI among them.
+        places: of the words in a block.
         last_counter, last_tick: of the block before, as they were on the line.
         nominal_ticks: between two blocks.
     """
-    places = (len(words), words.index("COUNTER"), words.index("TIMESTAMP_LO"), words.index("TIMESTAMP_HI"))
-    most = len(data) // (3 * len(words))
+    most = len(data) // (3 * places.words)
     columns: list[NDArray[Any]] = [np.empty(most, np.uint32), np.empty(most, np.uint32), np.empty(most, np.int64)]
     view = np.frombuffer(data, np.uint8)
-    taken = _take(view, places, last_counter, last_tick, float(nominal_ticks), *columns)
+    taken = _take(view, tuple(places), last_counter, last_tick, float(nominal_ticks), *columns)
     return CleanBlocks(*(column[:taken] for column in columns))
 
 
 def compile_loop() -> None:
     """Load what is compiled, or compile it, before any byte waits for it."""
-    take_clean_blocks(bytes(12), ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"), 0, 0, 25.0)
+    take_clean_blocks(bytes(12), optoncdt.Places(4, 0, 1, 2, 3), 0, 0, 25.0)
+    compile_watch()
 
 
 def may_begin_block(data: bytes) -> bool:

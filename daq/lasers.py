@@ -64,6 +64,11 @@ def configure(device: str, config: Laser, send: Callable[[bytes], None], replies
     command("OUTADD_RS422 COUNTER TIMESTAMP")
     answer = next((x for x in command("GETOUTINFO_RS422") if x.upper().startswith("GETOUTINFO_RS422 ")), "")
     words = optoncdt.parse_outinfo(answer)
+    if optoncdt.places_of(words) is None:
+        raise DeviceError(
+            f"{device}: expected distance, counter and timestamp among its output words, got {' '.join(words)}: "
+            "does its firmware know OUTADD_RS422 COUNTER TIMESTAMP?"
+        )
     command("OUTPUT RS422")
     return {**info, "words": list(words)}
 

@@ -63,7 +63,7 @@ class _Table:
         new = self._rows[self.end : self.end + count]
         new["time_ns"] = batch.time_ns
         for name in self._names:
-            new[name] = batch.columns[name]
+            new[name] = batch.columns.get(name, 0)
         self.end += count
 
     def since(self, since_ns: int) -> NDArray[Any]:

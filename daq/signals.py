@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from daq.clock import ClockLine, fit_line
 from daq.errors import LogError
+from daq.laser_spikes import suspects
 from daq.log import Log, open_log
 from daq.log.losses import losses_of
 from daq.log.samples import Samples
@@ -53,7 +54,8 @@ class Run:
         test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down" or "point-NAME".
         source: the log's path, for messages.
         start_s: the run's start in seconds since 1970; every other time counts from it.
-        x_time_s, x_m: laser x, shape (n,), disk-centre displacement; NaN where the sensor said "invalid".
+        x_time_s, x_m: laser x, shape (n,), disk-centre displacement; NaN where the sensor said "invalid"
+            and where the line's damage shows (`daq.laser_spikes`).
         y_time_s, y_m: laser y, its own samples, shape (m,).
         angle_time_s, angle_rad: pendulum angles θ3, θ4 relative to the rotor, shapes (k,), (k, 2), unwrapped; all
             NaN for a pendulum that was not recorded.
@@ -219,11 +221,14 @@ def _laser(
     samples = _samples(log, topic)
     if samples is None:
         return (np.empty(0), np.empty(0)), shared
+    displacement = samples.displacement_m
+    if "flags" in samples:  # not in an earlier version's logs
+        displacement = np.where(suspects(samples.flags), np.nan, displacement)
     if "device_ticks" not in samples.columns:
-        return (_since(samples.time_ns, start_s), samples.displacement_m), shared
+        return (_since(samples.time_ns, start_s), displacement), shared
     device_s = samples.device_ticks * optoncdt.TICK_S
     line = _line(device_s, samples.log_time_ns, start_s, tolerance_ppm)
-    return (line.host_s(device_s), samples.displacement_m), line
+    return (line.host_s(device_s), displacement), line
 
 
 def _node_line(log: Log, tolerance_ppm: float, start_s: float, shared: ClockLine) -> ClockLine:

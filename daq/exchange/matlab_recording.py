@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat, whosmat
 
+from daq.exchange.bombs import refuse_bomb, refuse_mat_bomb
 from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
 
 _MOST_COLUMNS = 256  # of a matrix; more is an image or the like
-_LARGEST = 2**32  # bytes a file may say that one of its variables has
+_FILTERS = frozenset((1, 2, 3, 4, 5, 6, 32000))  # deflate, shuffle, Fletcher32, szip, nbit, scale-offset; h5py's lzf
 
 
 class MatRecording:
@@ -32,9 +33,10 @@ class MatRecording:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # scipy warns of what it skips; it is not among the names then
-                for name, shape, _ in whosmat(path):
-                    _refuse_huge(path, name, shape)
-                found = loadmat(path, simplify_cells=True)
+                refuse_mat_bomb(path)
+                listed = whosmat(path, appendmat=False)
+                refuse_bomb(path, "", sum(_bytes(shape) for _, shape, _ in listed))
+                found = loadmat(path, appendmat=False, simplify_cells=True)
         except ExchangeError:
             raise
         except Exception as fault:  # scipy raises a dozen kinds for damaged files
@@ -66,8 +68,8 @@ class Hdf5Recording:
         self._places: dict[str, tuple[str, int | None]] = {}
         try:
             with h5py.File(path, "r") as file:
-                file.visititems(self._visit)
-        except (OSError, RuntimeError, ValueError, KeyError) as fault:
+                file.visititems(self._visit)  # goes along hard links alone, so it stays in this file
+        except Exception as fault:  # h5py raises a dozen kinds, too
             raise _unreadable(path, fault) from fault
         self.names = tuple(self._places)
 
@@ -76,13 +78,18 @@ class Hdf5Recording:
         columns: dict[str, Column] = {}
         try:
             with h5py.File(self.path, "r") as file:
-                for name in names:
-                    place, index = self._places[name]
-                    dataset: Any = file[place]
-                    _refuse_huge(self.path, name, dataset.shape)
+                wanted = {name: self._places[name] for name in names}
+                datasets: dict[str, Any] = {place: file[place] for place, _ in wanted.values()}
+                for place, dataset in datasets.items():
+                    _refuse_foreign(self.path, place.replace("/", "."), dataset)
+                refuse_bomb(self.path, "", sum(_bytes(dataset.shape) for dataset in datasets.values()))
+                for name, (place, index) in wanted.items():
+                    dataset = datasets[place]
                     values = dataset[()] if index is None else dataset[index]
                     columns[name] = as_column(f"{self.path}: {name}", values.reshape(-1))
-        except (OSError, RuntimeError, ValueError, KeyError) as fault:
+        except ExchangeError:
+            raise
+        except Exception as fault:
             raise _unreadable(self.path, fault) from fault
         return columns
 
@@ -105,9 +112,32 @@ def _vectors(name: str, value: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return {}
 
 
-def _refuse_huge(path: Path, name: str, shape: tuple[int, ...]) -> None:
-    if 8 * math.prod(shape) > _LARGEST:
-        raise ExchangeError(f"{path}: {name}: expected at most 4 GB in a variable, got {shape} numbers; cut it up")
+def _bytes(shape: tuple[int, ...]) -> int:
+    """What an array takes in memory, at most."""
+    return 8 * math.prod(shape)
+
+
+def _refuse_foreign(path: Path, name: str, dataset: Any) -> None:
+    """Refuse a dataset whose numbers are not in the file, or need somebody's code to be unpacked.
+
+    Raises:
+        ExchangeError: they are in another file, put together of other datasets, or behind a filter that is a plug-in.
+    """
+    if dataset.external:
+        where = f"in other files ({', '.join(repr(str(part[0])) for part in dataset.external[:3])})"
+    elif dataset.is_virtual:
+        where = "put together of other datasets"
+    else:
+        created = dataset.id.get_create_plist()
+        filters = [created.get_filter(i)[0] for i in range(created.get_nfilters())]
+        foreign = [number for number in filters if number not in _FILTERS]
+        if not foreign:
+            refuse_bomb(path, f"{name}, a chunk", _bytes(dataset.chunks or (0,)))
+            return
+        where = f"packed by a filter that is not part of HDF5 (number {foreign[0]})"
+    raise ExchangeError(
+        f"{path}: {name}: expected numbers in the file itself, these are {where}; copy them into one plain file (h5repack)"
+    )
 
 
 def _unreadable(path: Path, fault: Exception) -> ExchangeError:

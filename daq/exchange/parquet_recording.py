@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from daq.exchange.bombs import refuse_bomb
 from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
 
@@ -30,6 +31,7 @@ class ParquetRecording:
         wanted = list(names)
         try:
             with pq.ParquetFile(self.path) as file:
+                refuse_bomb(self.path, "", 8 * file.metadata.num_rows * len(wanted))
                 table = file.read(columns=wanted)
         except (pa.ArrowException, OSError) as fault:
             raise _unreadable(self.path, fault) from fault

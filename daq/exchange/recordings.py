@@ -6,6 +6,7 @@ from pathlib import Path
 
 from daq.exchange.columns import Recording
 from daq.exchange.errors import ExchangeError
+from daq.regular_file import need_regular
 
 
 def open_recording(path: Path) -> Recording:
@@ -20,6 +21,7 @@ def open_recording(path: Path) -> Recording:
     from daq.exchange.parquet_recording import ParquetRecording  # noqa: PLC0415
 
     try:
+        need_regular(path)
         with open(path, "rb") as file:
             start = file.read(1024)
     except OSError as fault:

@@ -14,7 +14,7 @@ from daq.log import Log
 
 _SENSORS_OWN = ("invalid",)  # arrived in order, but the sensor said that it saw nothing
 _LOG = "log"
-_COUNTED = ("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines")
+_COUNTED = ("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines", "suspect")
 _SILENT_MS = "_silent_ms"  # how such a count of a channel's silence ends
 
 
@@ -92,7 +92,7 @@ def _counts(found: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int]]
 def _from_events(events: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
     counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
     for event in events:
-        if event.get("kind") in ("gap", "damage"):
+        if event.get("kind") in ("gap", "damage", "suspect"):
             for kind in _COUNTED:
                 counts[str(event.get("device", ""))][kind] += int(event.get(kind, 0))
         elif event.get("kind") == "silence":  # the host's own event, of a device's channel

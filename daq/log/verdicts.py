@@ -96,6 +96,7 @@ def verdict_of(log_path: str | Path) -> Verdict | None:
     """
     path = verdict_path(Path(log_path))
     try:
+        need_regular(path)
         with open(path, "rb") as file:
             text = file.read(_MOST_BYTES + 1)
     except FileNotFoundError:
@@ -124,6 +125,7 @@ def digest_of(path: str | Path, progress: Callable[[float], None] | None = None)
     digest = hashlib.sha256()
     done = 0
     try:
+        need_regular(path)
         with open(path, "rb") as file:
             size = max(1, os.fstat(file.fileno()).st_size)
             while block := file.read(_BLOCK_BYTES):

@@ -12,6 +12,7 @@ from pathlib import Path
 from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
+from daq.regular_file import need_regular
 
 PIECE_BYTES = 2**20
 """What is read at once where a long stretch is gone through."""
@@ -23,11 +24,12 @@ class FileBytes:
     Args:
         path: the file.
     Raises:
-        OSError: it cannot be opened.
+        OSError: it cannot be opened, or is no file but a pipe, a folder or a device.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        need_regular(path)
         self._stream = open(path, "rb", buffering=0)  # noqa: SIM115 (lives as long as the log)
         try:
             self.size = self._stream.seek(0, os.SEEK_END)

@@ -16,7 +16,7 @@ format and scaling pages.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,6 +55,9 @@ ERROR_CODES = {
 _NO_PEAK, _BEFORE_RANGE, _BEHIND_RANGE = 262076, 262077, 262078
 _LF, _CR, _TAB, _DASH, _ANGLE = b"\n\r\t->"
 _TEXT = frozenset(range(0x20, 0x7F)) | {_LF, _CR, _TAB}
+_OUTINFO = "GETOUTINFO_RS422 "
+_BESIDE = ("SHUTTER", "COUNTER", "TIMESTAMP", "INTENSITY", "STATE", "DIST_RAW", "TEMP")  # outputs that are no distance
+MOST_WORDS = 32  # in a block; sensors have about ten
 _LINE_LIMIT = 1024  # bytes; the longest answers seen are GETINFO lines well under 100
 _STALE_AFTER = 256  # values without a text byte after which an unterminated text was damage, not an answer
 _WINDOW, _WINDOW_LIMIT = 16, 4096  # blocks the fast path looks at in one go: few after damage, more while it is clean
@@ -68,11 +71,17 @@ class Decoded:
         values: raw 18-bit words of the complete blocks, uint32 of shape (blocks, words).
         text: answer lines without their line end; the prompt is an item of its own, ``"->"``.
         skipped_bytes: bytes thrown away while finding the beat again.
+        skipped_first: those of them before the first of the blocks; all of them where there is no block.
+        told: other words that an answer told of, behind which nothing was looked at any more; None if none did.
+        rest: bytes not looked at.
     """
 
     values: NDArray[np.uint32]
     text: list[str]
     skipped_bytes: int
+    skipped_first: int = 0
+    told: tuple[str, ...] | None = None
+    rest: bytes = b""
 
 
 class StreamDecoder:
@@ -80,9 +89,14 @@ class StreamDecoder:
 
     Args:
         words: names of the output values in stream order, for instance from `parse_outinfo`.
+        heed_answers: stop behind an answer that tells of other words.
     """
 
-    def __init__(self, words: Sequence[str]) -> None:
+    def __init__(self, words: Sequence[str], *, heed_answers: bool = False) -> None:
+        self.heed_answers = heed_answers
+        self._told: tuple[str, ...] | None = None
+        self._block: list[int] = []
+        self._dropped = 0
         self.set_words(words)
         self._pending = bytearray()  # nothing, an L, or an L and an M: maybe the start of a value
         self._line = bytearray()  # text of a line not yet ended
@@ -100,7 +114,7 @@ class StreamDecoder:
         return not (self._pending or self._block or self._line)
 
     def set_words(self, words: Sequence[str]) -> None:
-        """Select the output values from now on; a half-received block is dropped.
+        """Select the output values from now on; a half-received block is dropped, and counted by the next `feed`.
 
         Raises:
             ValueError: no words given.
@@ -110,10 +124,17 @@ class StreamDecoder:
         self._words = tuple(words)
         self._kinds = np.tile(np.array([0x00, 0x40, 0xC0], np.uint8), (len(self._words), 1))
         self._kinds[0, 2] = 0x80
-        self._block: list[int] = []  # values of the block under way
+        self._dropped += 3 * len(self._block)
+        self._block = []  # values of the block under way
         self._rows: list[NDArray[np.uint32]] = []
         self._text: list[str] = []
         self._skipped = 0
+        self._skipped_first: int | None = None
+
+    @property
+    def unread(self) -> bytes:
+        """Bytes taken that are no value and no line yet."""
+        return bytes(self._line + self._pending)
 
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the line.
@@ -121,9 +142,10 @@ class StreamDecoder:
         Args:
             data: any number of bytes, as they came.
         """
-        self._rows, self._text, self._skipped = [], [], 0
+        self._rows, self._text, self._skipped = [], [], self._dropped
+        self._dropped, self._skipped_first, self._told = 0, None, None
         position, width = 0, 3 * len(self._words)
-        while position < len(data):
+        while position < len(data) and self._told is None:
             if not self._block and not self._pending and len(data) - position >= width:
                 taken = self._take_clean_blocks(data, position)
                 position += taken * width
@@ -134,7 +156,8 @@ class StreamDecoder:
             values = self._rows[0]
         else:
             values = np.concatenate([np.empty((0, len(self._words)), np.uint32), *self._rows])
-        return Decoded(values, self._text, self._skipped)
+        first = self._skipped if self._skipped_first is None else self._skipped_first
+        return Decoded(values, self._text, self._skipped, first, self._told, data[position:])
 
     def _take_clean_blocks(self, data: bytes, position: int) -> int:
         """Decode whole blocks that stand back to back, at most a window of them; returns how many.
@@ -152,7 +175,7 @@ class StreamDecoder:
             self._window = min(2 * self._window, _WINDOW_LIMIT)
         if taken:
             six = (triples[:taken] & 0x3F).astype(np.uint32)
-            self._rows.append((six[..., 0] | six[..., 1] << 6 | six[..., 2] << 12).astype(np.uint32, copy=False))
+            self._add_rows((six[..., 0] | six[..., 1] << 6 | six[..., 2] << 12).astype(np.uint32, copy=False))
             self._age_line(taken * words)
         return taken
 
@@ -175,6 +198,8 @@ class StreamDecoder:
             else:
                 self._flush_pending()
                 self._text_byte(byte)
+            if self._told is not None:
+                return index + 1
         return len(data)
 
     def _end_of_value(self, high: int) -> bool:
@@ -195,9 +220,14 @@ class StreamDecoder:
         self._block.append(low | (middle & 0x3F) << 6 | (high & 0x3F) << 12)
         if len(self._block) < len(self._words):
             return False
-        self._rows.append(np.array([self._block], np.uint32))
+        self._add_rows(np.array([self._block], np.uint32))
         self._block.clear()
         return True
+
+    def _add_rows(self, rows: NDArray[np.uint32]) -> None:
+        if self._skipped_first is None:
+            self._skipped_first = self._skipped
+        self._rows.append(rows)
 
     def _flush_pending(self) -> None:
         """What looked like the start of a value was not one."""
@@ -220,6 +250,8 @@ class StreamDecoder:
         self._line.clear()
         if line:
             self._text.append(line)
+            words = announced(line) if self.heed_answers else None
+            self._told = words if words != self._words else None
 
     def _prompt(self) -> None:
         self._end_line()
@@ -335,20 +367,58 @@ def parse_outinfo(line: str) -> tuple[str, ...]:
     """Read the answer to GETOUTINFO_RS422, like ``GETOUTINFO_RS422 DIST COUNTER TIMESTAMP``.
 
     Returns:
-        Word names in stream order. The first name is always ``DIST``: firmware versions call it differently.
-        TIMESTAMP is two words, low half first. Other names are kept.
+        Word names in stream order. The distance is called ``DIST`` whatever a firmware calls it: the first output,
+        unless that is known for another; then the first whose name begins so. TIMESTAMP is two words, low half first.
+        Other names are kept.
 
     Raises:
-        DeviceError: another answer, or no output selected.
+        DeviceError: another answer, no output selected, or more than a sensor can have.
     """
-    head, *names = line.replace(",", " ").split() or [""]
-    if names and names[-1].lower() == "ok":
+    head, *names = line.upper().replace(",", " ").split() or [""]
+    if names and names[-1] == "OK":
         names.pop()
-    if head.upper() != "GETOUTINFO_RS422" or not names or names == ["NONE"]:
+    if head != _OUTINFO.strip() or not names or names == ["NONE"]:
         raise DeviceError(
             f"expected 'GETOUTINFO_RS422 DIST …', got {line!r}: select an output with OUTPUT RS422 / OUTADD_RS422"
         )
-    words = [DISTANCE]
-    for name in names[1:]:
-        words += [TIMESTAMP_LO, TIMESTAMP_HI] if name.upper() == "TIMESTAMP" else [name.upper()]
+    distance = next((i for i, name in enumerate(names) if i == 0 or name.startswith("DIST") if name not in _BESIDE), -1)
+    words: list[str] = []
+    for i, name in enumerate(names):
+        words += [TIMESTAMP_LO, TIMESTAMP_HI] if name == "TIMESTAMP" else [DISTANCE if i == distance else name]
+    if len(words) > MOST_WORDS:
+        raise DeviceError(f"expected at most {MOST_WORDS} output words, got {len(words)} in {line!r:.80}")
     return tuple(words)
+
+
+def announced(line: str) -> tuple[str, ...] | None:
+    """The words a line of text tells of; None if it is no such answer."""
+    if not line.upper().startswith(_OUTINFO):
+        return None
+    try:
+        return parse_outinfo(line)
+    except DeviceError:
+        return None
+
+
+class Places(NamedTuple):
+    """Where in a block of words those stand that a sample is made of.
+
+    Attributes:
+        words: how many a block has.
+        distance, counter, low, high: places from 0; low and high are the halves of the timestamp.
+    """
+
+    words: int
+    distance: int
+    counter: int
+    low: int
+    high: int
+
+
+def places_of(words: Sequence[str]) -> Places | None:
+    """Places of distance, counter and timestamp in a block; None where one of them is not in it."""
+    try:
+        found = [words.index(name) for name in (DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI)]
+    except ValueError:
+        return None
+    return Places(len(words), *found)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from daq.regular_file import need_regular
 from rig_configs.errors import RigFileError
 from rig_configs.load import validate
 from rig_configs.schema import Rig
@@ -50,6 +51,7 @@ class Calibration:
             RigFileError: it cannot be read, is no TOML, or names anything but calibration; gives the nearest name.
         """
         try:
+            need_regular(path)
             text = read_text(Path(path))
         except OSError as fault:
             raise RigFileError(f"{path}: expected a calibration file, cannot read it as text: {fault}") from fault

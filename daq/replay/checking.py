@@ -67,15 +67,19 @@ def check_log(log: Log, progress: Progress | None = None) -> Check:
     comparisons = {topic: ChannelComparison(log, topic, until_ns, cut) for topic in CHANNELS}
     events = EventComparison(log, pipelines, until_ns, cut)
     share = share_of(log, progress)
+    unflagged = {topic.replace("/", "_") for topic, comparison in comparisons.items() if comparison.unasked}
     for _, chunk, items in decoded(log, pipelines):
         for item in items:
             if isinstance(item, Batch):
                 comparisons[item.channel.topic].add(item, chunk.host_ns)
-            else:
+            elif item.kind != "suspect" or item.device not in unflagged:
                 events.add(item, chunk.host_ns)
         share(chunk.host_ns)
     rows = (*(comparison.result() for comparison in comparisons.values()), events.result())
-    return Check(rows, until_ns, tuple(_notes(log, set(pipelines), until_ns, rows)))
+    notes = [*_notes(log, set(pipelines), until_ns, rows)]
+    notes += [f"not compared, the log is of a version that did not write it: {', '.join(comparison.unasked)} of {topic}"
+              for topic, comparison in comparisons.items() if comparison.unasked]  # fmt: skip
+    return Check(rows, until_ns, tuple(notes))
 
 
 def first_hole_ns(missing: list[Missing]) -> int | None:

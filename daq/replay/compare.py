@@ -106,6 +106,9 @@ class ChannelComparison:
     Args:
         until_ns: log time from which on nothing is compared, for the log misses raw bytes there; None for all.
         cut: the log's end is missing, so that raw bytes may be there whose samples are not.
+
+    Attributes:
+        unasked: fields that are decoded now and that no log of the version that wrote this one has.
     """
 
     def __init__(self, log: Log, topic: str, until_ns: int | None, cut: bool) -> None:
@@ -113,7 +116,9 @@ class ChannelComparison:
         self._channel = channels.CHANNELS[topic]
         self._rows = StoredRows(log, topic)
         names = set(self._rows.names)
-        self._lacking = tuple(sorted(names ^ set(self._channel.names))) if log.count(topic) else ()
+        later = set(self._channel.later) - names  # that log's version did not write them
+        self.unasked = tuple(sorted(later)) if log.count(topic) else ()
+        self._lacking = tuple(sorted(names ^ set(self._channel.names) - later)) if log.count(topic) else ()
         self._both = [name for name in self._channel.names if name in names]
         self._live = log.count(topic)
         self._again = self._compared = self._differing = self._extra = 0

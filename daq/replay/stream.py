@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from daq.errors import LogError
+from daq.errors import DeviceError, LogError
 from daq.log import Log
 from daq.log.samples import RawChunk
 from daq.log.snapshot import identities_of, rig_of
@@ -23,7 +23,10 @@ def pipelines_of(log: Log) -> dict[str, Pipeline]:
     """
     if not log.devices:
         raise LogError(f"{log.path}: holds no raw bytes (it was not recorded from devices): nothing to decode again")
-    return make_pipelines(rig_of(log).devices, identities_of(log))
+    try:
+        return make_pipelines(rig_of(log).devices, identities_of(log))
+    except DeviceError as fault:
+        raise LogError(f"{log.path}: {fault}: its bytes cannot be decoded again") from fault
 
 
 def decoded(log: Log, pipelines: Mapping[str, Pipeline]) -> Iterator[Decoded]:

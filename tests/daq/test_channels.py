@@ -65,7 +65,7 @@ def test_round_trip_and_schema(channel):
 
 def test_the_channels_are_those_of_the_log():
     assert list(ch.CHANNELS) == ["laser/x", "laser/y", "pendulums", "tacho", "motor"]
-    assert ch.LASER_X.dtype.itemsize == 9 + 5 + 5 + 9
+    assert ch.LASER_X.dtype.itemsize == 9 + 5 + 5 + 9 + 5
 
 
 def test_messages_of_other_writers_omit_zeros_and_change_order():

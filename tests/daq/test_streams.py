@@ -167,8 +167,9 @@ def test_one_damaged_row_is_dropped_and_nothing_else(row: int, column: int, flip
 def test_a_gap_longer_than_the_counter_is_counted_by_the_timestamp() -> None:
     pipeline = laser()
     far = 100 + 2**18 + 5
-    feed(pipeline, [optoncdt.encode_block(blocks(np.arange(0, 100), np.zeros(100))),
-                    optoncdt.encode_block(blocks(np.arange(far, far + 50), np.zeros(50)))])  # fmt: skip
+    pipeline.feed(RX, optoncdt.encode_block(blocks(np.arange(0, 100), np.zeros(100))), START_NS)
+    later_ns = START_NS + far * 250_000
+    pipeline.feed(RX, optoncdt.encode_block(blocks(np.arange(far, far + 50), np.zeros(50))), later_ns)
     assert pipeline.losses["samples"] == 2**18 + 5
 
 
@@ -223,11 +224,11 @@ def test_the_quick_way_through_undamaged_blocks_gives_what_the_full_decoder_give
     cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=12)))
     parts = [bytes(wire[a:b]) for a, b in itertools.pairwise([0, *cuts, len(wire)])]
     quick, full = laser(), laser()
-    full._clean = lambda data: None  # type: ignore[method-assign]
+    full._clean = lambda data, host_ns: None  # type: ignore[method-assign]
     (some, told), (same, also_told) = feed(quick, parts), feed(full, parts)
     assert quick.losses == full.losses
     assert told == also_told
-    for field in ("displacement_m", "code", "counter", "device_ticks"):
+    for field in ("displacement_m", "code", "counter", "device_ticks", "flags"):
         one, other = (np.concatenate([b.columns[field] for b in x] or [[]]) for x in (some, same))
         assert np.array_equal(one, other, equal_nan=True)
     assert [b.time_ns.tolist() for b in some] == [b.time_ns.tolist() for b in same]

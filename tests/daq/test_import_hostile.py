@@ -1,0 +1,160 @@
+"""Files that want to be more than numbers: none reads another file, runs code or fills the memory."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import savemat
+
+from daq.exchange import ExchangeError
+from daq.exchange.matlab_recording import Hdf5Recording, MatRecording
+from daq.exchange.recordings import open_recording
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    path = tmp_path / "secret.txt"
+    path.write_bytes(b"not for you" * 100)
+    return path
+
+
+def refused(path: Path, name: str, words: str) -> None:
+    recording = open_recording(path)
+    assert name in recording.names
+    with pytest.raises(ExchangeError, match=words):
+        recording.read([name])
+
+
+def test_numbers_in_another_file_are_not_fetched(tmp_path: Path, secret: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("x", (500,), "u1", external=[(str(secret), 0, 500)])
+        file["plain"] = np.arange(5.0)
+    refused(path, "x", r"in other files \('.*secret.txt'\)")
+    assert open_recording(path).read(["plain"])["plain"].values.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_neither_are_those_put_together_of_other_datasets(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["data"] = np.arange(50.0)
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        layout = h5py.VirtualLayout((50,), "f8")
+        layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "data", (50,))
+        file.create_virtual_dataset("x", layout)
+    refused(path, "x", "put together of other datasets")
+
+
+def test_links_out_of_the_file_are_no_columns(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["data"] = np.arange(50.0)
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["out"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/data")
+        file["loop"] = h5py.SoftLink("/loop")
+        file["round"] = h5py.SoftLink("/")
+        file["name"] = "text"
+        file["reference"] = np.array([file.ref], h5py.ref_dtype)
+        file["table"] = np.zeros(3, [("a", "f8"), ("b", "i4")])
+        file["plain"] = np.arange(5.0)
+    assert open_recording(path).names == ("plain",)
+
+
+def test_a_filter_that_is_a_plug_in_is_not_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        created = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        created.set_chunk((100,))
+        created.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, (1,))
+        space = h5py.h5s.create_simple((100,))
+        h5py.h5d.create(file.id, b"x", h5py.h5t.NATIVE_DOUBLE, space, created)
+    refused(path, "x", r"a filter that is not part of HDF5 \(number 32015\)")
+
+
+@pytest.mark.parametrize(("shape", "chunks"), [((2**34,), (2**20,)), ((2**28,), (2**20,)), ((100,), (2**28,))])
+def test_hdf5_that_would_fill_the_memory_is_refused(tmp_path: Path, shape: tuple[int], chunks: tuple[int]) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("x", shape, "f8", chunks=chunks, maxshape=(None,), compression="gzip")
+    refused(path, "x", "expected (numbers|at most 4 GB)")
+
+
+def test_many_columns_count_together(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        for name in "abcdefghij":
+            file.create_dataset(name, (2**23,), "f8", chunks=(2**20,), compression="gzip")
+    recording = Hdf5Recording(path)
+    assert recording.read(["a"])["a"].values.tolist()[:1] == [0.0]
+    with pytest.raises(ExchangeError, match="no recording shrinks to"):
+        recording.read(recording.names)
+
+
+def mat_element(kind: int, data: bytes) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def mat_matrix(rows: int, data: bytes) -> bytes:
+    flags = mat_element(6, struct.pack("<II", 6, 0))
+    return mat_element(14, flags + mat_element(5, struct.pack("<ii", rows, 1)) + mat_element(1, b"x") + data)
+
+
+@pytest.mark.parametrize("inside", ["numbers", "a claim"])
+def test_a_mat_bomb_is_refused(tmp_path: Path, inside: str) -> None:
+    path = tmp_path / "run.mat"
+    if inside == "numbers":  # 400 MB of zeros, in a cell where no list of variables shows them
+        packer = zlib.compressobj(1)
+        head = struct.pack("<II", 14, 400 * 2**20)
+        packed = packer.compress(head) + b"".join(packer.compress(bytes(2**20)) for _ in range(400)) + packer.flush()
+    else:
+        packed = zlib.compress(mat_matrix(2**30, mat_element(9, bytes(64))))
+    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + mat_element(15, packed))
+    with pytest.raises(ExchangeError, match="no recording shrinks to" if inside == "numbers" else "expected"):
+        MatRecording(path)
+
+
+def test_compressed_recordings_are_read_as_before(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    x = np.random.default_rng(1).standard_normal(5000)
+    savemat(path, {"data": {"x": x, "still": np.zeros(100_000)}}, do_compression=True)
+    assert np.array_equal(MatRecording(path).read(["data.x"])["data.x"].values, x)
+
+
+def test_a_parquet_bomb_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    column = pa.DictionaryArray.from_arrays(pa.array(np.zeros(2**22, np.int8)), pa.array([1.0]))
+    with pq.ParquetWriter(path, pa.schema([("x", pa.float64())]), compression="zstd") as writer:
+        for _ in range(10):
+            writer.write_table(pa.table({"x": column.dictionary_decode()}))
+    refused(path, "x", "no recording shrinks to")
+
+
+def test_parquet_columns_in_another_file_are_not_fetched(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"x": np.arange(50.0)}), tmp_path / "other.parquet")
+    metadata = pq.read_metadata(tmp_path / "other.parquet")
+    metadata.set_file_path("other.parquet")
+    metadata.write_metadata_file(tmp_path / "run.parquet")
+    with pytest.raises(ExchangeError, match="cannot be read"):
+        open_recording(tmp_path / "run.parquet").read(["x"])
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "round.csv").symlink_to("round.csv")
+    (tmp_path / "to_pipe.csv").symlink_to("pipe.csv")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "socket.csv"))
+        for name, words in (("pipe.csv", "named pipe"), ("to_pipe.csv", "named pipe"), ("socket.csv", "socket"),
+                            ("round.csv", "symbolic links"), (".", "folder"), ("/dev/zero", "device")):  # fmt: skip
+            with pytest.raises(ExchangeError, match=words):
+                open_recording(tmp_path / name)

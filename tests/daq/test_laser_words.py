@@ -1,0 +1,176 @@
+"""Text on a laser's line: whatever it says and wherever it stands, the stream decides what its words are."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from daq import channels
+from daq.errors import DeviceError
+from daq.laser_stream import LaserPipeline
+from daq.protocols import optoncdt
+from daq.stream_items import RX, Batch, Event
+from rig_configs import load_rig
+
+DEVICES = load_rig("virtual").devices
+START_NS = 1_700_000_000_000_000_000
+NAMES = ("DIST", "COUNTER", "TIMESTAMP", "INTENSITY", "SHUTTER", "STATE", "DIST_RAW", "TEMP", "FOO", "LINEAR1")
+ORDERS = st.lists(st.sampled_from(NAMES), min_size=1, max_size=6)
+
+
+def pipeline(identity: dict[str, object] | None = None) -> LaserPipeline:
+    return LaserPipeline("laser_x", DEVICES.laser_x, channels.LASER_X, identity or {})
+
+
+def answer(*names: str) -> bytes:
+    return " ".join(("GETOUTINFO_RS422", *names)).encode() + b"\r\n->"
+
+
+def stream(names: tuple[str, ...] | list[str], counter: np.ndarray) -> bytes:
+    """Blocks of these outputs at 4 kHz, the distance growing with the counter."""
+    words = optoncdt.parse_outinfo(" ".join(("GETOUTINFO_RS422", *names)))
+    ticks = 25 * counter
+    columns = {"DIST": 30_000 + 3 * counter % 1000, "COUNTER": counter % 2**18,
+               "TIMESTAMP_LO": ticks & 0xFFFF, "TIMESTAMP_HI": (ticks >> 16) & 0xFFFF}  # fmt: skip
+    return optoncdt.encode_block(np.column_stack([columns.get(w, np.full(len(counter), 1234)) for w in words]))
+
+
+def fed(parts: list[bytes], laser: LaserPipeline) -> tuple[list[tuple[int, ...]], list[Event]]:
+    """Samples as (code, counter, ticks, flags), and events; the host's time goes on by the bytes."""
+    rows: list[tuple[int, ...]] = []
+    events: list[Event] = []
+    seen = 0
+    for part in parts:
+        seen += len(part)
+        for item in laser.feed(RX, part, START_NS + seen * 20_000):
+            if isinstance(item, Batch):
+                fields = (item.columns[name] for name in ("code", "counter", "device_ticks", "flags"))
+                rows += zip(*(field.tolist() for field in fields), strict=True)
+            else:
+                events.append(item)
+    return rows, events
+
+
+def split(data: bytes, cuts: list[int]) -> list[bytes]:
+    edges = sorted({0, len(data), *(cut % (len(data) + 1) for cut in cuts)})
+    return [data[a:b] for a, b in itertools.pairwise(edges)]
+
+
+K = np.arange(70_000, 70_080)
+USUAL = ("DIST", "COUNTER", "TIMESTAMP")
+
+
+@settings(max_examples=60)
+@given(ORDERS, st.integers(0, 80), st.lists(st.integers(0, 2000), max_size=6))
+@example(["DIST"], 40, [])
+@example(["DIST", "TIMESTAMP", "COUNTER"], 40, [])
+@example(["NONE"], 40, [])
+def test_an_answer_that_is_not_true_costs_nothing(told: list[str], at: int, cuts: list[int]) -> None:
+    data = stream(USUAL, K[:at]) + answer(*told) + stream(USUAL, K[at:])
+    laser = pipeline()
+    rows, events = fed(split(data, cuts), laser)
+    assert [row[1] for row in rows] == (K % 2**18).tolist()
+    assert {name: n for name, n in laser.losses.items() if n} == {}
+    assert "restart" not in {event.kind for event in events}
+    assert sum(event.kind == "reply" for event in events) == 2
+
+
+@pytest.mark.parametrize("told", [
+    ("DIST", "TIMESTAMP", "COUNTER"), ("DIST", "INTENSITY", "COUNTER", "TIMESTAMP"), ("DIST1", "COUNTER", "TIMESTAMP"),
+    ("COUNTER", "TIMESTAMP", "DIST"), ("TIMESTAMP", "STATE", "DIST", "COUNTER"), ("COUNTER", "DIST", "TIMESTAMP"),
+])  # fmt: skip
+@pytest.mark.parametrize("cut", [1, 13, 10_000])
+def test_a_true_answer_holds_from_its_own_place_on(told: tuple[str, ...], cut: int) -> None:
+    data = stream(USUAL, K[:40]) + answer(*told) + stream(told, K[40:])
+    laser = pipeline()
+    rows, events = fed([data[i : i + cut] for i in range(0, len(data), cut)], laser)
+    assert [row[:3] for row in rows] == [(30_000 + 3 * k % 1000, k % 2**18, 25 * k) for k in K.tolist()]
+    assert not any(laser.losses.values())
+    if optoncdt.parse_outinfo("GETOUTINFO_RS422 " + " ".join(told)) != ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"):
+        assert [event.kind for event in events].count("words") == 1
+
+
+@pytest.mark.parametrize("told", [("DIST",), ("DIST", "COUNTER"), ("DIST", "TIMESTAMP"), ("INTENSITY", "COUNTER"),
+                                  ("DIST", "STATE", "SHUTTER", "TEMP")])  # fmt: skip
+def test_words_without_counter_and_timestamp_are_counted_as_unusable(told: tuple[str, ...]) -> None:
+    laser = pipeline()
+    rows, events = fed([stream(USUAL, K[:40]) + answer(*told) + stream(told, K[40:])], laser)
+    assert len(rows) == 40
+    assert {name: n for name, n in laser.losses.items() if n} == {"unusable": 40}
+    assert any("no samples without" in event.text for event in events)
+
+
+@settings(max_examples=80, deadline=None)
+@given(ORDERS, ORDERS, st.data())
+def test_no_words_and_no_text_invent_losses_or_break_it(true: list[str], told: list[str], data: st.DataObject) -> None:
+    wire = bytearray(stream(USUAL, K[:20]) + answer(*told) + stream(true, K[20:]) + stream(USUAL, K[-1] + 1 + K[:9] % 9))
+    for place in data.draw(st.lists(st.integers(0, len(wire) - 1), max_size=3)):
+        how = data.draw(st.sampled_from(["flip", "drop", "answer", "half an answer"]))
+        if how == "flip":
+            wire[place % len(wire)] ^= 1 << data.draw(st.integers(0, 7))
+        elif how == "drop":
+            del wire[place % len(wire)]
+        else:
+            wire[place:place] = answer(*told)[: None if how == "answer" else 25]
+    cuts = data.draw(st.lists(st.integers(0, len(wire)), max_size=20))
+    whole, by_byte, parts = pipeline(), pipeline(), pipeline()
+    rows, _ = fed([bytes(wire)], whole)
+    assert fed([bytes(wire[i : i + 1]) for i in range(len(wire))], by_byte)[0] == rows
+    assert fed(split(bytes(wire), cuts), parts)[0] == rows
+    assert whole.losses == by_byte.losses == parts.losses
+    assert 0 <= whole.losses["samples"] <= 4000 * (2 + len(wire) * 20e-6)
+
+
+def test_a_gap_longer_than_the_host_waited_is_a_restart_and_no_loss() -> None:
+    laser = pipeline()
+    _, events = fed([stream(USUAL, K), stream(USUAL, K + 40_000_000)], laser)  # 10 000 s in a few milliseconds
+    assert [event.kind for event in events] == ["restart"]
+    assert laser.losses["samples"] == 0
+
+
+def test_a_damaged_first_sample_is_no_restart() -> None:
+    wire = bytearray(stream(USUAL, K))
+    wire[4] ^= 1  # its counter
+    laser = pipeline()
+    rows, events = fed([bytes(wire)], laser)
+    assert [row[1] for row in rows] == (K[1:] % 2**18).tolist()
+    assert [event.kind for event in events] == ["damage"]
+
+
+def test_a_restart_is_found_however_small_the_reads_are() -> None:
+    data = stream(USUAL, K) + stream(USUAL, np.arange(5, 40))
+    for cut in (1, 12, 10_000):
+        rows, events = fed([data[i : i + cut] for i in range(0, len(data), cut)], pipeline())
+        assert len(rows) == len(K) + 35
+        assert [event.kind for event in events] == ["restart"]
+
+
+def test_an_endless_flow_of_answers_keeps_nothing() -> None:
+    laser = pipeline()
+    fed([stream(USUAL, K)], laser)
+    fed([answer("DIST", name) for name in itertools.islice(itertools.cycle(("STATE", "TEMP")), 400)], laser)
+    assert laser._trial is None or len(laser._trial.held) <= 4096
+    rows, _ = fed([stream(USUAL, K[-1] + 1 + np.arange(60))], laser)
+    assert len(rows) == 60
+
+
+@pytest.mark.parametrize("identity", [
+    {"words": []}, {"words": "DIST"}, {"words": [1, 2]}, {"words": None}, {"words": ["DIST"] * 99}, {"range_m": "wide"},
+    {"range_m": float("nan")}, {"range_m": -1}, {"range_m": True}, {"range_m": None},
+])  # fmt: skip
+def test_an_identity_that_is_none_is_refused_in_words(identity: dict[str, object]) -> None:
+    with pytest.raises(DeviceError, match="laser_x: expected"):
+        pipeline(identity)
+
+
+def test_the_distance_is_found_wherever_it_stands() -> None:
+    words = optoncdt.parse_outinfo
+    assert words("GETOUTINFO_RS422 LINEAR COUNTER")[0] == "DIST"
+    assert words("GETOUTINFO_RS422 COUNTER DIST_RAW DIST1") == ("COUNTER", "DIST_RAW", "DIST")
+    assert "DIST" not in words("GETOUTINFO_RS422 SHUTTER INTENSITY")
+    with pytest.raises(DeviceError, match="at most"):
+        words("GETOUTINFO_RS422" + " DIST" * 40)
