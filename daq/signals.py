@@ -21,6 +21,7 @@ from daq.clock import ClockLine, fit_line
 from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.log.losses import losses_of
+from daq.log.outcome import not_reached_of
 from daq.log.samples import Samples
 from daq.log.snapshot import identities_of, rig_of
 from daq.protocols import optoncdt
@@ -133,6 +134,7 @@ def load_run(path: str | Path) -> Run:
                 "identities": identities_of(log),
                 "complete": log.complete,
                 "missing": [str(place) for place in log.missing],
+                "not_reached": not_reached_of(log),
             },
         )
 
