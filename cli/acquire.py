@@ -14,7 +14,7 @@ from cli.console import STDERR, StepProgress, print_json, say, wait_for_compilat
 from cli.options import Json, ParametersPath, Settings, rig_or_log
 from cli.recording import RecordingStatus
 from daq import test_inputs
-from daq.log.file import check_name
+from daq.log.file import ReservedName
 from daq.log.losses import Losses
 from daq.procedure import Procedures, TestDone
 from daq.session import Session
@@ -93,18 +93,18 @@ def record(
     json: Json = False,
 ) -> int:
     """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
-    check_name(output)  # before any device is disturbed
     loaded, identities = rig_or_log(rig, settings or [])
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
-    session = Session(loaded, clock, identities)
-    with session.listen(output, facts) if listen else session.open():
-        if not listen:
-            session.start_recording(output, facts)
-        with RecordingStatus(session) as status:
-            ended = _record_until(session, status, duration, until_silent)
-        losses, disk = session.losses(), session.disk()
-        path = session.stop_recording({"ended": ended})
+    with ReservedName(output) as name:  # before any device is disturbed: another recording may be using them
+        session = Session(loaded, clock, identities)
+        with session.listen(name, facts) if listen else session.open():
+            if not listen:
+                session.start_recording(name, facts)
+            with RecordingStatus(session) as status:
+                ended = _record_until(session, status, duration, until_silent)
+            losses, disk = session.losses(), session.disk()
+            path = session.stop_recording({"ended": ended})
     slow_s = disk.slow_s if disk else 0.0
     if json:
         print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s})

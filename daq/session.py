@@ -21,6 +21,7 @@ from daq.drive import DriveControl
 from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.laser_blocks import compile_loop
+from daq.log.file import ReservedName
 from daq.protocols import optoncdt, rotorlink
 from daq.reader import DeviceReader, keep_heap_whole
 from daq.recent import Recent
@@ -89,7 +90,7 @@ class Session:
             raise
         return self
 
-    def listen(self, path: Path, metadata: Mapping[str, str]) -> Session:
+    def listen(self, path: Path | ReservedName, metadata: Mapping[str, str]) -> Session:
         """Open every link without a word and record from the first byte; whoever runs the rig is someone else.
 
         Nothing is configured and nothing is turned; a device may be silent. Identities are those given to the session,
@@ -296,7 +297,7 @@ class Session:
         """Counted losses of every device since the recording began."""
         return {name: dict(device.pipeline.losses) for name, device in self._devices.items()}
 
-    def start_recording(self, path: Path, metadata: Mapping[str, str]) -> None:
+    def start_recording(self, path: Path | ReservedName, metadata: Mapping[str, str]) -> None:
         """Begin a log. Every device gets a fresh pipeline, so that the log alone decodes to the same samples."""
         facts = {
             "rig": self.rig.name,
