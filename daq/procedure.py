@@ -27,6 +27,7 @@ _RPM = math.pi / 30
 _HUMAN_S = 120.0  # how long a person may take, wall seconds
 _ANSWER_S = 5.0  # how long a device may take, wall seconds
 _LOCKS = 0x60  # lock flags of an encoder block
+_STATUS_S = 2.5  # the node tells its state each second; one of them may be lost
 _LOCKED_LOOK_S = 0.2  # how long closed locks are looked at before they are believed
 _SEEN_S = 10.0  # how far back to look for what a person did; a person may take minutes, the signals must stay few
 _LOOK_S = 0.5  # rig time between two looks at the signals
@@ -176,7 +177,7 @@ class Procedures:
         self._at_rest_and_locked()
         self._warn(test_inputs.ramp_warning(self._s.rig, top_rpm))
         drive = self._s.drive
-        drive.enable()
+        self._enable()
         drive.set_ramp(top_rpm / duration_s)
         self._begin(test, {"top_rpm": f"{top_rpm:.0f}", "duration_s": f"{duration_s:g}"})
         self._clock.sleep(0.5)
@@ -255,9 +256,15 @@ class Procedures:
 
     # --- parts -------------------------------------------------------------------------------------------------
 
-    def _spin_up(self, test: str, rpm: float) -> None:
+    def _enable(self) -> None:
         drive = self._s.drive
         drive.enable()
+        self._warn(drive.was_reset)
+        drive.was_reset = ""
+
+    def _spin_up(self, test: str, rpm: float) -> None:
+        drive = self._s.drive
+        self._enable()
         ramp = self._s.rig.devices.drive.ramp_rpm_per_s
         limit_s = _SPIN_UP_S + 1.5 * rpm / ramp
         drive.set_ramp(ramp)
@@ -423,6 +430,9 @@ class Procedures:
             ProcedureError: angles are needed, or the rotor is to turn, and they cannot be believed.
         """
         self._clock.sleep(_LOCKED_LOOK_S)
+        self._look_until(
+            lambda: self._s.node.status is not None, _STATUS_S
+        )  # a node of other counts ends the test here
         _, (a, b, flags) = self._newest("pendulums", ("theta3_rad", "theta4_rad", "flags"), 0.5 * _LOCKED_LOOK_S)
         zero_std = self._s.rig.devices.encoder.zero_std_deg
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, zero_std))]
@@ -436,6 +446,8 @@ class Procedures:
         drive = self._s.drive
         if drive.actual_rpm != 0 or drive.state == cia402.OPERATION_ENABLED:
             drive.set_ramp(_STOP_RAMP_RPM_S)
+            if drive.state != cia402.OPERATION_ENABLED:  # it coasts, perhaps since a host was killed: brake it
+                self._enable()
             drive.set_speed(0)
             self._until(lambda: drive.actual_rpm == 0, 30.0, "the rotor to stop")
             self._clock.sleep(0.5)

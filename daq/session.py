@@ -22,6 +22,7 @@ from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.laser_blocks import compile_loop
 from daq.log.file import ReservedName
+from daq.node_stream import NodePipeline
 from daq.protocols import optoncdt, rotorlink
 from daq.reader import DeviceReader, keep_heap_whole
 from daq.recent import Recent
@@ -33,10 +34,15 @@ from daq.version import software_version
 from rig_configs.schema import Rig
 
 _KEEP_S = 90.0
+_ALIVE_S = 3.0  # wall seconds
 _HEALTH_S = 1.0
 _WATCH_S = 0.25  # wall seconds between two looks for silent devices
 _SILENCE_S = 2.0  # wall seconds
 _OUT_OF_RANGE_SAMPLES = 5  # in one read; fewer may be a flash of light
+
+
+DEVICE_OF = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "motor": "drive"}
+"""Channels that every open rig fills all the time, and whose they are."""
 
 
 class Session:
@@ -56,6 +62,7 @@ class Session:
         self.recent = Recent(_KEEP_S)
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
         self.trouble: Exception | None = None
+        self.lenient = False  # whether a device that is not what the rig file says is only looked at, as by `rig check`
         self._drive: DriveControl | None = None
         self._devices: dict[str, DeviceReader] = {}
         self._recorder: Recorder | None = None
@@ -64,26 +71,29 @@ class Session:
         # The node remembers the seq of past commands, also those of an earlier session, and acts once on each.
         self._command_seq = secrets.randbelow(0x8000)
         self._closing = False
+        self._opening = False
         self._tripped = False
         self._disk_slow = False
 
     def open(self) -> Session:
         """Open every link, identify the devices, start their streams."""
-        d = self.rig.devices
+        d, self._opening = self.rig.devices, True
         try:
             self._open_links()
             self._drive = DriveControl(d.drive, lambda data: self.send("drive", data), self.clock)
             self._start_readers()
             for name, config in (("laser_x", d.laser_x), ("laser_y", d.laser_y)):
+                device = self._devices[name]
                 self.identities[name] = lasers.configure(
-                    name, config, lambda data, n=name: self.send(n, data), self._devices[name].replies
+                    name, config, lambda data, n=name: self.send(n, data), device, partial(self._forget, device)
                 )
             self.identities["encoder"] = {"driver": d.encoder.driver, "port": d.encoder.port}
             self.drive.start()
             self.identities["drive"] = {"driver": d.drive.driver, "node_id": d.drive.node_id}
-            self.wait_for(self._all_alive, 3.0, "every device to send samples")
+            self._wait_alive("every device to send samples")
             self._begin_anew(None)  # what waited in the ports' buffers was late and would mislead the clock maps
-            self.wait_for(self._all_alive, 3.0, "every device to go on sending samples")
+            self._opening = False  # from now on a restart is one
+            self._wait_alive("every device to go on sending samples")
             self._start_watching()
         except BaseException:
             self.close()
@@ -166,8 +176,30 @@ class Session:
         assert self._drive is not None, "the session is not open"
         return self._drive
 
-    def _all_alive(self) -> bool:
-        return all(len(self.recent.last(t, ())[0]) for t in ("laser/x", "laser/y", "pendulums", "motor"))
+    def _silent(self) -> list[str]:
+        """Devices of which no sample has come."""
+        return [device for topic, device in DEVICE_OF.items() if not len(self.recent.last(topic, ())[0])]
+
+    def _wait_alive(self, what: str) -> None:
+        """Wait for samples of every device; of those that give none, say what came instead."""
+        try:
+            self.wait_for(lambda: not self._silent(), _ALIVE_S, what)
+        except DeviceError as error:
+            silent = self._silent()
+            if self.trouble is not None or not silent:
+                raise
+            raise DeviceError(f"{error}: {'; '.join(map(self._what_came, silent))}") from error
+
+    def _what_came(self, name: str) -> str:
+        device = self._devices[name]
+        lost = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in device.pipeline.losses.items() if n)
+        came = f"{device.bytes_in} bytes came, none of them a sample" if device.bytes_in else "silent"
+        return f"{name}: {came}{f' ({lost})' if lost else ''}. Look at its power, its settings and the rig file"
+
+    def _forget(self, device: DeviceReader) -> None:
+        """A fresh pipeline for a device whose line has just run dry: what it sent before was told to someone else."""
+        with device.lock:
+            device.pipeline = make_pipelines(self.rig.devices, self.identities)[device.name]
 
     # --- bytes -------------------------------------------------------------------------------------------------
 
@@ -200,10 +232,13 @@ class Session:
                 device.replies.put(item.text)
             elif item.kind == "acknowledge":
                 self._acknowledges.put(item)
-            elif item.kind in ("fault", "restart") and self.trouble is None:
+            elif self.trouble is None and self._ends_the_run(item.kind):
                 self.trouble = DeviceError(f"{item.device}: {item.text}")
         if self._drive is not None and isinstance(device.pipeline, DrivePipeline) and direction == RX:
             self.drive.notice(device.pipeline.frames)
+
+    def _ends_the_run(self, kind: str) -> bool:
+        return (kind == "fault" and not self.lenient) or (kind == "restart" and not self._opening)
 
     def _fail(self, error: Exception) -> None:
         """Remember the first trouble and stop the rotor; whoever waits is told."""
@@ -275,6 +310,13 @@ class Session:
             recorder.event(Event("disk", "host", text, state.facts()), self.clock.now_ns())
         if recorder.trouble is not None:
             self._fail(recorder.trouble)
+
+    @property
+    def node(self) -> NodePipeline:
+        """What decodes the encoder node, with the node's newest word of itself."""
+        pipeline = self._devices["encoder"].pipeline
+        assert isinstance(pipeline, NodePipeline)
+        return pipeline
 
     # --- recording ---------------------------------------------------------------------------------------------
 
