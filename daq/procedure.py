@@ -417,7 +417,7 @@ class Procedures:
         return settled(*signals, release_time_s=(released_ns - since) * 1e-9, **_STEADY)
 
     def _at_rest_and_locked(self, angles_needed: bool = True) -> None:
-        self._warnings, self._angles_needed = [], angles_needed
+        self._warnings, self._angles_needed = [], False
         self._s.check()
         self._stop_rotor()
         self._lock_both()
@@ -430,9 +430,7 @@ class Procedures:
             ProcedureError: angles are needed, or the rotor is to turn, and they cannot be believed.
         """
         self._clock.sleep(_LOCKED_LOOK_S)
-        self._look_until(
-            lambda: self._s.node.status is not None, _STATUS_S
-        )  # a node of other counts ends the test here
+        self._look_until(lambda: self._s.node.status is not None, _STATUS_S)  # one of other counts ends the test
         _, (a, b, flags) = self._newest("pendulums", ("theta3_rad", "theta4_rad", "flags"), 0.5 * _LOCKED_LOOK_S)
         zero_std = self._s.rig.devices.encoder.zero_std_deg
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, zero_std))]
@@ -440,6 +438,7 @@ class Procedures:
         if trouble and angles_needed:
             raise ProcedureError(f"encoder: {trouble}. Nothing was turned, nothing recorded")
         self._warn(f"encoder: {trouble}" if trouble else "")
+        self._angles_needed = angles_needed
         self._warn("encoder: the node's battery is low; change it before the next test" if battery_low(flags) else "")
 
     def _stop_rotor(self) -> None:

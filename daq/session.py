@@ -24,6 +24,7 @@ from daq.laser_blocks import compile_loop
 from daq.log.file import ReservedName
 from daq.node_stream import NodePipeline
 from daq.protocols import optoncdt, rotorlink
+from daq.rate_watch import RateWatches
 from daq.reader import DeviceReader, keep_heap_whole
 from daq.recent import Recent
 from daq.recorder import DiskState, Recorder
@@ -61,6 +62,8 @@ class Session:
         self.rig, self.clock = rig, clock
         self.recent = Recent(_KEEP_S)
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
+        self.rates = RateWatches(rig.devices)
+        self.observers: list[Callable[[Event], None]] = []  # told of every event
         self.trouble: Exception | None = None
         self.lenient = False  # whether a device that is not what the rig file says is only looked at, as by `rig check`
         self._drive: DriveControl | None = None
@@ -220,6 +223,7 @@ class Session:
             if recorder is not None and not recorder.raw(device.name, direction, data, host_ns):
                 recorder = None  # the run has ended; interlocks go on
             found = device.pipeline.feed(direction, data, host_ns)
+            found += self.rates.feed(found, host_ns)
             if recorder is not None:
                 for item in found:
                     recorder.batch(item, host_ns) if isinstance(item, Batch) else recorder.event(item, host_ns)
@@ -228,7 +232,10 @@ class Session:
                 self.recent.add(item)
                 for watch in self._watchers:
                     watch(item)
-            elif item.kind == "reply":
+                continue
+            for observe in self.observers:
+                observe(item)
+            if item.kind == "reply":
                 device.replies.put(item.text)
             elif item.kind == "acknowledge":
                 self._acknowledges.put(item)
@@ -362,6 +369,7 @@ class Session:
             for device in self._devices.values():
                 stack.enter_context(device.lock)
             self.recent.clear()
+            self.rates = RateWatches(self.rig.devices)
             for name, device in self._devices.items():
                 device.pipeline = pipelines[name]
             self._recorder = recorder
@@ -374,8 +382,8 @@ class Session:
             for device in self._devices.values():
                 stack.enter_context(device.lock)
             self._recorder = None
-            losses = self.losses()
-        return recorder.close({"losses": losses, **summary})
+            losses, wrong_rates = self.losses(), self.rates.summary()
+        return recorder.close({"losses": losses, **({"rates": wrong_rates} if wrong_rates else {}), **summary})
 
     # --- waiting and commands ----------------------------------------------------------------------------------
 
