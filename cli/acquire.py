@@ -14,7 +14,8 @@ from cli.console import STDERR, StepProgress, print_json, say, wait_for_compilat
 from cli.numbers import PositiveRpm, PositiveSeconds, TimeScale
 from cli.options import Json, ParametersPath, Settings, rig_or_log, what_if_words
 from cli.recording import RecordingStatus
-from daq.log.file import check_name
+from daq import test_inputs
+from daq.log.file import ReservedName
 from daq.log.losses import Losses
 from daq.procedure import Procedures, TestDone
 from daq.session import Session
@@ -22,7 +23,7 @@ from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
-_TESTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down")
+_RAMP_S = 40.0
 
 
 class TerminalOperator:
@@ -97,18 +98,18 @@ def record(
     json: Json = False,
 ) -> int:
     """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
-    check_name(output)  # before any device is disturbed
     loaded, identities = rig_or_log(rig, settings or [])
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
-    session = Session(loaded, clock, identities, say)
-    with session.listen(output, facts) if listen else session.open():
-        if not listen:
-            session.start_recording(output, facts)
-        with RecordingStatus(session) as status:
-            ended = _record_until(session, status, duration, until_silent)
-        losses, disk = session.losses(), session.disk()
-        path = session.stop_recording({"ended": ended})
+    with ReservedName(output) as name:  # before any device is disturbed: another recording may be using them
+        session = Session(loaded, clock, identities, say)
+        with session.listen(name, facts) if listen else session.open():
+            if not listen:
+                session.start_recording(name, facts)
+            with RecordingStatus(session) as status:
+                ended = _record_until(session, status, duration, until_silent)
+            losses, disk = session.losses(), session.disk()
+            path = session.stop_recording({"ended": ended})
     slow_s = disk.slow_s if disk else 0.0
     if json:
         print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s,
@@ -148,7 +149,7 @@ def test(
     parameters: ParametersPath = None,
     note: str = "",
     top_rpm: PositiveRpm | None = None,
-    duration: PositiveSeconds = 40.0,
+    duration: PositiveSeconds = _RAMP_S,
     track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
@@ -157,7 +158,7 @@ def test(
     """Run one guided test: ring-down-x, ring-down-y, spin-down, run-up, run-down, or point NAME."""
     loaded = load_rig(rig, parameters, settings or [])
     wanted = name if point is None else f"point-{point}"
-    check_test(loaded, wanted)
+    check_test(loaded, wanted, top_rpm, duration)
     tracking = None
     if track:  # compiled before a device is opened
         with wait_for_compilation("tracking"):
@@ -182,43 +183,50 @@ def test(
         if parameters is not None:
             tests.parameters = IdentifiedParameters.label(parameters) + what_if_words(settings, "; ")
         done = run_test(tests, loaded, wanted, top_rpm, duration)
-    result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary, "warnings": session.notices}
+    warnings = [*session.notices, *done.warnings]
+    result: dict[str, Any] = {"test": done.test, "log": str(done.log), **done.summary, "warnings": warnings}
     if following is not None:
         result["tracked"] = following.facts()
     if json:
         print_json(result)
     else:
-        say(f"{done.log}: {done.test} done")
-    return 3 if session.notices else 0
+        for warning in done.warnings:
+            say(f"warning: {warning}")
+        say(f"{done.log}: {ending_words(done)}")
+    return 3 if session.notices else 1 if done.missed else 0
 
 
-def check_test(rig: Rig, name: str) -> None:
-    """Refuse a name that is no guided test of this rig, before any device is opened.
+def ending_words(done: TestDone) -> str:
+    """How a test ended, as its operator is told."""
+    return f"{done.test} did not reach its end: {done.missed}" if done.missed else f"{done.test} done"
+
+
+def check_test(rig: Rig, name: str, top_rpm: float | None = None, duration_s: float = _RAMP_S) -> None:
+    """Refuse a test that this rig does not have or cannot run as asked, before any device is opened.
 
     Raises:
-        RigFileError: no such test or point.
+        RigFileError: no such test or point, a speed or a duration beyond what limits and drive allow.
     """
-    known = [*_TESTS, *(f"point-{p}" for p in rig.points)]
-    if name not in known:
-        raise RigFileError(f"{name!r}: no such test. Known: {', '.join(known)}".replace("point-", "point "))
+    top = test_inputs.default_top_rpm(rig) if top_rpm is None else top_rpm
+    if why := test_inputs.refusal(rig, name, top, duration_s):
+        raise RigFileError(why)
 
 
 def run_test(
-    tests: Procedures, rig: Rig, name: str, top_rpm: float | None = None, duration_s: float = 40.0
+    tests: Procedures, rig: Rig, name: str, top_rpm: float | None = None, duration_s: float = _RAMP_S
 ) -> TestDone:
     """One guided test by its name; speeds follow from the rig's (identified) k1 and k2.
 
     Raises:
-        RigFileError: no such test or point.
+        RigFileError: as `check_test`.
     """
-    check_test(rig, name)
+    check_test(rig, name, top_rpm, duration_s)
     if name in ("ring-down-x", "ring-down-y"):
         return tests.ring_down(name[-1])
     if name == "spin-down":
         return tests.spin_down()
     if name in ("run-up", "run-down"):
-        higher = max(rig.physics.natural_frequencies_rad_s) * 30 / math.pi
         through = tests.run_up if name == "run-up" else tests.run_down
-        return through(top_rpm or min(1.3 * higher, rig.limits.speed_rpm), duration_s)
+        return through(test_inputs.default_top_rpm(rig) if top_rpm is None else top_rpm, duration_s)
     point = name.removeprefix("point-")
     return tests.point(point, rig.physics.speed_rad_s(rig.points[point].speed_ratio))

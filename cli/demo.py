@@ -12,14 +12,14 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from cli.acquire import run_test
+from cli.acquire import ending_words, run_test
 from cli.console import StepProgress, print_json, say
 from cli.numbers import TimeScale
 from cli.options import Json, Settings
 from cli.simulated import SimulatedOperator, VirtualRigProcess
 from cli.workbench import Workbench
 from daq.log import open_log
-from daq.procedure import Procedures
+from daq.procedure import Procedures, TestDone
 from daq.session import Session
 from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
@@ -66,7 +66,7 @@ def demo(
         workbench.close()
     result["seconds"] = time.monotonic() - started
     _show(result, json)
-    return 0 if result["passed"] else 1
+    return 0 if result["passed"] and not result["not_reached"] else 1
 
 
 def _steps(rig: Rig) -> list[str]:
@@ -109,7 +109,7 @@ def _campaign(
     workbench: Workbench,
 ) -> dict[str, Any]:
     progress.step("start")
-    logs: list[Path] = []
+    tests_done: list[TestDone] = []
     refinements: list[Future[None]] = []
     with VirtualRigProcess(name, changes, time_scale, link) as simulated:
         truth = simulated.line.ask("truth")["truth"]
@@ -123,9 +123,18 @@ def _campaign(
 
         with Session(plugged, HostClock(time_scale)) as session:
             tests = Procedures(session, SimulatedOperator(simulated.line), folder / "logs", progress.tell)
+
+            def record(rig: Rig, test: str) -> Path:
+                done = run_test(tests, rig, test)
+                tests_done.append(done)
+                if done.missed:
+                    progress.say(ending_words(done))
+                return done.log
+
+            logs: list[Path] = []
             for test in _BEFORE_POINTS:
                 begin(test)
-                logs.append(run_test(tests, plugged, test).log)
+                logs.append(record(plugged, test))
             begin("identify")
             parameters = folder / "parameters-before-points.toml"
             workbench.identify(plugged, logs, parameters).result()
@@ -134,7 +143,7 @@ def _campaign(
             identified = with_parameters(plugged, known)
             for point in rig.points:
                 begin(f"point-{point}")
-                logs.append(run_test(tests, identified, f"point-{point}").log)
+                logs.append(record(identified, f"point-{point}"))
                 refinements.append(workbench.refine(plugged, logs[-1]))
         radio = simulated.line.ask("radio")
     progress.step("report")
@@ -152,6 +161,8 @@ def _campaign(
     result["truth"] = truth
     result["radio"] = [_radio_check(path, radio) for path in logs]
     result["logs"] = [str(path) for path in logs]
+    result["not_reached"] = {done.test: done.missed for done in tests_done if done.missed}
+    result["warnings"] += [f"{done.test}: {warning}" for done in tests_done for warning in done.warnings]
     result["report"] = str(report)
     return result
 
@@ -190,6 +201,8 @@ def _show(result: Mapping[str, Any], as_json: bool) -> None:
     print("Points:")
     for name, point in result["points"].items():
         print(f"  {name}: {point['verdict']:14} {point['state']:10} {point['why']}")
+    for test, missed in result["not_reached"].items():
+        print(f"  {test} did not reach its end: {missed}")
     for warning in result["warnings"]:
         say(f"warning: {warning}")
     lost = sum(row["counted"] for row in result["radio"])

@@ -10,6 +10,7 @@ from rich.text import Text
 from cli.log_table import STATES, VERDICTS
 from cli.words import length, local_time, printable, size, stdout_console
 from daq.log.content import seconds
+from daq.log.outcome import not_reached
 
 
 def print_log(facts: Mapping[str, Any]) -> None:
@@ -40,8 +41,7 @@ def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
     for title, table in (("run", others), ("outcome", facts["outcome"])):
         if table:
             yield title, ", ".join(f"{name} {value}" for name, value in table.items()), ""
-    if facts["verdict"]:
-        yield "verdict", *_verdict(facts["verdict"])
+    yield from _judged(facts)
     yield from _loss_lines(facts["losses"])
     yield from _channel_lines(facts)
     yield from _health_lines(facts["health"])
@@ -56,6 +56,14 @@ def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
 
 
 _RUN_SHOWN = ("rig", "test", "point", "note", "parameters", "software", "origin", "started")
+
+
+def _judged(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
+    """What the test did not reach, and the last validation's verdict."""
+    if missed := not_reached(facts["run"].get("test", ""), facts["outcome"]):
+        yield "not reached", missed, "bold red"
+    if facts["verdict"]:
+        yield "verdict", *_verdict(facts["verdict"])
 
 
 def _state(facts: Mapping[str, Any]) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from rich.text import Text
 from cli.console import say
 from cli.words import length, local_time, printable, size, stdout_console
 from daq.catalogue.entry import Entry
+from daq.log.outcome import not_reached
 
 STATES = {
     "finished": ("finished", "green"),
@@ -61,6 +62,7 @@ _COLUMNS = (
     _Column("rig", lambda e: (e.rig, ""), keep=3),
     _Column("parameters", lambda e: (e.parameters, ""), least=16, keep=1),
     _Column("note", lambda e: (e.note or e.why, "" if e.note else "dim"), least=12, keep=4),
+    _Column("not reached", lambda e: (not_reached(e.test, e.outcome), "bold red"), least=14, keep=7),
 )
 
 

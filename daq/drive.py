@@ -83,6 +83,7 @@ class DriveControl:
         self._word_rpm = 0.0
         self._word_ns = 0
         self.dropped_out: str | None = None
+        self.was_reset = ""  # what enable found and reset, for whoever runs the rig
         self.emergencies: list[int] = []
         self._armed = False
 
@@ -158,12 +159,17 @@ class DriveControl:
     def enable(self) -> None:
         """Walk the state machine to OPERATION ENABLED with target speed 0.
 
+        A drive whose host was killed may stand in FAULT because the heartbeat stayed away: that one is reset. Any
+        other fault is its operator's to look into.
+
         Raises:
-            DeviceError: it does not get there.
+            DeviceError: it does not get there, or stands in a fault of its own.
             RigError: whatever `permit` raises.
         """
         deadline = time.monotonic() + 3.0
         self._armed, self.dropped_out = False, None
+        if self.state == cia402.FAULT:
+            self._reset_if_only_heartbeat()
         while self.state != cia402.OPERATION_ENABLED:
             self._permit(None)
             word = cia402.towards_operation(self.state)
@@ -176,6 +182,34 @@ class DriveControl:
                 )
             time.sleep(0.005)
         self._armed = True
+
+    def fault_code(self) -> int | None:
+        """Why the drive stands in FAULT, by its own word; None when it tells nothing.
+
+        603Fh, where it has none 1003h, and where it has neither the register 1001h, when only the line is at fault.
+        """
+        for index, sub in ((cia402.ERROR_CODE, 0), (cia402.PREDEFINED_ERROR_FIELD, 1)):
+            try:
+                code = int.from_bytes(self._node.sdo.upload(index, sub)[:2], "little")
+            except (SdoAbortedError, SdoCommunicationError):
+                continue
+            if code:
+                return code
+        with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
+            if self._node.sdo.upload(cia402.ERROR_REGISTER, 0)[0] & ~0x01 == cia402.REGISTER_COMMUNICATION:
+                return cia402.HEARTBEAT_ERROR
+        return None
+
+    def _reset_if_only_heartbeat(self) -> None:
+        code = self.fault_code()
+        if code != cia402.HEARTBEAT_ERROR:
+            said = "it does not tell why" if code is None else f"its error code is 0x{code:04X}"
+            raise DeviceError(
+                f"drive: it stands in FAULT, {said}. Look into its manual, mend the cause and reset it there"
+            )
+        self.was_reset = "the drive stood in FAULT because a host's heartbeat had stayed away (0x8130); it was reset"
+        self._pdo(cia402.DISABLE_VOLTAGE, 0)  # a reset is the bit's rising edge
+        self._pdo(cia402.FAULT_RESET, 0)
 
     def set_speed(self, rpm: float) -> None:
         """Ramp to a speed (whole rpm on this drive's wire).

@@ -281,7 +281,11 @@ class Interlocks:
         limit = self._limits.amplitude_m
         gone = share.in_a_row >= _GONE_SAMPLES and self._seen_m[topic] > _LARGE * limit
         if beyond_m is not None or gone:
-            seen = f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm" if beyond_m is None else f"{beyond_m * 1e3:.1f} mm"
+            seen = (
+                f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm"
+                if beyond_m is None
+                else f"{beyond_m * 1e3:.1f} mm"
+            )
             out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm"))
         elif share.mostly_bad:
             out.append(Stop("device", self._blind_words(topic)))

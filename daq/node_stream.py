@@ -18,6 +18,8 @@ class NodePipeline:
 
     def __init__(self, device: str, config: EncoderNode) -> None:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
+        self.status: rotorlink.Status | None = None  # the node's newest word of itself …
+        self.rssi_dBm: int | None = None  # … and how strong its frames come in
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
@@ -47,6 +49,8 @@ class NodePipeline:
             self.losses["damaged_frames"] += 1
             out.append(Event("damage", self._device, f"frame dropped: {reason}", {"reason": reason}))
         for frame in found.frames:
+            if isinstance(frame, rotorlink.Wrapped | rotorlink.DongleStatus):
+                self.rssi_dBm = frame.rssi_dbm
             if isinstance(frame, rotorlink.Wrapped):
                 lost, repeated = self._cable.feed(frame.seq)
                 self._count("cable_frames", lost, self._since_dongle(frame.dongle_time_us), out)
@@ -105,6 +109,7 @@ class NodePipeline:
                 out.append(Event("acknowledge", self._device, f"command {frame.command_seq}: {result}",
                                  {"command_seq": frame.command_seq, "result": frame.result}))  # fmt: skip
             case rotorlink.Status():
+                self.status = frame
                 if frame.counts_per_revolution != self._counts_per_revolution:
                     text = (
                         f"the node says {frame.counts_per_revolution} counts per revolution, the rig file "

@@ -14,7 +14,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from daq import test_inputs
 from daq.errors import ProcedureError
+from daq.lock_positions import battery_low, flagged, lock_positions, misplaced
+from daq.log.numbering import next_number, one_at_a_time
+from daq.log.outcome import ending
 from daq.protocols import cia402
 from daq.session import Session
 from daq.settling import Settling, locked_settled, settled
@@ -23,10 +27,14 @@ _RPM = math.pi / 30
 _HUMAN_S = 120.0  # how long a person may take, wall seconds
 _ANSWER_S = 5.0  # how long a device may take, wall seconds
 _LOCKS = 0x60  # lock flags of an encoder block
+_STATUS_S = 2.5  # the node tells its state each second; one of them may be lost
+_LOCKED_LOOK_S = 0.2  # how long closed locks are looked at before they are believed
 _SEEN_S = 10.0  # how far back to look for what a person did; a person may take minutes, the signals must stay few
 _LOOK_S = 0.5  # rig time between two looks at the signals
 _STOP_RAMP_RPM_S = 400.0
 _POINT_LIMIT_S = 90.0
+_RING_DOWN_S, _SPIN_DOWN_S, _LOCKED_STEADY_S = 60.0, 120.0, 60.0  # rig time
+_SPIN_UP_S = 60.0  # beside what the drive's own ramp takes
 # Stricter than the analysis, which asks the same again of the whole log: what is called steady here is so there.
 _STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2e-6}
 _FLICKED_RAD = 0.5
@@ -52,11 +60,21 @@ class Operator(Protocol):
 
 @dataclass(frozen=True)
 class TestDone:
-    """A finished test: its name, its log, and the facts that went into the log's summary."""
+    """A finished test.
+
+    Attributes:
+        test: its name.
+        log: its log, finished and whole.
+        summary: the facts that went into the log's summary.
+        missed: what was not reached; empty when the test came to its end.
+        warnings: what its operator must know, sentences.
+    """
 
     test: str
     log: Path
     summary: Mapping[str, Any]
+    missed: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 class Procedures:
@@ -77,13 +95,15 @@ class Procedures:
         self._s, self._operator, self._folder, self._progress, self._note = session, operator, folder, progress, note
         self._clock = session.clock
         self.parameters = ""
+        self._warnings: list[str] = []
+        self._angles_needed = False
 
     # --- the tests ---------------------------------------------------------------------------------------------
 
     def ring_down(self, axis: str) -> TestDone:
         """Pluck along an axis, record until it has rung down to a fiftieth."""
         test = f"ring-down-{axis}"
-        self._at_rest_and_locked()
+        self._at_rest_and_locked(angles_needed=False)
         self._begin(test, {})
         self._clock.sleep(0.7)
         self._tell(f"{test}: pluck the column along {axis} by 2 to 3 mm and let go", None)
@@ -109,8 +129,11 @@ class Procedures:
             self._tell(f"{test}: {now * 1e3:.2f} mm peak to peak", min(1.0, share))
             return now < peak / 50 or now < 4e-5
 
-        reached = self._look_until(rung_down, 60.0)
-        return self._end(test, {"rung_down": reached})
+        reached = self._look_until(rung_down, _RING_DOWN_S)
+        left = self._peak_to_peak(field, 0.6)
+        seen = "the sensor sees nothing" if math.isnan(left) else f"{left * 1e3:.2f} of {peak * 1e3:.2f} mm were left"
+        missed = "" if reached else f"the column to ring down to a fiftieth within {_RING_DOWN_S:g} s: {seen}"
+        return self._end(test, {"rung_down": reached}, missed)
 
     def spin_down(self) -> TestDone:
         """Release both pendulums at rest, flick them, record until they have slowed by e⁵."""
@@ -139,21 +162,26 @@ class Procedures:
             self._tell(f"{test}: {rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
             return share >= 1.0
 
-        reached = self._look_until(slowed, 120.0)
-        done = self._end(test, {"slowed_down": reached})
+        reached = self._look_until(slowed, _SPIN_DOWN_S)
+        a, b = np.abs(self._rates())
+        seen = "their angles are missing" if math.isnan(a + b) else f"{a:.2f} and {b:.2f} rad/s were left"
+        missed = "" if reached else f"the pendulums to slow down by e⁵ within {_SPIN_DOWN_S:g} s: {seen}"
+        done = self._end(test, {"slowed_down": reached}, missed)
         self._lock_both()
         return done
 
     def run_up(self, top_rpm: float, duration_s: float) -> TestDone:
         """Ramp from rest through both resonances with locked pendulums."""
         test = "run-up"
+        self._refuse(test_inputs.ramp_refusal(self._s.rig, top_rpm, duration_s))
         self._at_rest_and_locked()
+        self._warn(test_inputs.ramp_warning(self._s.rig, top_rpm))
         drive = self._s.drive
-        drive.enable()
+        self._enable()
         drive.set_ramp(top_rpm / duration_s)
         self._begin(test, {"top_rpm": f"{top_rpm:.0f}", "duration_s": f"{duration_s:g}"})
         self._clock.sleep(0.5)
-        drive.set_speed(self._allowed(top_rpm))
+        drive.set_speed(top_rpm)
 
         def there() -> bool:
             self._tell(f"{test}: {drive.actual_rpm:.0f} rpm", drive.actual_rpm / top_rpm)
@@ -161,14 +189,17 @@ class Procedures:
 
         reached = self._look_until(there, 1.5 * duration_s)
         self._clock.sleep(1.0)
-        done = self._end(test, {"reached_top": reached})
+        seen = f"{drive.actual_rpm:.0f} of {top_rpm:.0f} rpm after {1.5 * duration_s:g} s"
+        done = self._end(test, {"reached_top": reached}, "" if reached else f"the top speed: {seen}")
         self._stop_rotor()
         return done
 
     def run_down(self, top_rpm: float, duration_s: float) -> TestDone:
         """Ramp from above both resonances to rest with locked pendulums."""
         test = "run-down"
+        self._refuse(test_inputs.ramp_refusal(self._s.rig, top_rpm, duration_s))
         self._at_rest_and_locked()
+        self._warn(test_inputs.ramp_warning(self._s.rig, top_rpm))
         drive = self._s.drive
         self._spin_up(test, top_rpm)
         self._begin(test, {"top_rpm": f"{top_rpm:.0f}", "duration_s": f"{duration_s:g}"})
@@ -181,7 +212,8 @@ class Procedures:
             return drive.actual_rpm < _SLOW_SHARE * top_rpm
 
         reached = self._look_until(slow, 1.5 * duration_s)
-        done = self._end(test, {"reached_rest": reached})
+        seen = f"still {drive.actual_rpm:.0f} rpm after {1.5 * duration_s:g} s"
+        done = self._end(test, {"reached_rest": reached}, "" if reached else f"the rotor to come to rest: {seen}")
         self._stop_rotor()
         return done
 
@@ -189,9 +221,12 @@ class Procedures:
         """Spin up with locked pendulums, wait until the orbit is steady, release, record until all is steady."""
         test = f"point-{name}"
         rpm = speed_rad_s / _RPM
+        self._refuse(test_inputs.speed_refusal(self._s.rig, rpm))
         self._at_rest_and_locked()
         self._spin_up(test, rpm)
-        steady = self._look_until(lambda: self._locked_steady(test), 60.0)
+        steady = self._look_until(lambda: self._locked_steady(test), _LOCKED_STEADY_S)
+        if not steady:
+            self._warn(f"the orbit was not steady {_LOCKED_STEADY_S:g} s after the spin-up, the release follows anyway")
         self._begin(test, {"point": name, "speed_rpm": f"{rpm:.3f}"})
         self._clock.sleep(_BEFORE_RELEASE_S)
         self._tell(f"{test}: releasing the pendulums", None)
@@ -216,52 +251,81 @@ class Procedures:
             last = self._steady(released_ns, {})
             reached = last.settled
         why = last.why if last else "no data"
-        done = self._end(test, {"steady_before_release": steady, "settled": reached, "why": why})
+        found = reached or (self._expects_slipping(name) and last is not None and last.slipping)
+        missed = "" if found else f"the steady state within {_POINT_LIMIT_S:g} s of the release: {why}"
+        done = self._end(test, {"steady_before_release": steady, "settled": reached, "why": why}, missed)
         self._stop_rotor()
         self._lock_both()
         return done
 
     # --- parts -------------------------------------------------------------------------------------------------
 
-    def _spin_up(self, test: str, rpm: float) -> None:
+    def _enable(self) -> None:
         drive = self._s.drive
         drive.enable()
-        drive.set_ramp(self._s.rig.devices.drive.ramp_rpm_per_s)
-        drive.set_speed(self._allowed(rpm))
+        self._warn(drive.was_reset)
+        drive.was_reset = ""
+
+    def _spin_up(self, test: str, rpm: float) -> None:
+        drive = self._s.drive
+        self._enable()
+        ramp = self._s.rig.devices.drive.ramp_rpm_per_s
+        limit_s = _SPIN_UP_S + 1.5 * rpm / ramp
+        drive.set_ramp(ramp)
+        drive.set_speed(rpm)
 
         def at_speed() -> bool:
             self._tell(f"{test}: spinning up, {drive.actual_rpm:.0f} of {rpm:.0f} rpm", None)
             return abs(drive.actual_rpm - rpm) < 0.01 * rpm + 2
 
-        if not self._look_until(at_speed, 60.0):
-            raise self._stopped(f"{test}: {drive.actual_rpm:.0f} rpm after 60 s, expected {rpm:.0f}. Look at the drive")
+        if not self._look_until(at_speed, limit_s):
+            seen = f"{drive.actual_rpm:.0f} rpm after {limit_s:.0f} s, expected {rpm:.0f}"
+            raise self._stopped(f"{test}: {seen}. Look at the drive")
 
-    def _allowed(self, rpm: float) -> float:
-        limit = self._s.rig.limits.speed_rpm
-        if rpm > limit:
-            raise self._stopped(f"{rpm:.0f} rpm wanted, limits.speed_rpm is {limit:.0f}: nothing was turned")
-        return rpm
+    def _expects_slipping(self, point: str) -> bool:
+        known = self._s.rig.points.get(point)
+        return known is not None and known.expected == "slipping"
+
+    def _refuse(self, why: str) -> None:
+        """Refuse a test before anything is enabled or recorded."""
+        if why:
+            raise ProcedureError(why)
+
+    def _warn(self, text: str) -> None:
+        if text:
+            self._warnings.append(text)
+            self._tell(text, None)
 
     def _stopped(self, message: str) -> ProcedureError:
         self._s.drive.quick_stop()
-        return ProcedureError(message)
+        error = ProcedureError(message)
+        self._s.trouble = self._s.trouble or error  # the log that is still open ends with it
+        return error
 
     def _tell(self, text: str, share: float | None) -> None:
         self._progress(text, share)
 
     def _begin(self, test: str, facts: Mapping[str, str]) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
-        numbers = [int(p.name[:2]) for p in self._folder.glob("[0-9][0-9]-*.mcap*")]
-        number = 1 + max(numbers, default=0)
-        path = self._folder / f"{number:02d}-{test}.mcap"
         known = {"parameters": self.parameters} if self.parameters else {}
         self._s.need(*(["laser/x", "laser/y"] if test.startswith("ring-down") else ["pendulums"]))
-        self._s.start_recording(path, {"test": test, "note": self._note, **known, **facts})
+        with one_at_a_time(self._folder):  # two tests of two rigs may log into one folder
+            path = self._folder / f"{next_number(p.name for p in self._folder.iterdir()):02d}-{test}.mcap"
+            self._s.start_recording(path, {"test": test, "note": self._note, **known, **facts})
 
-    def _end(self, test: str, summary: Mapping[str, Any]) -> TestDone:
-        log = self._s.stop_recording(summary)
+    def _end(self, test: str, summary: Mapping[str, Any], missed: str) -> TestDone:
+        """Finish the log.
+
+        Args:
+            summary: the test's own facts.
+            missed: what was not reached; empty when the test came to its end.
+        """
+        facts = {**summary, **ending(missed)}
+        if self._warnings:
+            facts["warnings"] = "; ".join(self._warnings)
+        log = self._s.stop_recording(facts)
         self._s.check()  # what went wrong in the last stretch must not look like a finished test
-        return TestDone(test, log, summary)
+        return TestDone(test, log, facts, missed, tuple(self._warnings))
 
     def _until(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
         self._s.wait_for(condition, wall_s, what)
@@ -271,11 +335,18 @@ class Procedures:
         end = self._clock.now_ns() + int(limit_s * 1e9)
         while True:
             self._s.check()
+            self._heed_encoder_faults()
             if condition():
                 return True
             if self._clock.now_ns() > end:
                 return False
             self._clock.sleep(_LOOK_S)
+
+    def _heed_encoder_faults(self) -> None:
+        if self._angles_needed:
+            _, (flags,) = self._newest("pendulums", ("flags",), _LOOK_S)
+            if faults := flagged(flags):
+                raise self._stopped(f"encoder: {'. '.join(faults)}; the rotor was stopped")
 
     def _since(self, seconds: float) -> int:
         return self._clock.now_ns() - int(seconds * 1e9)
@@ -351,15 +422,37 @@ class Procedures:
         step = 2 * math.pi / self._s.rig.devices.encoder.counts_per_revolution
         return settled(*signals, release_time_s=(released_ns - since) * 1e-9, angle_step_rad=step, **tolerances)
 
-    def _at_rest_and_locked(self) -> None:
+    def _at_rest_and_locked(self, angles_needed: bool = True) -> None:
+        self._warnings, self._angles_needed = [], False
         self._s.check()
         self._stop_rotor()
         self._lock_both()
+        self._look_at_locked(angles_needed)
+
+    def _look_at_locked(self, angles_needed: bool) -> None:
+        """Hold the counters against the closed locks, and heed what the node says of itself.
+
+        Raises:
+            ProcedureError: angles are needed, or the rotor is to turn, and they cannot be believed.
+        """
+        self._clock.sleep(_LOCKED_LOOK_S)
+        self._look_until(lambda: self._s.node.status is not None, _STATUS_S)  # one of other counts ends the test
+        _, (a, b, flags) = self._newest("pendulums", ("theta3_rad", "theta4_rad", "flags"), 0.5 * _LOCKED_LOOK_S)
+        zero_std = self._s.rig.devices.encoder.zero_std_deg
+        wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, zero_std))]
+        trouble = ". ".join(text for text in wrong if text)
+        if trouble and angles_needed:
+            raise ProcedureError(f"encoder: {trouble}. Nothing was turned, nothing recorded")
+        self._warn(f"encoder: {trouble}" if trouble else "")
+        self._angles_needed = angles_needed
+        self._warn("encoder: the node's battery is low; change it before the next test" if battery_low(flags) else "")
 
     def _stop_rotor(self) -> None:
         drive = self._s.drive
         if drive.actual_rpm != 0 or drive.state == cia402.OPERATION_ENABLED:
             drive.set_ramp(_STOP_RAMP_RPM_S)
+            if drive.state != cia402.OPERATION_ENABLED:  # it coasts, perhaps since a host was killed: brake it
+                self._enable()
             drive.set_speed(0)
             self._s.wait_for_rest(30.0)
             self._clock.sleep(0.5)

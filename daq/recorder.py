@@ -20,7 +20,7 @@ from typing import Any
 
 from daq import channels
 from daq.errors import LogError, RecordingError
-from daq.log.file import LogFile
+from daq.log.file import LogFile, ReservedName
 from daq.stream_items import Batch, Event, joined
 from daq.transports.host_clock import HostClock
 
@@ -69,7 +69,7 @@ class Recorder:
     """One log being written.
 
     Args:
-        path: the finished file's name, ending in .mcap.
+        path: the finished file's name, ending in .mcap, or one that was reserved.
         clock: the host clock that stamps health reports.
         metadata: flat facts of the run (test, point, operator's note, software version …).
         attachments: files that go in whole, by name (rig snapshot, identities).
@@ -82,7 +82,7 @@ class Recorder:
 
     def __init__(
         self,
-        path: Path,
+        path: Path | ReservedName,
         clock: HostClock,
         metadata: Mapping[str, str],
         attachments: Mapping[str, bytes],

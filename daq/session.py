@@ -21,7 +21,10 @@ from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError, RigError
 from daq.interlocks import Interlocks, Stop
 from daq.laser_blocks import compile_loop
+from daq.log.file import ReservedName
+from daq.node_stream import NodePipeline
 from daq.protocols import cia402, rotorlink
+from daq.rate_watch import RateWatches
 from daq.reader import DeviceReader, keep_heap_whole
 from daq.recent import Recent
 from daq.recorder import DiskState, Recorder
@@ -32,11 +35,16 @@ from daq.version import software_version
 from rig_configs.schema import Rig
 
 _KEEP_S = 90.0
+_ALIVE_S = 3.0  # wall seconds
 _HEALTH_S = 1.0
 _LOOK_S = 0.1  # wall seconds between two looks at every channel
 _WATCH_S = 0.25  # wall seconds between two looks for silent devices, and at the disk
 _SILENCE_S = 2.0  # wall seconds
 _REASON_S = 0.3  # wall seconds that a drive may take to say why it stopped
+
+
+DEVICE_OF = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "motor": "drive"}
+"""Channels that every open rig fills all the time, and whose they are."""
 
 
 class Session:
@@ -68,9 +76,12 @@ class Session:
         self.rig, self.clock = rig, clock
         self.recent = Recent(_KEEP_S)
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
+        self.rates = RateWatches(rig.devices)
+        self.observers: list[Callable[[Event], None]] = []  # told of every event
         self.trouble: Exception | None = None
         self.notices: list[str] = []
         self._say = say
+        self.lenient = False  # whether a device that is not what the rig file says is only looked at, as by `rig check`
         self._drive: DriveControl | None = None
         self._devices: dict[str, DeviceReader] = {}
         self._recorder: Recorder | None = None
@@ -92,15 +103,16 @@ class Session:
             )  # fmt: skip
             self._start_readers()
             for name, config in (("laser_x", d.laser_x), ("laser_y", d.laser_y)):
+                device = self._devices[name]
                 self.identities[name] = lasers.configure(
-                    name, config, lambda data, n=name: self.send(n, data), self._devices[name].replies
+                    name, config, lambda data, n=name: self.send(n, data), device, partial(self._forget, device)
                 )
             self.identities["encoder"] = {"driver": d.encoder.driver, "port": d.encoder.port}
             self.drive.start()
             self.identities["drive"] = {"driver": d.drive.driver, "node_id": d.drive.node_id}
-            self.wait_for(self._all_alive, 3.0, "every device to send samples")
+            self._wait_alive("every device to send samples")
             self._begin_anew(None)  # what waited in the ports' buffers was late and would mislead the clock maps
-            self.wait_for(self._all_alive, 3.0, "every device to go on sending samples")
+            self._wait_alive("every device to go on sending samples")
             self._opened = self._guarding = True
             self._start_watching()
         except BaseException as error:
@@ -108,7 +120,7 @@ class Session:
             raise
         return self
 
-    def listen(self, path: Path, metadata: Mapping[str, str]) -> Session:
+    def listen(self, path: Path | ReservedName, metadata: Mapping[str, str]) -> Session:
         """Open every link without a word and record from the first byte; whoever runs the rig is someone else.
 
         Nothing is configured and nothing is turned; a device may be silent. Identities are those given to the session,
@@ -224,8 +236,30 @@ class Session:
         assert self._drive is not None, "the session is not open"
         return self._drive
 
-    def _all_alive(self) -> bool:
-        return all(len(self.recent.last(t, ())[0]) for t in ("laser/x", "laser/y", "pendulums", "motor"))
+    def _silent(self) -> list[str]:
+        """Devices of which no sample has come."""
+        return [device for topic, device in DEVICE_OF.items() if not len(self.recent.last(topic, ())[0])]
+
+    def _wait_alive(self, what: str) -> None:
+        """Wait for samples of every device; of those that give none, say what came instead."""
+        try:
+            self.wait_for(lambda: not self._silent(), _ALIVE_S, what)
+        except DeviceError as error:
+            silent = self._silent()
+            if self.trouble is not None or not silent:
+                raise
+            raise DeviceError(f"{error}: {'; '.join(map(self._what_came, silent))}") from error
+
+    def _what_came(self, name: str) -> str:
+        device = self._devices[name]
+        lost = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in device.pipeline.losses.items() if n)
+        came = f"{device.bytes_in} bytes came, none of them a sample" if device.bytes_in else "silent"
+        return f"{name}: {came}{f' ({lost})' if lost else ''}. Look at its power, its settings and the rig file"
+
+    def _forget(self, device: DeviceReader) -> None:
+        """A fresh pipeline for a device whose line has just run dry: what it sent before was told to someone else."""
+        with device.lock:
+            device.pipeline = make_pipelines(self.rig.devices, self.identities)[device.name]
 
     # --- bytes -------------------------------------------------------------------------------------------------
 
@@ -250,7 +284,10 @@ class Session:
             if isinstance(item, Batch):
                 self.recent.add(item)
                 self._heed(self._interlocks.feed(item, host_ns), host_ns)
-            elif item.kind == "reply":
+                continue
+            for observe in self.observers:
+                observe(item)
+            if item.kind == "reply":
                 device.replies.put(item.text)
             elif item.kind == "acknowledge":
                 self._acknowledges.put(item)
@@ -263,6 +300,7 @@ class Session:
         found: list[Batch | Event] = []
         try:
             found = device.pipeline.feed(direction, data, host_ns)
+            found += self.rates.feed(found, host_ns)
         finally:  # bytes that no decoder takes are those the log needs most
             if recorder is not None:
                 with recorder.together():
@@ -289,7 +327,7 @@ class Session:
                 recorder = self._recorder
                 if recorder is not None:
                     recorder.event(item, host_ns)
-            elif self._guarding and self._drive is not None:
+            elif self._guarding and self._drive is not None and not self.lenient:
                 kind = DeviceError if item.cause == "device" else ProcedureError
                 turning = self._interlocks.turning(host_ns)
                 self._fail(kind(f"{item.text}; the rotor was stopped" if turning else item.text))
@@ -399,6 +437,13 @@ class Session:
         if recorder.trouble is not None:
             self._fail(recorder.trouble)
 
+    @property
+    def node(self) -> NodePipeline:
+        """What decodes the encoder node, with the node's newest word of itself."""
+        pipeline = self._devices["encoder"].pipeline
+        assert isinstance(pipeline, NodePipeline)
+        return pipeline
+
     # --- recording ---------------------------------------------------------------------------------------------
 
     @property
@@ -421,7 +466,7 @@ class Session:
         silences = self._interlocks.losses(self.clock.now_ns())
         return {name: {**device.pipeline.losses, **silences.get(name, {})} for name, device in self._devices.items()}
 
-    def start_recording(self, path: Path, metadata: Mapping[str, str]) -> None:
+    def start_recording(self, path: Path | ReservedName, metadata: Mapping[str, str]) -> None:
         """Begin a log. Every device gets a fresh pipeline, so that the log alone decodes to the same samples."""
         if self._recorder is not None:
             self.stop_recording({"ended": self._ended(None) or "another recording began"})
@@ -444,6 +489,7 @@ class Session:
         pipelines = make_pipelines(self.rig.devices, self.identities)
         with self._between_reads():
             self.recent.clear()
+            self.rates = RateWatches(self.rig.devices)
             for name, device in self._devices.items():
                 device.pipeline = pipelines[name]
             self._recorder = recorder
@@ -464,13 +510,15 @@ class Session:
         assert recorder is not None
         with self._between_reads():
             now_ns = self.clock.now_ns()
-            losses = self.losses()
+            losses, wrong_rates = self.losses(), self.rates.summary()
             for event in self._interlocks.end(now_ns):
                 recorder.event(event, now_ns)
             self._recorder = None
         ended = {"ended": self._ended(None) or "the test's end"}
-        notices = {"warnings": self.notices} if self.notices else {}
-        return recorder.close({"losses": losses, **notices, **ended, **summary})
+        extra: dict[str, Any] = {"rates": wrong_rates} if wrong_rates else {}
+        if self.notices:
+            extra["warnings"] = self.notices
+        return recorder.close({"losses": losses, **extra, **ended, **summary})
 
     # --- waiting and commands ----------------------------------------------------------------------------------
 

@@ -22,6 +22,7 @@ from daq.errors import LogError
 from daq.laser_spikes import suspects
 from daq.log import Log, open_log
 from daq.log.losses import losses_of
+from daq.log.outcome import not_reached_of
 from daq.log.samples import Samples
 from daq.log.snapshot import identities_of, rig_of
 from daq.protocols import optoncdt
@@ -139,6 +140,7 @@ def load_run(path: str | Path) -> Run:
                 "identities": identities_of(log),
                 "complete": log.complete,
                 "missing": [str(place) for place in log.missing],
+                "not_reached": not_reached_of(log),
             },
         )
 

@@ -153,7 +153,7 @@ def _once_each(runs: Sequence[Run], work: _Work) -> list[Run]:
 
 
 def missing_warnings(runs: Sequence[Run]) -> list[str]:
-    """A sentence for each run whose log is not whole."""
+    """A sentence for each run whose log is not whole, or whose test did not reach its end."""
     warnings: list[str] = []
     for run in runs:
         missing = run.metadata.get("missing") or ()
@@ -161,6 +161,8 @@ def missing_warnings(runs: Sequence[Run]) -> list[str]:
             more = [f"and {len(missing) - _MOST_TOLD} more"] if len(missing) > _MOST_TOLD else []
             told = "; ".join([*missing[:_MOST_TOLD], *more])
             warnings.append(f"{Path(run.source).name}: the log is not whole: {told}")
+        if missed := run.metadata.get("not_reached"):
+            warnings.append(f"{Path(run.source).name}: the test did not reach its end: {missed}")
     return warnings
 
 

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,67 @@ _WAITS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".csv": "text/csv", ".txt": "text/plain"}
 
 
+class ReservedName:
+    """A log's name, taken before there is anything to write: its empty NAME.mcap.part stands in the folder.
+
+        with ReservedName(path) as name:
+            …  # open devices
+            log = LogFile(name, …)
+
+    A name that was not used in the end is given back.
+
+    Raises:
+        LogError: the name does not end in .mcap, or is taken by a log, by one being written, or by a cut one.
+        RecordingError: the file cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self.part = self.path.with_name(self.path.name + ".part")
+        check_name(self.path)
+        compile_writer()  # before there is a file: one that is killed must not be found empty
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: BinaryIO | None = open(self.part, "xb")  # noqa: SIM115 (lives on)
+        except FileExistsError as error:
+            raise LogError(_taken(self.part)) from error
+        except OSError as error:
+            raise _cannot_create(self.part, error) from error
+        try:
+            check_name(self.path)  # again: another recording of this name may just have ended
+        except BaseException:
+            self.give_back()
+            raise
+
+    def take(self) -> BinaryIO:
+        """The file to write; from now on it is its writer's."""
+        assert self._file is not None, "the name has been used"
+        file, self._file = self._file, None
+        return file
+
+    def give_back(self) -> None:
+        """Let go of a name that was not used; nothing is in its file yet."""
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+            with contextlib.suppress(OSError):
+                self.part.unlink()
+            self._file = None
+
+    def __enter__(self) -> ReservedName:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.give_back()
+
+
 class LogFile:
     """A log being written.
 
     Args:
-        path: the finished file's name, ending in .mcap.
+        path: the finished file's name, ending in .mcap, or one that was reserved.
         metadata: flat facts of the run (test, point, operator's note, software version …).
         attachments: files that go in whole, by name (rig snapshot, identities).
         devices: names of the devices whose raw bytes are kept.
@@ -51,7 +107,7 @@ class LogFile:
 
     def __init__(
         self,
-        path: Path,
+        path: Path | ReservedName,
         metadata: Mapping[str, str],
         attachments: Mapping[str, bytes],
         devices: Iterable[str],
@@ -59,22 +115,9 @@ class LogFile:
         sample_channels: Iterable[channels.Channel] = tuple(channels.CHANNELS.values()),
         compression: Literal["zstd", "none"] = "zstd",
     ) -> None:
-        self.path = Path(path)
-        self.part = self.path.with_name(self.path.name + ".part")
-        check_name(self.path)
-        compile_writer()  # before there is a file: one that is killed must not be found empty
+        name = path if isinstance(path, ReservedName) else ReservedName(path)
+        self.path, self.part, self.file = name.path, name.part, name.take()
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.file = open(self.part, "xb")  # noqa: SIM115 (lives as long as this object)
-        except FileExistsError as error:
-            raise LogError(
-                f"{self.part}: exists already, the rest of a recording that was cut. "
-                f"`rig recover {self.part}` makes it whole; or move it away, or give another name"
-            ) from error
-        except OSError as error:
-            raise _cannot_create(self.part, error) from error
-        try:
-            check_name(self.path)  # again: another recording of this name may just have ended
             self._writer = BlockWriter(self.file, compression)
             self._ids = self._define(devices, sample_channels)
             self._writer.add_metadata("run", dict(metadata))
@@ -237,6 +280,21 @@ def _plain(value: Any) -> Any:
 
 def _media_type(name: str) -> str:
     return _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+
+
+def _taken(part: Path) -> str:
+    size = 0
+    with contextlib.suppress(OSError):
+        size = part.stat().st_size
+    if not size:
+        return (
+            f"{part}: exists already: a recording under this name is about to begin, or was ended before it began. "
+            "Give another name, or remove the file if nothing is recording"
+        )
+    return (
+        f"{part}: exists already: another recording is writing it, or it is the rest of a recording that was cut. "
+        f"Give another name; `rig recover {part}` makes a cut one whole"
+    )
 
 
 def _cannot_create(part: Path, error: OSError) -> RecordingError:

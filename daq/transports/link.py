@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import socket
@@ -18,6 +19,8 @@ from daq.protocols import slcan
 
 _READ_BYTES = 65536  # into one buffer: room of this size made anew for every read tears holes into the heap
 _POLL_S = 0.1
+_TAKEN = (errno.EAGAIN, errno.EBUSY)  # another program's lock on a serial port
+_HANG_UP_S = 0.05  # within which a far end that serves someone else hangs up, wall seconds
 
 
 class Link(Protocol):
@@ -66,6 +69,10 @@ def open_link(port: str, baud: int, bitrate: int | None = None) -> Link:
             return SocketLink(host, int(number))
         return SerialLink(port, baud)
     except (OSError, ValueError, serial.SerialException, can.CanError) as error:
+        if isinstance(error, OSError) and error.errno in _TAKEN:
+            raise LinkLost(
+                f"{port}: another program has it open ({error}). End that one first: a line has one master"
+            ) from error
         raise LinkLost(
             f"{port}: cannot be opened ({error}). Is the device plugged in, the port's name right, "
             "and no other program using it?"
@@ -126,9 +133,19 @@ class SocketLink:
     def __init__(self, host: str, port: int) -> None:
         self.name = f"socket://{host}:{port}"
         self._socket = socket.create_connection((host, port), timeout=5.0)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self._hung_up_at_once():
+                raise ConnectionRefusedError("the far end hung up at once: it serves one program, and that is another")
+        except BaseException:
+            self._socket.close()
+            raise
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._lock = threading.Lock()
+
+    def _hung_up_at_once(self) -> bool:
+        ready, _, _ = select.select([self._socket], [], [], _HANG_UP_S)
+        return bool(ready) and not self._socket.recv(1, socket.MSG_PEEK)
 
     def read(self, timeout_s: float) -> bytes:
         """See Link."""
@@ -140,7 +157,7 @@ class SocketLink:
         except (OSError, ValueError) as error:
             raise LinkLost(f"{self.name}: lost while reading ({error})") from error
         if not data:
-            raise LinkLost(f"{self.name}: the other end closed the connection")
+            raise LinkLost(f"{self.name}: the other end closed the connection. Look at its power and its network")
         return data
 
     def write(self, data: bytes) -> None:

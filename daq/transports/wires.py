@@ -168,17 +168,39 @@ class TcpWire(_Outbox):
         self._listener.setblocking(False)
         self.port = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
         self._peer: socket.socket | None = None
+        self._unread = b""  # of a host that has gone
 
     def _accept(self) -> None:
+        """Serve who waits, or hang up on him at once while another host is served: a line has one master."""
         with contextlib.suppress(OSError):  # nobody waits, or the cable is pulled
             peer, _ = self._listener.accept()
+            if self._still_served():
+                peer.close()
+                return
             peer.setblocking(False)
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if self._peer is not None:
-                self._peer.close()
             self._peer = peer
             self._parts.clear()
             self._size = 0
+
+    def _still_served(self) -> bool:
+        """Whether the host is still there; what a host that has gone sent last is kept for `receive`."""
+        while self._peer is not None:
+            try:
+                data = self._peer.recv(65536)
+            except BlockingIOError:
+                return True
+            except OSError:
+                data = b""
+            if not data:
+                self._hang_up()
+            self._unread += data
+        return False
+
+    def _hang_up(self) -> None:
+        if self._peer is not None:
+            self._peer.close()
+            self._peer = None
 
     def descriptor(self) -> int | None:
         """See Wire."""
@@ -189,8 +211,9 @@ class TcpWire(_Outbox):
     def receive(self) -> bytes:
         """See Wire."""
         self._accept()
-        if self._peer is None:
-            return b""
+        kept, self._unread = self._unread, b""
+        if kept or self._peer is None:
+            return kept
         try:
             data = self._peer.recv(65536)
         except BlockingIOError:
@@ -198,8 +221,7 @@ class TcpWire(_Outbox):
         except OSError:
             data = b""
         if not data:
-            self._peer.close()
-            self._peer = None
+            self._hang_up()
         return data
 
     def send(self, data: bytes) -> None:
@@ -210,8 +232,7 @@ class TcpWire(_Outbox):
         try:
             self._drain(self._peer.send)
         except OSError:
-            self._peer.close()
-            self._peer = None
+            self._hang_up()
 
     def offer(self, data: bytes) -> int:
         """See Wire."""
@@ -222,8 +243,7 @@ class TcpWire(_Outbox):
         except BlockingIOError:
             return 0
         except OSError as error:
-            self._peer.close()
-            self._peer = None
+            self._hang_up()
             raise LinkLost(f"{self.port}: lost while writing ({error})") from error
 
     def connected(self) -> bool:
@@ -233,9 +253,7 @@ class TcpWire(_Outbox):
 
     def close(self) -> None:
         """See Wire."""
-        if self._peer is not None:
-            self._peer.close()
-            self._peer = None
+        self._hang_up()
         self._listener.close()
 
 

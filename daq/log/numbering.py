@@ -1,0 +1,45 @@
+# pyright: strict
+"""Numbers before the names of logs in a folder, counted up: 01-ring-down-x.mcap, 02-…, 100-…."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
+from pathlib import Path
+
+_NUMBERED = re.compile(r"([0-9]{1,6})-.*\.mcap", re.DOTALL)  # more digits are a date or a serial, no count
+_LARGEST = 999_999
+
+
+def next_number(names: Iterable[str]) -> int:
+    """The number after the largest that a log in a folder has, however many digits; 1 in a folder without.
+
+    Args:
+        names: what is in the folder; finished logs, cut ones and what lies beside them count, anything else does not.
+    """
+    found = (_NUMBERED.match(name) for name in names)
+    return 1 + max((n for match in found if match and (n := int(match[1])) < _LARGEST), default=0)
+
+
+@contextmanager
+def one_at_a_time(folder: Path) -> Generator[None]:
+    """Hold a folder while a log in it gets its number and its name, so that two tests never get the same.
+
+    Where a folder cannot be locked (Windows, some network drives) only the log's whole name is guarded.
+    """
+    try:
+        import fcntl  # noqa: PLC0415 (POSIX only)
+
+        descriptor = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):
+        yield
+        return
+    try:
+        with contextlib.suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
