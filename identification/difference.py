@@ -65,7 +65,9 @@ class _Side:
         rows[[names.index(n) for n in estimate.weighted.names], range(rows.shape[1])] = 1.0
         stretched = rows * estimate.stretch
         pulls = [stretched @ pull for pull in estimate.weighted.pulls]
-        own = sum((p @ t.estimate.covariance @ p.T for p, t in zip(pulls, tests, strict=True)), 0.0)
+        own = np.zeros((len(names), len(names)))
+        for test, pull in zip(tests, pulls, strict=True):
+            own += pull @ test.estimate.covariance @ pull.T
         kept = stretched @ estimate.weighted.own @ stretched.T
         return cls(tests, pulls, _excess(kept, own))
 
