@@ -104,7 +104,10 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     index = [[list(p.values).index(n) for n in names] for p in (old, new)]
     own = old.covariance[np.ix_(index[0], index[0])] + new.covariance[np.ix_(index[1], index[1])]
     before, after = (np.array([p.values[n] for n in names]) for p in (old, new))
-    rounding = np.diag(_rounding(old, names) ** 2 + _rounding(new, names) ** 2)
+    rounding = np.zeros((len(names), len(names)))
+    for parameters, at_its_word in zip((old, new), apart.at_their_word, strict=True):
+        if at_its_word:
+            rounding += np.diag(_rounding(parameters, names) ** 2)
     change, covariance = after - before, apart.covariance_of(names) + rounding
     unit = np.sqrt(np.diag(own + rounding))
     unit[unit == 0] = 1.0  # a value that is called exact: any change of it is beyond judgement
