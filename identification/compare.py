@@ -31,7 +31,7 @@ class Change:
         change, std: new − old and its standard deviation, SI.
         z, p: change over std; chance of one as large, two-sided, this parameter looked at alone.
         p_holm: the same with all parameters having been looked at (Holm).
-        share: part of the overall χ² that this parameter brings; they sum to 1 and may be negative.
+        share: part of the overall χ² that this parameter brings, correlations taken out; at least 0, they sum to 1.
     """
 
     name: str
@@ -104,14 +104,19 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     index = [[list(p.values).index(n) for n in names] for p in (old, new)]
     own = old.covariance[np.ix_(index[0], index[0])] + new.covariance[np.ix_(index[1], index[1])]
     before, after = (np.array([p.values[n] for n in names]) for p in (old, new))
-    rounding = np.diag(_rounding(old, names) ** 2 + _rounding(new, names) ** 2)
+    rounding = np.zeros((len(names), len(names)))
+    for parameters, at_its_word in zip((old, new), apart.at_their_word, strict=True):
+        if at_its_word:
+            rounding += np.diag(_rounding(parameters, names) ** 2)
     change, covariance = after - before, apart.covariance_of(names) + rounding
     unit = np.sqrt(np.diag(own + rounding))
     unit[unit == 0] = 1.0  # a value that is called exact: any change of it is beyond judgement
     scaled = change / unit
-    pull, dof = _pull(scaled, covariance / np.outer(unit, unit), (own + rounding) / np.outer(unit, unit), apart.blur**2)
-    chi2 = float(scaled @ pull)
-    shares = scaled * pull / chi2 if chi2 > 0 else np.zeros(len(names))
+    white, dof = _whitened(
+        scaled, covariance / np.outer(unit, unit), (own + rounding) / np.outer(unit, unit), apart.blur**2
+    )
+    chi2 = float(white @ white)
+    shares = white**2 / chi2 if chi2 > 0 else np.zeros(len(names))
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     std[std <= apart.blur * unit] = 0.0  # both rest on the same logs
     z = np.divide(change, std, out=np.zeros(len(names)), where=std > 0)
@@ -129,8 +134,11 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     )  # fmt: skip
 
 
-def _pull(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur: float) -> tuple[np.ndarray, int]:
-    """covariance⁺ · change, and the rank, over the directions in which the change's variance is known.
+def _whitened(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur: float) -> tuple[np.ndarray, int]:
+    """The change with its correlations taken out symmetrically, shape (n,), and the rank.
+
+    Its square is χ² over the directions in which the change's variance is known, and each square the parameter's part
+    of it (Zuber and Strimmer 2011, CAR scores): the whitened parameters that are nearest to the parameters themselves.
 
     Args:
         change, covariance: of the change, shapes (n,), (n, n), in units of `own`'s standard deviations.
@@ -143,8 +151,10 @@ def _pull(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur: flo
     inner = white.T @ covariance @ white
     share, directions = np.linalg.eigh(0.5 * (inner + inner.T))
     known = share > blur
-    basis = white @ directions[:, known] / np.sqrt(share[known])
-    return basis @ (basis.T @ change), int(np.count_nonzero(known))
+    basis = white @ directions[:, known] / np.sqrt(share[known])  # basis basisᵀ = covariance⁺
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    left, _, right = np.linalg.svd(std[:, None] * basis, full_matrices=False)
+    return left @ (right @ (basis.T @ change)), int(np.count_nonzero(known))
 
 
 def _rounding(parameters: IdentifiedParameters, names: Sequence[str]) -> np.ndarray:

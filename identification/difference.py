@@ -37,12 +37,15 @@ class Difference:
         blur: standard deviation of a difference, over that of two independent estimates, below which it is rounding:
             of the files' values, and of fits that count as the same.
         notes: what was taken as common to both, and what is not known.
+        at_their_word: of OLD and NEW, whether the values are not what the tests kept with them give, so that nothing
+            but their digits tells how they were rounded.
     """
 
     names: tuple[str, ...]
     covariance: np.ndarray
     blur: float
     notes: list[str]
+    at_their_word: tuple[bool, bool] = (False, False)
 
     def covariance_of(self, names: Sequence[str]) -> np.ndarray:
         """The same of some of the parameters, shape (m, m)."""
@@ -65,7 +68,9 @@ class _Side:
         rows[[names.index(n) for n in estimate.weighted.names], range(rows.shape[1])] = 1.0
         stretched = rows * estimate.stretch
         pulls = [stretched @ pull for pull in estimate.weighted.pulls]
-        own = sum((p @ t.estimate.covariance @ p.T for p, t in zip(pulls, tests, strict=True)), 0.0)
+        own = np.zeros((len(names), len(names)))
+        for test, pull in zip(tests, pulls, strict=True):
+            own += pull @ test.estimate.covariance @ pull.T
         kept = stretched @ estimate.weighted.own @ stretched.T
         return cls(tests, pulls, _excess(kept, own))
 
@@ -93,7 +98,9 @@ def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> Differen
     if first is None or second is None:
         which = " and ".join(name for name, f in (("OLD", first), ("NEW", second)) if f is None)
         note = f"{which} keeps too little of its tests to know shared errors; all errors count as independent"
-        return Difference(names, _spread(old, names) + _spread(new, names), 0.0, [note])
+        return Difference(
+            names, _spread(old, names) + _spread(new, names), 0.0, [note], (first is None, second is None)
+        )
     before, after = _Side.of(first, names), _Side.of(second, names)
     pairs = _same_fits(before.tests, after.tests)
     covariance = _own(before, after, pairs) + before.excess + after.excess

@@ -21,6 +21,7 @@ from identification.pendulums.release_search import Effort
 from identification.pendulums.spin_down_run import damping_estimate, fit_spin_down_run
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
+from identification.physical import keep_physical, physical_parameters, run_up_sides
 from identification.ring_down.fit import RingDownFit, fit_ring_down_runs, ring_down_estimate
 from identification.ring_down.one_laser import fit_one_laser, living_lasers
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
@@ -81,7 +82,14 @@ class _Work:
         self.fits.append(NamedFit(run.test, run.source, fit))
         self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
         if estimate is not None:
-            self.estimates.append(estimate)
+            self.keep(estimate)
+
+    def keep(self, estimate: Estimate) -> None:
+        """Take an estimate into the joint one, without what no rig can have."""
+        physical, told = keep_physical(estimate, self.rig)
+        self.warnings += told
+        if physical is not None:
+            self.estimates.append(physical)
 
     def knowledge(self) -> Knowledge:
         """The rig file with what the tests so far have found laid over it."""
@@ -204,7 +212,10 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     fit = fit_run_up_run(run, setting=work.setting)
     devices = work.rig.devices
     gains = (devices.laser_x.gain_std, devices.laser_y.gain_std)
-    return fit, run_up_estimate(run, fit, work.rig.physics, gains)
+    estimate = run_up_estimate(run, fit, work.rig.physics, gains)
+    estimate, told = run_up_sides(run, fit, estimate, work.rig, gains)
+    work.warnings += told
+    return fit, estimate
 
 
 def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
@@ -243,7 +254,7 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
         try:
             together = fit_ring_down_runs([run for run, _ in alone], mass, setting=work.setting)
             work.add(_joined([run for run, _ in alone]), together, None)
-            work.estimates.append(ring_down_estimate(_joined([run for run, _ in alone]), together))
+            work.keep(ring_down_estimate(_joined([run for run, _ in alone]), together))
             return
         except IdentificationError as error:
             work.warnings.append(f"joint fit of the ring-downs failed: {error}")
@@ -264,6 +275,8 @@ def _joined(runs: list[Run]) -> Run:
 
 def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     parameters, rows, warnings = combine(work.estimates)
+    parameters, told = physical_parameters(parameters, work.rig)
+    warnings += told
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
     if missing:
         warnings.append(f"not identified: {', '.join(missing)}; {_advice(missing, runs)}")
@@ -315,13 +328,13 @@ def _advice(missing: list[str], given: Sequence[Run]) -> str:
 
 
 def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) -> dict[str, Any]:
-    digests = {r.source: r.metadata.get("digest", "") for r in runs}
+    digests = _digests(runs, work.estimates)
     friction = {f.source: f.fit.friction for f in work.fits if isinstance(f.fit, TransientFit) and f.fit.friction}
     tests = [
         {
             "test": e.test,
             "log": " + ".join(Path(s).name for s in e.source.split(" + ")),
-            **({"digest": str(digests[e.source])} if digests.get(e.source) else {}),
+            **({"digest": digests[e.source]} if digests[e.source] else {}),
             "method": e.method,
             "values": {n: float(v) for n, v in zip(e.names, e.values, strict=True)},
             "std": e.std,
@@ -337,6 +350,13 @@ def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) ->
         {"parameter": r.parameter, "test": r.test, "z": r.z, "chi2": r.chi2, "dof": r.dof, "p": r.p} for r in rows
     ]
     return {"method": "generalised least squares over per-test fits", "tests": tests, "consistency": consistency}
+
+
+def _digests(runs: Sequence[Run], estimates: Sequence[Estimate]) -> dict[str, str]:
+    """Digest of each estimate's logs, in one where several were fitted together; "" where one of them is not known."""
+    known = {r.source: str(r.metadata.get("digest", "")) for r in runs}
+    parts = {e.source: [known.get(source, "") for source in e.source.split(" + ")] for e in estimates}
+    return {source: " + ".join(of) if all(of) else "" for source, of in parts.items()}
 
 
 def _axis_angle(fits: list[NamedFit]) -> tuple[float, float]:

@@ -10,10 +10,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from rig_configs.errors import RigFileError
+from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.toml_text import parse_toml, read_text
@@ -91,6 +92,25 @@ def with_truth(rig: Rig, key: str, value: Any) -> Rig:
         section[leaf] = physical  # relative to what the rig file says
     apply_setting(truth, key, value, "truth")
     return validate(raw, "virtual.truth")
+
+
+def refusal(rig: Rig, name: str, value: float) -> str | None:
+    """Why a rig cannot have an identified parameter of this value, in a few words; None when it can.
+
+    Args:
+        name: as in parameters.toml.
+    """
+    raw = rig.model_dump(exclude_none=True)
+    if name == "SP_kg_m" and not raw["imbalance"]["mass_kg"]:
+        return None if value >= 0 else f"expected at least 0, got {value:g}"
+    try:
+        _lay_parameters(raw, IdentifiedParameters({name: value}, np.zeros((1, 1))))
+        Rig.model_validate(raw)
+    except ValidationError as error:
+        return error.errors()[0]["msg"].replace("Input should be", "expected")
+    except RigConfigError as error:
+        return str(error)
+    return None
 
 
 def validate(raw: dict[str, Any], source: str) -> Rig:

@@ -127,7 +127,7 @@ def test_a_test_left_out_is_told(capsys: pytest.CaptureFixture[str], tmp_path: P
         (["show", "nothing.toml"], "nothing.toml: cannot be read"),
         (["show", "{p}", "--mass-std", "x"], "expected a share"),
         (["diff", "{p}", "nothing.toml"], "nothing.toml: cannot be read"),
-        (["diff", "{p}", "{p}", "--level", "2"], "between 0 and 1"),
+        (["diff", "{p}", "{p}", "--level", "2"], "expected a number above 0 to 1"),
         (["history", "nothing.mcap"], "rig identify"),
         (["history", "{p}", "--rig", "other"], "no file is of rig 'other'"),
         (["history", "{p}", "--plot", "a.doc"], ".svg, .png or .pdf"),

@@ -180,6 +180,32 @@ def test_a_campaign_against_its_own_beginning_has_not_changed(
     assert kstest(p, "uniform", alternative="greater").pvalue > 1e-3
 
 
+def test_a_clock_common_to_what_stayed_and_what_came_is_no_change() -> None:
+    """k rests on the same logs, c gets new ones, and one device's clock is in all: nothing is known to have changed.
+
+    What both have in common, taken off C_old + C_new, is indefinite here; its smallest direction would give p = 0.
+    """
+    rng = np.random.default_rng(31)
+    tests, rate, p = ("run-up", "spin-down", "point-E", "point-E"), 2e-5, []
+    for _ in range(40):
+        estimates = []
+        for estimate in draw(rng, tests, gains=np.zeros(2))[0]:
+            power = np.array([{"k": 2.0, "c": 1.0}.get(n[0], 0.0) for n in estimate.names])
+            scale = np.array([0.05 if n[0] == "c" else 1.0 for n in estimate.names])
+            true = np.array([TRUTH[n] for n in estimate.names])
+            shift = power * rate * true
+            values = true + scale * (estimate.values - true) + rng.standard_normal() * shift
+            covariance = estimate.covariance * np.outer(scale, scale)
+            shared = {"clock encoder": shift}
+            estimates.append(dataclasses.replace(estimate, values=values, covariance=covariance, shared=shared))
+        found = compare(parameters_of(estimates[:2]), parameters_of(estimates))
+        p.append(found.p)
+        assert found.dof == 2  # c3 and c4; all else rests on the same logs
+        assert all(0 <= c.share <= 1 for c in found.changes)
+    assert kstest(p, "uniform", alternative="greater").pvalue > 1e-3
+    assert min(p) > 1e-3
+
+
 def test_rounded_files_of_the_same_logs_have_not_changed(tmp_path: Path) -> None:
     """What printing with few digits leaves is no change, in no direction, however well that one is known."""
     rng = np.random.default_rng(21)

@@ -1,0 +1,133 @@
+# pyright: strict
+"""What a test found but no rig can have: recognised, told with its likely cause, and left out; the rest is kept.
+
+The judge is the rig file's own schema: a value that its loader would refuse is never written to a parameters.toml.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from daq.signals import Run
+from identification.estimate import Estimate
+from identification.joint.combine import reduced
+from identification.run_up.fit import RunUpFit, run_up_estimate
+from rig_configs.load import refusal
+from rig_configs.parameters_file import IdentifiedParameters
+from rig_configs.schema import Rig
+
+_LOCKED_AT = (0.0, math.pi)  # A and B in their locks
+_HALF_A_TURN = math.radians(150)
+_CAUSES = {
+    "k": "a spring of the other sign; are time and displacement in the units that were given?",
+    "zeta": "energy fed in: did something drive the column, and is the record a decay from its beginning?",
+    "c": "energy fed in: was the rotor driven or tilted, and is the record a decay from its beginning?",
+    "SP": "angles of the locked pendulums, masses or lengths that are not the rig's",
+}
+
+
+def keep_physical(estimate: Estimate, rig: Rig) -> tuple[Estimate | None, list[str]]:
+    """An estimate without the values that no rig can have, None when nothing is left; and a sentence for each."""
+    refused = {n: why for n in estimate.names if (why := refusal(rig, n, estimate.value(n))) is not None}
+    if not refused:
+        return estimate, []
+    told = [
+        f"{_source(estimate.source)}: {name} comes out as {estimate.value(name):.4g} ± {estimate.std[name]:.1g}, which "
+        f"no rig has ({why}); it is left out, the rest of the test is kept. {_cause(name, estimate)}"
+        for name, why in refused.items()
+    ]
+    kept = [n for n in estimate.names if n not in refused]
+    return (reduced(estimate, kept) if kept else None), told
+
+
+def physical_parameters(parameters: IdentifiedParameters, rig: Rig) -> tuple[IdentifiedParameters, list[str]]:
+    """The joint estimate without what no rig can have: values that are sound one by one need not be so together."""
+    bad = {n: v for n, v in parameters.values.items() if refusal(rig, n, v) is not None}
+    if not bad:
+        return parameters, []
+    names = [n for n in parameters.values if n not in bad]
+    at = [list(parameters.values).index(n) for n in names]
+    told = [f"{n}: all tests together give {v:.4g}, which no rig has; it is left out" for n, v in bad.items()]
+    values = {n: parameters.values[n] for n in names}
+    return IdentifiedParameters(values, parameters.covariance[np.ix_(at, at)], parameters.provenance), told
+
+
+def _source(source: str) -> str:
+    return " + ".join(Path(s).name for s in source.split(" + "))
+
+
+def _cause(name: str, estimate: Estimate) -> str:
+    value, std = estimate.value(name), estimate.std[name]
+    if abs(value) < 3 * std:
+        return "It is zero within its uncertainty: a longer or stronger record would show it"
+    return f"Likely: {next(why for stem, why in _CAUSES.items() if name.startswith(stem))}"
+
+
+def run_up_sides(
+    run: Run, fit: RunUpFit, estimate: Estimate, rig: Rig, gains: tuple[float, float]
+) -> tuple[Estimate, list[str]]:
+    """What of a run-up is half a turn off: a pendulum's reading in its lock, the index mark, a sensor's sign.
+
+    S_P follows from the locked pendulums' angles. Where one reads half a turn from its lock (A at 0°, B at 180°), or
+    where S_P is negative, S_P is left out and what it would be with the reading turned is told; k and ζ do not
+    depend on it.
+
+    Returns:
+        The estimate, perhaps without S_P, and sentences.
+    """
+    told = _opposite(run, fit)
+    if "SP_kg_m" not in estimate.names or not len(run.angle_rad):
+        return estimate, told
+    locked = np.mean(run.angle_rad, axis=0)
+    turned = [k for k in (0, 1) if _apart(float(locked[k]), _LOCKED_AT[k]) > _HALF_A_TURN]
+    if not turned:
+        return estimate, told
+    shift = np.array([math.pi if k in turned else 0.0 for k in (0, 1)])
+    other = run_up_estimate(replace(run, angle_rad=run.angle_rad + shift), fit, rig.physics, gains)
+    read = " and ".join(f"{'AB'[k]} reads {_degrees(float(locked[k])):.0f}°" for k in turned)
+    expected = " and ".join(f"{_degrees(_LOCKED_AT[k]):.0f}°" for k in turned)
+    told.append(
+        f"{_source(run.source)}: {read} in its lock, expected {expected}: an encoder's zero half a turn off, or its "
+        f"sense. S_P would be {estimate.value('SP_kg_m'):.4g} kg m by that reading, {other.value('SP_kg_m'):.4g} kg m "
+        "with half a turn more; it is left out, k and ζ do not depend on it. Set the encoder's zero (at its lock) and "
+        "repeat the run-up; releases need it too"
+    )
+    kept = [n for n in estimate.names if n != "SP_kg_m"]
+    return reduced(estimate, kept), told
+
+
+def _opposite(run: Run, fit: RunUpFit) -> list[str]:
+    """Whether the imbalance appears opposite to where its angle says, in both sensors or in one of them."""
+    sides = {
+        axis: _apart(math.radians(fit.values[name]), 0.0) > _HALF_A_TURN
+        for axis in "xy"
+        if (name := f"phase_{axis}_deg") in fit.values
+    }
+    name = _source(run.source)
+    if len(sides) == 2 and sides["x"] != sides["y"]:
+        axis = "x" if sides["x"] else "y"
+        return [
+            f"{name}: laser {axis} sees the imbalance opposite to where the other laser sees it: its axis points the "
+            f"other way round. k, ζ and S_P do not depend on it, the orbits' sense does; turn its sign (an import: "
+            f"--{axis} NAME:-mm)"
+        ]
+    if sides and all(sides.values()) and run.phase_absolute:
+        return [
+            f"{name}: the imbalance is seen half a turn from where ψ says: the index mark is half a turn off "
+            "(devices.encoder.index_angle_deg), or the lasers point the other way. k, ζ and S_P do not depend on it, "
+            "releases and points do; correct it before them"
+        ]
+    return []
+
+
+def _apart(angle: float, other: float) -> float:
+    """Distance of two angles on the circle, rad."""
+    return abs(math.remainder(angle - other, 2 * math.pi))
+
+
+def _degrees(angle: float) -> float:
+    return math.degrees(angle) % 360.0
