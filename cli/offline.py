@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from cli.console import STDERR, print_json, say
+from cli.console import STDERR, print_json, say, show
 from cli.options import Json, ParametersPath, Settings, need_folder
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
@@ -96,7 +96,7 @@ def validate(
 def print_points(points: dict[str, Any]) -> None:
     """A line per point with its verdict and reason."""
     for name, point in points.items():
-        print(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
+        show(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
 
 
 def _need(logs: tuple[Path, ...], usage: str) -> None:

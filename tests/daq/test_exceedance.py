@@ -9,7 +9,9 @@ from daq.exceedance import Exceedance
 
 def tripped(values: np.ndarray, cuts: list[int]) -> bool:
     watch = Exceedance(1.0)
-    return any(watch.feed(part) is not None for part in np.split(values, sorted(cut % (len(values) + 1) for cut in cuts)))
+    return any(
+        watch.feed(part) is not None for part in np.split(values, sorted(cut % (len(values) + 1) for cut in cuts))
+    )
 
 
 @given(st.sets(st.integers(0, 500), max_size=5), st.lists(st.integers(0, 500), max_size=9))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -119,7 +120,7 @@ def test_the_flags_do_not_depend_on_the_reads(cuts: list[int], places: set[int],
         return found
 
     edges = [0, *sorted(cut * 5 % len(data) for cut in cuts), len(data)]
-    assert flags([data]) == flags([data[a:b] for a, b in zip(edges, edges[1:], strict=False)])
+    assert flags([data]) == flags([data[a:b] for a, b in itertools.pairwise(edges)])
 
 
 def test_a_false_sample_is_kept_as_it_came_marked_and_counted() -> None:
