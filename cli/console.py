@@ -10,12 +10,36 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
+from unicodedata import category
 
 from rich.console import Console
 from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-STDERR = Console(stderr=True, highlight=False)
+_OBEYED = frozenset(("Cc", "Cf", "Cs", "Cn", "Zl", "Zp"))  # control, format, half characters, none, line ends
+
+
+class _Stderr(Console):
+    """A console on which text is text: brackets and colons mean themselves, and nothing in it moves the cursor."""
+
+    def __init__(self) -> None:
+        super().__init__(stderr=True, highlight=False, markup=False, emoji=False)
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        super().print(*(harmless(each) if isinstance(each, str) else each for each in objects), **how)
+
+
+def harmless(text: str) -> str:
+    """Text of any origin, in lines, without what would move the cursor, change colours or turn its direction.
+
+    Files and devices are named and annotated by anybody; a terminal obeys whatever it is shown.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join("\ufffd" if category(each) in _OBEYED and each not in "\n\t" else each for each in text)
+
+
+STDERR = _Stderr()
 
 
 def print_json(result: Mapping[str, Any]) -> None:
@@ -51,8 +75,8 @@ class StepProgress:
         self._live = STDERR.is_terminal
         self._started = time.monotonic()
         self._bar = Progress(
-            SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn(),
-            console=STDERR, disable=not self._live, transient=True,
+            SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=24),
+            TimeElapsedColumn(), console=STDERR, disable=not self._live, transient=True,
         )  # fmt: skip
         self._task = self._bar.add_task("starting", total=self._total)
 
@@ -69,14 +93,14 @@ class StepProgress:
         """The next step begins."""
         self._done += self._current
         self._current = self._weights.get(name, 0.0)
-        self._bar.update(self._task, completed=self._done, description=name)
+        self._bar.update(self._task, completed=self._done, description=harmless(name))
         if not self._live:
             STDERR.print(f"[{time.monotonic() - self._started:5.1f} s] {name}")
 
     def tell(self, text: str, share: float | None = None) -> None:
         """What the step is doing."""
         done = self._done + self._current * (share or 0.0)
-        self._bar.update(self._task, completed=done, description=text[:90])
+        self._bar.update(self._task, completed=done, description=harmless(text[:90]))
 
     def say(self, text: str) -> None:
         """A line that stays."""
@@ -103,7 +127,12 @@ class LiveTable:
 
 def say(text: str) -> None:
     """A line on standard error."""
-    print(text, file=sys.stderr, flush=True)
+    print(harmless(text), file=sys.stderr, flush=True)
+
+
+def show(text: str) -> None:
+    """A line of the result, on standard output."""
+    print(harmless(text))
 
 
 @contextmanager
@@ -139,7 +168,7 @@ def share_progress(text: str) -> Iterator[Callable[[float], None]]:
     """A bar on a terminal for work that tells its share done, 0 … 1; elsewhere a line every ten seconds."""
     live = STDERR.is_terminal
     bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=32),
+        SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=32),
         TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn(), console=STDERR, disable=not live, transient=True,
     )  # fmt: skip
     last = time.monotonic()
@@ -152,5 +181,5 @@ def share_progress(text: str) -> Iterator[Callable[[float], None]]:
             say(f"{text}: {100 * share:.0f} %")
 
     with bar:
-        task = bar.add_task(text, total=1.0)
+        task = bar.add_task(harmless(text), total=1.0)
         yield told

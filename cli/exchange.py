@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress
+from cli.console import print_json, say, share_progress, show
 from cli.options import Json, Settings
 
 
@@ -62,7 +62,7 @@ def export(
                     "rows": done.rows, "missing": done.missing, "losses": done.losses})  # fmt: skip
         return 0
     for name, count in done.rows.items():
-        print(f"{name:10} {count:9d} samples")
+        show(f"{name:10} {count:9d} samples")
     for file in done.files:
         say(f"written to {file}")
     return 0
@@ -168,8 +168,8 @@ def import_(
                     "start_ns": done.start_ns, "end_ns": done.end_ns, "warnings": done.warnings})  # fmt: skip
         return 0
     for topic, count in done.samples.items():
-        print(f"{topic:10} {count:9d} samples")
+        show(f"{topic:10} {count:9d} samples")
     for device, count in done.invalid.items():
-        print(f"{device:10} {count:9d} invalid readings, {done.gaps.get(device, 0)} samples in gaps")
+        show(f"{device:10} {count:9d} invalid readings, {done.gaps.get(device, 0)} samples in gaps")
     say(f"written to {done.path}")
     return 0

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from cli.console import STDERR, print_json, say
+from cli.console import STDERR, print_json, say, show
 from cli.options import Json, ParametersPath, Settings, need_folder, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
@@ -126,7 +126,7 @@ def _given_angle(value_deg: float | None, std_deg: float | None) -> tuple[float,
 def print_points(points: dict[str, Any]) -> None:
     """A line per point with its verdict and reason."""
     for name, point in points.items():
-        print(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
+        show(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
 
 
 def _need(logs: tuple[Path, ...], usage: str) -> None:

@@ -7,23 +7,28 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress
+from cli.console import print_json, say, share_progress, show
 from cli.options import Json
 
 
 def recover(
     part: Path, *, output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None, json: Json = False
 ) -> int:
-    """Make a cut or damaged log whole: a new file of all that is sound in it; says what is missing."""
+    """Make a cut or damaged log whole: a new file of all that is sound in it; says what is missing.
+
+    Exit 1 when not one message could be kept.
+    """
     from daq.log.recover import recover as make_whole  # noqa: PLC0415 (numba takes a third of a second to import)
 
     with share_progress(f"recovering {part.name}") as progress:
         found = make_whole(part, output, progress)
+    nothing = found.messages == 0  # at best facts and attachments were there
     if json:
         print_json(
             {
                 "log": str(found.path),
                 "origin": str(part),
+                "recovered": "nothing" if nothing else "part" if found.missing else "all",
                 "messages": found.messages,
                 "chunks": found.chunks,
                 "span_s": found.seconds,
@@ -32,10 +37,12 @@ def recover(
                 ],
             }
         )
-        return 0
+        return 1 if nothing else 0
     say(f"{found.messages} messages over {found.seconds:.3f} s kept in {found.path}")
     for place in found.missing:
-        print(f"missing    {place}")
+        show(f"missing    {place}")
     if not found.missing:
         say(f"nothing in {part} is cut or damaged: it needed no recovery")
-    return 0
+    if nothing:
+        say("no message was left to recover: the new log holds only facts of the run and attached files")
+    return 1 if nothing else 0

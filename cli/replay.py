@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from cli.console import STDERR, print_json, say, share_progress
+from cli.console import STDERR, print_json, say, share_progress, show
 from cli.numbers import SecondsOrNone
 from cli.options import Json
 from cli.replay_view import ReplayView
@@ -109,7 +109,7 @@ def _fields_json(row: ChannelCheck) -> dict[str, Any]:
 
 def _print_check(found: Check) -> None:
     for row in found:
-        print(f"{row.topic:10} {row.live:9d} live {row.again:9d} again   {row.difference or 'identical'}")
+        show(f"{row.topic:10} {row.live:9d} live {row.again:9d} again   {row.difference or 'identical'}")
     differing = [row for row in found if row.first is not None]
     if differing:
         head = ("channel", "differing", "first", "time since 1970, ns", "field", "in the log", "decoded again")
@@ -117,9 +117,9 @@ def _print_check(found: Check) -> None:
         widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
         print()
         for line in lines:
-            print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+            show("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
     for note in found.notes:
-        print(f"note: {note}")
+        show(f"note: {note}")
 
 
 def _first_difference(row: ChannelCheck) -> tuple[str, ...]:
@@ -142,7 +142,7 @@ def _anew(path: Path, output: Path, calibration: Path | None, json: bool) -> int
                     "missing": list(made.missing)})  # fmt: skip
         return 0
     for line in _moved_lines(made):
-        print(line)
+        show(line)
     say(f"written to {made.path}")
     return 0
 

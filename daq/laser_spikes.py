@@ -56,7 +56,7 @@ def _alone(code, i):  # pragma: no cover - compiled
             return False
     kept = code[i]
     code[i] = (4 * (code[i - 1] + code[i + 1]) - code[i - 2] - code[i + 2]) // 6
-    rough = max(max(_fourth(code, i - 2), _fourth(code, i - 1)), max(_fourth(code, i + 1), _fourth(code, i + 2)))
+    rough = max(_fourth(code, i - 2), _fourth(code, i - 1), _fourth(code, i + 1), _fourth(code, i + 2))
     code[i] = kept
     half = own // 12
     return _TIMES_NEIGHBOURS * rough <= own and min(_off(code, i, -1, half), _off(code, i, 1, half)) >= half

@@ -164,8 +164,8 @@ class LaserPipeline:
         _, counter, ticks = _columns(values, places)
         rows = np.column_stack([counter.astype(np.int64), ticks])
         if self._last_raw is not None and not self._doubtful:
-            chain = np.concatenate([self._last_raw[None], rows])
-            if bool(np.all(self._follows(chain[:-1], chain[1:]))):
+            all_rows = np.concatenate([self._last_raw[None], rows])
+            if bool(np.all(self._follows(all_rows[:-1], all_rows[1:]))):
                 self._last_raw, self._last_host_ns = rows[-1], host_ns
                 return [(False, values)]
         stretches: list[tuple[bool, list[NDArray[np.uint32]]]] = [(False, [])]

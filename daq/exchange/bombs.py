@@ -32,8 +32,8 @@ def refuse_bomb(path: Path, what: str, size: int) -> None:
     on_disk = os.stat(path).st_size
     if size > _PLAIN and size > _RATIO * on_disk:
         raise ExchangeError(
-            f"{where}: expected numbers, got {size / 1e6:.0f} MB in a file of {on_disk / 1e6:.3g} MB, which no recording "
-            "shrinks to; if it is one, save it without compression"
+            f"{where}: expected numbers, got {size / 1e6:.0f} MB in a file of {on_disk / 1e6:.3g} MB, which no "
+            "recording shrinks to; if it is one, save it without compression"
         )
 
 

@@ -136,7 +136,8 @@ def _refuse_foreign(path: Path, name: str, dataset: Any) -> None:
             return
         where = f"packed by a filter that is not part of HDF5 (number {foreign[0]})"
     raise ExchangeError(
-        f"{path}: {name}: expected numbers in the file itself, these are {where}; copy them into one plain file (h5repack)"
+        f"{path}: {name}: expected numbers in the file itself, these are {where}; "
+        "copy them into one plain file (h5repack)"
     )
 
 

@@ -23,8 +23,12 @@ def pipelines_of(log: Log) -> dict[str, Pipeline]:
     """
     if not log.devices:
         raise LogError(f"{log.path}: holds no raw bytes (it was not recorded from devices): nothing to decode again")
+    identities = identities_of(log)
+    for device, told in identities.items():
+        if not isinstance(told, dict):
+            raise LogError(f"{log.path}: identities.json: expected a table under {device!r:.80}, got {told!r:.80}")
     try:
-        return make_pipelines(rig_of(log).devices, identities_of(log))
+        return make_pipelines(rig_of(log).devices, identities)
     except DeviceError as fault:
         raise LogError(f"{log.path}: {fault}: its bytes cannot be decoded again") from fault
 

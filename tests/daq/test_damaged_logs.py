@@ -115,7 +115,7 @@ def test_a_chunk_copied_over_another_counts_once(path):
 
 def alike_chunks(finished):
     """A log whose chunks 1 and 2 are alike but for the samples in them: one log time, one size; where they stand."""
-    shape = campaign.make_shape("none", finished, 1, 170, 1, 3000)
+    shape = campaign.make_shape("none", finished, 1, 170, 1, 3250)
     (a, a_end), (b, b_end) = chunk_places(shape.data)[1:3]
     assert a_end - a == b_end - b
     assert shape.data[a : a + 33] == shape.data[b : b + 33]

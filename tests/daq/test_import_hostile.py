@@ -155,6 +155,6 @@ def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "socket.csv"))
         for name, words in (("pipe.csv", "named pipe"), ("to_pipe.csv", "named pipe"), ("socket.csv", "socket"),
-                            ("round.csv", "symbolic links"), (".", "folder"), ("/dev/zero", "device")):  # fmt: skip
+                            ("round.csv", "symbolic links"), (".", "directory"), ("/dev/zero", "device")):  # fmt: skip
             with pytest.raises(ExchangeError, match=words):
                 open_recording(tmp_path / name)
