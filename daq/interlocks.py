@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from daq.channel_watch import HOST, ChannelWatch
 from daq.exceedance import Exceedance
-from daq.rotor_watch import RotorWatch
+from daq.rotor_watch import AT_REST_RPM, RotorWatch
 from daq.stream_items import Batch, Event
 from rig_configs.schema import Limits
 
@@ -117,6 +117,7 @@ class Interlocks:
         self._faulty = dict.fromkeys(_FAULTS, False)
         self._faulty_samples = 0
         self._needed: frozenset[str] = frozenset()
+        self._ours = False  # the rotor was told to turn, and has not been seen at rest since
         self._lock = threading.RLock()
 
     # --- what happens ------------------------------------------------------------------------------------------
@@ -144,6 +145,7 @@ class Interlocks:
     def told(self, rpm: float) -> None:
         """The drive is told a speed."""
         with self._lock:
+            self._ours = self._ours or rpm != 0
             self.rotor.told(rpm)
 
     def feed(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
@@ -180,6 +182,8 @@ class Interlocks:
     def tick(self, now_ns: int) -> list[Event | Stop]:
         """Time passes; returns what the log must hold and what must stop the rotor."""
         with self._lock:
+            if self.rotor.at_rest(now_ns) and not self.rotor.target_rpm:
+                self._ours = False
             turning = self.turning(now_ns)
             out: list[Event | Stop] = [*self.channels.tick(now_ns)]
             if turning and (why := self.rotor.unseen(now_ns)) is not None:
@@ -201,8 +205,11 @@ class Interlocks:
     # --- what is known -----------------------------------------------------------------------------------------
 
     def turning(self, now_ns: int) -> bool:
-        """Whether the rotor turns, or nobody can say that it does not."""
-        return self.at_rest(now_ns) is not True
+        """Whether the rotor turns, or nobody can say that it does not; one turned by hand at a standing drive is not
+        the interlocks' business."""
+        with self._lock:
+            by_hand = not self._ours and abs(self.rotor.word_rpm(now_ns)) <= AT_REST_RPM
+            return not by_hand and self.rotor.at_rest(now_ns) is not True
 
     def at_rest(self, now_ns: int) -> bool | None:
         """See RotorWatch."""

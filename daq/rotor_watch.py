@@ -34,6 +34,9 @@ class RotorWatch:
     Args:
         limit_rpm: fastest speed allowed.
         patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
+
+    Attributes:
+        target_rpm: what the drive was last told.
     """
 
     def __init__(self, limit_rpm: float, patience: Callable[[float], float]) -> None:
@@ -46,7 +49,7 @@ class RotorWatch:
         self._word_ns = 0
         self._zero_since_ns: int | None = None
         self._words: deque[tuple[int, float, float]] = deque()  # host ns, least and greatest rpm of a read
-        self._target_rpm = 0.0
+        self.target_rpm = 0.0
         self._highest = self._lowest = 0.0  # what the drive may show of what it was told
         self._beyond = 0
         self._marks: deque[tuple[int, int]] = deque(maxlen=4096)  # time ns, revolutions
@@ -60,14 +63,14 @@ class RotorWatch:
 
     def told(self, rpm: float) -> None:
         """The drive is about to be told a speed."""
-        self._target_rpm = rpm
+        self.target_rpm = rpm
         self._highest, self._lowest = max(self._highest, rpm), min(self._lowest, rpm)
 
     def drive_said(self, host_ns: int, rpm: NDArray[np.float64]) -> str | None:
         """The drive's reports of one read, actual speeds, shape (n,), n ≥ 1; returns what is surely wrong with them."""
         least, greatest, last = float(rpm.min()), float(rpm.max()), float(rpm[-1])
         if self._word is None:
-            self._highest, self._lowest = max(self._target_rpm, greatest), min(self._target_rpm, least)
+            self._highest, self._lowest = max(self.target_rpm, greatest), min(self.target_rpm, least)
         else:
             passed = min(host_ns - self._word_ns, self._word_age_ns) * 1e-9
             self._turns_unseen += max(0.0, passed) * abs(last) / 60.0
@@ -201,7 +204,7 @@ class RotorWatch:
 
     def _ran_away(self, least: float, greatest: float, last: float) -> str | None:
         """A drive may be on its way to what it was told, or to rest; it may never run away from both."""
-        highest, lowest, target = self._highest, self._lowest, self._target_rpm
+        highest, lowest, target = self._highest, self._lowest, self.target_rpm
         self._highest, self._lowest = max(0.0, target, min(highest, last)), min(0.0, target, max(lowest, last))
         share, more = _RUNAWAY
         if greatest > highest + share * abs(highest) + more:

@@ -40,6 +40,7 @@ _HEALTH_S = 1.0
 _LOOK_S = 0.1  # wall seconds between two looks at every channel
 _WATCH_S = 0.25  # wall seconds between two looks for silent devices, and at the disk
 _SILENCE_S = 2.0  # wall seconds
+_BY_ITSELF_S = 8.0  # wall seconds for a drive out of reach to stop by itself, and for the index marks to show it
 _REASON_S = 0.3  # wall seconds that a drive may take to say why it stopped
 
 
@@ -211,9 +212,12 @@ class Session:
         """
         if self._drive is None:
             return ""
-        rest = False
-        with contextlib.suppress(LinkLost, DeviceError):
+        try:
             rest = self.drive.stop(self._say)
+        except (LinkLost, DeviceError):  # its own watchdog stops it now; the index marks show it
+            rest, end = False, time.monotonic() + _BY_ITSELF_S
+            while self._opened and self.rotor_at_rest() is False and time.monotonic() < end:
+                time.sleep(0.02)
         for name in ("laser_x", "laser_y"):
             with contextlib.suppress(LinkLost, DeviceError):
                 self.send(name, b"OUTPUT NONE\n")
@@ -327,12 +331,14 @@ class Session:
                 recorder = self._recorder
                 if recorder is not None:
                     recorder.event(item, host_ns)
-            elif self._guarding and self._drive is not None and not self.lenient:
+            elif not self._guarding:
+                continue
+            elif self._drive is None or self.lenient:
+                self._notice(item.text)
+            elif self.trouble is None:  # later ones change nothing
                 kind = DeviceError if item.cause == "device" else ProcedureError
                 turning = self._interlocks.turning(host_ns)
                 self._fail(kind(f"{item.text}; the rotor was stopped" if turning else item.text))
-            elif self._guarding:
-                self._notice(item.text)
 
     def _fail(self, error: Exception) -> None:
         """Remember the first trouble and stop the rotor; whoever waits is told."""

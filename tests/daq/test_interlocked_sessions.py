@@ -149,6 +149,24 @@ def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig
     far_end.line.ask("fail", device="drive", what="restart")
 
 
+def test_a_rotor_that_still_turns_at_the_end_is_said(
+    far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("daq.drive._RUN_DOWN_S", 1.0)
+    said: list[str] = []
+    still = "the rotor still turns"
+    with pytest.raises(DeviceError, match=still), Session(rig, HostClock(TIME_SCALE), say=said.append) as session:  # noqa: PT012
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        turning(session, 300)
+        far_end.line.ask("fail", device="drive", what="fault", value=0x3220)  # no torque: it coasts
+    assert far_end.line.ask("state")["watchdog_ms"] > 0
+    assert still in str(summary_of(tmp_path / "a.mcap")["ended"])
+    assert any(still in text for text in said)
+    far_end.line.ask("fail", device="drive", what="restart")
+    while far_end.line.ask("state")["speed_rpm"] > 0.5:
+        wait_rig_time(far_end, 0.5)
+
+
 @pytest.mark.parametrize(
     ("stop", "words"),
     [(KeyboardInterrupt(), "Ctrl-C"), (KeyboardInterrupt("SIGTERM"), "SIGTERM"), (ValueError("x"), "ValueError: x")],

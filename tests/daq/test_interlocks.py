@@ -81,6 +81,22 @@ def test_a_host_that_slept_is_no_silence() -> None:
         assert bench.events == []
 
 
+def test_a_rig_that_pauses_as_a_whole_is_no_silence() -> None:
+    with Bench() as bench:
+        bench.turn(600)
+        bench.muted |= set(bench.pipelines)
+        bench.pass_time(1.2)  # somebody looks all the time, and nothing is there of anything
+        bench.muted.clear()
+        assert not [e for e in bench.events if e.kind == "silence"]
+
+
+def test_a_rig_that_is_silent_as_a_whole_stops_the_rotor() -> None:
+    with Bench() as bench:
+        bench.turn(600)
+        bench.muted |= set(bench.pipelines)
+        assert bench.pass_time(5.0, until_stop=True) <= 3.0
+
+
 def test_a_flash_of_light_is_no_blindness() -> None:
     with Bench() as bench:
         bench.turn(600)
@@ -198,6 +214,30 @@ def test_without_a_word_of_the_drive_the_index_marks_tell_rest() -> None:
         bench.fails("encoder", "dead")
         bench.pass_time(3.0)
         assert bench.interlocks.at_rest(bench.now_ns) is None  # nobody is there to tell
+
+
+def test_a_word_that_is_too_old_counts_for_nothing() -> None:
+    with Bench() as bench:
+        bench.fails("drive", "silent reports")
+        bench.pass_time(1.0)
+        assert np.isnan(bench.interlocks.speed_rpm(bench.now_ns))
+        assert bench.interlocks.at_rest(bench.now_ns) is False  # it was at rest a second ago; nobody knows
+        assert "the drive says nothing" in bench.interlocks.rotor_words(bench.now_ns)
+        bench.pass_time(3.0)
+        assert bench.interlocks.at_rest(bench.now_ns) is True  # no index mark since
+        bench.fails("drive", "silent reports", 0)
+        bench.pass_time(0.5)
+        assert bench.interlocks.speed_rpm(bench.now_ns) == 0
+
+
+def test_a_rotor_turned_by_hand_at_a_standing_drive_needs_no_guard() -> None:
+    with Bench() as bench:
+        bench.fails("drive", "reported share", 0.0)
+        bench.far.motion._rotor[1] = bench.far.motion._rotor[2] = 10.0  # a push; it runs down by itself
+        bench.fails("laser_x", "code", 262076)
+        bench.pass_time(2.0)
+        assert bench.interlocks.at_rest(bench.now_ns) is False
+        assert bench.stops == []
 
 
 def test_a_drive_that_restarts_at_rest_is_at_rest() -> None:

@@ -233,7 +233,7 @@ def test_a_device_that_falls_silent_stops_the_rotor(virtual_rig: VirtualRigProce
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
         session.send("laser_x", b"OUTPUT NONE\n")  # the link stays, the samples end
-        with pytest.raises(DeviceError, match="laser_x: silent"):
+        with pytest.raises(DeviceError, match="laser/x: silent"):
             session.wait_for(lambda: False, 10.0, "nothing")
     assert virtual_rig.line.ask("state")["speed_rpm"] < 0.5
 
