@@ -11,6 +11,7 @@ import dataclasses
 
 import numpy as np
 
+from dynamics.arguments import need_number
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.fixed_steps import integrate
 from dynamics.locked_motion import damping_rates, fastest_rate, locked_orbit, locked_state
@@ -73,6 +74,9 @@ def simulate(
     Source: docs/theory/integration.md.
     """
     physics = physics_of(parameters)
+    need_number(accuracy=accuracy, work_limit=work_limit)
+    if not isinstance(scene, Scene):
+        raise OutsideDomain(f"scene: expected a dynamics.Scene, got {scene!r}")
     if not (np.isfinite(accuracy) and accuracy > 0):
         raise OutsideDomain(f"accuracy must be a finite number above 0, got {accuracy!r}")
     if method not in (None, "explicit", "implicit"):

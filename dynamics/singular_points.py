@@ -128,5 +128,7 @@ def _resting_pivot(p: RotorParameters, speed: float, stiffness: complex, fixed: 
     """Type I and its counterpart p = 0: the pendulums make −D R_C/ω² − F."""
     target = -stiffness * p.pivot_shift_m / speed**2 - fixed
     angles = closing_angles(p.a.first_moment_kg_m, p.b.first_moment_kg_m, target)
-    unique = angles[:1] if len(angles) == 2 and np.allclose(*np.exp(1j * np.array(angles)), atol=1e-15) else angles
+    alike = target == 0  # they balance each other at any angle: the mirror image is one of the same circle
+    alike = alike or (len(angles) == 2 and np.allclose(*np.exp(1j * np.array(angles)), atol=1e-15))
+    unique = angles[:1] if alike else angles
     return [SingularPoint("I", pair, complex(-p.pivot_shift_m)) for pair in unique]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,8 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from dynamics.errors import OutsideDomain
+from dynamics.parameters import imbalance_radius
 from rig_configs.errors import RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
@@ -45,7 +48,7 @@ def load_rig(
         raise RigFileError(f"{source}: not a TOML file: {error}") from error
     if parameters is not None:
         known = parameters if isinstance(parameters, IdentifiedParameters) else IdentifiedParameters.load(parameters)
-        _lay_parameters(raw, known)
+        _lay_parameters(raw, known, source)
     pairs = settings.items() if isinstance(settings, Mapping) else [parse_setting(s) for s in settings]
     for key, value in pairs:
         apply_setting(raw, key, value, source)
@@ -121,7 +124,19 @@ def _read(path_or_name: str | Path) -> tuple[str, str]:
         raise RigFileError(f"{path}: cannot be read as a text file: {error}") from error
 
 
-def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters) -> None:
+def _lay_imbalance(raw: dict[str, Any], moment_kg_m: float, source: str) -> None:
+    """An identified S_P as the radius of the file's imbalance mass; a mass the schema will refuse is left to it."""
+    table = raw.get("imbalance")
+    mass = table.get("mass_kg") if isinstance(table, dict) else None
+    if isinstance(mass, bool) or not isinstance(mass, int | float) or not 0 <= mass < math.inf:
+        return
+    try:
+        apply_setting(raw, "imbalance.radius_m", imbalance_radius(moment_kg_m, mass), source)
+    except OutsideDomain as error:
+        raise RigFileError(f"{source} with these parameters: {error}") from error
+
+
+def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters, source: str) -> None:
     places = {
         "k1_N_per_m": "suspension.k1_N_per_m",
         "k2_N_per_m": "suspension.k2_N_per_m",
@@ -132,9 +147,9 @@ def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters) -> None:
     }
     for name, value in known.values.items():
         if name in places:
-            apply_setting(raw, places[name], value)
+            apply_setting(raw, places[name], value, source)
         elif name == "SP_kg_m":
-            apply_setting(raw, "imbalance.radius_m", value / raw["imbalance"]["mass_kg"])
+            _lay_imbalance(raw, value, source)
 
 
 def _sentence(error: ErrorDetails) -> str:
