@@ -148,7 +148,8 @@ def _converge(
             return fine, bounds[-1], work
         left = difference * fine_tolerance / tolerance
         ratio = float(np.clip(3 * left / accuracy, 10.0, 1e3))
-        spent = work + fine.tried * ratio ** (1 / 8) > work_limit
+        hopeless = 5 * max(growths) * _FINEST > accuracy  # no tolerance brings the bound down that far
+        spent = hopeless or work + fine.tried * ratio ** (1 / 8) > work_limit
         if spent or fine_tolerance <= _FINEST or (len(bounds) > 2 and bounds[-1] > 0.5 * bounds[-3]):
             break
         coarse, tolerance = fine, fine_tolerance

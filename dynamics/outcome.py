@@ -37,7 +37,9 @@ _BESIDE_RAD = math.radians(20)  # farther from a state than this friction holds 
 _FIRST_LOOK = 600  # revolutions after which a stable slipping motion is looked for; then after twice as many, …
 _LEAST_REVOLUTIONS, _TIME_CONSTANTS = 20_000, 60.0  # followed, whichever is longer, unless told otherwise …
 _MOST_WORK = 2_500_000  # … and no more steps than these: about four seconds
-_REFUSED_WORK = 4.0  # of a refused chunk, in delivered ones
+_REFUSED_WORK = 100_000  # what a refused chunk counts as
+_CHUNK_WORK = 500_000  # steps a chunk may take
+_E_FOLDS = 5.0  # by which a state must be approachable, to go on
 _IMPLICIT_COST = 5.0  # of an implicit step in explicit ones
 _FINER = 1e-3  # accuracy of the second run, which must end where the first did
 _LONG_TRANSIENT = 8000  # revolutions; beyond, one run is enough to wait for
@@ -230,18 +232,20 @@ class _Release:
     def _hopeless(self, stable: Sequence[SteadyState]) -> bool:
         """Whether no stable state can be approached within the work allowed, going by its own multipliers."""
         affordable = _MOST_WORK * self.done / max(self.work, 1.0)
-        return bool(stable) and min(_time_constant(s) for s in stable) > affordable
+        return bool(stable) and _E_FOLDS * min(_time_constant(s) for s in stable) > affordable
 
     def _advance(self) -> NDArray[np.float64]:
         """One more chunk, its first state included, shape (chunk + 1, 8)."""
         while True:
             scene = Scene(self.history, (True, True), self.blocks[-1][-1].copy())
             try:
-                motion = simulate(self.p, scene, np.arange(self.chunk + 1) * self.period, self.accuracy)
+                motion = simulate(
+                    self.p, scene, np.arange(self.chunk + 1) * self.period, self.accuracy, work_limit=_CHUNK_WORK
+                )
             except NotConverged:  # neighbours separate too fast to bound the error over so many revolutions
                 if self.chunk == 1:
                     raise
-                self.work += _REFUSED_WORK * self.work / max(1, self.done) * self.chunk
+                self.work += _REFUSED_WORK
                 self.chunk = self.chunk // 4 + (self.chunk < 4)
                 continue
             break

@@ -11,6 +11,7 @@ import numpy as np
 from dynamics.errors import OutsideDomain
 
 _SMALLEST, _LARGEST = 1e-15, 1e15  # SI; far outside any rig
+_LIGHTEST = 1e-3  # rotor against pendulums
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,7 @@ class RotorParameters:
                 raise OutsideDomain(f"{name} must be finite and above 0, got {value!r}")
             if not _SMALLEST <= value <= _LARGEST:  # beyond, squares and quotients leave the range of a double
                 raise OutsideDomain(f"{name} must lie in {_SMALLEST:g} … {_LARGEST:g}, got {value!r}")
+        self._need_a_rotor()
         for name, value in masses.items():
             if 0 < value < _SMALLEST:
                 raise OutsideDomain(f"{name} must be 0 (no pendulum) or at least {_SMALLEST:g}, got {value!r}")
@@ -146,6 +148,13 @@ class RotorParameters:
                 raise OutsideDomain(f"{name} must be finite and not negative, got {value!r}")
             if value > _LARGEST:
                 raise OutsideDomain(f"{name} must be at most {_LARGEST:g}, got {value!r}")
+
+    def _need_a_rotor(self) -> None:
+        if self.rotor_mass_kg < _LIGHTEST * (self.a.mass_kg + self.b.mass_kg):
+            raise OutsideDomain(
+                f"rotor_mass_kg must be at least {_LIGHTEST:g} of the pendulums' {self.a.mass_kg + self.b.mass_kg:.6g} "
+                f"kg, got {self.rotor_mass_kg!r}: without a rotor the equations of motion are singular"
+            )
 
     @property
     def total_mass_kg(self) -> float:

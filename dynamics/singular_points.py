@@ -75,11 +75,14 @@ def aligned_points(
     left, right = abs(drive), abs(own * (d.imag / size))
     if left < right:
         return []
-    root = math.sqrt((left - right) * (left + right))
+    root = math.sqrt(left - right) * math.sqrt(left + right)  # their product may leave the range of a double
     found = []
     for sign in (1.0, -1.0):
         rho = (own * (d.real / size) + sign * root) / size
-        direction = drive / (d * rho - own)
+        slope = d * rho - own
+        if slope == 0 or not 0 < abs(drive / slope) < math.inf:
+            continue  # so small an imbalance selects no angle that a double could hold
+        direction = drive / slope
         direction /= abs(direction)
         angle = math.atan2(direction.imag, direction.real) % (2 * math.pi)
         whirl = rho * direction if pivot_shift_m == 0 else square * (fixed_kg_m + moment_kg_m * direction) / d
