@@ -36,7 +36,7 @@ _CREEP_RAD = 1e-4  # in twenty revolutions: under friction, at rest
 _BESIDE_RAD = math.radians(20)  # farther from a state than this friction holds the pendulums at none
 _FIRST_LOOK = 600  # revolutions after which a stable slipping motion is looked for; then after twice as many, …
 _LEAST_REVOLUTIONS, _TIME_CONSTANTS = 20_000, 60.0  # followed, whichever is longer, unless told otherwise …
-_MOST_WORK = 2_500_000  # … and no more steps than these: about four seconds
+_MOST_WORK = 2_000_000  # … and no more steps than these: about three seconds
 _REFUSED_WORK = 100_000  # what a refused chunk counts as
 _CHUNK_WORK = 500_000  # steps a chunk may take
 _E_FOLDS = 5.0  # by which a state must be approachable, to go on
@@ -98,7 +98,7 @@ def release_outcome(
         states: the steady states at this speed, when they are known already.
         accuracy: of the integration over 40 revolutions, rad, at most 1e-5.
         most_revolutions: when to give up and say "not settled"; None: 20 000 or 60 time constants of the slowest
-            damping, whichever is longer, as far as two and a half million steps go.
+            damping, whichever is longer, as far as two million steps go.
         progress: called with the share of the horizon done, 0 … 1.
     Raises:
         OutsideDomain: a speed, angles or limits that mean nothing.

@@ -126,7 +126,9 @@ def test_pendulums_without_an_imbalance_rest_opposed_at_any_angle() -> None:
     states = steady_states(p, speed)
     assert [(s.type, s.any_angle) for s in states] == [("I", True)]
     found = release_outcome(p, speed)
-    assert (found.state, found.reached) == ("I", states[0])
+    assert found.state == "I"
+    assert found.reached is not None
+    assert found.reached.any_angle
     assert abs(math.degrees(found.theta_rad[0] - found.theta_rad[1])) == pytest.approx(180, abs=1e-3)
 
 
