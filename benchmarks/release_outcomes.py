@@ -19,6 +19,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,12 @@ _BLOCK = 500  # revolutions
 _START = (PLAY_RAD, math.pi - 0.5 * PLAY_RAD)
 
 
-def draw(rng: np.random.Generator) -> tuple[RotorParameters, float]:
-    """A rig and a speed in rad/s; half of the draws between the resonances, where slipping is."""
+def draw(rng: np.random.Generator, weak: bool = False) -> tuple[RotorParameters, float]:
+    """A rig and a speed in rad/s; most draws between the resonances, where slipping is.
+
+    Args:
+        weak: weak damping all round and speeds near the border of slipping: the longest transients.
+    """
 
     def log(low: float, high: float) -> float:
         return math.exp(rng.uniform(math.log(low), math.log(high)))
@@ -44,10 +49,14 @@ def draw(rng: np.random.Generator) -> tuple[RotorParameters, float]:
     mass_b, stiffness = 0.075 * rng.uniform(0.85, 1.15), rng.uniform(8, 20)
     k1 = (7.195 + mass_b) * (6 * math.pi) ** 2 * rng.uniform(0.9, 1.1)
     a, b = Pendulum(0.075, 0.054, log(3e-5, 3e-3)), Pendulum(mass_b, 0.054, log(3e-5, 3e-3))
-    zeta = log(0.005, 0.2)
+    zeta = log(0.01, 0.03) if weak else log(0.005, 0.2)
+    if weak:
+        a, b = replace(a, damping_Nms_per_rad=log(5e-5, 3e-4)), replace(b, damping_Nms_per_rad=log(5e-5, 3e-4))
     p = RotorParameters(
         7.0, 0.12, 0.02117 * rng.uniform(0.7, 1.3), a, b, k1, stiffness * k1, zeta, zeta * rng.uniform(0.5, 1.5)
     )
+    if weak:
+        return p, p.speed_rad_s(rng.uniform(0.7, 0.95) * math.sqrt(stiffness))
     between = (1.0, 1.15 * math.sqrt(stiffness))
     return p, p.speed_rad_s(rng.uniform(*between) if rng.random() < 0.6 else rng.uniform(0.5, 6.0))
 
@@ -98,6 +107,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--most", type=int, default=50_000, help="revolutions the referee follows")
+    parser.add_argument("--weak", action="store_true", help="weak damping, speeds near the border of slipping")
     parser.add_argument("--against", type=Path, help="another outcome.py to judge beside this one")
     asked = parser.parse_args()
     judged: dict[str, Callable[..., Any]] = {"this": release_outcome}
@@ -106,7 +116,7 @@ def main() -> None:
     rng, counts, claims = np.random.default_rng(asked.seed), {k: Counter() for k in judged}, Counter()
     seconds: list[float] = []
     for n in range(asked.draws):
-        p, speed = draw(rng)
+        p, speed = draw(rng, asked.weak)
         try:
             states: SteadyStates = steady_states(p, speed, 1e-6)
         except DynamicsError as error:

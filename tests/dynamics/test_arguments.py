@@ -108,9 +108,9 @@ def test_numbers_beyond_any_rig_are_refused(field: str) -> None:
 
 def test_a_moment_needs_a_mass_to_make_it() -> None:
     assert imbalance_radius(0.0, 0.0) == 0.0
-    with pytest.raises(OutsideDomain, match="imbalance.mass_kg above 0"):
+    with pytest.raises(OutsideDomain, match=r"imbalance\.mass_kg above 0"):
         imbalance_radius(1e-3, 0.0)
-    with pytest.raises(OutsideDomain, match="imbalance.mass_kg above 0"):
+    with pytest.raises(OutsideDomain, match=r"imbalance\.mass_kg above 0"):
         replace(rig(), imbalance_mass_kg=0.0).with_values(SP_kg_m=1e-3)
 
 

@@ -107,7 +107,7 @@ IDENTIFIED = IdentifiedParameters({"k1_N_per_m": 2600.0, "SP_kg_m": 2.5e-3}, np.
 
 
 def test_an_identified_moment_needs_an_imbalance_mass_in_the_rig_file(tmp_path: Path) -> None:
-    with pytest.raises(RigFileError, match="imbalance.mass_kg above 0"):
+    with pytest.raises(RigFileError, match=r"imbalance\.mass_kg above 0"):
         load_rig(without_imbalance(tmp_path, "mass_kg = 0.0\nradius_m = 0.02"), IDENTIFIED)
     for body, word in (
         ("", "imbalance"),
