@@ -70,7 +70,7 @@ def slipping_motion(
     fitted = max(len(whole) - _MOST_JUDGED, 2 * len(whole) // 3)
     found, turns = None, (0, 0)
     for rate, turns in _windings(rates):
-        phase = rate * np.arange(len(whole))
+        phase = rate * np.arange(len(whole), dtype=np.float64)
         scaled = whole / scale
         scaled[:, 2:4] -= 2 * math.pi * np.outer(phase, turns)
         found = _curve(phase, scaled, fitted)
@@ -105,7 +105,7 @@ def _windings(rates: NDArray[np.float64]) -> list[tuple[float, tuple[int, int]]]
 
 
 def _curve(
-    phase: NDArray[np.float64], states: NDArray[np.float64], fitted: int
+    phase: NDArray[np.floating], states: NDArray[np.float64], fitted: int
 ) -> tuple[float, NDArray[np.float64]] | None:
     """A closed curve through the first states that foretells the others.
 
@@ -121,14 +121,14 @@ def _curve(
             return None
         order = np.arange(1, count + 1)
         waves = np.exp(2j * math.pi * np.outer(phase, order))
-        basis = np.column_stack([np.ones(len(phase)), waves.real, waves.imag])
+        basis = np.column_stack([np.ones(len(phase)), np.real(waves), np.imag(waves)])
         train = basis[:fitted]
         gram = train.T @ train + 1e-9 * fitted * np.eye(basis.shape[1])
         weights = np.linalg.solve(gram, train.T @ (states[:fitted] - middle))
         misfit = float(np.max(np.abs(basis[fitted:] @ weights + middle - states[fitted:])))
         if misfit < _CURVE_RAD:
             at = waves[fitted]
-            slope = 2 * math.pi * np.concatenate([[0.0], -order * at.imag, order * at.real])
+            slope = 2 * math.pi * np.concatenate([[0.0], -order * np.imag(at), order * np.real(at)])
             return misfit, slope @ weights
     return None
 
