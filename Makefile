@@ -1,12 +1,16 @@
 # Two commands do everything on a machine that has Python >= 3.11 and make:
 #   make demo    the main job on the built-in virtual rig, ends with a report
 #   make test    lint, types, layers and the whole test suite
-# uv is used where it is installed; otherwise it is put into .tools by pip.
+# The uv that wrote uv.lock is used: the one on the PATH if it has that version, else pip puts it into .tools.
 
-UV := $(shell command -v uv 2>/dev/null)
+UV_VERSION := 0.13.9
 PYTHON ?= python3
-ifeq ($(UV),)
-UV := .tools/bin/uv
+ifeq ($(word 2,$(shell uv --version 2>/dev/null)),$(UV_VERSION))
+UV := uv
+UV_FILE :=
+else
+UV := .tools/uv-$(UV_VERSION)/bin/uv
+UV_FILE := $(UV)
 endif
 
 .PHONY: demo test setup lint clean
@@ -23,12 +27,12 @@ lint: setup
 	$(UV) run --no-sync pyright
 	$(UV) run --no-sync lint-imports
 
-setup: | $(UV)
+setup: | $(UV_FILE)
 	$(UV) sync --frozen --quiet --compile-bytecode
 
-.tools/bin/uv:
-	$(PYTHON) -m venv .tools
-	.tools/bin/python -m pip install --quiet --disable-pip-version-check "uv>=0.5"
+.tools/uv-$(UV_VERSION)/bin/uv:
+	$(PYTHON) -m venv .tools/uv-$(UV_VERSION)
+	.tools/uv-$(UV_VERSION)/bin/python -m pip install --quiet --disable-pip-version-check "uv==$(UV_VERSION)"
 
 clean:
 	rm -rf .venv .tools out .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -21,6 +21,7 @@ from cli import crash
 from cli.console import say, wait_for_compilation
 from cli.numbers import NUMBERS_ARE_FINITE
 from daq.errors import LogError, RigError
+from dynamics.compiled_code import keep_compiled_code
 from dynamics.errors import DynamicsError
 from rig_configs.errors import RigConfigError
 
@@ -90,6 +91,7 @@ def _exit_code(error: Exception) -> int | None:
 
 def main() -> None:
     """Entry point. A hang-up or a polite kill ends a command as Ctrl-C does: a log is finished, the rotor stopped."""
+    keep_compiled_code()  # the command's own place, before anything compiles; its child processes inherit it
     for name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, name):  # Windows has no hang-up
             signal.signal(getattr(signal, name), _interrupt)

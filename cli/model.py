@@ -49,7 +49,8 @@ def predict(
 
         physics = loaded.physics
         found = steady_states(physics, speed, accuracy, at_least=at_least)
-        outcome = _released(physics, speed, found) if release else None
+        outcomes = _released(physics, speed, found) if release else []
+    outcome = outcomes[0] if outcomes else None
     a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
     region = balancing.balancing_region(a, b, physics.imbalance_moment_kg_m)
     model = found[0].model if found else choose_model(physics, at_least=at_least)
@@ -68,9 +69,10 @@ def predict(
         "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
         "speed_rpm": speed * 30 / math.pi,
         "balancing_region": region,
-        "steady_states": [_state_json(s) for s in found],
+        "steady_states": [_state_json(s, physics) for s in found],
         "unresolved": list(found.unresolved),
-        "release": None if outcome is None else _outcome_json(outcome),
+        "release": None if outcome is None else _outcome_json(outcome, physics),
+        "releases_within_play": [_outcome_json(o, physics) for o in outcomes],
         "what_if": list(settings or []),
         "plot": None if plot is None else str(plot),
     }
@@ -97,25 +99,35 @@ def _speed(rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: fl
     return speed
 
 
-def _released(physics: RotorParameters, speed: float, found: SteadyStates) -> ReleaseOutcome | None:
-    """Where a release ends; None, with a word, where there is no locked motion to release from."""
-    from dynamics import release_outcome  # noqa: PLC0415
+def _released(physics: RotorParameters, speed: float, found: SteadyStates) -> list[ReleaseOutcome]:
+    """Where releases within the locks' play end; none, with a word, where there is no locked motion to release from."""
     from dynamics.errors import DynamicsError  # noqa: PLC0415
+    from dynamics.outcome import releases_within_play  # noqa: PLC0415
 
     if not (physics.a.present or physics.b.present):
-        return None
+        return []
     try:
-        return release_outcome(physics, speed, states=found)
+        with share_progress("following a release until it settles") as progress:
+            return releases_within_play(physics, speed, states=found, progress=progress)
     except DynamicsError as error:
         say(f"no release followed: {error}")
-        return None
+        return []
 
 
-def _state_json(s: SteadyState) -> dict[str, Any]:
+def _angles_json(theta_rad: tuple[float, float], physics: RotorParameters) -> dict[str, float | None]:
+    """θ3 and θ4 in degrees; none for a pendulum that is not there."""
+    there = (physics.a.present, physics.b.present)
+    return {
+        name: math.degrees(angle) if present else None
+        for name, angle, present in zip(("theta3_deg", "theta4_deg"), theta_rad, there, strict=True)
+    }
+
+
+def _state_json(s: SteadyState, physics: RotorParameters) -> dict[str, Any]:
     out = {
         "type": s.type,
-        "theta3_deg": math.degrees(s.theta_rad[0]),
-        "theta4_deg": math.degrees(s.theta_rad[1]),
+        **_angles_json(s.theta_rad, physics),
+        "any_angle": s.any_angle,
         "amplitude_mm": 1e3 * s.amplitude_m,
         "stable": s.stable,
         "stability": s.stability,
@@ -130,15 +142,22 @@ def _state_json(s: SteadyState) -> dict[str, Any]:
     return out
 
 
-def _outcome_json(o: ReleaseOutcome) -> dict[str, Any]:
-    return {
+def _outcome_json(o: ReleaseOutcome, physics: RotorParameters) -> dict[str, Any]:
+    out = {
         "reaches": o.state,
-        "theta3_deg": math.degrees(o.theta_rad[0]),
-        "theta4_deg": math.degrees(o.theta_rad[1]),
+        "from_deg": [math.degrees(angle) for angle in o.from_rad],
+        **_angles_json(o.theta_rad, physics),
         "after_s": o.after_s,
         "revolutions": o.revolutions,
         "slip_turns": list(o.slip_turns),
+        "same_end": o.same_end,
+        "same_time": o.same_time,
+        "seen": o.seen or None,
     }
+    if o.slipping is not None:
+        out["slip_turns_per_revolution"] = list(o.slipping.turns_per_revolution)
+        out["slip_shrinkage"] = {"factor": o.slipping.shrinkage, "revolutions": o.slipping.judged}
+    return out
 
 
 def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
@@ -149,7 +168,7 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
     print(f"model: {result['model']}: {result['why']}")
     for s in result["steady_states"]:
         print(
-            f"  {s['type']:4} {s['stability']:9} θ3 {s['theta3_deg']:8.3f}° θ4 {s['theta4_deg']:8.3f}°  "
+            f"  {s['type']:4} {s['stability']:9} {_angles(s)}  "
             f"amplitude {s['amplitude_mm']:.4f} mm  "
             f"multiplier {_near_one(s['multiplier_max'])} ± {s['error_estimate']:.1g}"
         )
@@ -163,16 +182,53 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
         print(f"  not in the list: {line}")
     methods = {s.method.split(":")[0]: s.method for s in reversed(found)}
     print("stability by " + "; by ".join(methods.values()) if methods else "")
-    release = result["release"]
-    if release is None:
-        return
-    if release["reaches"] in ("slipping", "not settled", "held by friction"):
-        print(f"a release from 0° and 180°: {release['reaches']}; followed for {release['revolutions']} revolutions")
-    else:
-        print(
-            f"a release from 0° and 180° (± 0.2° of play) reaches {release['reaches']} "
-            f"at θ3 {release['theta3_deg']:.2f}°, θ4 {release['theta4_deg']:.2f}° after {release['after_s']:.1f} s"
-        )
+    for line in _release_lines(result["releases_within_play"]):
+        print(line)
+
+
+def _angles(s: dict[str, Any], digits: int = 3) -> str:
+    """Both angles of a JSON entry, in columns."""
+    shown = []
+    for name, angle in (("θ3", s["theta3_deg"]), ("θ4", s["theta4_deg"])):
+        shown.append(f"{name}     none" if angle is None else f"{name} {angle:{5 + digits}.{digits}f}°")
+    return " ".join(shown) + (" or any other, turned together" if s.get("any_angle") else "")
+
+
+def _release_lines(releases: list[dict[str, Any]]) -> list[str]:
+    """Where releases within the play end, each end once, with how many reach it."""
+    lines: list[str] = []
+    for end, members in _by_end(releases).items():
+        first = members[0]
+        of = f"{len(members)} of {len(releases)} releases" if len(members) < len(releases) else "a release"
+        begin = f"{of} from 0° and 180° (± 0.2° of play)"
+        if end[0] == "not settled":
+            lines.append(f"{begin}: {first['seen']}")
+        elif end[0] == "slipping":
+            a, b = first["slip_turns_per_revolution"]
+            shrunk = first["slip_shrinkage"]
+            lines.append(
+                f"{begin}: slipping for ever, A {a:.4g} and B {b:.4g} turns per revolution: a stable slipping motion "
+                f"(deviations shrink to {shrunk['factor']:.1g} in {shrunk['revolutions']} revolutions)"
+            )
+        elif end[0] == "held by friction":
+            lines.append(f"{begin}: held by friction; followed for {first['revolutions']} revolutions")
+        else:
+            about = "" if all(m["same_time"] for m in members) else "about "
+            chance = "" if all(m["same_end"] for m in members) else "; which end a single release takes is chance"
+            lines.append(
+                f"{begin} reaches {end[0]} at {_angles(first, 2)} after {about}{first['after_s']:.1f} s{chance}"
+            )
+    return lines
+
+
+def _by_end(releases: list[dict[str, Any]]) -> dict[tuple[str, ...], list[dict[str, Any]]]:
+    """Releases by the state and the angles they reach."""
+    ends: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for r in releases:
+        reached = r["reaches"] not in ("not settled", "slipping", "held by friction")
+        key = (r["reaches"], _angles(r, 0)) if reached else (r["reaches"],)
+        ends.setdefault(key, []).append(r)
+    return ends
 
 
 def _near_one(multiplier: float) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from dynamics.compiled_code import keep_compiled_code
-
 if TYPE_CHECKING:
     from dynamics.balancing import GravityDisk, balanced_angles, balancing_region, gravity_disk
     from dynamics.batch import BatchMotion, simulate_batch
@@ -18,8 +16,6 @@ if TYPE_CHECKING:
     from dynamics.speed_history import SpeedHistory
     from dynamics.steady_motions import multipliers, steady_states
     from dynamics.steady_state import SteadyState
-
-keep_compiled_code()  # before any module of this package is compiled
 
 _HOME = {  # loaded when first used: a rig file can be read without waiting for the compiler
     "BatchMotion": "dynamics.batch",

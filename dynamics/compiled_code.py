@@ -3,14 +3,19 @@
 numba looks only at the file that holds a function, not at what that function calls: after a change in a kernel, code
 compiled from its callers before would go on running the old one, and a wheel's files all bear one date. The directory
 is therefore named after a digest of every source that is compiled.
+
+The `rig` command, the tests and the benchmarks ask for that directory, before they compile anything. Importing the
+packages does not: a program that uses them keeps its own numba settings, and may call keep_compiled_code itself.
 """
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import shutil
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -21,8 +26,11 @@ _KEPT_S = 60 * 86400.0  # directories of other versions not used for that long a
 def keep_compiled_code() -> Path | None:
     """Point numba's cache at this version's own directory; a NUMBA_CACHE_DIR that is set stays.
 
+    To be called before a module that compiles is imported; it hashes the sources (some 20 ms).
+
     Returns:
-        The directory, or None when the cache stays where numba puts it (set by the user, or no place to write).
+        The directory, one of this process alone where the user's cache directory can't be written to; None when the
+        cache stays where the user has put it.
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         return None
@@ -30,9 +38,11 @@ def keep_compiled_code() -> Path | None:
     try:
         place.mkdir(parents=True, exist_ok=True)
         os.utime(place)
+        tempfile.TemporaryFile(dir=place).close()
         _forget_old(place)
-    except OSError:
-        return None
+    except (OSError, RuntimeError):  # RuntimeError: there is no home
+        place = Path(tempfile.mkdtemp(prefix="pendulum-balancer-rig-"))
+        atexit.register(shutil.rmtree, place, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = str(place)  # child processes too
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(place)

@@ -11,6 +11,7 @@ import dataclasses
 
 import numpy as np
 
+from dynamics.arguments import need_number
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.fixed_steps import integrate
 from dynamics.locked_motion import damping_rates, fastest_rate, locked_orbit, locked_state
@@ -73,6 +74,9 @@ def simulate(
     Source: docs/theory/integration.md.
     """
     physics = physics_of(parameters)
+    need_number(accuracy=accuracy, work_limit=work_limit)
+    if not isinstance(scene, Scene):
+        raise OutsideDomain(f"scene: expected a dynamics.Scene, got {scene!r}")
     if not (np.isfinite(accuracy) and accuracy > 0):
         raise OutsideDomain(f"accuracy must be a finite number above 0, got {accuracy!r}")
     if method not in (None, "explicit", "implicit"):
@@ -144,7 +148,8 @@ def _converge(
             return fine, bounds[-1], work
         left = difference * fine_tolerance / tolerance
         ratio = float(np.clip(3 * left / accuracy, 10.0, 1e3))
-        spent = work + fine.tried * ratio ** (1 / 8) > work_limit
+        hopeless = 5 * max(growths) * _FINEST > accuracy  # no tolerance brings the bound down that far
+        spent = hopeless or work + fine.tried * ratio ** (1 / 8) > work_limit
         if spent or fine_tolerance <= _FINEST or (len(bounds) > 2 and bounds[-1] > 0.5 * bounds[-3]):
             break
         coarse, tolerance = fine, fine_tolerance

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamics.arguments import numbers
 from dynamics.errors import OutsideDomain
 from dynamics.locked_motion import damping_rates, locked_state
 from dynamics.motion import Event
@@ -74,12 +75,13 @@ def instants(time_s: np.ndarray | float) -> np.ndarray:
     Raises:
         OutsideDomain: none, not finite, or not ascending.
     """
-    if np.ndim(time_s) == 0:
-        duration = float(np.asarray(time_s))
+    given = numbers("time_s", time_s)
+    if given.ndim == 0:
+        duration = float(given)
         if not (np.isfinite(duration) and 0 < duration * SAMPLES_PER_S < 1e9):
             raise OutsideDomain(f"a duration must be finite and above 0 s (give instants for a long run): {duration!r}")
         return np.linspace(0.0, duration, int(np.ceil(duration * SAMPLES_PER_S - 1e-9)) + 1)
-    times = np.ascontiguousarray(time_s, float)
+    times = given
     if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)) or np.any(np.diff(times) < 0):
         raise OutsideDomain("time_s must be a duration or a one-dimensional array of finite, ascending instants in s")
     return times
@@ -93,12 +95,14 @@ def motion_problem(parameters: RotorParameters, scene: Scene, times: np.ndarray,
     """
     segments = PhaseSegments.of(scene.history)
     psi, speed, _ = segments.phase(float(times[0]))
-    start = locked_state(parameters, speed, psi, 0.0, np.pi) if scene.start is None else np.array(scene.start, float)
+    locked = scene.start is None
+    start = locked_state(parameters, speed, psi, 0.0, np.pi) if locked else numbers("start", scene.start).copy()
     if start.shape != (8,) or not np.all(np.isfinite(start)):
         raise OutsideDomain(f"a start state is eight finite numbers, got {start!r}")
     moving = (scene.released[0] and parameters.a.present, scene.released[1] and parameters.b.present)
     go = scene.release_time_s or (-np.inf, -np.inf)
     free_from = (float(go[0]) if moving[0] else np.inf, float(go[1]) if moving[1] else np.inf)
+    _refuse_locked_rates(start, free_from, float(times[0]))
     all_times = times
     if len(times) < _GUARDS:
         all_times = np.union1d(times, np.linspace(times[0], times[-1], _GUARDS))
@@ -119,6 +123,20 @@ def motion_problem(parameters: RotorParameters, scene: Scene, times: np.ndarray,
         max(w1, peak, min(w2, 10 * max(w1, peak))),
         tuple(Event(float(t), "stop", None) for t in stops if t > times[0]),
     )
+
+
+def _refuse_locked_rates(start: np.ndarray, free_from: tuple[float, float], begin: float) -> None:
+    """A rate that a lock would swallow without a word.
+
+    Raises:
+        OutsideDomain: names the pendulum.
+    """
+    for i, at in enumerate(free_from):
+        if at > begin and start[6 + i] != 0:
+            raise OutsideDomain(
+                f"start state: pendulum {'AB'[i]} is locked or absent at the start and can't have a rate of "
+                f"{start[6 + i]:.6g} rad/s; give 0, or release it from the start"
+            )
 
 
 def _arm(parameters: RotorParameters) -> float:

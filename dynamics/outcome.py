@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arguments import need_number, need_pair
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.integrate import locked_state, simulate
 from dynamics.locked_motion import damping_rates
@@ -35,10 +36,13 @@ _CREEP_RAD = 1e-4  # in twenty revolutions: under friction, at rest
 _BESIDE_RAD = math.radians(20)  # farther from a state than this friction holds the pendulums at none
 _FIRST_LOOK = 600  # revolutions after which a stable slipping motion is looked for; then after twice as many, …
 _LEAST_REVOLUTIONS, _TIME_CONSTANTS = 20_000, 60.0  # followed, whichever is longer, unless told otherwise …
-_MOST_WORK = 3_000_000  # … and no more steps than these: about five seconds
+_MOST_WORK = 2_000_000  # … and no more steps than these: about three seconds
+_REFUSED_WORK = 100_000  # what a refused chunk counts as
+_CHUNK_WORK = 500_000  # steps a chunk may take
+_E_FOLDS = 5.0  # by which a state must be approachable, to go on
 _IMPLICIT_COST = 5.0  # of an implicit step in explicit ones
-_LEAST_S = 7200.0  # of the rig's time, for slow rotors
 _FINER = 1e-3  # accuracy of the second run, which must end where the first did
+_LONG_TRANSIENT = 8000  # revolutions; beyond, one run is enough to wait for
 PLAY_RAD = math.radians(0.2)
 
 
@@ -56,6 +60,7 @@ class ReleaseOutcome:
         reached: the steady state, when one was reached.
         slipping: the stable slipping motion, when one was reached.
         seen: what was seen of a motion that reached nothing, in words; "" otherwise.
+        from_rad: angles at which the locks held the pendulums.
         same_end: whether a run a thousand times more accurate ended in the same state and mirror image. Where it
             did not, the long transient magnifies any difference, and the end of this very release is chance.
         same_time: whether it arrived at the same time, to a revolution or a hundredth.
@@ -69,6 +74,7 @@ class ReleaseOutcome:
     reached: SteadyState | None
     slipping: SlippingMotion | None = None
     seen: str = ""
+    from_rad: tuple[float, float] = (0.0, math.pi)
     same_end: bool = True
     same_time: bool = True
 
@@ -92,13 +98,17 @@ def release_outcome(
         states: the steady states at this speed, when they are known already.
         accuracy: of the integration over 40 revolutions, rad, at most 1e-5.
         most_revolutions: when to give up and say "not settled"; None: 20 000 or 60 time constants of the slowest
-            damping, whichever is longer, as far as three million steps go.
+            damping, whichever is longer, as far as two million steps go.
         progress: called with the share of the horizon done, 0 … 1.
     Raises:
         OutsideDomain: a speed, angles or limits that mean nothing.
         NotConverged: the motion can't be integrated.
     """
     p = physics_of(rig)
+    need_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
+    need_pair(from_rad=from_rad)
+    if not 0 < speed_rad_s < math.inf:
+        raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
     if not (0 < accuracy <= 1e-5):
         raise OutsideDomain(f"accuracy of a release must be above 0 and at most 1e-5 rad, got {accuracy!r}")
     if most_revolutions is not None and most_revolutions < 1:
@@ -106,9 +116,9 @@ def release_outcome(
     if not (p.a.present or p.b.present):
         raise OutsideDomain("a release needs a pendulum: both masses are 0")
     known = steady_states(p, speed_rad_s, 1e-6) if states is None else states
-    stable = [s for s in known if s.stable]
+    stable = [s for s in known if _draws(s)]
     first = _Release(p, speed_rad_s, from_rad, accuracy).follow(stable, most_revolutions, progress)
-    if first.reached is None or first.revolutions > 50_000 or p.has_friction:
+    if first.reached is None or first.revolutions > _LONG_TRANSIENT or p.has_friction:
         return first
     try:
         second = _Release(p, speed_rad_s, from_rad, max(_FINER * accuracy, 1e-11)).follow(
@@ -121,6 +131,41 @@ def release_outcome(
     return replace(second, same_end=second.reached is first.reached, same_time=same_time)
 
 
+def releases_within_play(
+    rig: RotorParameters | object,
+    speed_rad_s: float,
+    play_rad: float = PLAY_RAD,
+    *,
+    states: Sequence[SteadyState] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[ReleaseOutcome]:
+    """Where releases end whose locks held the pendulums anywhere within a play about 0° and 180°.
+
+    Args:
+        rig, speed_rad_s, states, progress: as for release_outcome.
+        play_rad: the locks' play to either side.
+    Returns:
+        The release that `release_outcome` takes, followed to its end; behind it one from each corner of the play,
+        followed twice as far as the first had to be, where the first reached a steady state.
+    Raises:
+        OutsideDomain, NotConverged: as release_outcome.
+    """
+    p = physics_of(rig)
+    known = steady_states(p, speed_rad_s, 1e-6) if states is None else states
+    first = release_outcome(p, speed_rad_s, (play_rad, math.pi - 0.5 * play_rad), states=known, progress=progress)
+    found = [first]
+    if first.reached is None or first.revolutions > _LONG_TRANSIENT:
+        return found
+    stable = [s for s in known if _draws(s)]
+    for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        start = (a * play_rad, math.pi + b * play_rad)
+        try:
+            found.append(_Release(p, speed_rad_s, start, 1e-6).follow(stable, 2 * first.revolutions + 400, None))
+        except NotConverged:
+            continue
+    return found
+
+
 class _Release:
     """A release on its way: the state once a revolution, and what it took to get there."""
 
@@ -128,6 +173,7 @@ class _Release:
         self, parameters: RotorParameters, speed: float, from_rad: tuple[float, float], accuracy: float
     ) -> None:
         self.p, self.speed, self.accuracy = parameters, speed, accuracy
+        self.from_rad = (float(from_rad[0]), float(from_rad[1]))
         self.period = 2 * math.pi / speed
         self.history = SpeedHistory.constant(speed)
         self.blocks = [locked_state(parameters, speed, 0.0, *from_rad)[None, :]]  # the state once a revolution
@@ -179,20 +225,30 @@ class _Release:
 
     def _horizon(self) -> int:
         """Revolutions worth following: many time constants of the slowest damping there is."""
-        most = max(_LEAST_S, _TIME_CONSTANTS * self.slowest_s if math.isfinite(self.slowest_s) else 0.0)
-        if _LEAST_REVOLUTIONS * self.period < most:
-            return max(1, math.ceil(min(most / self.period, 1e9)))
-        return _LEAST_REVOLUTIONS
+        if not math.isfinite(self.slowest_s):
+            return _LEAST_REVOLUTIONS
+        return max(_LEAST_REVOLUTIONS, math.ceil(min(_TIME_CONSTANTS * self.slowest_s / self.period, 1e9)))
 
     def _hopeless(self, stable: Sequence[SteadyState]) -> bool:
         """Whether no stable state can be approached within the work allowed, going by its own multipliers."""
         affordable = _MOST_WORK * self.done / max(self.work, 1.0)
-        return bool(stable) and min(_time_constant(s) for s in stable) > affordable
+        return bool(stable) and _E_FOLDS * min(_time_constant(s) for s in stable) > affordable
 
     def _advance(self) -> NDArray[np.float64]:
         """One more chunk, its first state included, shape (chunk + 1, 8)."""
-        times = np.arange(self.chunk + 1) * self.period
-        motion = simulate(self.p, Scene(self.history, (True, True), self.blocks[-1][-1].copy()), times, self.accuracy)
+        while True:
+            scene = Scene(self.history, (True, True), self.blocks[-1][-1].copy())
+            try:
+                motion = simulate(
+                    self.p, scene, np.arange(self.chunk + 1) * self.period, self.accuracy, work_limit=_CHUNK_WORK
+                )
+            except NotConverged:  # neighbours separate too fast to bound the error over so many revolutions
+                if self.chunk == 1:
+                    raise
+                self.work += _REFUSED_WORK
+                self.chunk = self.chunk // 4 + (self.chunk < 4)
+                continue
+            break
         self.work += motion.work_steps * (_IMPLICIT_COST if motion.method == "implicit" else 1.0)
         self.blocks.append(motion.state[1:])
         return motion.state
@@ -203,6 +259,9 @@ class _Release:
         scale = np.array([size, size, 1.0, 1.0, size * self.speed, size * self.speed, self.speed, self.speed])
         gap = np.abs(strobe - s.start) / scale
         gap[:, 2:4] = np.abs(np.exp(1j * strobe[:, 2:4]) - np.exp(1j * s.start[2:4]))
+        if s.any_angle:
+            opening = np.exp(1j * (strobe[:, 2] - strobe[:, 3])) - np.exp(1j * (s.start[2] - s.start[3]))
+            gap[:, 2:4] = np.abs(opening)[:, None]
         absent = [i for i in (0, 1) if i not in self.pendulums]
         gap[:, [c for i in absent for c in (2 + i, 6 + i)]] = 0.0
         return gap.max(axis=1)
@@ -211,8 +270,10 @@ class _Release:
         first, last = self.blocks[0][0], self.blocks[-1][-1]
         turns = (last[2:4] - first[2:4]) / (2 * math.pi)
         theta = last[2:4] % (2 * math.pi)
-        own = (float(theta[0]), float(theta[1])) if reached is None else reached.theta_rad
-        return ReleaseOutcome(name, own, after * self.period, self.done, (float(turns[0]), float(turns[1])), reached)
+        free = reached is None or reached.any_angle
+        own = (float(theta[0]), float(theta[1])) if free or reached is None else reached.theta_rad
+        slip = (float(turns[0]), float(turns[1]))
+        return ReleaseOutcome(name, own, after * self.period, self.done, slip, reached, from_rad=self.from_rad)
 
     def _held(self, stable: Sequence[SteadyState]) -> ReleaseOutcome:
         """Pendulums that dry friction holds: at a stable state when they lie within its band."""
@@ -247,7 +308,13 @@ class _Release:
 
 def _time_constant(s: SteadyState) -> float:
     """Revolutions in which a deviation from a stable state falls to 1/e."""
-    return -1.0 / math.log(s.multiplier_max) if s.multiplier_max > 0 else 0.0
+    modulus = float(np.abs(s.multipliers[1 if s.any_angle else 0]))
+    return -1.0 / math.log(modulus) if modulus > 0 else 0.0
+
+
+def _draws(s: SteadyState) -> bool:
+    """Whether a state is stable, or one of a circle of states that is, along which nothing moves."""
+    return s.stable or (s.any_angle and float(np.abs(s.multipliers[1])) + s.error_estimate < 1.0)
 
 
 def _near_since(since: int | None, distance: NDArray[np.float64], first: int) -> int | None:

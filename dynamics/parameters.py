@@ -10,6 +10,9 @@ import numpy as np
 
 from dynamics.errors import OutsideDomain
 
+_SMALLEST, _LARGEST = 1e-15, 1e15  # SI; far outside any rig
+_LIGHTEST = 1e-3  # rotor against pendulums
+
 
 @dataclass(frozen=True)
 class Pendulum:
@@ -121,9 +124,19 @@ class RotorParameters:
             "b.damping_Nms_per_rad": self.b.damping_Nms_per_rad,
             "pivot_shift_m": self.pivot_shift_m,
         }
+        masses = {"a.mass_kg": self.a.mass_kg, "b.mass_kg": self.b.mass_kg}
+        for name, value in (positive | not_negative | {"gravity_m_per_s2": self.gravity_m_per_s2}).items():
+            if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
+                raise OutsideDomain(f"{name} must be a number, got {value!r}")
         for name, value in positive.items():
             if not (math.isfinite(value) and value > 0):
                 raise OutsideDomain(f"{name} must be finite and above 0, got {value!r}")
+            if not _SMALLEST <= value <= _LARGEST:  # beyond, squares and quotients leave the range of a double
+                raise OutsideDomain(f"{name} must lie in {_SMALLEST:g} … {_LARGEST:g}, got {value!r}")
+        self._need_a_rotor()
+        for name, value in masses.items():
+            if 0 < value < _SMALLEST:
+                raise OutsideDomain(f"{name} must be 0 (no pendulum) or at least {_SMALLEST:g}, got {value!r}")
         for name, p in (("a", self.a), ("b", self.b)):
             if p.ball_radius_m >= p.length_m:
                 raise OutsideDomain(
@@ -133,6 +146,15 @@ class RotorParameters:
         for name, value in not_negative.items():
             if not (math.isfinite(value) and value >= 0):
                 raise OutsideDomain(f"{name} must be finite and not negative, got {value!r}")
+            if value > _LARGEST:
+                raise OutsideDomain(f"{name} must be at most {_LARGEST:g}, got {value!r}")
+
+    def _need_a_rotor(self) -> None:
+        if self.rotor_mass_kg < _LIGHTEST * (self.a.mass_kg + self.b.mass_kg):
+            raise OutsideDomain(
+                f"rotor_mass_kg must be at least {_LIGHTEST:g} of the pendulums' {self.a.mass_kg + self.b.mass_kg:.6g} "
+                f"kg, got {self.rotor_mass_kg!r}: without a rotor the equations of motion are singular"
+            )
 
     @property
     def total_mass_kg(self) -> float:
@@ -183,7 +205,7 @@ class RotorParameters:
         own = {k: values.pop(k) for k in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2") if k in values}
         result = dataclasses.replace(self, **own)
         if "SP_kg_m" in values:
-            radius = values.pop("SP_kg_m") / self.imbalance_mass_kg
+            radius = imbalance_radius(values.pop("SP_kg_m"), self.imbalance_mass_kg)
             result = dataclasses.replace(result, imbalance_radius_m=radius)
         if "c3_Nms_per_rad" in values:
             a = dataclasses.replace(result.a, damping_Nms_per_rad=values.pop("c3_Nms_per_rad"))
@@ -237,6 +259,22 @@ class RotorParameters:
                 self.gravity_m_per_s2,
             ]
         )
+
+
+def imbalance_radius(moment_kg_m: float, mass_kg: float) -> float:
+    """P_3 = S_P/M_P, m: a moment is laid over a rig by moving its imbalance mass, so that M_S stays.
+
+    Raises:
+        OutsideDomain: a moment, and no mass to make it.
+    """
+    if mass_kg > 0:
+        return moment_kg_m / mass_kg
+    if moment_kg_m == 0:
+        return 0.0
+    raise OutsideDomain(
+        f"S_P = {moment_kg_m:.6g} kg m can't be made by an imbalance mass of {mass_kg:g} kg: expected "
+        "imbalance.mass_kg above 0, the mass on the rotor that makes it"
+    )
 
 
 def physics_of(rig: object) -> RotorParameters:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamics.arguments import need_number, need_pair, numbers
 from dynamics.errors import OutsideDomain
 from dynamics.phase_segments import PhaseSegments, speed_crossings
 from dynamics.speed_history import SpeedHistory
@@ -33,9 +34,8 @@ class Scene:
         if not isinstance(self.history, SpeedHistory):
             raise OutsideDomain(f"a scene's history must be a SpeedHistory, got {type(self.history).__name__}")
         times = self.release_time_s
-        if len(self.released) != 2 or isinstance(self.released, str):
-            raise OutsideDomain(f"released must say yes or no for A and for B, got {self.released!r}")
-        if times is not None and (np.shape(times) != (2,) or np.any(np.isnan(times))):
+        need_pair(released=self.released)
+        if times is not None and (np.shape(times) != (2,) or np.any(np.isnan(numbers("release_time_s", times)))):
             raise OutsideDomain(f"release_time_s must be two times in s, for A and for B, got {times!r}")
 
 
@@ -45,9 +45,15 @@ def time_at_speed(history: SpeedHistory, speed_rad_s: float, from_s: float, to_s
     Raises:
         OutsideDomain: the rotor does not pass that speed then.
     """
+    need_number(speed_rad_s=speed_rad_s, from_s=from_s, to_s=to_s)
     found = speed_crossings(PhaseSegments.of(history), speed_rad_s, from_s, to_s)
     if len(found) == 0:
         first, last = history.phase(np.array([from_s, to_s]))[:, 1]
+        if not np.any(history.coefficients[:, 2:]):
+            raise OutsideDomain(
+                f"the rotor turns at a constant {first:.6g} rad/s and passes no speed; "
+                "give the instant of the release itself (Scene.release_time_s)"
+            )
         raise OutsideDomain(
             f"the rotor does not pass {speed_rad_s:.6g} rad/s between {from_s:.6g} and {to_s:.6g} s "
             f"(its speed is {first:.6g} and {last:.6g} rad/s there)"

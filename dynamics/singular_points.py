@@ -75,11 +75,14 @@ def aligned_points(
     left, right = abs(drive), abs(own * (d.imag / size))
     if left < right:
         return []
-    root = math.sqrt((left - right) * (left + right))
+    root = math.sqrt(left - right) * math.sqrt(left + right)  # their product may leave the range of a double
     found = []
     for sign in (1.0, -1.0):
         rho = (own * (d.real / size) + sign * root) / size
-        direction = drive / (d * rho - own)
+        slope = d * rho - own
+        if slope == 0 or not 0 < abs(drive / slope) < math.inf:
+            continue  # so small an imbalance selects no angle that a double could hold
+        direction = drive / slope
         direction /= abs(direction)
         angle = math.atan2(direction.imag, direction.real) % (2 * math.pi)
         whirl = rho * direction if pivot_shift_m == 0 else square * (fixed_kg_m + moment_kg_m * direction) / d
@@ -128,5 +131,7 @@ def _resting_pivot(p: RotorParameters, speed: float, stiffness: complex, fixed: 
     """Type I and its counterpart p = 0: the pendulums make −D R_C/ω² − F."""
     target = -stiffness * p.pivot_shift_m / speed**2 - fixed
     angles = closing_angles(p.a.first_moment_kg_m, p.b.first_moment_kg_m, target)
-    unique = angles[:1] if len(angles) == 2 and np.allclose(*np.exp(1j * np.array(angles)), atol=1e-15) else angles
+    alike = target == 0  # they balance each other at any angle: the mirror image is one of the same circle
+    alike = alike or (len(angles) == 2 and np.allclose(*np.exp(1j * np.array(angles)), atol=1e-15))
+    unique = angles[:1] if alike else angles
     return [SingularPoint("I", pair, complex(-p.pivot_shift_m)) for pair in unique]

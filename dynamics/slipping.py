@@ -64,17 +64,18 @@ def slipping_motion(
     rates = _mean_rates(whole[:, 2:4])
     if np.max(np.abs(rates[present])) * len(whole) < _LEAST_TURNS:
         return None
-    winding = _winding(rates)
-    if winding is None:
-        return None
     kept = [0, 1, *(2 + i for i in present), 4, 5, *(6 + i for i in present)]
     arm = max((parameters.a, parameters.b)[i].length_m for i in present)
     scale = np.array([arm, arm, 1, 1, arm * speed_rad_s, arm * speed_rad_s, speed_rad_s, speed_rad_s])
-    rate, turns = winding
-    scaled = whole / scale
-    scaled[:, 2:4] -= 2 * math.pi * np.outer(rate * np.arange(len(whole)), turns)
     fitted = max(len(whole) - _MOST_JUDGED, 2 * len(whole) // 3)
-    found = _curve(rate * np.arange(len(whole)), scaled, fitted)
+    found, turns = None, (0, 0)
+    for rate, turns in _windings(rates):
+        phase = rate * np.arange(len(whole), dtype=np.float64)
+        scaled = whole / scale
+        scaled[:, 2:4] -= 2 * math.pi * np.outer(phase, turns)
+        found = _curve(phase, scaled, fitted)
+        if found is not None:
+            break
     if found is None:
         return None
     misfit, along = found
@@ -92,19 +93,19 @@ def _mean_rates(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     return window @ np.diff(angles, axis=0) / window.sum() / (2 * math.pi)
 
 
-def _winding(rates: NDArray[np.float64]) -> tuple[float, tuple[int, int]] | None:
-    """Slip rate ρ of the curve and whole numbers (m, n) with rates = ρ (m, n); None when there are none."""
-    lead = int(np.argmax(np.abs(rates)))
+def _windings(rates: NDArray[np.float64]) -> list[tuple[float, tuple[int, int]]]:
+    """Slip rates ρ of a curve and whole numbers (m, n) with rates = ρ (m, n), the simplest first."""
+    lead, found = int(np.argmax(np.abs(rates))), []
     for turns in range(1, _RATES + 1):
         rate = float(rates[lead]) / turns
         other = round(float(rates[1 - lead]) / rate)
         if abs(rates[1 - lead] - other * rate) < _SAME_RATE:
-            return rate, (turns, other) if lead == 0 else (other, turns)
-    return None
+            found.append((rate, (turns, other) if lead == 0 else (other, turns)))
+    return found
 
 
 def _curve(
-    phase: NDArray[np.float64], states: NDArray[np.float64], fitted: int
+    phase: NDArray[np.floating], states: NDArray[np.float64], fitted: int
 ) -> tuple[float, NDArray[np.float64]] | None:
     """A closed curve through the first states that foretells the others.
 
@@ -120,14 +121,14 @@ def _curve(
             return None
         order = np.arange(1, count + 1)
         waves = np.exp(2j * math.pi * np.outer(phase, order))
-        basis = np.column_stack([np.ones(len(phase)), waves.real, waves.imag])
+        basis = np.column_stack([np.ones(len(phase)), np.real(waves), np.imag(waves)])
         train = basis[:fitted]
         gram = train.T @ train + 1e-9 * fitted * np.eye(basis.shape[1])
         weights = np.linalg.solve(gram, train.T @ (states[:fitted] - middle))
         misfit = float(np.max(np.abs(basis[fitted:] @ weights + middle - states[fitted:])))
         if misfit < _CURVE_RAD:
             at = waves[fitted]
-            slope = 2 * math.pi * np.concatenate([[0.0], -order * at.imag, order * at.real])
+            slope = 2 * math.pi * np.concatenate([[0.0], -order * np.imag(at), order * np.real(at)])
             return misfit, slope @ weights
     return None
 

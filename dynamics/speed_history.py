@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from dynamics.arguments import need_number, numbers
 from dynamics.errors import OutsideDomain
 
 
@@ -49,6 +50,11 @@ class SpeedHistory:
         Raises:
             OutsideDomain: fewer than four marks or time not ascending.
         """
+        time_s, phase_rad = numbers("time_s", time_s), numbers("phase_rad", phase_rad)
+        if time_s.ndim != 1 or phase_rad.ndim != 1:
+            raise OutsideDomain(
+                f"marks of a speed history: expected one row of each, got {time_s.shape}, {phase_rad.shape}"
+            )
         if len(time_s) < 4 or len(time_s) != len(phase_rad):
             raise OutsideDomain(
                 f"a speed history needs at least 4 marks with a phase each, got {len(time_s)} and {len(phase_rad)}"
@@ -62,7 +68,7 @@ class SpeedHistory:
 
     def phase(self, time_s: np.ndarray | float) -> np.ndarray:
         """ψ in rad at the given times; shape (n, 3): phase, speed (rad/s), acceleration (rad/s²)."""
-        return _phases(np.atleast_1d(np.asarray(time_s, float)), self.knots_s, self.coefficients)
+        return _phases(np.atleast_1d(numbers("time_s", time_s)), self.knots_s, self.coefficients)
 
 
 def _need_finite(**values: float) -> None:
@@ -71,6 +77,7 @@ def _need_finite(**values: float) -> None:
     Raises:
         OutsideDomain: names the value.
     """
+    need_number(**values)
     for name, value in values.items():
         if not np.isfinite(value):
             raise OutsideDomain(f"{name} must be finite, got {value!r}")

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arguments import need_number, numbers
 from dynamics.balancing import balanced_angles
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.floquet import floquet_multipliers
@@ -79,12 +80,13 @@ def stability_map(
         NotConverged: a point whose multiplier can't be had even roughly; the message names it.
     """
     speeds, stiffness = (
-        np.atleast_1d(np.asarray(speed_ratios, float)),
-        np.atleast_1d(np.asarray(stiffness_ratios, float)),
+        np.atleast_1d(numbers("speed_ratios", speed_ratios)),
+        np.atleast_1d(numbers("stiffness_ratios", stiffness_ratios)),
     )
     for name, values in (("speed_ratios", speeds), ("stiffness_ratios", stiffness)):
         if values.ndim != 1 or not np.all(np.isfinite(values) & (values > 0)):
             raise OutsideDomain(f"{name} must be one-dimensional, finite and above 0, got {values!r}")
+    need_number(accuracy=accuracy)
     if not _FINEST <= accuracy <= 0.1:
         raise OutsideDomain(f"accuracy must lie in {_FINEST:g} … 0.1, got {accuracy!r}")
     if len(speeds) * len(stiffness) > _MOST_POINTS:

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arguments import need_number, need_pair
 from dynamics.balancing import balanced_angles, balancing_region
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.floquet import Multipliers, floquet_multipliers
@@ -57,6 +58,7 @@ def steady_states(
     """
     parameters = physics_of(rig)
     check_request(speed_rad_s, accuracy)
+    need_pair(released=released, locked_at_rad=locked_at_rad)
     model = choose_model(parameters, released, at_least=at_least)
     points = singular_points(parameters, speed_rad_s, released, locked_at_rad)
     search = _Search()
@@ -99,7 +101,13 @@ class _Search:
         """
         if self._refused is not None and not self.found:
             raise self._refused
-        return SteadyStates(self.found, self.unresolved)
+        met: set[str] = set()
+        found = []
+        for s in self.found:
+            if not (s.any_angle and s.type in met):  # a circle of states is named once
+                found.append(s)
+                met.add(s.type if s.any_angle else "")
+        return SteadyStates(found, self.unresolved)
 
 
 def _search_orbits(
@@ -171,6 +179,7 @@ def check_request(speed_rad_s: float, accuracy: float) -> None:
     Raises:
         OutsideDomain: speed not above 0 and finite, accuracy not within 1e-12 … 0.1.
     """
+    need_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
     if not 0 < speed_rad_s < math.inf:
         raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
     if not 1e-12 <= accuracy <= 0.1:
@@ -243,6 +252,7 @@ def _described(
         model=model,
         method=judged.why,
         stick_half_width_rad=stick_half_width(p, speed, (float(theta[0]), float(theta[1]))),
+        any_angle=p.forcing_moment_kg_m == 0 and _rests(p) and kind in ("I", "II", "III"),
     )
 
 

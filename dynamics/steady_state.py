@@ -29,6 +29,8 @@ class SteadyState:
         model: the model taken, and why.
         method: how the multipliers were found, and why so.
         stick_half_width_rad: with dry friction, how far either side of θ3, θ4 a pendulum may rest (0, 0 without).
+        any_angle: whether nothing singles out a direction of the rotor (no imbalance, no shift, no gravity): both
+            pendulums may be turned together by any angle, and this is one of a circle of states.
     """
 
     type: str
@@ -45,6 +47,7 @@ class SteadyState:
     model: Model
     method: str
     stick_half_width_rad: tuple[float, float] = (0.0, 0.0)
+    any_angle: bool = False
 
     @property
     def multiplier_max(self) -> float:

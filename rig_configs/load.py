@@ -14,6 +14,8 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from dynamics.errors import OutsideDomain
+from dynamics.parameters import imbalance_radius
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
@@ -44,7 +46,7 @@ def load_rig(
     raw = parse_toml(text, source)
     if parameters is not None:
         known = parameters if isinstance(parameters, IdentifiedParameters) else IdentifiedParameters.load(parameters)
-        _lay_parameters(raw, known)
+        _lay_parameters(raw, known, source)
     pairs = settings.items() if isinstance(settings, Mapping) else [parse_setting(s) for s in settings]
     for key, value in pairs:
         apply_setting(raw, key, value, source)
@@ -54,7 +56,7 @@ def load_rig(
 def with_parameters(rig: Rig, known: IdentifiedParameters) -> Rig:
     """A rig with identified values in place of its own, whatever settings it was loaded with."""
     raw = rig.model_dump(exclude_unset=True)
-    _lay_parameters(raw, known)
+    _lay_parameters(raw, known, rig.name)
     return validate(raw, rig.name)
 
 
@@ -104,7 +106,7 @@ def refusal(rig: Rig, name: str, value: float) -> str | None:
     if name == "SP_kg_m" and not raw["imbalance"]["mass_kg"]:
         return None if value >= 0 else f"expected at least 0, got {value:g}"
     try:
-        _lay_parameters(raw, IdentifiedParameters({name: value}, np.zeros((1, 1))))
+        _lay_parameters(raw, IdentifiedParameters({name: value}, np.zeros((1, 1))), rig.name)
         Rig.model_validate(raw)
     except ValidationError as error:
         return error.errors()[0]["msg"].replace("Input should be", "expected")
@@ -213,12 +215,24 @@ _PLACES = {
 _SETTINGS_OF = {name: {key} for name, key in _PLACES.items()} | {"SP_kg_m": {"imbalance.mass_kg", "imbalance.radius_m"}}
 
 
-def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters) -> None:
+def _lay_imbalance(raw: dict[str, Any], moment_kg_m: float, source: str) -> None:
+    """An identified S_P as the radius of the file's imbalance mass; a mass the schema will refuse is left to it."""
+    table = raw.get("imbalance")
+    mass = table.get("mass_kg") if isinstance(table, dict) else None
+    if isinstance(mass, bool) or not isinstance(mass, int | float) or not 0 <= mass < math.inf:
+        return
+    try:
+        apply_setting(raw, "imbalance.radius_m", imbalance_radius(moment_kg_m, mass), source)
+    except OutsideDomain as error:
+        raise RigFileError(f"{source} with these parameters: {error}") from error
+
+
+def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters, source: str) -> None:
     for name, value in known.values.items():
         if name in _PLACES:
-            apply_setting(raw, _PLACES[name], value)
+            apply_setting(raw, _PLACES[name], value, source)
         elif name == "SP_kg_m":
-            apply_setting(raw, "imbalance.radius_m", value / raw["imbalance"]["mass_kg"])
+            _lay_imbalance(raw, value, source)
 
 
 def _sentence(error: ErrorDetails) -> str:

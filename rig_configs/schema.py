@@ -276,6 +276,12 @@ class Rig(Table):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _has_physics(self) -> Rig:
+        _ = self.physics  # refuses what the single limits let through; a ValueError
+        _ = self.physics if self.virtual is None else self.true_physics
+        return self
+
     def snapshot_json(self) -> bytes:
         """The rig file as it goes into a log: all a reader of the log needs, nothing only a simulation knows."""
         return self.model_dump_json(exclude={"virtual"}).encode()

@@ -8,8 +8,11 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from cli.simulated import VirtualRigProcess
+from dynamics.compiled_code import keep_compiled_code
 from rig_configs import load_rig
 from rig_configs.schema import Rig
+
+keep_compiled_code()  # as the command does; nothing imported above compiles
 
 settings.register_profile(
     "suite", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]

@@ -30,7 +30,7 @@ def draw_steady_states(
         Left: each state's pose seen from above in the rotor's frame (imbalance to the right). Middle: orbits of the
         disk centre in the space-fixed frame. Right: multipliers over one revolution and the unit circle.
     """
-    shown = _without_mirror_images(states)
+    shown = _without_mirror_images(states, None if outcome is None else outcome.reached)
     with drawing(10.4, 7.2) as figure:
         outer = figure.add_gridspec(
             2, 2, height_ratios=(0.75, 1), left=0.07, right=0.98, top=0.86, bottom=0.08, hspace=0.22, wspace=0.2
@@ -47,16 +47,14 @@ def draw_steady_states(
 
 
 def _is_reached(state: SteadyState, outcome: ReleaseOutcome | None) -> bool:
-    """Whether a release ends in this state, or in the mirror image it stands for."""
-    if outcome is None or outcome.reached is None:
-        return False
-    return outcome.reached is state or (state.type == outcome.state == "I")
+    """Whether a release ends in this very state, not in its mirror image."""
+    return outcome is not None and outcome.reached is state
 
 
-def _without_mirror_images(states: Sequence[SteadyState]) -> list[SteadyState]:
-    """One of each pair of balanced states; everything else as it is."""
+def _without_mirror_images(states: Sequence[SteadyState], reached: SteadyState | None) -> list[SteadyState]:
+    """One of each pair of balanced states, the one that is reached; everything else as it is."""
     shown: list[SteadyState] = []
-    for state in states:
+    for state in sorted(states, key=lambda s: s is not reached):
         if state.type == "I" and any(s.type == "I" for s in shown):
             continue
         shown.append(state)

@@ -17,6 +17,8 @@ ROOT = Path(__file__).parents[2]
 
 FAR_CALLER = """
 import numpy as np
+from dynamics.compiled_code import keep_compiled_code
+keep_compiled_code()
 from dynamics import SpeedHistory
 from dynamics.fixed_steps import integrate
 from tests.dynamics.nominal import rig
@@ -50,6 +52,44 @@ def test_a_changed_kernel_is_not_run_from_old_code(tmp_path: Path) -> None:
     assert text.count("- p[K1] * y[0]") == 1
     kernel.write_text(text.replace("- p[K1] * y[0]", "+ p[K1] * y[0]"), encoding="utf-8")
     assert run_in(place, home) == pytest.approx(-before, rel=0.01)
+
+
+IMPORTER = """
+import os, sys
+def own():
+    return {k: v for k, v in os.environ.items() if k.startswith("NUMBA")}
+before = own()
+from dynamics import compiled_code
+compiled_code.source_digest = lambda: sys.exit("importing hashed the sources")
+import rig_configs, dynamics, identification, analysis
+from dynamics import simulate, release_outcome
+import numba
+print(own() == before, repr(numba.config.CACHE_DIR))
+"""
+
+
+def test_importing_the_packages_leaves_numba_as_the_program_has_it() -> None:
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTER], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["True", "''"]
+
+
+def test_where_the_users_cache_cannot_be_written_a_place_of_the_process_is_used(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """numba itself finds no place beside read-only sources and without a home, and refuses to compile."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setitem(sys.modules, "numba", type(sys)("numba"))
+    sys.modules["numba"].config = type("Config", (), {})()  # type: ignore[attr-defined]
+    (tmp_path / "file").write_text("no directory")
+    monkeypatch.setattr(compiled_code, "_user_cache", lambda: tmp_path / "file")
+    place = compiled_code.keep_compiled_code()
+    assert place is not None
+    assert place.is_dir()
+    assert os.environ["NUMBA_CACHE_DIR"] == str(place)
+    shutil.rmtree(place)
 
 
 def test_the_users_own_place_stays(monkeypatch: pytest.MonkeyPatch) -> None:

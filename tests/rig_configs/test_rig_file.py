@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -100,3 +101,35 @@ def test_a_damaged_parameters_file_is_refused(tmp_path: Path, text: str) -> None
         IdentifiedParameters.load(path)
     with pytest.raises(ParametersFileError, match="cannot be read"):
         IdentifiedParameters.load(tmp_path / "absent.toml")
+
+
+IDENTIFIED = IdentifiedParameters({"k1_N_per_m": 2600.0, "SP_kg_m": 2.5e-3}, np.diag([1.0, 1e-10]))
+
+
+def test_an_identified_moment_needs_an_imbalance_mass_in_the_rig_file(tmp_path: Path) -> None:
+    with pytest.raises(RigFileError, match=r"imbalance\.mass_kg above 0"):
+        load_rig(without_imbalance(tmp_path, "mass_kg = 0.0\nradius_m = 0.02"), IDENTIFIED)
+    for body, word in (
+        ("", "imbalance"),
+        ("radius_m = 0.02", "imbalance.mass_kg: missing"),
+        ('mass_kg = "x"', "mass_kg"),
+    ):
+        with pytest.raises(RigFileError, match=word):
+            load_rig(without_imbalance(tmp_path, body), IDENTIFIED)
+    assert load_rig("virtual", IDENTIFIED).physics.imbalance_moment_kg_m == pytest.approx(2.5e-3)
+
+
+def without_imbalance(folder: Path, body: str) -> Path:
+    """The shipped rig file with its [imbalance] table replaced; left out when the body is empty."""
+    text = (resources.files("rig_configs") / "virtual.toml").read_text(encoding="utf-8")
+    start = text.index("[imbalance]")
+    end = text.index("\n[", start)
+    path = folder / "rig.toml"
+    path.write_text(text[:start] + (f"[imbalance]\n{body}\n" if body else "") + text[end:], encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("key", ["suspension.k1_N_per_m", "rotor.mass_kg", "pendulums.a.length_m"])
+def test_numbers_no_equation_can_take_are_refused_on_loading(key: str) -> None:
+    with pytest.raises(RigFileError, match="must lie in"):
+        load_rig("virtual", settings={key: 1e-300})

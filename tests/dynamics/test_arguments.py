@@ -1,0 +1,121 @@
+"""What is no number, no pair or no scene is refused in words, and so are numbers no equation can take."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dynamics import RotorParameters, Scene, SpeedHistory, multipliers, release_outcome, simulate, steady_states
+from dynamics.errors import DynamicsError, OutsideDomain
+from dynamics.parameters import imbalance_radius
+from dynamics.scene import time_at_speed
+from dynamics.singular_points import singular_points
+from dynamics.stability_map import stability_map
+from tests.dynamics.nominal import rig
+
+NO_NUMBERS: list[Any] = ["3", None, [1.0, 2.0], 1j, True, {}, np.array([1.0, 2.0])]
+
+
+@pytest.mark.parametrize("wrong", NO_NUMBERS, ids=repr)
+def test_what_is_no_number_is_refused_by_name(wrong: Any) -> None:
+    p = rig()
+    scene = Scene(SpeedHistory.constant(30.0))
+    asked = {
+        "speed": lambda: steady_states(p, wrong),
+        "accuracy": lambda: multipliers(p, 30.0, wrong),
+        "accuracy of a run": lambda: simulate(p, scene, 1.0, wrong),
+        "history": lambda: SpeedHistory.constant(wrong),
+        "ramp": lambda: SpeedHistory.ramp(0.0, wrong, 1.0),
+        "map": lambda: stability_map(p, np.array([1.0]), np.array([2.0]), wrong),
+        "release": lambda: release_outcome(p, wrong),
+        "mass": lambda: replace(p, rotor_mass_kg=wrong),
+        "zeta": lambda: replace(p, zeta1=wrong),
+    }
+    for name, ask in asked.items():
+        with pytest.raises(OutsideDomain, match="number") as refusal:
+            ask()
+        assert "TypeError" not in str(refusal.value), name
+
+
+@pytest.mark.parametrize("wrong", ["ab", None, (1.0,), ("a", "b"), ((1, 2), (3,)), (math.nan, 0.0)], ids=repr)
+def test_what_is_no_pair_or_row_is_refused(wrong: Any) -> None:
+    p = rig()
+    history = SpeedHistory.constant(30.0)
+    for ask in (
+        lambda: steady_states(p, 30.0, released=wrong),
+        lambda: release_outcome(p, 30.0, wrong),
+        lambda: Scene(history, wrong),
+        lambda: simulate(p, Scene(history, start=wrong if wrong is not None else "x"), 1.0),
+        lambda: simulate(p, wrong, 1.0),
+        lambda: simulate(p, Scene(history), wrong if wrong != (1.0,) else "x"),
+    ):
+        with pytest.raises(OutsideDomain):
+            ask()
+
+
+def test_a_rate_on_a_locked_pendulum_is_refused() -> None:
+    start = np.zeros(8)
+    start[7] = 2.0
+    with pytest.raises(OutsideDomain, match="pendulum B is locked"):
+        simulate(rig(), Scene(SpeedHistory.constant(30.0), (True, False), start), 1.0)
+    with pytest.raises(OutsideDomain, match="pendulum B is locked"):
+        simulate(rig(), Scene(SpeedHistory.constant(30.0), start=start, release_time_s=(0.0, 0.5)), 1.0)
+    simulate(rig(), Scene(SpeedHistory.constant(30.0), start=start), 0.1)
+
+
+def test_a_constant_speed_is_passed_at_no_time() -> None:
+    with pytest.raises(OutsideDomain, match="constant 30 rad/s"):
+        time_at_speed(SpeedHistory.constant(30.0), 30.0, 0.0, 10.0)
+
+
+EXTREMES = st.sampled_from([0.0, 5e-324, 1e-300, 1e-12, 1e12, 1e300, -1.0, math.nan, math.inf])
+FIELDS = st.sampled_from(
+    ["rotor_mass_kg", "imbalance_mass_kg", "imbalance_radius_m", "k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2",
+     "pivot_shift_m", "gravity_m_per_s2", "a.mass_kg", "a.length_m", "a.damping_Nms_per_rad", "b.mass_kg"]
+)  # fmt: skip
+
+
+def changed(p: RotorParameters, field: str, value: float) -> RotorParameters:
+    owner, _, name = field.rpartition(".")
+    return replace(p, **({owner: replace(getattr(p, owner), **{name: value})} if owner else {name: value}))
+
+
+@given(FIELDS, EXTREMES, FIELDS, EXTREMES)
+def test_extreme_numbers_are_answered_or_refused(one: str, first: float, other: str, second: float) -> None:
+    """No division by zero and no NaN in the closed forms that every service begins with."""
+    try:
+        p = changed(changed(rig(), one, first), other, second)
+        speed = p.speed_rad_s(1.6)
+        points = singular_points(p, speed)
+        assert np.all(np.isfinite(p.packed()))
+    except DynamicsError:
+        return
+    assert all(math.isfinite(a) for point in points for a in point.theta_rad)
+
+
+@pytest.mark.parametrize("field", ["rotor_mass_kg", "k1_N_per_m", "k2_N_per_m", "a.length_m", "a.mass_kg"])
+def test_numbers_beyond_any_rig_are_refused(field: str) -> None:
+    for value in (1e-300, 1e300) if field != "a.mass_kg" else (1e-300,):
+        with pytest.raises(OutsideDomain, match=field.rpartition(".")[2]):
+            changed(rig(), field, value)
+
+
+def test_a_moment_needs_a_mass_to_make_it() -> None:
+    assert imbalance_radius(0.0, 0.0) == 0.0
+    with pytest.raises(OutsideDomain, match=r"imbalance\.mass_kg above 0"):
+        imbalance_radius(1e-3, 0.0)
+    with pytest.raises(OutsideDomain, match=r"imbalance\.mass_kg above 0"):
+        replace(rig(), imbalance_mass_kg=0.0).with_values(SP_kg_m=1e-3)
+
+
+def test_a_motion_that_separates_beyond_rounding_is_refused_before_it_is_refined() -> None:
+    """At 10⁵ rad/s errors grow by 10¹⁰ and more in a tenth of a second: no tolerance of a double is enough."""
+    with pytest.raises(DynamicsError, match="separates from its neighbours") as refusal:
+        simulate(rig(), Scene(SpeedHistory.constant(1e5)), 0.3, 1e-8)
+    assert float(str(refusal.value).split("(")[1].split(" steps")[0]) < 3e5
