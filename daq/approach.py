@@ -29,11 +29,12 @@ Array = NDArray[np.float64]
 SLOWEST_PER_S = 0.08  # slower than this a radian would not shrink to the tolerance in a minute and a half
 _ENDLESS_PER_S = 0.01  # so slow that over the windows it is a straight line
 _FAST_PER_S = 0.5  # an approach this fast hides a slow one beside it until it is over
-_STEP = 1.04  # from one rate that is tried to the next
+_STEP = 1.06  # from one rate that is tried to the next
 _FASTEST_PER_S = 4.0
 _LEAST_WINDOWS = 9
 _MARGIN = 1.5  # on the width once a stretch fits: the rates that are tried are not all there are
-_SHORTER = 0.8  # of the windows are kept when nothing fits all
+_RIDGE = 1e-9  # keeps two nearly equal shapes apart
+_SHORTER = 0.7  # of the windows are kept when nothing fits all
 _NOT_QUITE = 0.01  # of the newest windows' range: an approach is exponential only near its end, and rates are a grid
 _CLEARLY = 0.1  # of the newest windows' range: two rates or an oscillation count as found when they leave less
 
@@ -55,7 +56,7 @@ class Approach:
     seen_s: float
 
 
-def bound(edges_s: Array, means: Array, width: float, average_s: float) -> Approach:
+def bound(edges_s: Array, means: Array, width: float, average_s: float, far: float = math.inf) -> Approach:
     """Bound on what is still to come of one quantity.
 
     Args:
@@ -63,6 +64,7 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float) -> Appro
         means: the quantity's mean in each, shape (n,).
         width: how far a mean may be from the truth.
         average_s: length of the stretch before the last window's end whose mean's distance from the end is asked.
+        far: a change over the last two windows from which on a crude bound will do.
     """
     late = slice(-_LEAST_WINDOWS, None)
     width = max(width, _NOT_QUITE * float(np.ptp(means[late])))
@@ -73,7 +75,7 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float) -> Appro
             continue
         moved = float(np.ptp(means[-count:])) > 2 * width
         return (moved and _one_rate(edges_s[-count:], means[-count:], _MARGIN * width, average_s)) or found
-    for count in tails:
+    for count in tails if np.ptp(means[-3:]) < far else ():
         found = _two_terms(edges_s[-count:], means[-count:], width, _CLEARLY * float(np.ptp(means[late])), average_s)
         if found is not None:
             return found
@@ -107,7 +109,7 @@ def _tails(count: int) -> list[int]:
 def _rates() -> Array:
     """Rates that are tried, 1/s: growth, a straight line (nearly) and decay; shape (r,)."""
     decay = _ENDLESS_PER_S * _STEP ** np.arange(math.ceil(math.log(_FASTEST_PER_S / _ENDLESS_PER_S) / math.log(_STEP)))
-    return np.concatenate([-decay, [1e-4], decay])
+    return np.concatenate([-decay[::2], [1e-4], decay])
 
 
 def _shape(rates: Array, edges_s: Array) -> Array:
@@ -171,10 +173,10 @@ def _beside(edges_s: Array, means: Array, width: float) -> float:
 @lru_cache(maxsize=1)
 def _terms() -> tuple[Array, Array]:
     """Rates of two terms, 1/s: pairs (λ1, λ2) well apart, shape (p, 2), and (λ, ω) of oscillations, shape (q, 2)."""
-    slow = np.geomspace(SLOWEST_PER_S, 1.0, 14)
-    pairs = [(a, b) for a in slow for b in np.geomspace(0.25, _FASTEST_PER_S, 14) if b > 2.5 * a]
-    decay = np.concatenate([[-0.1, -0.03, 1e-4, 0.02, 0.045], np.geomspace(SLOWEST_PER_S, 2.0, 12)])
-    waves = [(a, w) for a in decay for w in np.geomspace(0.25, 2.8, 24)]
+    slow = np.geomspace(SLOWEST_PER_S, 1.0, 9)
+    pairs = [(a, b) for a in slow for b in np.geomspace(0.25, _FASTEST_PER_S, 9) if b > 2.5 * a]
+    decay = np.concatenate([[-0.1, 1e-4, 0.03], np.geomspace(SLOWEST_PER_S, 2.0, 9)])
+    waves = [(a, w) for a in decay for w in np.geomspace(0.25, 2.8, 14)]
     return np.array(pairs), np.array(waves)
 
 
@@ -192,7 +194,10 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     ])  # fmt: skip
     design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
     scale = np.abs(design).max(axis=1, keepdims=True)
-    inverse = np.linalg.pinv(design / scale) / scale.transpose(0, 2, 1)
+    design = design / scale
+    across = design.transpose(0, 2, 1)
+    inverse = np.linalg.solve(across @ design + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
+    design = design * scale
     found = inverse @ means
     rest = np.abs(means - np.einsum("hnk,hk->hn", design, found)).max(axis=1)
     width = max(width, 1.5 * float(rest.min()))

@@ -94,7 +94,8 @@ def test_identical_means_leave_no_drift() -> None:
 def test_half_width_holds_the_mean_of_a_noisy_code(noise: float, offset: float, seed: int) -> None:
     """Against the rounding itself, for any place within a count: on an edge a code flips without noise."""
     codes = np.round(offset + noise * np.random.default_rng(seed).standard_normal(20_000))
-    seen = code_noise(codes)
+    shares = [np.array([np.mean(side)]) for side in (codes < np.median(codes), codes > np.median(codes))]
+    seen = float(code_noise(*shares, np.array([len(codes)]))[0])
     allowed = half_width(1.0, 0.0 if math.isnan(seen) else seen)
     assert abs(float(codes.mean()) - offset) <= 1.1 * allowed + 4 * float(codes.std()) / math.sqrt(len(codes))
     if not math.isnan(seen):
