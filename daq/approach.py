@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,8 +113,8 @@ def _rates() -> Array:
     return np.concatenate([-decay[::2], [1e-4], decay])
 
 
-def _shape(rates: Array, edges_s: Array) -> Array:
-    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows)."""
+def _shape(rates: NDArray[Any], edges_s: Array) -> NDArray[Any]:
+    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows); a complex λ turns."""
     middle = edges_s.mean(axis=1) - edges_s[-1, 1]
     half = 0.5 * np.diff(edges_s, axis=1)[:, 0]
     x = rates[:, None] * half
@@ -186,19 +187,19 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     Two terms of a pair may cancel now and not later, so their sizes are added.
     """
     pairs, waves = _terms()
-    middle = edges_s.mean(axis=1) - edges_s[-1, 1]
-    decay = np.exp(-waves[:, :1] * middle)
+    turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
     shapes = np.concatenate([
         np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
-        np.stack([decay * np.cos(waves[:, 1:] * middle), decay * np.sin(waves[:, 1:] * middle)], axis=2),
+        np.stack([np.real(turning), np.imag(turning)], axis=2),
     ])  # fmt: skip
     design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
     scale = np.abs(design).max(axis=1, keepdims=True)
     design = design / scale
     across = design.transpose(0, 2, 1)
-    inverse = np.linalg.solve(across @ design + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
+    solved = np.linalg.solve(across @ design + _RIDGE * np.eye(3), across)
+    inverse = np.asarray(solved / scale.transpose(0, 2, 1), np.float64)
     design = design * scale
-    found = inverse @ means
+    found = np.asarray(inverse @ means, np.float64)
     rest = np.abs(means - np.einsum("hnk,hk->hn", design, found)).max(axis=1)
     width = max(width, 1.5 * float(rest.min()))
     if width > most:
@@ -211,8 +212,9 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     left = np.where(
         wave, np.hypot(size[:, 0], size[:, 1]) * np.where(rates < _ENDLESS_PER_S, 2.0, 1.0), size.sum(axis=1)
     )
-    off = size[:, 0] * _of_mean(rates, average_s) + size[:, 1] * _of_mean(fast, average_s)
-    left, off = np.where(fits, left, 0.0), np.where(fits, np.maximum(off, left), 0.0)
+    off: Array = size[:, 0] * _of_mean(rates, average_s) + size[:, 1] * _of_mean(fast, average_s)
+    left = np.where(fits, left, 0.0)
+    off = np.where(fits, np.maximum(off, left), 0.0)
     worst = int(np.argmax(left))
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
     result = Approach(float(left[worst]), float(off.max()), max(0.0, float(rates[worst])), seen)

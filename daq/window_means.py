@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import ndtri  # pyright: ignore[reportMissingTypeStubs]
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ def whole_revolutions(mark_time_s: Array, mark_phase_rad: Array, window_s: float
     turn = 2 * math.pi * max(1, math.ceil(window_s * speed / (2 * math.pi)))
     count = min(most, int((mark_phase_rad[-1] - mark_phase_rad[0]) / turn + 1e-9))
     phases = mark_phase_rad[-1] - turn * np.arange(count, -1, -1)
-    return np.interp(phases, mark_phase_rad, mark_time_s)
+    return np.asarray(np.interp(phases, mark_phase_rad, mark_time_s), np.float64)
 
 
 def angle_means(
@@ -80,7 +81,7 @@ def angle_means(
     return WindowMeans(cut.edges[kept], fit[0, kept].real, half + _DEVIATIONS * np.median(noise, axis=0))
 
 
-def code_noise(below: Array, above: Array, samples: Array) -> Array:
+def code_noise(below: Array, above: Array, samples: NDArray[Any]) -> Array:
     """Standard deviation of the noise before rounding, in steps; nan where the codes do not tell.
 
     Both codes beside the usual one must have been seen: from two codes alone the noise is not known, for a reading on
@@ -166,7 +167,7 @@ class _Cut:
         """Samples per window."""
         return np.diff(self.where)
 
-    def mean(self, values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
+    def mean(self, values: NDArray[Any], kept: NDArray[np.bool_] | None = None) -> Array:
         """Means per window (nan in an empty one), of all windows or of some; shape (windows, columns)."""
         sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
         where = np.minimum(self.where, len(values))
@@ -195,7 +196,7 @@ class _Cut:
         return np.stack([fit[0] + 0j, fit[1] - 1j * fit[2], fit[3] - 1j * fit[4]]), rest
 
 
-def _squared(values: Array) -> Array:
+def _squared(values: NDArray[Any]) -> Array:
     return values * values
 
 
