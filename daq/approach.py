@@ -6,8 +6,8 @@ where noise or a wobble dithers it) and the noise of the mean. An approach m∞ 
 window, fits when every two windows j, k agree: |m_j − m_k − a (u_j − u_k)| ≤ 2w with u the window's mean of
 e^{−λ(t−T)}. That leaves for each rate λ an interval of a, the change still to come, and the bound is the largest |a|
 of all rates that fit. Where the means do not move beyond ± w every rate fits; then only the time for which they have
-stood says something, and rates below a slowest one are left out. Where they move, none is left out: a drift that fits
-one that does not shrink has no bound.
+stood says something, and rates below a slowest one are left out. Where they move, slower decays count as well, and a
+drift that fits growth or a straight line, and none that ends soon enough, has no bound.
 
 The longest stretch that some rate fits is taken, so that the rate is known from all that was seen of it. Where no
 stretch fits, two rates together and decaying oscillations are tried, then the whole range of the newest means is
@@ -33,7 +33,7 @@ _FAST_PER_S = 0.5  # an approach this fast hides a slow one beside it until it i
 _STEP = 1.06  # from one rate that is tried to the next
 _FASTEST_PER_S = 4.0
 _LEAST_WINDOWS = 9
-_MARGIN = 1.5  # on the width once a stretch fits: the rates that are tried are not all there are
+_MARGIN = 1.5  # on the width for a drift that ends: the rates that are tried are not all there are
 _RIDGE = 1e-9  # keeps two nearly equal shapes apart
 _SHORTER = 0.7  # of the windows are kept when nothing fits all
 _NOT_QUITE = 0.01  # of the newest windows' range: an approach is exponential only near its end, and rates are a grid
@@ -72,10 +72,8 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float, far: flo
     tails = _tails(len(means))
     for count in tails:
         found = _one_rate(edges_s[-count:], means[-count:], width, average_s)
-        if found is None:
-            continue
-        moved = float(np.ptp(means[-count:])) > 2 * width
-        return (moved and _one_rate(edges_s[-count:], means[-count:], _MARGIN * width, average_s)) or found
+        if found is not None:
+            return found
     for count in tails if np.ptp(means[-3:]) < far else ():
         found = _two_terms(edges_s[-count:], means[-count:], width, _CLEARLY * float(np.ptp(means[late])), average_s)
         if found is not None:
@@ -130,21 +128,26 @@ def _of_mean(rates: Array | float, average_s: float) -> Array:
 def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> Approach | None:
     """The largest change still to come of all single rates that fit; None when none fits."""
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
-    moves = float(np.ptp(means)) > 2 * width
+    spread = float(np.ptp(means))
+    moves = spread > 2 * width * (1 + 1e-9)
     rates = _rates()
     if not moves:
         rates = rates[rates >= SLOWEST_PER_S]
+    ending = rates >= SLOWEST_PER_S
+    widths = width * np.where(ending & moves, _MARGIN, 1.0)[:, None]
     shape = _shape(rates, edges_s)
     early, late = np.triu_indices(len(means), 1)
     span = shape[:, early] - shape[:, late]
     change = means[early] - means[late]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        ends = (change + 2 * width * np.array([[[-1.0]], [[1.0]]])) / span
-    low, high = np.min(ends, axis=0).max(axis=1), np.max(ends, axis=0).min(axis=1)
+        one, other = (change - 2 * widths) / span, (change + 2 * widths) / span
+    low, high = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
     fits = low <= high
     if not fits.any():
         return None
-    if moves and np.any(fits & (rates <= _ENDLESS_PER_S)):
+    if np.any(fits & ending):  # growth is found where nothing that ends fits as well
+        fits &= ending if spread <= 4 * width else rates >= _ENDLESS_PER_S
+    elif np.any(fits & (rates <= _ENDLESS_PER_S)):
         return Approach(math.inf, math.inf, 0.0, seen)
     left = np.where(fits, np.maximum(np.abs(low), np.abs(high)), 0.0)
     worst = int(np.argmax(left))
@@ -181,6 +184,10 @@ def _terms() -> tuple[Array, Array]:
     return np.array(pairs), np.array(waves)
 
 
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right), np.float64)
+
+
 def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_s: float) -> Approach | None:
     """Two rates, or a decaying oscillation, fitted by least squares; None when none leaves less than `most`.
 
@@ -196,8 +203,7 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     scale = np.abs(design).max(axis=1, keepdims=True)
     design = design / scale
     across = design.transpose(0, 2, 1)
-    solved = np.linalg.solve(across @ design + _RIDGE * np.eye(3), across)
-    inverse = np.asarray(solved / scale.transpose(0, 2, 1), np.float64)
+    inverse = _solved(across @ design + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
     design = design * scale
     found = np.asarray(inverse @ means, np.float64)
     rest = np.abs(means - np.einsum("hnk,hk->hn", design, found)).max(axis=1)
@@ -209,9 +215,8 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     rates = np.concatenate([pairs[:, 0], waves[:, 0]])
     fast = np.concatenate([pairs[:, 1], waves[:, 0]])
     wave = np.arange(len(rates)) >= len(pairs)
-    left = np.where(
-        wave, np.hypot(size[:, 0], size[:, 1]) * np.where(rates < _ENDLESS_PER_S, 2.0, 1.0), size.sum(axis=1)
-    )
+    swing = np.hypot(size[:, 0], size[:, 1]) * np.where(rates < _ENDLESS_PER_S, 2.0, 1.0)  # one that lasts: both ways
+    left: Array = np.where(wave, swing, size[:, 0] + size[:, 1])
     off: Array = size[:, 0] * _of_mean(rates, average_s) + size[:, 1] * _of_mean(fast, average_s)
     left = np.where(fits, left, 0.0)
     off = np.where(fits, np.maximum(off, left), 0.0)

@@ -18,6 +18,7 @@ _LEAST_SAMPLES = 20
 _GOOD_OF_NEWEST = 0.75  # share of the newest windows that must be good, the last one among them
 _DEVIATIONS = 3.5  # of a mean's noise that its width holds
 _LEAST_CODES = 5  # samples on either side of the usual code, to know its noise
+_STANDS = 0.25  # of a step from window to window: slower than that a pendulum's codes show the noise
 _NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
 _DEFAULT_STEP_RAD = 2 * math.pi / 4096  # of a code that never changes
 
@@ -74,11 +75,15 @@ def angle_means(
     off = codes - first
     off = off - np.repeat(np.rint(cut.mean(off)), cut.counts, axis=0)
     seen = code_noise(cut.mean(1.0 * (off < -0.5), kept), cut.mean(1.0 * (off > 0.5), kept), cut.counts[kept, None])
+    means = np.asarray(fit[0, kept].real, np.float64)
+    change = np.abs(np.diff(means, axis=0, prepend=means[:1], append=means[-1:]))
+    moving = np.maximum(change[1:], change[:-1]) > _STANDS * step  # what sweeps over codes is no noise
+    seen = np.where(moving, np.nan, seen)
     half = np.array([
         half_width(step, _usual(s) if max(a, b) < 0.5 * step else 0.0, a, b)
         for s, a, b in zip(seen.T, once, twice, strict=True)
     ])  # fmt: skip
-    return WindowMeans(cut.edges[kept], fit[0, kept].real, half + _DEVIATIONS * np.median(noise, axis=0))
+    return WindowMeans(cut.edges[kept], means, half + _DEVIATIONS * np.median(noise, axis=0))
 
 
 def code_noise(below: Array, above: Array, samples: NDArray[Any]) -> Array:
