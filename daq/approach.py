@@ -216,9 +216,10 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     fast = np.concatenate([pairs[:, 1], waves[:, 0]])
     wave = np.arange(len(rates)) >= len(pairs)
     swing = np.hypot(size[:, 0], size[:, 1]) * np.where(rates < _ENDLESS_PER_S, 2.0, 1.0)  # one that lasts: both ways
-    left: Array = np.where(wave, swing, size[:, 0] + size[:, 1])
+    left = size[:, 0] + size[:, 1]
+    left[wave] = swing[wave]
     off: Array = size[:, 0] * _of_mean(rates, average_s) + size[:, 1] * _of_mean(fast, average_s)
-    left = np.where(fits, left, 0.0)
+    left[~fits] = 0.0
     off = np.where(fits, np.maximum(off, left), 0.0)
     worst = int(np.argmax(left))
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
