@@ -31,6 +31,7 @@ SLOWEST_PER_S = 0.08  # slower than this a radian would not shrink to the tolera
 _ENDLESS_PER_S = 0.01  # so slow that over the windows it is a straight line
 _FAST_PER_S = 0.5  # an approach this fast hides a slow one beside it until it is over
 _STEP = 1.06  # from one rate that is tried to the next
+_BETWEEN = 1.15  # on the bound of a drift: for the rates between those that are tried
 _FASTEST_PER_S = 4.0
 _LEAST_WINDOWS = 9
 _MARGIN = 1.5  # on the width for a drift that ends: the rates that are tried are not all there are
@@ -149,7 +150,7 @@ def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> A
         fits &= ending if spread <= 4 * width else rates >= _ENDLESS_PER_S
     elif np.any(fits & (rates <= _ENDLESS_PER_S)):
         return Approach(math.inf, math.inf, 0.0, seen)
-    left = np.where(fits, np.maximum(np.abs(low), np.abs(high)), 0.0)
+    left = np.where(fits, np.maximum(np.abs(low), np.abs(high)), 0.0) * (_BETWEEN if moves else 1.0)
     worst = int(np.argmax(left))
     found = Approach(float(left[worst]), float(np.max(left * _of_mean(rates, average_s))), float(rates[worst]), seen)
     return _with_slow(found, float(rates[fits].min()), edges_s, means, width, average_s)
