@@ -206,7 +206,7 @@ def _squared(values: NDArray[Any]) -> Array:
 
 
 def _cut(time: Array, values: Array, mark_time: Array, mark_phase: Array, edges: Array, newest: int) -> _Cut | None:
-    table = values.reshape(len(values), -1)
+    table = values[:, None] if values.ndim == 1 else values
     good = np.isfinite(table).all(axis=1) & (time >= edges[0]) & (time < edges[-1])
     time, table = time[good], table[good]
     if len(time) < _LEAST_SAMPLES:
