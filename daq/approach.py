@@ -6,8 +6,8 @@ where noise or a wobble dithers it) and the noise of the mean. An approach m∞ 
 window, fits when every two windows j, k agree: |m_j − m_k − a (u_j − u_k)| ≤ 2w with u the window's mean of
 e^{−λ(t−T)}. That leaves for each rate λ an interval of a, the change still to come, and the bound is the largest |a|
 of all rates that fit. Where the means do not move beyond ± w every rate fits; then only the time for which they have
-stood says something, and rates below a slowest one are left out. Where they move, none is left out: a drift that fits
-one that does not shrink has no bound.
+stood says something, and rates below a slowest one are left out. Where they move, slower decays count as well, and a
+drift that fits growth or a straight line, and none that ends soon enough, has no bound.
 
 The longest stretch that some rate fits is taken, so that the rate is known from all that was seen of it. Where no
 stretch fits, two rates together and decaying oscillations are tried, then the whole range of the newest means is
@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +30,13 @@ Array = NDArray[np.float64]
 SLOWEST_PER_S = 0.08  # slower than this a radian would not shrink to the tolerance in a minute and a half
 _ENDLESS_PER_S = 0.01  # so slow that over the windows it is a straight line
 _FAST_PER_S = 0.5  # an approach this fast hides a slow one beside it until it is over
-_STEP = 1.04  # from one rate that is tried to the next
+_STEP = 1.06  # from one rate that is tried to the next
+_BETWEEN = 1.15  # on the bound of a drift: for the rates between those that are tried
 _FASTEST_PER_S = 4.0
 _LEAST_WINDOWS = 9
-_MARGIN = 1.5  # on the width once a stretch fits: the rates that are tried are not all there are
-_SHORTER = 0.8  # of the windows are kept when nothing fits all
+_MARGIN = 1.5  # on the width for a drift that ends: the rates that are tried are not all there are
+_RIDGE = 1e-9  # keeps two nearly equal shapes apart
+_SHORTER = 0.7  # of the windows are kept when nothing fits all
 _NOT_QUITE = 0.01  # of the newest windows' range: an approach is exponential only near its end, and rates are a grid
 _CLEARLY = 0.1  # of the newest windows' range: two rates or an oscillation count as found when they leave less
 
@@ -55,7 +58,7 @@ class Approach:
     seen_s: float
 
 
-def bound(edges_s: Array, means: Array, width: float, average_s: float) -> Approach:
+def bound(edges_s: Array, means: Array, width: float, average_s: float, far: float = math.inf) -> Approach:
     """Bound on what is still to come of one quantity.
 
     Args:
@@ -63,17 +66,16 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float) -> Appro
         means: the quantity's mean in each, shape (n,).
         width: how far a mean may be from the truth.
         average_s: length of the stretch before the last window's end whose mean's distance from the end is asked.
+        far: a change over the last two windows from which on a crude bound will do.
     """
     late = slice(-_LEAST_WINDOWS, None)
     width = max(width, _NOT_QUITE * float(np.ptp(means[late])))
     tails = _tails(len(means))
     for count in tails:
         found = _one_rate(edges_s[-count:], means[-count:], width, average_s)
-        if found is None:
-            continue
-        moved = float(np.ptp(means[-count:])) > 2 * width
-        return (moved and _one_rate(edges_s[-count:], means[-count:], _MARGIN * width, average_s)) or found
-    for count in tails:
+        if found is not None:
+            return found
+    for count in tails if np.ptp(means[-3:]) < far else ():
         found = _two_terms(edges_s[-count:], means[-count:], width, _CLEARLY * float(np.ptp(means[late])), average_s)
         if found is not None:
             return found
@@ -107,11 +109,11 @@ def _tails(count: int) -> list[int]:
 def _rates() -> Array:
     """Rates that are tried, 1/s: growth, a straight line (nearly) and decay; shape (r,)."""
     decay = _ENDLESS_PER_S * _STEP ** np.arange(math.ceil(math.log(_FASTEST_PER_S / _ENDLESS_PER_S) / math.log(_STEP)))
-    return np.concatenate([-decay, [1e-4], decay])
+    return np.concatenate([-decay[::2], [1e-4], decay])
 
 
-def _shape(rates: Array, edges_s: Array) -> Array:
-    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows)."""
+def _shape(rates: NDArray[Any], edges_s: Array) -> NDArray[Any]:
+    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows); a complex λ turns."""
     middle = edges_s.mean(axis=1) - edges_s[-1, 1]
     half = 0.5 * np.diff(edges_s, axis=1)[:, 0]
     x = rates[:, None] * half
@@ -127,23 +129,28 @@ def _of_mean(rates: Array | float, average_s: float) -> Array:
 def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> Approach | None:
     """The largest change still to come of all single rates that fit; None when none fits."""
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
-    moves = float(np.ptp(means)) > 2 * width
+    spread = float(np.ptp(means))
+    moves = spread > 2 * width * (1 + 1e-9)
     rates = _rates()
     if not moves:
         rates = rates[rates >= SLOWEST_PER_S]
+    ending = rates >= SLOWEST_PER_S
+    widths = width * np.where(ending & moves, _MARGIN, 1.0)[:, None]
     shape = _shape(rates, edges_s)
     early, late = np.triu_indices(len(means), 1)
     span = shape[:, early] - shape[:, late]
     change = means[early] - means[late]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        ends = (change + 2 * width * np.array([[[-1.0]], [[1.0]]])) / span
-    low, high = np.min(ends, axis=0).max(axis=1), np.max(ends, axis=0).min(axis=1)
+        one, other = (change - 2 * widths) / span, (change + 2 * widths) / span
+    low, high = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
     fits = low <= high
     if not fits.any():
         return None
-    if moves and np.any(fits & (rates <= _ENDLESS_PER_S)):
+    if np.any(fits & ending):  # growth is found where nothing that ends fits as well
+        fits &= ending if spread <= 4 * width else rates >= _ENDLESS_PER_S
+    elif np.any(fits & (rates <= _ENDLESS_PER_S)):
         return Approach(math.inf, math.inf, 0.0, seen)
-    left = np.where(fits, np.maximum(np.abs(low), np.abs(high)), 0.0)
+    left = np.where(fits, np.maximum(np.abs(low), np.abs(high)), 0.0) * (_BETWEEN if moves else 1.0)
     worst = int(np.argmax(left))
     found = Approach(float(left[worst]), float(np.max(left * _of_mean(rates, average_s))), float(rates[worst]), seen)
     return _with_slow(found, float(rates[fits].min()), edges_s, means, width, average_s)
@@ -171,11 +178,15 @@ def _beside(edges_s: Array, means: Array, width: float) -> float:
 @lru_cache(maxsize=1)
 def _terms() -> tuple[Array, Array]:
     """Rates of two terms, 1/s: pairs (λ1, λ2) well apart, shape (p, 2), and (λ, ω) of oscillations, shape (q, 2)."""
-    slow = np.geomspace(SLOWEST_PER_S, 1.0, 14)
-    pairs = [(a, b) for a in slow for b in np.geomspace(0.25, _FASTEST_PER_S, 14) if b > 2.5 * a]
-    decay = np.concatenate([[-0.1, -0.03, 1e-4, 0.02, 0.045], np.geomspace(SLOWEST_PER_S, 2.0, 12)])
-    waves = [(a, w) for a in decay for w in np.geomspace(0.25, 2.8, 24)]
+    slow = np.geomspace(SLOWEST_PER_S, 1.0, 9)
+    pairs = [(a, b) for a in slow for b in np.geomspace(0.25, _FASTEST_PER_S, 9) if b > 2.5 * a]
+    decay = np.concatenate([[-0.1, 1e-4, 0.03], np.geomspace(SLOWEST_PER_S, 2.0, 9)])
+    waves = [(a, w) for a in decay for w in np.geomspace(0.25, 2.8, 14)]
     return np.array(pairs), np.array(waves)
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right), np.float64)
 
 
 def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_s: float) -> Approach | None:
@@ -184,16 +195,18 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     Two terms of a pair may cancel now and not later, so their sizes are added.
     """
     pairs, waves = _terms()
-    middle = edges_s.mean(axis=1) - edges_s[-1, 1]
-    decay = np.exp(-waves[:, :1] * middle)
+    turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
     shapes = np.concatenate([
         np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
-        np.stack([decay * np.cos(waves[:, 1:] * middle), decay * np.sin(waves[:, 1:] * middle)], axis=2),
+        np.stack([np.real(turning), np.imag(turning)], axis=2),
     ])  # fmt: skip
     design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
     scale = np.abs(design).max(axis=1, keepdims=True)
-    inverse = np.linalg.pinv(design / scale) / scale.transpose(0, 2, 1)
-    found = inverse @ means
+    design = design / scale
+    across = design.transpose(0, 2, 1)
+    inverse = _solved(across @ design + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
+    design = design * scale
+    found = np.asarray(inverse @ means, np.float64)
     rest = np.abs(means - np.einsum("hnk,hk->hn", design, found)).max(axis=1)
     width = max(width, 1.5 * float(rest.min()))
     if width > most:
@@ -203,11 +216,12 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     rates = np.concatenate([pairs[:, 0], waves[:, 0]])
     fast = np.concatenate([pairs[:, 1], waves[:, 0]])
     wave = np.arange(len(rates)) >= len(pairs)
-    left = np.where(
-        wave, np.hypot(size[:, 0], size[:, 1]) * np.where(rates < _ENDLESS_PER_S, 2.0, 1.0), size.sum(axis=1)
-    )
-    off = size[:, 0] * _of_mean(rates, average_s) + size[:, 1] * _of_mean(fast, average_s)
-    left, off = np.where(fits, left, 0.0), np.where(fits, np.maximum(off, left), 0.0)
+    swing = np.hypot(size[:, 0], size[:, 1]) * np.where(rates < _ENDLESS_PER_S, 2.0, 1.0)  # one that lasts: both ways
+    left = size[:, 0] + size[:, 1]
+    left[wave] = swing[wave]
+    off: Array = size[:, 0] * _of_mean(rates, average_s) + size[:, 1] * _of_mean(fast, average_s)
+    left[~fits] = 0.0
+    off = np.where(fits, np.maximum(off, left), 0.0)
     worst = int(np.argmax(left))
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
     result = Approach(float(left[worst]), float(off.max()), max(0.0, float(rates[worst])), seen)

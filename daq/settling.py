@@ -22,6 +22,7 @@ _MOST_WINDOWS = 30
 # Of a tolerance: the width of a mean is not taken smaller. Angles show an unstable balance being left, by little at
 # first; amplitudes need only be steady, and may wander with temperature and speed for ever.
 _UNSEEN_ANGLE, _UNSEEN_AMPLITUDE = 1 / 50, 1 / 10
+_FAR = 20  # of a tolerance: a change over two windows that makes a look at older ones needless
 
 
 @dataclass(frozen=True)
@@ -96,14 +97,19 @@ def settled(
         edges = edges[edges >= release_time_s]
     if len(edges) <= windows:
         return _unknown(f"fewer than {windows} windows of {window_s:g} s since release")
-    angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, angle_step_rad, windows)
+    newest = edges[-windows - 1 :]
+    angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, newest, angle_step_rad, windows)
+    if angles is None or np.ptp(angles.means[-3:], axis=0).max() > _FAR * angle_tolerance_rad:
+        edges = newest
+    elif len(edges) > len(newest):
+        angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, angle_step_rad, windows)
     orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
     if angles is None or orbit is None:
         missing = "pendulum angles" if angles is None else "displacements"
         return _unknown(f"too many samples of the {missing} are missing")
     slip = _slipping(angles.means[-windows:])
-    turning = _worst(angles, _UNSEEN_ANGLE * angle_tolerance_rad, average_s)
-    whirling = _worst(orbit, _UNSEEN_AMPLITUDE * amplitude_tolerance_m, average_s)
+    turning = _worst(angles, angle_tolerance_rad, _UNSEEN_ANGLE, average_s)
+    whirling = _worst(orbit, amplitude_tolerance_m, _UNSEEN_AMPLITUDE, average_s)
     found = _settling(angles, orbit, turning, whirling)
     held = release_time_s is not None and _still_as_released(
         time_s, angles_rad, angles.means[-1], edges[-1], release_time_s, linger_s
@@ -138,7 +144,7 @@ def locked_settled(
     orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
-    whirling = _worst(orbit, _UNSEEN_AMPLITUDE * amplitude_tolerance_m, window_s)
+    whirling = _worst(orbit, amplitude_tolerance_m, _UNSEEN_AMPLITUDE, window_s)
     found = _settling(None, orbit, Approach(math.nan, math.nan, 0.0, 0.0), whirling)
     reasons = [
         _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
@@ -151,10 +157,10 @@ def _unknown(why: str) -> Settling:
     return Settling(False, False, why, math.nan, math.inf, math.nan, math.inf, 0.0)
 
 
-def _worst(seen: WindowMeans, unseen: float, average_s: float) -> Approach:
+def _worst(seen: WindowMeans, tolerance: float, unseen: float, average_s: float) -> Approach:
     """The larger of the two quantities' bounds."""
     both = [
-        bound(seen.edges_s, column, max(float(width), unseen), average_s)
+        bound(seen.edges_s, column, max(float(width), unseen * tolerance), average_s, _FAR * tolerance)
         for column, width in zip(seen.means.T, seen.width, strict=True)
     ]
     worst = max(both, key=lambda a: a.remaining)

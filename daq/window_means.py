@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import ndtri  # pyright: ignore[reportMissingTypeStubs]
 
 Array = NDArray[np.float64]
 
@@ -17,6 +18,7 @@ _LEAST_SAMPLES = 20
 _GOOD_OF_NEWEST = 0.75  # share of the newest windows that must be good, the last one among them
 _DEVIATIONS = 3.5  # of a mean's noise that its width holds
 _LEAST_CODES = 5  # samples on either side of the usual code, to know its noise
+_STANDS = 0.25  # of a step from window to window: slower than that a pendulum's codes show the noise
 _NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
 _DEFAULT_STEP_RAD = 2 * math.pi / 4096  # of a code that never changes
 
@@ -47,7 +49,7 @@ def whole_revolutions(mark_time_s: Array, mark_phase_rad: Array, window_s: float
     turn = 2 * math.pi * max(1, math.ceil(window_s * speed / (2 * math.pi)))
     count = min(most, int((mark_phase_rad[-1] - mark_phase_rad[0]) / turn + 1e-9))
     phases = mark_phase_rad[-1] - turn * np.arange(count, -1, -1)
-    return np.interp(phases, mark_phase_rad, mark_time_s)
+    return np.asarray(np.interp(phases, mark_phase_rad, mark_time_s), np.float64)
 
 
 def angle_means(
@@ -64,33 +66,39 @@ def angle_means(
     if cut is None:
         return None
     step = _step(angles_rad) if step_rad is None else step_rad
-    means, noise, ripple, dither = [], [], [], []
-    for phase, values in cut.parts:
-        fit = _orders(phase, values)
-        means.append(fit[0].real)
-        noise.append(np.diff(values, axis=0).std(axis=0) / math.sqrt(2 * len(values)))
-        ripple.append([np.abs(fit[1]), np.abs(fit[2])])
-        dither.append([code_noise(column / step) for column in values.T])
-    once, twice = np.median(np.array(ripple), axis=0)
+    fit, rest = cut.orders()
+    kept = cut.enough
+    noise = np.sqrt(cut.mean(_squared(np.diff(rest, axis=0)), kept) / (2 * cut.counts[kept, None]))
+    once, twice = np.median(np.abs(fit[1:, kept]), axis=1)
+    codes = cut.values / step if step > 0 else np.zeros_like(cut.values)
+    first = np.repeat(codes[cut.where[:-1].clip(max=len(codes) - 1)], cut.counts, axis=0)
+    off = codes - first
+    off = off - np.repeat(np.rint(cut.mean(off)), cut.counts, axis=0)
+    seen = code_noise(cut.mean(1.0 * (off < -0.5), kept), cut.mean(1.0 * (off > 0.5), kept), cut.counts[kept, None])
+    means = np.asarray(fit[0, kept].real, np.float64)
+    change = np.abs(np.diff(means, axis=0, prepend=means[:1], append=means[-1:]))
+    moving = np.maximum(change[1:], change[:-1]) > _STANDS * step  # what sweeps over codes is no noise
+    seen = np.where(moving, np.nan, seen)
     half = np.array([
-        half_width(step, _usual(seen) if max(a, b) < 0.5 * step else 0.0, a, b)
-        for seen, a, b in zip(np.array(dither).T, once, twice, strict=True)
+        half_width(step, _usual(s) if max(a, b) < 0.5 * step else 0.0, a, b)
+        for s, a, b in zip(seen.T, once, twice, strict=True)
     ])  # fmt: skip
-    return WindowMeans(cut.edges, np.array(means), half + _DEVIATIONS * np.median(noise, axis=0))
+    return WindowMeans(cut.edges[kept], means, half + _DEVIATIONS * np.median(noise, axis=0))
 
 
-def code_noise(codes: Array) -> float:
+def code_noise(below: Array, above: Array, samples: NDArray[Any]) -> Array:
     """Standard deviation of the noise before rounding, in steps; nan where the codes do not tell.
 
     Both codes beside the usual one must have been seen: from two codes alone the noise is not known, for a reading on
     the edge between them flips without noise too. Normal noise of s steps about μ goes below −½ and above ½ with the
     quantiles (−½ − μ)/s and (μ − ½)/s, whose sum is −1/s.
+
+    Args:
+        below, above: shares of the samples on either side of the usual code.
+        samples: how many there were.
     """
-    off = codes - np.median(codes)
-    below, above = np.mean(off < -0.5), np.mean(off > 0.5)
-    if min(below, above) * len(off) < _LEAST_CODES or max(below, above) >= 0.5:
-        return math.nan
-    return float(-1 / (ndtri(below) + ndtri(above)))
+    told = (np.minimum(below, above) * samples >= _LEAST_CODES) & (np.maximum(below, above) < 0.5)
+    return np.where(told, -1 / (ndtri(np.where(told, below, 0.1)) + ndtri(np.where(told, above, 0.1))), np.nan)
 
 
 def _usual(noise: Array) -> float:
@@ -131,52 +139,87 @@ def amplitude_means(
     y = _cut(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
     if x is None or y is None:
         return None
-    both = np.intersect1d(x.numbers, y.numbers)
-    columns, width = [], []
+    kept = x.enough & y.enough
+    columns: list[Array] = []
+    width: list[float] = []
     for cut in (x, y):
-        parts = [part for number, part in zip(cut.numbers, cut.parts, strict=True) if number in both]
-        columns.append([abs(_orders(phase, values)[1]) for phase, values in parts])
-        noise = [np.diff(values, 2).std() / math.sqrt(3 * len(values)) for _, values in parts]
+        fit, _ = cut.orders()
+        columns.append(np.abs(fit[1, kept, 0]))
+        noise = np.sqrt(cut.mean(_squared(np.diff(cut.values, 2, axis=0)), kept)[:, 0] / (3 * cut.counts[kept]))
         width.append(_DEVIATIONS * float(np.median(noise)))
-    kept = x.edges[np.isin(x.numbers, both)]
-    return WindowMeans(kept, np.array(columns, float).T, np.array(width))
+    return WindowMeans(x.edges[kept], np.stack(columns, axis=1), np.array(width))
 
 
 @dataclass(frozen=True)
 class _Cut:
-    """Samples per window with enough of them: phases and values, the windows' numbers and their edges."""
+    """Samples by window.
 
-    parts: list[tuple[Array, Array]]
-    numbers: NDArray[np.int64]
+    Attributes:
+        phase, values: of all windows, shapes (s,), (s, columns).
+        where: index of each window's first sample and of the end, shape (n + 1,).
+        enough: whether a window has enough samples, shape (n,).
+        edges: start and end of each window, shape (n, 2), s.
+    """
+
+    phase: Array
+    values: Array
+    where: NDArray[np.int64]
+    enough: NDArray[np.bool_]
     edges: Array
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Samples per window."""
+        return np.diff(self.where)
+
+    def mean(self, values: NDArray[Any], kept: NDArray[np.bool_] | None = None) -> Array:
+        """Means per window (nan in an empty one), of all windows or of some; shape (windows, columns)."""
+        sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+        where = np.minimum(self.where, len(values))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            means = np.diff(sums[where], axis=0) / np.diff(where)[:, None]
+        return means if kept is None else means[kept]
+
+    def orders(self) -> tuple[NDArray[np.complex128], Array]:
+        """Complex amplitudes of orders 0, 1, 2 by least squares, and what they leave; (3, n, columns), (s, columns).
+
+        Values ≈ Re Σ A_k e^{ikψ} in each window that has enough samples.
+        """
+        turn = np.exp(1j * self.phase)
+        both = turn * turn
+        basis = np.stack([np.ones_like(self.phase), np.real(turn), np.imag(turn), np.real(both), np.imag(both)], axis=1)
+        fit = np.zeros((5, len(self.enough), self.values.shape[1]))
+        rest = self.values.copy()
+        for j in np.flatnonzero(self.enough):
+            part = slice(self.where[j], self.where[j + 1])
+            level = self.values[self.where[j]]
+            inside = basis[part]
+            found = np.linalg.solve(inside.T @ inside, inside.T @ (self.values[part] - level))
+            rest[part] -= level + inside @ found
+            fit[:, j] = found
+            fit[0, j] += level
+        return np.stack([fit[0] + 0j, fit[1] - 1j * fit[2], fit[3] - 1j * fit[4]]), rest
+
+
+def _squared(values: NDArray[Any]) -> Array:
+    return values * values
 
 
 def _cut(time: Array, values: Array, mark_time: Array, mark_phase: Array, edges: Array, newest: int) -> _Cut | None:
-    good = np.isfinite(values if values.ndim == 1 else values.sum(axis=1)) & (time >= edges[0])
-    time, values = time[good], values[good]
-    where = np.searchsorted(time, edges)
-    counts = np.diff(where)
+    table = values[:, None] if values.ndim == 1 else values
+    good = np.isfinite(table).all(axis=1) & (time >= edges[0]) & (time < edges[-1])
+    time, table = time[good], table[good]
     if len(time) < _LEAST_SAMPLES:
         return None
+    where = np.searchsorted(time, edges).astype(np.int64)
+    counts = np.diff(where)
     usual = np.diff(edges) / np.median(np.diff(time))
     enough = (counts >= _LEAST_SAMPLES) & (counts >= _LEAST_SHARE * usual)
     late = enough[-newest:]
     if not late[-1] or late.sum() < _GOOD_OF_NEWEST * newest:
         return None
     phase = np.interp(time, mark_time, mark_phase)
-    numbers = np.flatnonzero(enough)
-    parts = [(phase[where[j] : where[j + 1]], values[where[j] : where[j + 1]]) for j in numbers]
-    return _Cut(parts, numbers, np.stack([edges[:-1][enough], edges[1:][enough]], axis=1))
-
-
-def _orders(phase: Array, values: Array) -> NDArray[np.complex128]:
-    """Complex amplitudes of orders 0, 1, 2 by least squares, values ≈ Re Σ A_k e^{ikψ}; shape (3, …)."""
-    turn = np.exp(1j * phase)
-    both = turn * turn
-    basis = np.stack([np.ones_like(phase), turn.real, turn.imag, both.real, both.imag], axis=1)
-    level = values.mean(axis=0)
-    fit = np.linalg.solve(basis.T @ basis, basis.T @ (values - level))
-    return np.stack([fit[0] + level + 0j, fit[1] - 1j * fit[2], fit[3] - 1j * fit[4]])
+    return _Cut(phase, table, where, enough, np.stack([edges[:-1], edges[1:]], axis=1))
 
 
 def _step(angles: Array) -> float:

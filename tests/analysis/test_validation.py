@@ -44,7 +44,7 @@ def test_json_has_the_promised_keys_and_only_json_values(rig: Rig, drawn: Drawn,
     values = {"theta3_deg", "theta4_deg", "amplitude_mm", "amplitude_x_mm", "amplitude_y_mm", "speed_rpm"}
     for point in data["points"].values():
         assert list(point) == [
-            "state", "measured", "predicted", "measured_std", "predicted_std", "z_scores", "verdict", "why",
+            "state", "measured", "predicted", "measured_std", "predicted_std", "z_scores", "verdict", "why", "scores",
         ]  # fmt: skip
         for part in ("measured", "predicted", "measured_std", "predicted_std"):
             assert set(point[part]) == values

@@ -8,7 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig_configs import IdentifiedParameters, ParametersFileError, RigFileError, load_rig, parse_setting, shipped_rigs
+from rig_configs import (
+    IdentifiedParameters,
+    ParametersFileError,
+    RigFileError,
+    load_rig,
+    overridden,
+    parse_setting,
+    shipped_rigs,
+    with_parameters,
+)
 
 
 def test_shipped_rigs_load_and_hold_the_points() -> None:
@@ -133,3 +142,41 @@ def without_imbalance(folder: Path, body: str) -> Path:
 def test_numbers_no_equation_can_take_are_refused_on_loading(key: str) -> None:
     with pytest.raises(RigFileError, match="must lie in"):
         load_rig("virtual", settings={key: 1e-300})
+
+
+def test_the_axis_angle_is_kept_and_older_files_have_none(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.toml"
+    known = IdentifiedParameters({"k1_N_per_m": 2600.0}, np.array([[0.04]]), {"software": "1"}, (1.0005, 0.0004))
+    known.save(path)
+    assert IdentifiedParameters.load(path).axis_angle_deg == (1.0005, 0.0004)
+    older = "\n".join(line for line in path.read_text().splitlines() if "_deg" not in line and "axis" not in line)
+    path.write_text(older)
+    assert IdentifiedParameters.load(path).axis_angle_deg is None
+    for bad in ("value_deg = nan\nstd_deg = 1.0", "value_deg = 1.0\nstd_deg = -1.0", "value_deg = 1.0"):
+        path.write_text(f"{older}\n[axis_angle]\n{bad}\n")
+        with pytest.raises(ParametersFileError):
+            IdentifiedParameters.load(path)
+
+
+def test_a_setting_over_a_parameter_takes_its_covariance_with_it() -> None:
+    values = {"k1_N_per_m": 2600.0, "k2_N_per_m": 38000.0, "SP_kg_m": 2.5e-3}
+    covariance = np.diag([1.0, 4.0, 9.0]) + 0.5
+    known = IdentifiedParameters(values, covariance, {}, (1.0, 0.1))
+    assert overridden(known, ["suspension.k2_N_per_m=+5%", "rotor.mass_kg=*1.01"]) == {"k2_N_per_m"}
+    assert overridden(known, ["imbalance.radius_m=0.02"]) == overridden(known, ["imbalance.mass_kg=0.1"]) == {"SP_kg_m"}
+    assert overridden(known, ["suspension={k1_N_per_m=2000.0}"]) == {"k1_N_per_m", "k2_N_per_m"}
+    rest = known.without({"k2_N_per_m"})
+    assert list(rest.values) == ["k1_N_per_m", "SP_kg_m"]
+    assert np.array_equal(rest.covariance, covariance[np.ix_([0, 2], [0, 2])])
+    assert rest.axis_angle_deg == (1.0, 0.1)
+    loaded = load_rig("virtual", known, ["suspension.k2_N_per_m=+5%"])
+    assert loaded.physics.k2_N_per_m == pytest.approx(1.05 * 38000.0)
+
+
+def test_identified_values_lie_over_a_rig_that_was_loaded_with_relative_settings() -> None:
+    """A campaign on a rig that was changed by 5 %: what was then found of it is not changed by 5 % again."""
+    known = IdentifiedParameters({"k2_N_per_m": 40000.0, "SP_kg_m": 2.6e-3}, np.diag([4.0, 1e-12]))
+    changed = load_rig("virtual", settings=["suspension.k2_N_per_m=+5%", "imbalance.mass_kg=+5%"])
+    physics = with_parameters(changed, known).physics
+    assert physics.k2_N_per_m == pytest.approx(40000.0)
+    assert physics.imbalance_moment_kg_m == pytest.approx(2.6e-3)
