@@ -24,8 +24,8 @@ from rig_configs.schema import Devices
 _BIN_NS = 250_000_000
 _BINS = 120  # 30 s
 _STDS = 5.0  # of the clock's tolerance
-_FLOOR_S = 1e-3  # a delay's floor is no better known than this …
-_JITTERS = 3.0  # … nor than so many times its scatter
+_FLOOR_S = 2e-3  # a delay's floor is no better known than this …
+_JITTERS = 5.0  # … nor than so many times its scatter
 _LOST_TRACK_NS = 5_000_000_000  # device and host apart by more: one of them stood still or began anew
 _LOOK_NS, _FIRST_LOOK_NS = 1_000_000_000, 4_000_000_000
 
