@@ -84,7 +84,7 @@ EMERGENCY = Event("emergency", "drive", "drive error 0x3220", {"error_code": 0x3
         ("node.status", replace(STATUS, counts_per_revolution=8192), "encoder", "counts_per_revolution"),
         ("node.rssi_dBm", -97, "encoder", "signal_dBm"),
         ("node.theta_rad", np.zeros((100, 2)), "encoder", "locked_B_deg"),
-        ("node.theta_rad", LOCKED + [0.2, 0.0], "encoder", "locked_A_deg"),
+        ("node.theta_rad", LOCKED + np.array([0.2, 0.0]), "encoder", "locked_A_deg"),
         ("drive.state", cia402.FAULT, "drive", "state"),
         ("drive.state", cia402.UNKNOWN, "drive", "state"),
         ("drive.speed_rpm", 12.0, "drive", "speed_rpm"),
