@@ -116,11 +116,12 @@ def test_check_gives_a_verdict_per_device_and_exits_1_when_one_fails(
     assert "encoder  FAIL" in shown
     assert "laser_x  pass" in shown
     assert "every angle would be scaled wrongly" in shown
-    with Session(load_rig("virtual", settings=[*virtual_rig.port_settings(), "devices.encoder.counts_per_revolution=2048"]),
-                 HostClock(TIME_SCALE)) as session:  # fmt: skip
-        tests = Procedures(session, SimulatedOperator(virtual_rig.line), Path("never"), quiet)
-        with pytest.raises(DeviceError, match="4096 counts per revolution, the rig file 2048"):
-            tests.spin_down()
+    other = load_rig("virtual", settings=[*virtual_rig.port_settings(), "devices.encoder.counts_per_revolution=2048"])
+    with (
+        pytest.raises(DeviceError, match="4096 counts per revolution, the rig file 2048"),
+        Session(other, HostClock(TIME_SCALE)) as session,
+    ):
+        Procedures(session, SimulatedOperator(virtual_rig.line), Path("never"), quiet).spin_down()
     assert not Path("never").exists()
 
 
