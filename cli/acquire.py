@@ -10,20 +10,24 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from cli.console import STDERR, StepProgress, print_json, say, wait_for_compilation
+from cli.check_page import look_at, plain_rates, print_checks
+from cli.console import StepProgress, print_json, say, wait_for_compilation
 from cli.numbers import PositiveRpm, PositiveSeconds, TimeScale
 from cli.options import Json, ParametersPath, Settings, rig_or_log, what_if_words
 from cli.recording import RecordingStatus
 from daq import test_inputs
+from daq.device_check import common_factor, device_checks, passed
 from daq.log.file import ReservedName
 from daq.log.losses import Losses
-from daq.procedure import Procedures, TestDone
+from daq.procedure import Procedures, TestDone, zero_counters
 from daq.session import Session
 from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
 _RAMP_S = 40.0
+_LONGEST_RECORD_S = 366 * 86_400.0
+_LONGEST_LOOK_S = 3600.0
 
 
 class TerminalOperator:
@@ -56,29 +60,44 @@ def check(
     rig: str,
     *,
     seconds: PositiveSeconds = 2.0,
+    zero: Annotated[
+        bool, Parameter(negative="", help="close both locks and zero the node's counters there before looking")
+    ] = False,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Validate a rig file, open its devices, show identities, rates and faults."""
+    """Validate a rig file, open its devices, hold what they do against it; exit 1 when a device fails a check."""
+    if not 0 < seconds <= _LONGEST_LOOK_S:
+        raise RigFileError(f"rig check: --seconds {seconds:g}: expected above 0, at most {_LONGEST_LOOK_S:g}")
     loaded = load_rig(rig, settings=settings or [])
-    with Session(loaded, HostClock(time_scale)) as session:
+    session = Session(loaded, HostClock(time_scale))
+    session.lenient = True  # a device that is not what the rig file says is a verdict here
+    with session:
+        if zero:
+            zero_counters(session)
         started = session.clock.now_ns()
-        time.sleep(seconds)
-        rates: dict[str, float] = {}
-        for topic in ("laser/x", "laser/y", "pendulums", "motor"):
-            times, _ = session.recent.last(topic, (), started)
-            span = (times[-1] - times[0]) * 1e-9 if len(times) > 1 else math.nan
-            rates[topic] = (len(times) - 1) / span if span else math.nan
-        result = {"rig": loaded.name, "identities": session.identities, "rates_Hz": rates, "losses": session.losses()}
+        look = look_at(session, seconds)
+        devices = device_checks(loaded, look)
+        rates = plain_rates(session, started)
+    factor = common_factor(look)
+    if factor is not None:
+        say(f"warning: all clocks run {factor:.3g} times as fast as ours: is --time-scale {time_scale:g} right?")
+    good = all(map(passed, devices.values()))
     if json:
-        print_json(result)
-        return 0
-    for name, identity in session.identities.items():
-        STDERR.print(f"{name:8} " + ", ".join(f"{k} {v}" for k, v in identity.items()))
-    for topic, rate in rates.items():
-        STDERR.print(f"{topic:10} {rate:8.1f} Hz")
-    return 0
+        verdicts = {
+            name: {
+                "verdict": "pass" if passed(checks) else "fail",
+                "checks": {what: found.facts() for what, found in checks.items()},
+            }
+            for name, checks in devices.items()
+        }
+        print_json({"rig": loaded.name, "verdict": "pass" if good else "fail", "seconds": look.seconds,
+                    "devices": verdicts, "identities": session.identities, "rates_Hz": rates,
+                    "losses": look.losses})  # fmt: skip
+    else:
+        print_checks(devices, session.identities, look.seconds)
+    return 0 if good else 1
 
 
 def record(
@@ -98,6 +117,9 @@ def record(
     json: Json = False,
 ) -> int:
     """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
+    for option, value in (("--duration", duration), ("--until-silent", until_silent)):
+        if value is not None and not 0 < value <= _LONGEST_RECORD_S:
+            raise RigFileError(f"rig record: {option} {value:g}: expected above 0, at most {_LONGEST_RECORD_S:g} s")
     loaded, identities = rig_or_log(rig, settings or [])
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
@@ -108,14 +130,16 @@ def record(
                 session.start_recording(name, facts)
             with RecordingStatus(session) as status:
                 ended = _record_until(session, status, duration, until_silent)
-            losses, disk = session.losses(), session.disk()
+            losses, disk, rates = session.losses(), session.disk(), session.rates.summary()
             path = session.stop_recording({"ended": ended})
     slow_s = disk.slow_s if disk else 0.0
     if json:
-        print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s,
-                    "warnings": session.notices})  # fmt: skip
+        warnings = [*session.notices, *([f"wrong rates: {rates}"] if rates else [])]
+        print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s, "warnings": warnings})
     else:
         say(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}")
+        if rates:
+            say(f"warning: {rates}. Is the rig file's rate_Hz right, and --time-scale?")
         if slow_s:
             say(f"warning: the disk was behind for {slow_s:.1f} s in all; nothing was lost by that")
     return 3 if session.notices and not listen else 0  # a rig that someone else runs is theirs to judge

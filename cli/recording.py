@@ -42,7 +42,8 @@ class RecordingStatus(LiveTable):
         if self._live is not None:
             self._live.update(self._table(), refresh=True)
         else:
-            say(f"{self._elapsed()}  {self._losses()}; {_disk(self._session.disk())}")
+            parts = (self._losses(), self._session.rates.now(), _disk(self._session.disk()))
+            say(f"{self._elapsed()}  {'; '.join(part for part in parts if part)}")
 
     def _elapsed(self) -> str:
         return f"[{time.monotonic() - self._started:7.1f} s]"
@@ -58,11 +59,12 @@ class RecordingStatus(LiveTable):
         for topic, field, scale, unit in _ROWS:
             times, (values,) = self._session.recent.last(topic, (field,), since)
             table.add_row(f"{topic} {field}", *_figures(times, values * scale, unit))
-        losses, disk = self._losses(), self._session.disk()
+        losses, rates, disk = self._losses(), self._session.rates.now(), self._session.disk()
         return Group(
             table,
             Text(f"{self._elapsed()} recording; Ctrl-C ends it"),
             Text(losses, style="" if losses == "nothing lost" else "yellow"),
+            *([Text(rates, style="bold red")] if rates else []),
             Text(_disk(disk), style="bold red" if disk is not None and disk.slow else ""),
         )
 

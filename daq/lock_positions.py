@@ -99,8 +99,8 @@ def misplaced(positions: Sequence[LockPosition]) -> str:
     if len(wrong) == 2 and all(math.isclose(abs(p.off_deg), 180.0, abs_tol=p.tolerance_deg) for p in wrong):
         return f"{seen}: A and B are exchanged. Exchange the encoders' plugs, or where that is not it, {_ZERO}"
     if [p.pendulum for p in wrong] == ["B"] and abs(abs(wrong[0].off_deg) - 180.0) <= wrong[0].tolerance_deg:
-        return f"{seen}: its zero is A's lock, half a revolution away, not its own. {_ZERO.capitalize()}"
-    return f"{seen}: its counter was zeroed elsewhere, or has lost counts. {_ZERO.capitalize()}"
+        return f"{seen}: its zero is A's lock, half a revolution away, not its own. {_ZERO[0].upper()}{_ZERO[1:]}"
+    return f"{seen}: its counter was zeroed elsewhere, or has lost counts. {_ZERO[0].upper()}{_ZERO[1:]}"
 
 
 _ZERO = "close both locks and zero the counters there (`rig check RIG --zero`)"

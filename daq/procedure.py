@@ -320,6 +320,8 @@ class Procedures:
             summary: the test's own facts.
             missed: what was not reached; empty when the test came to its end.
         """
+        if wrong_rates := self._s.rates.summary():
+            self._warn(f"wrong rates: {wrong_rates}")
         facts = {**summary, **ending(missed)}
         if self._warnings:
             facts["warnings"] = "; ".join(self._warnings)
@@ -475,3 +477,21 @@ class Procedures:
             return len(flags) > 0 and flags[-1] & _LOCKS == (_LOCKS if closed else 0)
 
         self._until(there, 10.0, f"both locks to {'close' if closed else 'open'}")
+
+
+def zero_counters(session: Session) -> None:
+    """Close both locks and zero the node's counters there, where their zero belongs; the rotor must be at rest.
+
+    Raises:
+        DeviceError: the node refuses, or a lock does not close.
+    """
+    session.command_node("lock both")
+
+    def closed() -> bool:
+        _, (flags,) = session.recent.last("pendulums", ("flags",), session.clock.now_ns() - 2_000_000_000)
+        return len(flags) > 0 and flags[-1] & _LOCKS == _LOCKS
+
+    session.wait_for(closed, 10.0, "both locks to close")
+    session.clock.sleep(_LOCKED_LOOK_S)
+    session.command_node("zero")
+    session.clock.sleep(_LOCKED_LOOK_S)

@@ -24,9 +24,10 @@ from rig_configs.schema import Devices
 _BIN_NS = 250_000_000
 _BINS = 120  # 30 s
 _STDS = 5.0  # of the clock's tolerance
-_FLOOR_S = 1e-3  # a delay's floor is no better known than this …
-_JITTERS = 3.0  # … nor than so many times its scatter
-_LOST_TRACK_NS = 5_000_000_000  # device and host apart by more: one of them stood still or began anew
+_FLOOR_S = 2e-3  # a delay's floor is no better known than this …
+_JITTERS = 5.0  # … nor than so many times its scatter
+_LOST_TRACK_NS = 5_000_000_000  # silent, or device and host apart, for longer: one of them stood still or began anew
+_LEAST_SPAN_S = 3.0
 _LOOK_NS, _FIRST_LOOK_NS = 1_000_000_000, 4_000_000_000
 
 
@@ -107,7 +108,7 @@ class RateWatch:
         sequence = int(batch.sequence[-1])
         if self._last is not None:
             passed, passed_host = device_ns - self._last[0], host_ns - self._last[1]
-            if passed < 0 or abs(passed - passed_host) > _LOST_TRACK_NS:
+            if passed < 0 or max(passed_host, abs(passed - passed_host)) > _LOST_TRACK_NS:
                 self._bins.clear()
             self._count += (sequence - self._last[2]) % self._wrap
         self._last = device_ns, host_ns, sequence
@@ -175,9 +176,11 @@ class RateWatches:
 
     def _look(self, topic: str, rate: Rate | None) -> list[Event]:
         """Wrong twice in a row is wrong: once may be a host that dozed."""
-        if rate is None or rate.ok:
+        if rate is None or rate.span_s < _LEAST_SPAN_S:  # so short a stretch would pass anything
+            return []
+        if rate.ok:
             self._suspect.discard(topic)
-            if self._wrong.pop(topic, None) is None or rate is None:
+            if self._wrong.pop(topic, None) is None:
                 return []
             return [_event(topic, rate, f"{topic}: back at {rate.rate_Hz:.1f} Hz")]
         if topic not in self._suspect:

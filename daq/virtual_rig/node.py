@@ -145,7 +145,9 @@ class SimulatedNode:
         if action is None:
             return 2
         if action == "zero":
-            self._offset_counts = self._counts_exact()
+            # zero is A's locked position, for both: B's own is half a revolution away
+            at_locks = np.array([0.0, self._config.counts_per_revolution / 2])
+            self._offset_counts = self._counts_exact() - at_locks
             return 0
         verb, which = action.split()
         pendulums = {"A": [0], "B": [1], "both": [0, 1]}[which]

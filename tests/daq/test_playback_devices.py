@@ -42,16 +42,26 @@ def blocks(count: int, words: int = 4) -> bytes:
     return optoncdt.encode_block(rng.integers(0, 2**18, (count, words), dtype=np.uint32))
 
 
-def asking(device: PlayedDevice) -> tuple[Callable[[bytes], None], queue.Queue[str]]:
+class Line:
+    """What came back on a device's line."""
+
+    def __init__(self) -> None:
+        self.replies: queue.Queue[str] = queue.Queue()
+        self.bytes_in = 0
+
+
+def asking(device: PlayedDevice) -> tuple[Callable[[bytes], None], Line]:
     """A host's way to a device and back, through the decoder that reads it."""
-    replies: queue.Queue[str] = queue.Queue()
+    line = Line()
     decoder = optoncdt.StreamDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))
 
     def send(data: bytes) -> None:
-        for line in decoder.feed(device.hear(data)).text:
-            replies.put(line)
+        answer = device.hear(data)
+        line.bytes_in += len(answer)
+        for text in decoder.feed(answer).text:
+            line.replies.put(text)
 
-    return send, replies
+    return send, line
 
 
 # --- a sensor ----------------------------------------------------------------------------------------------------
@@ -100,9 +110,9 @@ def test_bytes_that_are_no_blocks_are_not_held_back_for_ever() -> None:
 
 def test_our_own_set_up_finds_the_sensor_of_the_log() -> None:
     laser = PlayedLaser(IDENTITY, LASER)
-    send, replies = asking(laser)
+    send, line = asking(laser)
     assert not laser.sending
-    assert lasers.configure("laser_x", LASER, send, replies) == IDENTITY
+    assert lasers.configure("laser_x", LASER, send, line, lambda: None) == IDENTITY
     assert laser.sending
     assert laser.commands == 9
     assert laser.unfollowed == 0
@@ -115,17 +125,17 @@ def test_a_corrected_range_is_not_what_the_sensor_says() -> None:
 
 def test_of_a_sensor_that_was_never_asked_the_rig_file_tells() -> None:
     laser = PlayedLaser({}, LASER)
-    send, replies = asking(laser)
-    identity = lasers.configure("laser_x", LASER, send, replies)
+    send, line = asking(laser)
+    identity = lasers.configure("laser_x", LASER, send, line, lambda: None)
     assert identity == {"name": "unknown", "serial": "unknown", "version": "unknown", "range_m": LASER.range_m,
                         "words": list(optoncdt.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP"))}  # fmt: skip
 
 
 def test_a_log_has_no_other_rate() -> None:
     slow = LASER.model_copy(update={"rate_Hz": 1000})
-    send, replies = asking(PlayedLaser(IDENTITY, slow))
+    send, line = asking(PlayedLaser(IDENTITY, slow))
     with pytest.raises(DeviceError, match="Rate 4 kHz not possible, only 1"):
-        lasers.configure("laser_x", LASER, send, replies)
+        lasers.configure("laser_x", LASER, send, line, lambda: None)
 
 
 def test_it_sends_from_when_it_is_told_until_it_is_told_and_resets_no_counter() -> None:

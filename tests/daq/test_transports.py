@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -107,3 +108,47 @@ def test_host_clock_runs_at_its_rate() -> None:
     assert passed == pytest.approx(10 * walled, rel=0.02)
     assert clock.patience(0.5) == 5.0
     assert HostClock(1.0).patience(0.5) == 0.5
+
+
+def test_a_tcp_far_end_serves_one_host_and_hangs_up_on_the_next() -> None:
+    wire = TcpWire()
+    first = open_link(wire.port, 921_600)
+    assert wire.connected()
+    refused: list[LinkLost] = []
+
+    def intrude() -> None:
+        try:
+            open_link(wire.port, 921_600)
+        except LinkLost as error:
+            refused.append(error)
+
+    intruder = threading.Thread(target=intrude)
+    intruder.start()
+    while intruder.is_alive():
+        wire.send(FRAME)
+        wire.descriptor()
+        assert first.read(0.01) != b""  # the first goes on as if nothing had happened
+    intruder.join()
+    assert len(refused) == 1
+    assert "it serves one program" in str(refused[0])
+    first.write(b"the last words")
+    first.close()
+    second = open_link(wire.port, 921_600)  # the first has gone: the next is served, and nothing was lost
+    assert _arrives(wire.receive, b"the last words") == b"the last words"
+    wire.send(FRAME)
+    assert _arrives(lambda: second.read(0.2), FRAME) == FRAME
+    second.close()
+    wire.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="ptys need POSIX")
+def test_a_serial_port_has_one_master() -> None:
+    wire = PtyWire()
+    first = open_link(wire.port, 921_600)
+    with pytest.raises(LinkLost, match="another program has it open"):
+        open_link(wire.port, 921_600)
+    wire.send(FRAME)
+    assert _arrives(lambda: first.read(0.2), FRAME) == FRAME
+    first.close()
+    open_link(wire.port, 921_600).close()
+    wire.close()

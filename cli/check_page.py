@@ -1,0 +1,87 @@
+# pyright: strict
+"""What `rig check` saw: collected from an open session, and shown as a table."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from cli.words import printable, stdout_console
+from daq.device_check import Checks, DriveSeen, LaserSeen, Look, NodeSeen, passed
+from daq.protocols import cia402
+from daq.session import Session
+from daq.stream_items import Event
+
+_LOCKED_S = 0.1  # how far back the pendulums' newest angles are looked at
+_STATUS_S = 3.0  # the node tells its state each second; wait for it so long, rig time
+
+
+def look_at(session: Session, seconds: float) -> Look:
+    """Look at an open rig for so long, wall s; longer only for the node's own word, which comes each second."""
+    events: list[Event] = []
+    session.observers.append(events.append)
+    before, started = session.losses(), session.clock.now_ns()
+    time.sleep(seconds)
+    wait = session.clock.now_ns() + int(_STATUS_S * 1e9)
+    while session.node.status is None and session.clock.now_ns() < wait:
+        session.clock.sleep(0.1)
+    session.observers.remove(events.append)
+    _, (a, b) = session.recent.last("pendulums", ("theta3_rad", "theta4_rad"), started)
+    _, (flags,) = session.recent.last("pendulums", ("flags",), started)
+    newest = slice(-max(1, round(_LOCKED_S * session.rig.devices.encoder.rate_Hz)), None)
+    return Look(
+        seconds=(session.clock.now_ns() - started) * 1e-9,
+        rates=session.rates.rates(),
+        losses={name: _more(lost, before[name]) for name, lost in session.losses().items()},
+        events=events,
+        lasers={
+            f"laser_{axis}": LaserSeen(session.recent.last(f"laser/{axis}", ("displacement_m",), started)[1][0])
+            for axis in "xy"
+        },
+        node=NodeSeen(np.column_stack([a, b])[newest], flags, session.node.status, session.node.rssi_dBm),
+        drive=_drive(session, started),
+    )  # fmt: skip
+
+
+def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
+    return {kind: count - before.get(kind, 0) for kind, count in now.items()}
+
+
+def _drive(session: Session, started_ns: int) -> DriveSeen:
+    drive = session.drive
+    code = drive.fault_code() if drive.state in (cia402.FAULT, cia402.FAULT_REACTION) else None
+    return DriveSeen(plain_rates(session, started_ns)["motor"], drive.state, drive.actual_rpm, code)
+
+
+def plain_rates(session: Session, started_ns: int) -> dict[str, float]:
+    """Samples a second of every channel since an instant, lost ones not counted."""
+    rates: dict[str, float] = {}
+    for topic in ("laser/x", "laser/y", "pendulums", "motor"):
+        times, _ = session.recent.last(topic, (), started_ns)
+        span = float(times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
+        rates[topic] = (len(times) - 1) / span if span > 0 else math.nan
+    return rates
+
+
+def print_checks(devices: Mapping[str, Checks], identities: Mapping[str, Mapping[str, Any]], seconds: float) -> None:
+    """The table on standard output: what failed first seen, its reason beside it."""
+    console = stdout_console()
+    for name, checks in devices.items():
+        verdict = Text("pass", "bold green") if passed(checks) else Text("FAIL", "bold red")
+        known = ", ".join(f"{key} {value}" for key, value in identities.get(name, {}).items())
+        console.print(Text.assemble((name, "bold"), "  ", verdict, "  ", (printable(known), "dim")), soft_wrap=True)
+        table = Table(box=None, pad_edge=False, show_header=False, padding=(0, 2))
+        for check, found in checks.items():
+            style = "" if found.passed else "bold red"
+            mark = Text("✓", "green") if found.passed else Text("✗", "bold red")
+            value = "—" if found.value is None else printable(found.value)
+            expected = "" if found.expected is None else f"expected {printable(found.expected)}"
+            table.add_row(mark, check, Text(value, style), Text(expected, "dim"), Text(printable(found.note), style))
+        console.print(table)
+    console.print(Text(f"looked for {seconds:.1f} s", "dim"))

@@ -1,0 +1,123 @@
+"""What a look at a rig is held against: one thing wrong fails its check, its device, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.device_check import DriveSeen, LaserSeen, Look, NodeSeen, common_factor, device_checks, passed
+from daq.protocols import cia402, rotorlink
+from daq.rate_watch import Rate
+from daq.stream_items import Event
+from rig_configs import load_rig
+
+RIG = load_rig("virtual")
+STATUS = rotorlink.Status(1, 8, 2_000_000, 3712, 315, 8, 0, 1, 4, 4096)
+LOCKED = np.tile([0.0, np.pi], (100, 1))
+
+
+def rate(nominal: float, factor: float = 1.0, clock_ppm: float = 10.0, bound_ppm: float = 1000.0) -> Rate:
+    return Rate(nominal * factor, nominal, clock_ppm, bound_ppm, 150.0, 2.0)
+
+
+def healthy() -> Look:
+    rest = LaserSeen(1e-4 + 4e-6 * np.sin(np.arange(8000.0)))
+    return Look(
+        seconds=2.0,
+        rates={"laser/x": rate(4000), "laser/y": rate(4000), "pendulums": rate(1000)},
+        losses={"laser_x": {"samples": 0, "invalid": 3}, "laser_y": {"samples": 0}, "drive": {"damaged_lines": 0},
+                "encoder": {"radio_frames": 1, "samples": 20}},
+        events=[],
+        lasers={"laser_x": rest, "laser_y": rest},
+        node=NodeSeen(LOCKED, np.full(2000, 96, np.uint32), STATUS, -58),
+        drive=DriveSeen(100.0, cia402.SWITCH_ON_DISABLED, 0.0),
+    )  # fmt: skip
+
+
+def changed(look: Look, what: str, value: Any) -> Look:
+    room, _, name = what.partition(".")
+    if not name:
+        return replace(look, **{room: value})
+    return replace(look, **{room: replace(getattr(look, room), **{name: value})})
+
+
+def test_a_healthy_rig_passes_with_what_was_seen_and_expected() -> None:
+    devices = device_checks(RIG, healthy())
+    assert list(devices) == ["laser_x", "laser_y", "encoder", "drive"]
+    assert {name: [w for w, c in checks.items() if not c.passed] for name, checks in devices.items()} == {
+        "laser_x": [], "laser_y": [], "encoder": [], "drive": [],
+    }  # fmt: skip
+    assert devices["laser_x"]["rate_Hz"].facts() == {
+        "value": 4000.0, "expected": 4000, "verdict": "pass", "note": "± 1000 ppm in 2.0 s",
+    }  # fmt: skip
+    assert "longer look" in devices["laser_x"]["clock_ppm"].note
+    assert devices["encoder"]["battery_mV"].value == 3712
+    assert devices["encoder"]["firmware"].value == "1.4"
+
+
+def flags(value: int) -> np.ndarray:
+    return np.full(2000, value, np.uint32)
+
+
+EMERGENCY = Event("emergency", "drive", "drive error 0x3220", {"error_code": 0x3220})
+
+
+@pytest.mark.parametrize(
+    ("what", "value", "device", "check"),
+    [
+        ("rates", {**healthy().rates, "laser/x": rate(4000, 7911 / 4000)}, "laser_x", "rate_Hz"),
+        ("rates", {**healthy().rates, "laser/y": rate(4000, 3656 / 4000)}, "laser_y", "rate_Hz"),
+        ("rates", {**healthy().rates, "laser/y": rate(4000, 1.0, 86_000.0)}, "laser_y", "clock_ppm"),
+        ("rates", {**healthy().rates, "pendulums": None}, "encoder", "rate_Hz"),
+        ("losses", {**healthy().losses, "laser_y": {"samples": 7}}, "laser_y", "lost_samples"),
+        ("losses", {**healthy().losses, "drive": {"damaged_lines": 1}}, "drive", "lost_damaged_lines"),
+        ("lasers", {**healthy().lasers, "laser_x": LaserSeen(np.full(100, np.nan))}, "laser_x", "invalid_samples"),
+        ("lasers", {**healthy().lasers, "laser_x": LaserSeen(np.full(9, 3e-3))}, "laser_x", "from_mid_range_mm"),
+        ("lasers", {**healthy().lasers, "laser_x": LaserSeen(np.empty(0))}, "laser_x", "samples"),
+        ("node.flags", flags(96 | 1), "encoder", "encoder_faults"),
+        ("node.flags", flags(96 | 2), "encoder", "encoder_faults"),
+        ("node.flags", flags(96 | 8), "encoder", "battery_mV"),
+        ("node.status", None, "encoder", "status"),
+        ("node.status", replace(STATUS, counts_per_revolution=8192), "encoder", "counts_per_revolution"),
+        ("node.rssi_dBm", -97, "encoder", "signal_dBm"),
+        ("node.theta_rad", np.zeros((100, 2)), "encoder", "locked_B_deg"),
+        ("node.theta_rad", LOCKED + np.array([0.2, 0.0]), "encoder", "locked_A_deg"),
+        ("drive.state", cia402.FAULT, "drive", "state"),
+        ("drive.state", cia402.UNKNOWN, "drive", "state"),
+        ("drive.speed_rpm", 12.0, "drive", "speed_rpm"),
+        ("drive.reports_Hz", float("nan"), "drive", "speed_reports_Hz"),
+        ("events", [EMERGENCY], "drive", "emergencies"),
+        ("events", [Event("restart", "encoder", "the node started again")], "encoder", "restarts"),
+    ],
+)  # fmt: skip
+def test_one_thing_wrong_fails_its_check_and_no_other(what: str, value: Any, device: str, check: str) -> None:
+    devices = device_checks(RIG, changed(healthy(), what, value))
+    failed = {(name, key) for name, checks in devices.items() for key, found in checks.items() if not found.passed}
+    assert failed == {(device, check)}
+    assert [name for name, checks in devices.items() if not passed(checks)] == [device]
+
+
+def test_a_fault_that_is_only_a_gone_hosts_passes_and_is_told() -> None:
+    seen = DriveSeen(100.0, cia402.FAULT, 0.0, cia402.HEARTBEAT_ERROR)
+    state = device_checks(RIG, changed(healthy(), "drive", seen))["drive"]["state"]
+    assert state.passed
+    assert "0x8130" in state.note
+    other = device_checks(RIG, changed(healthy(), "drive", replace(seen, fault_code=0x3220)))["drive"]["state"]
+    assert not other.passed
+    assert "0x3220" in other.note
+
+
+def test_an_open_lock_is_no_fault_and_its_position_not_judged() -> None:
+    checks = device_checks(RIG, changed(healthy(), "node.flags", flags(64)))["encoder"]
+    assert checks["lock_A"].value == "open"
+    assert "locked_A_deg" not in checks
+    assert "locked_B_deg" in checks
+
+
+def test_clocks_that_are_all_off_alike_are_the_hosts_own_fault() -> None:
+    assert common_factor(healthy()) is None
+    off = {topic: rate(4000, 0.125, -875_000.0) for topic in ("laser/x", "laser/y", "pendulums")}
+    assert common_factor(changed(healthy(), "rates", off)) == pytest.approx(0.125)

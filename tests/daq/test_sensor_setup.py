@@ -1,0 +1,120 @@
+"""Setting up a sensor whose stream another host left running, and one that will not be silent."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from daq import lasers
+from daq.errors import DeviceError
+from daq.protocols import optoncdt
+from daq.protocols.optoncdt_sensor import SensorCommands, info_lines
+from daq.reader import DeviceReader
+from daq.stream_items import RX, Event
+from daq.streams import make_pipelines
+from daq.transports import HostClock, open_link
+from daq.transports.wires import TcpWire
+from rig_configs import load_rig
+
+INFO = optoncdt.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
+
+
+class LeftStreaming:
+    """A sensor in mid-stream; each OUTPUT RS422 begins its counter and timestamp anew, as after a power cut."""
+
+    def __init__(self, deaf: bool = False) -> None:
+        self.wire = TcpWire()
+        self._commands = SensorCommands(info_lines(INFO), 4000.0)
+        self._commands.receive(b"OUTADD_RS422 COUNTER TIMESTAMP\nOUTPUT RS422\n")
+        self._number, self._deaf, self._ending = 123_456, deaf, threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._ending.wait(0.005):
+            said = self.wire.receive()
+            streamed = self._commands.streaming
+            answer = b"" if self._deaf else self._commands.receive(said)
+            if streamed and not self._commands.streaming:
+                self.wire.send(self._blocks(200))  # what its own buffer still held
+            self.wire.send(answer)
+            if b"OUTPUT RS422" in said:
+                self._number = 0
+            if self._commands.streaming:
+                self.wire.send(self._blocks(20))
+
+    def _blocks(self, count: int) -> bytes:
+        number = self._number + np.arange(count)
+        self._number += count
+        ticks = 25 * number
+        counter = number % optoncdt.COUNTER_WRAP
+        words = np.column_stack([np.full(count, 32_760), counter, ticks & 0xFFFF, ticks >> 16 & 0xFFFF])
+        return optoncdt.encode_block(words.astype(np.uint32))
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+        self.wire.close()
+
+
+@contextmanager
+def line_to(sensor: LeftStreaming) -> Iterator[tuple[DeviceReader, list[Event], list[int]]]:
+    """A reader on the sensor's line with what it decodes: events, and how many samples came."""
+    rig = load_rig("virtual", settings={"devices.laser_x.port": sensor.wire.port})
+    pipeline = make_pipelines(rig.devices, {})["laser_x"]
+    device = DeviceReader("laser_x", open_link(sensor.wire.port, 921_600), pipeline, HostClock())
+    events: list[Event] = []
+    samples: list[int] = []
+
+    def take(data: bytes, host_ns: int) -> None:
+        for item in device.pipeline.feed(RX, data, host_ns):
+            if isinstance(item, Event):
+                events.append(item)
+                if item.kind == "reply":
+                    device.replies.put(item.text)
+            else:
+                samples.append(len(item.time_ns))
+
+    device.start(take, lambda error: None)
+    try:
+        yield device, events, samples
+    finally:
+        device.stop()
+        sensor.close()
+
+
+def wait_for(condition: object) -> None:
+    for _ in range(500):
+        if condition():  # type: ignore[operator]
+            return
+        threading.Event().wait(0.01)
+    raise AssertionError("waited 5 s")
+
+
+def test_a_stream_left_running_is_run_dry_before_the_new_one_begins() -> None:
+    with line_to(LeftStreaming()) as (device, events, samples):
+        wait_for(lambda: sum(samples) > 100)  # in mid-stream, as a killed host leaves it
+        rig = load_rig("virtual")
+
+        def forget() -> None:
+            with device.lock:
+                device.pipeline = make_pipelines(rig.devices, {})["laser_x"]
+                samples.clear()
+
+        identity = lasers.configure("laser_x", rig.devices.laser_x, device.link.write, device, forget)
+        assert identity["serial"] == "14200001"
+        wait_for(lambda: sum(samples) > 400)
+        assert [e.text for e in events if e.kind in ("restart", "damage", "gap")] == []
+        assert not any(device.pipeline.losses.values())
+
+
+def test_a_sensor_that_will_not_be_silent_is_said_with_what_to_look_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lasers, "_ANSWER_S", 0.3)
+    with line_to(LeftStreaming(deaf=True)) as (device, _, samples):
+        wait_for(lambda: sum(samples) > 100)
+        with pytest.raises(DeviceError, match=r"told OUTPUT NONE 3 times, it goes on sending\. Does its line carry"):
+            lasers.configure("laser_x", load_rig("virtual").devices.laser_x, device.link.write, device, lambda: None)
