@@ -124,7 +124,7 @@ def _campaign(
                 logs.append(run_test(tests, plugged, test).log)
             begin("identify")
             parameters = folder / "parameters-before-points.toml"
-            workbench.identify(plugged, logs, parameters).result()
+            workbench.wait(workbench.identify(plugged, logs, parameters), progress.tell)
             known = IdentifiedParameters.load(parameters)
             tests.parameters = IdentifiedParameters.label(parameters)
             identified = load_rig(name, known, [*changes, *simulated.port_settings()])
@@ -143,8 +143,9 @@ def _campaign(
     }
     report = folder / "report.html"
     for refinement in refinements:
-        refinement.result()
-    result = workbench.conclude(plugged, folder / "parameters.toml", report, facts).result()
+        workbench.wait(refinement, progress.tell)
+    progress.tell("writing the report")
+    result = workbench.wait(workbench.conclude(plugged, folder / "parameters.toml", report, facts), progress.tell)
     result["truth"] = truth
     result["radio"] = [_radio_check(path, radio) for path in logs]
     result["logs"] = [str(path) for path in logs]

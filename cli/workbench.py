@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import multiprocessing
+import queue
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing.queues import Queue
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rig_configs.schema import Rig
 
 _found: dict[str, Any] = {}  # the worker's own memory between two jobs of one campaign
+_TOLD_EVERY_S = 0.2
+_Result = TypeVar("_Result")
+
+
+def _listen(told: Queue[str]) -> None:
+    """Where the worker's jobs say what they are at."""
+    _found["told"] = told
+
+
+def _tell(text: str) -> None:
+    _found["told"].put(text)
 
 
 def _warm_up() -> None:
@@ -33,7 +48,7 @@ def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
     from identification import identify  # noqa: PLC0415
 
     runs = results.load_runs(logs)
-    found = identify(runs, rig)
+    found = identify(runs, rig, _tell)
     results.with_version(found.parameters).save(out)
     _found.update(runs=runs, before=found, joint=found)
     return results.identification_json(found)
@@ -45,7 +60,7 @@ def _refine(rig: Rig, log: Path) -> None:
     from identification import identify  # noqa: PLC0415
 
     _found["runs"] += results.load_runs([log])
-    _found["joint"] = identify(_found["runs"], rig, earlier=_found["joint"])
+    _found["joint"] = identify(_found["runs"], rig, _tell, earlier=_found["joint"])
 
 
 def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
@@ -89,7 +104,9 @@ class Workbench:
     """One worker process; jobs are carried out in the order given."""
 
     def __init__(self) -> None:
-        self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        context = multiprocessing.get_context("spawn")
+        self._told: Queue[str] = context.Queue()
+        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_listen, initargs=(self._told,))
         self._pool.submit(_warm_up)
 
     def identify(self, rig: Rig, logs: list[Path], out: Path) -> Future[dict[str, Any]]:
@@ -103,6 +120,25 @@ class Workbench:
     def conclude(self, rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> Future[dict[str, Any]]:
         """Validation, joint parameters, report."""
         return self._pool.submit(_conclude, rig, out, report, facts)
+
+    def wait(self, job: Future[_Result], tell: Callable[[str], None]) -> _Result:
+        """A job's result; until then what the worker says it is at.
+
+        Args:
+            tell: told what is tried, the latest of it.
+        """
+        while True:
+            latest = None
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    latest = self._told.get_nowait()
+            if latest is not None:
+                tell(latest)
+            try:
+                return job.result(timeout=_TOLD_EVERY_S)
+            except TimeoutError:
+                if job.done():
+                    raise
 
     def close(self) -> None:
         """End the worker."""

@@ -33,7 +33,8 @@ from identification.tracking.release_start import damping_start
 
 _SHIFTS = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
 _FAN = sorted(product(_SHIFTS, _SHIFTS), key=lambda s: (abs(s[0]) + abs(s[1]), s))  # of ln c3, ln c4, near ones first
-_MUCH = 0.5  # share of a misfit that friction must explain to be tried
+_SHARES = (0.05, 0.2, 0.6)  # of the largest viscous torque: friction to start from where nothing is known of it
+_SURELY = 2.0  # standard deviations
 _AS_GOOD, _NEGATIVE = 0.9, 0.2  # of what friction mends; of the larger torque
 _ALIKE = 8.0  # χ² between two shapes of friction that are as good
 
@@ -158,7 +159,7 @@ def _with_friction(
         try:
             search = Search(release.problem(shape), horizons, 1, effort, tell)
             found.append((search.answers(starts, release.run.source)[0], shape))
-            starts, horizons = [(found[-1][0].theta, False)], horizons[-1:]
+            starts = [(found[-1][0].theta, False)]
         except NotFollowed:
             continue
     if not found:
@@ -176,12 +177,26 @@ def _rescued(
     if stuck.doubtful is None:
         return None
     minimum, end = stuck.doubtful
-    ask = release.friction_evidence(minimum, end)
-    excess = minimum.cost - len(minimum.residual)
-    if ask.mended < _MUCH * excess or not _dry_or_else(release, minimum, end, ask)[0]:
+    if likely_causes(release, minimum, end):
         return None
+    ask = release.friction_evidence(minimum, end)
+    if not ask.found:
+        return None
+    start, damping = release.problem().prior.copy(), release.knowledge.physics
     starts = [(release.with_torque(minimum.theta, np.maximum(ask.step, 0.0)), False)]
-    return _with_friction(release, [h for h in horizons if h >= end], starts, effort, tell)
+    slip = np.array([_fastest(r.averages.time_s, r.averages.value) for r in release.readings])
+    viscous = slip * np.array([damping.a.damping_Nms_per_rad, damping.b.damping_Nms_per_rad])
+    if release.run.phase_absolute:
+        starts += [(release.with_torque(start, share * viscous), False) for share in _SHARES]
+    found = _with_friction(release, horizons, starts, effort, tell)
+    if found is None or np.any(found[0][0].theta[16:18] < -_SURELY * np.sqrt(np.diag(found[0][0].covariance))[16:18]):
+        return None  # friction below zero is none
+    return found
+
+
+def _fastest(time_s: np.ndarray, angle_rad: np.ndarray) -> float:
+    """A pendulum's speed against the rotor at its fastest, rad/s."""
+    return float(np.quantile(np.abs(np.gradient(angle_rad, time_s)), 0.95))
 
 
 def _dry_or_else(release: Release, minimum: Minimum, end_s: float, ask: Evidence) -> tuple[bool, list[str]]:
