@@ -29,6 +29,7 @@ from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 
 Fit = RingDownFit | RunUpFit | TransientFit
+_UNSETTLED = "had not settled"  # in a fit's own warnings
 _MOST_TOLD = 5  # missing places of one log
 
 
@@ -79,8 +80,12 @@ class _Work:
     def add(self, run: Run, fit: Fit, estimate: Estimate | None) -> None:
         self.fits.append(NamedFit(run.test, run.source, fit))
         self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
-        if estimate is not None:
-            self.estimates.append(estimate)
+        if estimate is None:
+            return
+        if any(_UNSETTLED in w for w in fit.warnings):
+            self.warnings.append(f"{run.test} left out: its fit had not settled, so its values are none to quote")
+            return
+        self.estimates.append(estimate)
 
     def knowledge(self) -> Knowledge:
         """The rig file with what the tests so far have found laid over it."""
