@@ -234,7 +234,7 @@ def test_a_fit_that_has_not_settled_is_left_out(monkeypatch: pytest.MonkeyPatch)
 
 
 def _unsettled(campaign: Campaign):
-    from identification import fit_run_up_run  # noqa: PLC0415 (before it is replaced)
+    from identification import fit_run_up_run
 
     def fitted(run, *, setting):
         fit = fit_run_up_run(run, setting=setting)
