@@ -159,7 +159,7 @@ def _with_friction(
         try:
             search = Search(release.problem(shape), horizons, 1, effort, tell)
             found.append((search.answers(starts, release.run.source)[0], shape))
-            starts = [(found[-1][0].theta, False)]
+            starts = [(found[-1][0].theta, held) for held in (True, False)]
         except NotFollowed:
             continue
     if not found:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
@@ -175,37 +176,23 @@ def test_a_release_whose_phase_comes_in_steps_is_followed() -> None:
 
 
 def test_a_wrong_mass_is_found_out_and_not_tried_for_ever() -> None:
-    campaign = Campaign(34, {"virtual.truth.pendulums.a.mass_kg": 0.0744}, clock_rate_std=0.0)
-    run, told = campaign.point("D"), list[str]()
-    true = campaign.truth.identified()
-    names = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
-    found = {n: true[n] * (1 + 8.25e-5 * n.startswith("k")) for n in names}  # frequencies times the file's mass
-    physics = campaign.rig.physics
-    length = physics.a.length_m
-    found["SP_kg_m"] = (true["SP_kg_m"] + (0.0744 - 0.075) * length) * (1 + 8.25e-5)
-    knowledge = Knowledge.nominal(physics).with_found(found, {n: 1e-4 * v for n, v in found.items()})
-    with pytest.raises(ReleaseLeftOut) as refused:
-        fit_release(run, knowledge, np.radians(0.05), tell=told.append)
-    assert 1 <= len(told) < 8
-    assert any("pendulum A's mass -0.8" in cause for cause in refused.value.causes)
+    campaign, told = Campaign(34, {"virtual.truth.pendulums.a.mass_kg": 0.0744}), list[str]()
+    found = identify([*campaign.commissioning(), *map(campaign.point, "ED")], campaign.rig, told.append)
+    assert all(e.test not in ("point-D", "point-E") for e in found.estimates)
+    advice = [w for w in found.warnings if "Weigh and measure" in w]
+    assert len(advice) == 1
+    assert "pendulum A's mass -0.8" in advice[0]
+    assert 1 <= sum("point-D" in line for line in told) < 8
 
 
 def test_a_plateau_ends_an_iteration() -> None:
-    count = 0
+    def slope(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # a slow descent beside what no step mends
+        falling = np.exp(-theta)
+        return np.r_[np.full(50, 100.0), falling], np.vstack([np.zeros((50, 1)), -falling[None]])
 
-    def valley(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # Rosenbrock's, with a residual no step mends
-        nonlocal count
-        count += 1
-        x, y = theta
-        residual = np.r_[np.full(50, 100.0), 100 * (y - x * x), 1 - x]
-        jacobian = np.vstack([np.zeros((50, 2)), [[-200 * x, 100.0], [-1.0, 0.0]]])
-        return residual, jacobian
-
-    stopped = minimise(valley, np.array([-1.2, 1.0]), 60, plateau=5.0)
-    used, count = count, 0
-    minimise(valley, np.array([-1.2, 1.0]), 60)
+    stopped, whole = (minimise(slope, np.array([-3.0]), 60, plateau=p) for p in (5.0, None))
     assert not stopped.converged
-    assert used < count
+    assert stopped.iterations < whole.iterations
 
 
 def test_advice_never_names_what_was_given() -> None:
@@ -226,7 +213,8 @@ def test_several_releases_left_out_share_one_advice() -> None:
 
 def test_a_fit_that_has_not_settled_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = nominal()
-    monkeypatch.setattr("identification.identify.fit_run_up_run", _unsettled(campaign))
+    # the module, which the package's function of the same name hides
+    monkeypatch.setattr(sys.modules["identification.identify"], "fit_run_up_run", _unsettled(campaign))
     runs = [campaign.ring_down("x"), campaign.ring_down("y"), campaign.run_up()]
     found = identify(runs, campaign.rig)
     assert all(e.test != "run-up" for e in found.estimates)
