@@ -7,9 +7,9 @@ two ring-downs, a run-up, a spin-down and a release at speed at 1 kHz, with nois
 samples. The csv files are imported and identified with a rig file whose suspension is up to 15 % wrong and whose
 dampings are wrong by a factor 2. With --wide the rigs and the recorders leave the ordinary: ζ 0.001 to 0.2, c 1e-4 to
 1e-2, sensors turned by up to 20°, 0.5 to 5 kHz, 1 to 30 µm of noise, up to 1 % outliers, 5 % of the encoders' samples
-lost, 1024 to 16384 counts, ramps of 25 to 100 s. With --change the phase comes in steps, the point has a noisy speed in place
-of it, the pendulums have dry friction (a torque, one that goes with the contact force) or A is lighter than the rig
-file says. Printed per parameter: mean and spread of z = (found − true)/std, the
+lost, 1024 to 16384 counts, ramps of 25 to 100 s. With --change the phase comes in steps, the point has a
+noisy speed in place of it, the pendulums have dry friction (a torque, one that goes with the contact force) or A is
+lighter than the rig file says. Printed per parameter: mean and spread of z = (found − true)/std, the
 share within 1.96, the largest, and the relative std; the same for each test alone.
 """
 
@@ -254,7 +254,7 @@ def main() -> None:
     parser.add_argument("--tests", default=",".join(TESTS))
     parser.add_argument(
         "--change", action="append", default=[], metavar="NAME=VALUE",
-        help="of the recorder or the rig: phase_step_deg, speed_noise_rpm, torque_Nm, contact_kg_m2, light_A, rate_Hz …",
+        help="phase_step_deg, speed_noise_rpm, torque_Nm, contact_kg_m2, light_A, rate_Hz …",
     )  # fmt: skip
     arguments = parser.parse_args()
     changes = {name: float(value) for name, value in (text.split("=") for text in arguments.change)}

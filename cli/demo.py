@@ -137,7 +137,7 @@ def _campaign(
                 logs.append(record(plugged, test))
             begin("identify")
             parameters = folder / "parameters-before-points.toml"
-            workbench.identify(plugged, logs, parameters).result()
+            workbench.wait(workbench.identify(plugged, logs, parameters), progress.tell)
             known = IdentifiedParameters.load(parameters)
             tests.parameters = IdentifiedParameters.label(parameters)
             identified = with_parameters(plugged, known)
@@ -156,8 +156,9 @@ def _campaign(
     }
     report = folder / "report.html"
     for refinement in refinements:
-        refinement.result()
-    result = workbench.conclude(plugged, folder / "parameters.toml", report, facts).result()
+        workbench.wait(refinement, progress.tell)
+    progress.tell("writing the report")
+    result = workbench.wait(workbench.conclude(plugged, folder / "parameters.toml", report, facts), progress.tell)
     result["truth"] = truth
     result["radio"] = [_radio_check(path, radio) for path in logs]
     result["logs"] = [str(path) for path in logs]

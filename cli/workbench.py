@@ -7,14 +7,23 @@ import importlib
 import multiprocessing
 import os
 import threading
+import queue
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.connection import Connection
+from multiprocessing.queues import Queue
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rig_configs.schema import Rig
 
 _found: dict[str, Any] = {}  # the worker's own memory between two jobs of one campaign
+_TOLD_EVERY_S = 0.2
+_Result = TypeVar("_Result")
+
+
+def _tell(text: str) -> None:
+    _found["told"].put(text)
 
 
 def _end_with_parent(lifeline: Connection) -> None:
@@ -29,6 +38,12 @@ def _end_with_parent(lifeline: Connection) -> None:
         os._exit(1)
 
     threading.Thread(target=wait, name="lifeline", daemon=True).start()
+
+
+def _begin_work(lifeline: Connection, told: Queue[str]) -> None:
+    """In the worker, before its first job: end with the parent, and know where to say what a job is at."""
+    _end_with_parent(lifeline)
+    _found["told"] = told
 
 
 def _warm_up() -> None:
@@ -51,7 +66,7 @@ def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
     from identification import identify  # noqa: PLC0415
 
     runs = results.load_runs(logs)
-    found = identify(runs, rig)
+    found = identify(runs, rig, _tell)
     results.with_version(found.parameters).save(out)
     _found.update(runs=runs, before=found, joint=found)
     return results.identification_json(found)
@@ -63,7 +78,7 @@ def _refine(rig: Rig, log: Path) -> None:
     from identification import identify  # noqa: PLC0415
 
     _found["runs"] += results.load_runs([log])
-    _found["joint"] = identify(_found["runs"], rig, earlier=_found["joint"])
+    _found["joint"] = identify(_found["runs"], rig, _tell, earlier=_found["joint"])
 
 
 def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
@@ -108,8 +123,9 @@ class Workbench:
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
+        self._told: Queue[str] = context.Queue()
         ours, theirs = context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(1, context, _end_with_parent, (ours,))
+        self._pool = ProcessPoolExecutor(1, context, _begin_work, (ours, self._told))
         self._lifeline = theirs
         self._pool.submit(_warm_up)
 
@@ -124,6 +140,25 @@ class Workbench:
     def conclude(self, rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> Future[dict[str, Any]]:
         """Validation, joint parameters, report."""
         return self._pool.submit(_conclude, rig, out, report, facts)
+
+    def wait(self, job: Future[_Result], tell: Callable[[str], None]) -> _Result:
+        """A job's result; until then what the worker says it is at.
+
+        Args:
+            tell: told what is tried, the latest of it.
+        """
+        while True:
+            latest = None
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    latest = self._told.get_nowait()
+            if latest is not None:
+                tell(latest)
+            try:
+                return job.result(timeout=_TOLD_EVERY_S)
+            except TimeoutError:
+                if job.done():
+                    raise
 
     def close(self) -> None:
         """End the worker."""

@@ -31,6 +31,7 @@ from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 
 Fit = RingDownFit | RunUpFit | TransientFit
+_UNSETTLED = "had not settled"  # in a fit's own warnings
 _MOST_TOLD = 5  # missing places of one log
 
 
@@ -81,8 +82,12 @@ class _Work:
     def add(self, run: Run, fit: Fit, estimate: Estimate | None) -> None:
         self.fits.append(NamedFit(run.test, run.source, fit))
         self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
-        if estimate is not None:
-            self.keep(estimate)
+        if estimate is None:
+            return
+        if any(_UNSETTLED in w for w in fit.warnings):
+            self.warnings.append(f"{run.test} left out: its fit had not settled, so its values are none to quote")
+            return
+        self.keep(estimate)
 
     def keep(self, estimate: Estimate) -> None:
         """Take an estimate into the joint one, without what no rig can have."""

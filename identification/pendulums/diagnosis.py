@@ -21,7 +21,8 @@ from identification.pendulums.release_problem import SUSPENSION, Release
 _MOVED = 1e-4  # relative
 _EXPLAINS = 0.7  # share of the misfit
 _AS_GOOD = 0.9  # of the best one's share
-_FURTHEST = 0.5  # a change by more is no slip of a scale
+_SLIP = 0.05  # a change by more is no slip of a scale, a rule or an encoder's counts
+_LOCK_RAD = 0.02  # a locked pendulum that reads its angle so well has no wrong scale
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,11 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
     base, _ = problem.predict(minimum.theta, end_s)
     causes: list[Cause] = []
 
-    def judge(column: np.ndarray, text: str, value: float | None, unit: str) -> None:
+    def judge(column: np.ndarray, text: str, value: float | None, unit: str, most: float = 1.0) -> None:
         if not np.all(np.isfinite(column)) or not np.any(column):
             return
         found = evidence(minimum, (column * weight)[:, None], None, sizes)
-        if abs(found.step[0]) < _FURTHEST:
+        if abs(found.step[0]) < min(_SLIP, most):
             change = f"{100 * found.step[0]:+.2g} %"
             where = f" ({value * (1 + found.step[0]):.4g} {unit})" if value is not None else ""
             causes.append(Cause(found.mended, f"{text} {change}{where}"))
@@ -78,10 +79,10 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
             if moved is not None:
                 angle, _ = moved[0].problem().predict(moved[1], end_s)
                 judge((angle - base) / _MOVED, f"pendulum {name}'s {what}", value, unit)
-        scale = np.zeros(n)
+        scale, most = np.zeros(n), _LOCK_RAD / max(abs(float(release.locked_rad[at])), _LOCK_RAD)
         rows = slice(0, sizes[0]) if at == 0 else slice(sizes[0], n)
         scale[rows] = base[rows] - release.locked_rad[at]
-        judge(scale, f"the scale of encoder {name} (counts_per_revolution)", None, "")
+        judge(scale, f"the scale of encoder {name} (counts_per_revolution)", None, "", most)
     return sorted(causes, key=lambda c: -c.mended)
 
 

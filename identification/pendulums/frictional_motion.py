@@ -29,7 +29,7 @@ _MOST_SWITCHES = 4000
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _slope(y, s, phase, p, torque, mode, f, ds, work, g, d):
+def _slope(y, s, phase, p, torque, mode, f, ds, work, g, d):  # noqa: PLR0912, PLR0915 - one evaluation, written out
     """Rates f (8,) and ds (8, 19); work (2, 8) takes what `_needed` reads of the last call."""
     psi, omega, alpha = phase[0], phase[1], phase[2]
     sin_r, cos_r = real_sine_cosine(psi)
@@ -148,7 +148,9 @@ def _crossed(before, after, mode, i):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def frictional_motion(start, start_s, times, step, knots, coefficients, p, torque):
+def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides and sticks follow each other
+    start, start_s, times, step, knots, coefficients, p, torque
+):
     """Both pendulums free from a state on, with dry friction.
 
     Args:

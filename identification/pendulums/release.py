@@ -33,7 +33,8 @@ from identification.tracking.release_start import damping_start
 
 _SHIFTS = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
 _FAN = sorted(product(_SHIFTS, _SHIFTS), key=lambda s: (abs(s[0]) + abs(s[1]), s))  # of ln c3, ln c4, near ones first
-_MUCH = 0.5  # share of a misfit that friction must explain to be tried
+_SHARES = (0.05, 0.2, 0.6)  # of the largest viscous torque: friction to start from where nothing is known of it
+_SURELY = 2.0  # standard deviations
 _AS_GOOD, _NEGATIVE = 0.9, 0.2  # of what friction mends; of the larger torque
 _ALIKE = 8.0  # χ² between two shapes of friction that are as good
 
@@ -76,22 +77,7 @@ def fit_release(
     release = Release.of(run, knowledge, zero_std_rad, setting)
     horizons, effort, tell = release.horizons(setting), effort or Effort(), tell or (lambda _: None)
     end = horizons[-1]
-    shape: Shape | None = None
-    other: list[str] = []
-    try:
-        answers = _viscous(release, horizons, effort, tell)
-        ask = release.friction_evidence(answers[0], end)
-        dry = knowledge.friction is not None
-        if not dry and ask.found:
-            dry, other = _dry_or_else(release, answers[0], end, ask)
-        found = _with_friction(release, [end], answers[0].theta, ask.step, effort, tell) if dry else None
-        if found is not None:
-            answers, shape = found
-    except NotFollowed as stuck:
-        found = _rescued(release, horizons, stuck, effort, tell)
-        if found is None:
-            raise _left_out(release, stuck) from stuck
-        answers, shape = found
+    answers, shape, other = _searched(release, horizons, effort, tell)
     problem, best = release.problem(shape), answers[0]
     fit = problem.result(best, end, f"release {run.test}", 2, setting, _model_table(release, best, end, shape))
     if max(fit.std[n] / fit.values[n] for n in fit.values) > 0.2:
@@ -107,6 +93,49 @@ def fit_release(
     return covering(fit, answers, "with friction that goes otherwise with the speed", "A spin-down at rest decides")
 
 
+def _searched(
+    release: Release, horizons: list[float], effort: Effort, tell: Tell
+) -> tuple[list[Minimum], Shape | None, list[str]]:
+    """The answers, the shape of the dry friction in them, and warnings.
+
+    Raises:
+        ReleaseLeftOut: there are none.
+    """
+    known = release.knowledge.friction
+    if known is not None:
+        torque = known.torque_at(release.speed_rad_s)
+        found = _with_friction(release, horizons, _frictional_starts(release, torque, horizons), effort, tell)
+        if found is not None:
+            return *found, []
+    try:
+        answers = _viscous(release, horizons, effort, tell)
+    except NotFollowed as stuck:
+        rescued = _rescued(release, horizons, stuck, effort, tell) if known is None else None
+        if rescued is None:
+            raise _left_out(release, stuck) from stuck
+        return *rescued, []
+    ask = release.friction_evidence(answers[0], horizons[-1])
+    dry, other = _dry_or_else(release, answers[0], horizons[-1], ask)
+    if dry and known is None:
+        starts = [(release.with_torque(answers[0].theta, np.maximum(ask.step, 0.0)), False)]
+        found = _with_friction(release, horizons[-1:], starts, effort, tell)
+        if found is not None:
+            return *found, []
+    return answers, None, other
+
+
+def _frictional_starts(release: Release, torque_Nm: np.ndarray, horizons: list[float]) -> list[tuple[np.ndarray, bool]]:
+    """From the damping and the friction that a spin-down found."""
+    start = release.problem().prior.copy()
+    if release.run.phase_absolute:
+        return [(release.with_torque(start, torque_Nm), held) for held in (True, False)]
+    turns = [
+        np.r_[start[:-1], turn] for turn in angles_to_try(laid_over(release.knowledge, start[:2], start[SUSPENSION]))
+    ]
+    trials = [release.with_torque(theta, torque_Nm) for theta in turns]
+    return [(place, True) for place in race(release.problem("torque"), trials, horizons[:-1], holding)]
+
+
 def _viscous(release: Release, horizons: list[float], effort: Effort, tell: Tell) -> list[Minimum]:
     """The answers without dry friction."""
     problem = release.problem()
@@ -120,26 +149,17 @@ def _viscous(release: Release, horizons: list[float], effort: Effort, tell: Tell
 
 
 def _with_friction(
-    release: Release, horizons: list[float], theta: np.ndarray, step: np.ndarray, effort: Effort, tell: Tell
+    release: Release, horizons: list[float], starts: list[tuple[np.ndarray, bool]], effort: Effort, tell: Tell
 ) -> tuple[list[Minimum], Shape] | None:
-    """The answers with dry friction of the shape that explains the readings better; None where neither settles.
-
-    Args:
-        theta: of the fit without friction to begin with.
-        step: what that fit asks for, N m, shape (2,).
-    """
+    """The answers with dry friction of the shape that explains the readings better; None where neither settles."""
     tell("with dry friction")
-    torque = np.maximum(step, 0.0)
-    if release.knowledge.friction is not None:
-        torque = release.knowledge.friction.torque_at(release.speed_rad_s)
-    starts = [(release.with_torque(theta, torque), True), (release.with_torque(theta, np.maximum(step, 0.0)), False)]
     found: list[tuple[Minimum, Shape]] = []
     shapes: tuple[Shape, Shape] = ("torque", "contact")
     for shape in shapes:
         try:
             search = Search(release.problem(shape), horizons, 1, effort, tell)
             found.append((search.answers(starts, release.run.source)[0], shape))
-            starts = [(found[-1][0].theta, False)]
+            starts = [(found[-1][0].theta, held) for held in (True, False)]
         except NotFollowed:
             continue
     if not found:
@@ -157,12 +177,26 @@ def _rescued(
     if stuck.doubtful is None:
         return None
     minimum, end = stuck.doubtful
+    if likely_causes(release, minimum, end):
+        return None
     ask = release.friction_evidence(minimum, end)
-    if release.knowledge.friction is None:
-        excess = minimum.cost - len(minimum.residual)
-        if ask.mended < _MUCH * excess or not _dry_or_else(release, minimum, end, ask)[0]:
-            return None
-    return _with_friction(release, [h for h in horizons if h >= end], minimum.theta, ask.step, effort, tell)
+    if not ask.found:
+        return None
+    start, damping = release.problem().prior.copy(), release.knowledge.physics
+    starts = [(release.with_torque(minimum.theta, np.maximum(ask.step, 0.0)), False)]
+    slip = np.array([_fastest(r.averages.time_s, r.averages.value) for r in release.readings])
+    viscous = slip * np.array([damping.a.damping_Nms_per_rad, damping.b.damping_Nms_per_rad])
+    if release.run.phase_absolute:
+        starts += [(release.with_torque(start, share * viscous), False) for share in _SHARES]
+    found = _with_friction(release, horizons, starts, effort, tell)
+    if found is None or np.any(found[0][0].theta[16:18] < -_SURELY * np.sqrt(np.diag(found[0][0].covariance))[16:18]):
+        return None  # friction below zero is none
+    return found
+
+
+def _fastest(time_s: np.ndarray, angle_rad: np.ndarray) -> float:
+    """A pendulum's speed against the rotor at its fastest, rad/s."""
+    return float(np.quantile(np.abs(np.gradient(angle_rad, time_s)), 0.95))
 
 
 def _dry_or_else(release: Release, minimum: Minimum, end_s: float, ask: Evidence) -> tuple[bool, list[str]]:

@@ -22,7 +22,7 @@ from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering, plausible_answers
-from identification.pendulums.friction import Friction
+from identification.pendulums.friction import Evidence, Friction
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -111,7 +111,7 @@ def _chosen(case: SpinDown, angles: Sequence[float]) -> tuple[Kinds, list[Minimu
     answers = _answers(case, kinds, [case.start(kinds, psi) for psi in angles])
     rows: list[ModelChoice] = []
     for _ in range(len(_KINDS)):
-        asks = {kind: case.ask(kinds, kind, answers[0]) for kind in _KINDS if kind not in kinds}
+        asks: dict[Kind, Evidence] = {kind: case.ask(kinds, kind, answers[0]) for kind in _KINDS if kind not in kinds}
         own = case.problem(kinds)
         chi2 = own.chi2_per_dof(answers[0], case.end_s)
         for kind, ask in asks.items():
@@ -119,7 +119,7 @@ def _chosen(case: SpinDown, angles: Sequence[float]) -> tuple[Kinds, list[Minimu
             why = f"would mend χ² by {ask.mended:.3g}, {ask.gain:.3g} in units of chance (limit {ask.limit:.3g})"
             cost = answers[0].cost - ask.mended + 2 * (len(answers[0].theta) + 2)
             rows.append(ModelChoice(name, len(answers[0].theta) + 2, cost, False, why))
-        likely = [k for k, ask in asks.items() if ask.found and ask.step.max() > 0]
+        likely: list[Kind] = [k for k, ask in asks.items() if ask.found and ask.step.max() > 0]
         tried: list[tuple[float, Kinds, list[Minimum]]] = []
         for kind in likely:
             more: Kinds = tuple(k for k in _KINDS if k in (*kinds, kind))
