@@ -26,6 +26,7 @@ _VAGUE = 0.15  # standard deviation of the decay over the span, beyond which not
 _SURELY_STEADY = 5e-5  # ζ: below what any suspension has, whatever the statistics say
 _LARGE = 0.25  # of the largest motion
 _WIDE_S = 1.0  # a quiet head this long tells whether a line was there before the pull
+_LEAST_SHARE = 1e-4  # of the largest motion: what is left of it in the window's side lobes, and more
 _TOLD = 6
 
 
@@ -172,7 +173,7 @@ def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line 
     frequency += float(turn) / (2 * np.pi)
     middle, amplitude = _amplitudes(span, frequency)
     size, own = np.abs(amplitude), 1.8 * noise  # a third of the span, wider noise bandwidth
-    if size.min() < 3 * own:
+    if size.min() < 3 * own or size.min() < _LEAST_SHARE * largest:
         return None
     mean = float(size.mean())
     line, cov = np.polyfit(middle, np.log(size), 1), 1.3 * own / mean / np.sqrt(np.sum((middle - middle.mean()) ** 2))

@@ -29,6 +29,7 @@ SMALL = 0.25  # of the strongest mode's amplitude; what does not decay and is la
 _GROUP, _PROMINENT = 24, 40.0  # ordinates of a level; power over its median
 _OWN_BAND, _LOBE = 3.0, 4.0  # half-bandwidths, and ordinates, next to a mode in which what decays is its misfit
 _TRIED, _MOST_DAMPED = 3, 0.1
+_LEAST_SHARE = 2e-5  # of a mode's amplitude
 _SAME_Hz = 0.3
 _WANDERS_S = 2.0  # of a record per order of a wandering line's polynomial
 
@@ -141,6 +142,10 @@ def _refined(fitted: Fitted, frequency: float) -> Other | None:
         abs(line.frequency_Hz - frequency) < _SAME_Hz for own in fitted.decay.records for c in own for line in c.lines
     ):
         return Other(complex(0.0, omega), True)
+    channels = [(k, i) for k, r in enumerate(rest.records) for i in range(len(r.channels))]
+    sizes = [float(np.hypot(*solution.coefficients[k][2 * i : 2 * i + 2])) for k, i in channels]
+    if max(sizes) < _LEAST_SHARE * max(mode_size(fitted, m) for m in range(fitted.model.modes)):
+        return None
     std = float(np.sqrt(solution.minimum.covariance[1, 1] * max(1.0, solution.chi2_per_dof)))
     if abs(zeta) < max(_STEADY * std, _SURELY_STEADY):
         return Other(complex(0.0, omega), True)
