@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -61,6 +62,14 @@ class Line:
         if self.decay == 0.0:
             return out
         return out * np.where(since >= 0, np.exp(-self.decay * np.maximum(since, 0.0)), 0.0)
+
+
+@lru_cache(8)
+def smooth_window(size: int) -> np.ndarray:
+    """Nuttall's window, shape (size,); not to be written to."""
+    window = nuttall(size, sym=False)
+    window.flags.writeable = False
+    return window
 
 
 def steady_lines(time_s: np.ndarray, value_m: np.ndarray, keep: np.ndarray) -> list[Line]:
@@ -129,7 +138,7 @@ def _spectrum(span: Span) -> tuple[np.ndarray, np.ndarray, float]:
     """Windowed power, its local level, and the spacing of the ordinates in Hz."""
     n = len(span.value)
     size = next_fast_len(n, real=True)
-    power = np.abs(np.fft.rfft(span.value * nuttall(n, sym=False), size)) ** 2
+    power = np.abs(np.fft.rfft(span.value * smooth_window(n), size)) ** 2
     count = -(-len(power) // _GROUP)
     padded = np.concatenate([power, np.full(count * _GROUP - len(power), power[-_GROUP:].mean())])
     level = np.median(padded.reshape(count, _GROUP), axis=1)
@@ -143,7 +152,7 @@ def _peaks(span: Span) -> Iterable[tuple[float, float]]:
     top = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > _PROMINENT * level[1:-1]))
     lowest = 2 * _LOBE / (span.length_s * spacing)
     top = top[top > lowest]
-    weight = float(nuttall(len(span.value), sym=False).sum())
+    weight = float(smooth_window(len(span.value)).sum())
     for k in top[np.argsort(power[top])[::-1]][:_MOST_LOOKED_AT]:
         a, b, c = np.log(power[k - 1 : k + 2])
         shift = 0.5 * (a - c) / (a - 2 * b + c)
@@ -153,8 +162,8 @@ def _peaks(span: Span) -> Iterable[tuple[float, float]]:
 def _amplitudes(span: Span, frequency: float) -> tuple[np.ndarray, np.ndarray]:
     """Middle times since the span's start and complex amplitudes (phase at the span's start) in the windows."""
     size = len(span.value) // 3
-    window = nuttall(size, sym=False)
-    window /= 0.5 * window.sum()
+    window = smooth_window(size)
+    window = window * (2 / window.sum())
     wave = np.exp(-2j * np.pi * frequency * span.step_s * np.arange(size))
     middles, out = [], []
     for centre in _CENTRES:
@@ -223,7 +232,7 @@ def _true_frequency(line: Line, time: np.ndarray, value: np.ndarray, keep: np.nd
     first = int(np.searchsorted(time, line.zero_s))
     stop = min(len(time), first + 60_000)
     since, part = time[first:stop] - line.zero_s, np.where(keep, value, 0.0)[first:stop]
-    window = nuttall(len(since), sym=False)
+    window = smooth_window(len(since))
     part = (part - part.mean()) * window * 2 / window.sum()
     best = [complex(np.sum(part * np.exp(-2j * np.pi * f * since))) for f in alike]
     k = int(np.argmax(np.abs(best)))

@@ -7,15 +7,13 @@ peak is a line where it does not decay, and something else that rings where it d
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.signal.windows import nuttall
 
 from identification.colour import Colour, colour_of
 from identification.least_squares import solve_separable
-from identification.lines import Line, steady_lines
+from identification.lines import Line, smooth_window, steady_lines
 from identification.ring_down.decay import Decay, Fitted
 from identification.ring_down.model import DecayModel, DecayRecord
 from identification.ring_down.modes import averaged_decay, rate
@@ -113,7 +111,7 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
         return []
     even = np.interp(grid, t, residual) if len(grid) != len(t) else residual
     size = next_fast_len(len(even), real=True)
-    power = np.abs(np.fft.rfft((even - even.mean()) * _window(len(even)), size)) ** 2
+    power = np.abs(np.fft.rfft((even - even.mean()) * smooth_window(len(even)), size)) ** 2
     count = len(power) // _GROUP
     level = np.repeat(np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1), _GROUP)
     level = np.r_[level, np.full(len(power) - len(level), level[-1])]
@@ -122,11 +120,6 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     top = (prominence > _PROMINENT) & (power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])
     top &= frequency > 6 / (grid[-1] - grid[0])
     return list(zip(prominence[top].tolist(), frequency[top].tolist(), strict=True))
-
-
-@lru_cache(8)
-def _window(size: int) -> np.ndarray:
-    return nuttall(size, sym=False)
 
 
 def _refined(fitted: Fitted, frequency: float) -> Other | None:

@@ -236,6 +236,8 @@ def noisy_rail(value: np.ndarray, sigma: float) -> np.ndarray:
             near = np.flatnonzero(np.abs(sign * good - level) < 4 * sigma)
         if np.count_nonzero(np.diff(near) > 20) >= _LEAST_VISITS - 1:
             mask |= sign * value > level - 4.5 * sigma
+            if held is not None:
+                mask[np.flatnonzero(finite)[slice(*held)]] = False
     return mask
 
 
