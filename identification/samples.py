@@ -12,7 +12,6 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 
-
 _AWAY = 0.05  # of the range: how far a motion goes between two visits to a rail
 
 

@@ -28,6 +28,7 @@ _GROUP, _PROMINENT = 24, 40.0  # ordinates of a level; power over its median
 _OWN_BAND, _LOBE = 3.0, 4.0  # half-bandwidths, and ordinates, next to a mode in which what decays is its misfit
 _TRIED, _MOST_DAMPED = 3, 0.1
 _LEAST_SHARE = 2e-5  # of a mode's amplitude
+_STAYS = 0.25  # of a line's amplitude, by which it may rise or fall from the record's middle to its end
 _SAME_Hz = 0.3
 _WANDERS_S = 2.0  # of a record per order of a wandering line's polynomial
 
@@ -45,10 +46,12 @@ class Other:
     Attributes:
         lam: its rate, 1/s.
         line: whether it does not decay, or belongs to a line that is known already.
+        near: whether a mode is so near that only a fit of both can tell.
     """
 
     lam: complex
     line: bool
+    near: bool = False
 
 
 def steady_mode(fitted: Fitted) -> int | None:
@@ -146,7 +149,7 @@ def _refined(fitted: Fitted, frequency: float) -> Other | None:
     for own, damping in zip(fitted.omegas, fitted.zetas, strict=True):
         mode = rate(float(own), float(damping))
         if abs(lam - mode) < max(_OWN_BAND * max(-mode.real, -lam.real), 2 * np.pi * _LOBE / span):
-            return None
+            return Other(complex(0.0, omega), True, True)
     return Other(lam, False) if _DECAYS * std < zeta < _MOST_DAMPED else None
 
 
@@ -178,6 +181,27 @@ def without_other(fitted: Fitted, other: Other) -> Decay:
         return channel.without([Line(frequency, complex(c[0], c[1]), record.zero_s, -other.lam.real)])
 
     return fitted.decay.with_channels(change)
+
+
+def stays(fitted: Fitted, frequency_Hz: float) -> bool:
+    """Whether a line that was fitted beside the modes keeps its amplitude over the record, where it is largest."""
+    best = (0.0, np.inf)
+    for record, channels, c in zip(
+        fitted.model.records, fitted.decay.records, fitted.solution.coefficients, strict=True
+    ):
+        at = len(c) - len(record.channels) * (fitted.model.drift + 1) - record.line_columns.shape[1]
+        for channel, means in zip(channels, record.channels, strict=True):
+            for line in channel.lines:
+                if not channel.in_blocks(line, fitted.width_s):
+                    continue
+                order = line.order + 1
+                first = line.amplitude_m * np.exp(line.rate * (float(means.time_s[0]) - line.zero_s))
+                size = complex(first + complex(c[at], -c[at + order]))
+                slope = complex(c[at + 1], -c[at + order + 1])
+                if abs(line.frequency_Hz - frequency_Hz) < 1e-6 * frequency_Hz and size:
+                    best = max(best, (abs(size), abs((slope / size).real)))
+                at += 2 * order
+    return best[1] < _STAYS
 
 
 def coloured(fitted: Fitted) -> Decay | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -57,7 +58,10 @@ def test_hum_is_named_and_fitted_out(axis: int) -> None:
     t, signal, _ = pluck(1, axis)
     quiet, hum = fit_ring_down(t, signal), fit_ring_down(t, signal + line(t, 50.0, 30e-6, 20e-6))
     assert_true(hum)
-    assert any("50.00 Hz, 30 µm in x, 20 µm in y: mains hum?" in w for w in hum.warnings)
+    assert any(
+        re.search(r"50\.00 Hz, (30|29\.9|30\.1) µm in x, (20|19\.9|20\.1) µm in y: mains hum\?", w)
+        for w in hum.warnings
+    )
     assert not any("Hz" in w for w in quiet.warnings)
     for name in NAMES:
         assert hum.std[name] == pytest.approx(quiet.std[name], rel=0.05)
@@ -136,7 +140,7 @@ def test_a_column_held_still_is_no_rail(hold_s: float, step_m: float) -> None:
     if step_m:
         y = np.round(y / step_m) * step_m
     fit = fit_ring_down(t, y)
-    assert not any("rail" in w or "left out" in w for w in fit.warnings)
+    assert not any("rail" in w or "repeat" in w for w in fit.warnings)
     assert 0 <= fit.release_s[0] - release < 0.1
     assert fit.values["zeta1"] == pytest.approx(zeta, rel=1e-3)
 
