@@ -68,7 +68,9 @@ def pluck(rng: np.random.Generator, axis: int, rate_Hz: float = 1000.0, record_s
     return World(t, motion @ turn.T + 1e-3 * rng.normal(size=2), true, release, axis)
 
 
-def spectrum_noise(rng: np.random.Generator, n: int, rate_Hz: float, shape: Callable[[np.ndarray], np.ndarray], rms: float):
+def spectrum_noise(
+    rng: np.random.Generator, n: int, rate_Hz: float, shape: Callable[[np.ndarray], np.ndarray], rms: float
+):
     """Gaussian noise of a given spectral density's shape, scaled to an rms over the record; shape (n, 2)."""
     f = np.fft.rfftfreq(2 * n, 1 / rate_Hz)
     own = rng.normal(size=(len(f), 2)) + 1j * rng.normal(size=(len(f), 2))
@@ -106,7 +108,10 @@ def _clean(w, rng):
 
 def _hum(amplitudes=(30e-6, 20e-6), at=(50.0,), wander=0.0):
     def case(w, rng):
-        return sum(line(w.time_s, f, rng, np.array(amplitudes) / (1 + 2 * i), wander) for i, f in enumerate(at)), list(at)
+        return sum(line(w.time_s, f, rng, np.array(amplitudes) / (1 + 2 * i), wander) for i, f in enumerate(at)), list(
+            at
+        )
+
     return case
 
 
@@ -114,6 +119,7 @@ def _near(offset_Hz, amplitude=20e-6):
     def case(w, rng):
         f = w.true[f"f{w.axis + 1}_Hz"] + offset_Hz
         return line(w.time_s, f, rng, (amplitude, 0.7 * amplitude)), [f]
+
     return case
 
 
@@ -126,6 +132,7 @@ def _coloured(shape, rms):
     def case(w, rng):
         rate = 1 / (w.time_s[1] - w.time_s[0])
         return spectrum_noise(rng, len(w.time_s), rate, shape, rms), []
+
     return case
 
 
@@ -193,8 +200,12 @@ def campaign(name: str, runs: int, seed: int, dump: bool) -> str:
             continue
         spent.append(time.process_time() - began)
         own = str(world.axis + 1)
-        bad = [n for n in fit.values if n in ("f1_Hz", "f2_Hz")
-               and abs(fit.values[n] / world.true[n] - 1) > max(0.03, 6 * fit.std[n] / world.true[n])]
+        bad = [
+            n
+            for n in fit.values
+            if n in ("f1_Hz", "f2_Hz")
+            and abs(fit.values[n] / world.true[n] - 1) > max(0.03, 6 * fit.std[n] / world.true[n])
+        ]
         wrong += bool(bad)
         if f"f{own}_Hz" not in fit.values:
             wrong += not bad
@@ -206,8 +217,9 @@ def campaign(name: str, runs: int, seed: int, dump: bool) -> str:
         cross = str(2 - world.axis)
         if f"f{cross}_Hz" in fit.values:
             both += 1
-            other_z.append([fit.intervals[n][0] <= world.true[n] <= fit.intervals[n][1]
-                            for n in (f"f{cross}_Hz", f"zeta{cross}")])
+            other_z.append(
+                [fit.intervals[n][0] <= world.true[n] <= fit.intervals[n][1] for n in (f"f{cross}_Hz", f"zeta{cross}")]
+            )
         said = " ".join(fit.warnings)
         named += all(any(f"{f + s:.2f} Hz" in said for s in (-0.01, 0, 0.01)) for f in lines) and bool(lines)
         if dump:

@@ -145,6 +145,8 @@ def _refined(fitted: Fitted, frequency: float) -> Other | None:
     std = float(np.sqrt(solution.minimum.covariance[1, 1] * max(1.0, solution.chi2_per_dof)))
     if abs(zeta) < max(_STEADY * std, _SURELY_STEADY):
         return Other(complex(0.0, omega), True)
+    if zeta < 0:
+        return Other(complex(0.0, omega), True, True)  # a mode that is gone later took part of it
     lam = rate(omega, zeta)
     for own, damping in zip(fitted.omegas, fitted.zetas, strict=True):
         mode = rate(float(own), float(damping))

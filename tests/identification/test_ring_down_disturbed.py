@@ -23,7 +23,7 @@ NAMES = ("f1_Hz", "zeta1", "f2_Hz", "zeta2")
 def pluck(
     seed: int, axis: int = 0, cross: float = 0.04, held_m: float = 4e-3, beta_deg: float = 2.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, sensors x and y with 4 µm of white noise, and the random generator's further use: rest, pull, hold, free."""
+    """Times, sensors x and y with 4 µm of white noise, and more random numbers: rest, pull, hold, free."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(13.0 * RATE)) / RATE
     release = 1.4
