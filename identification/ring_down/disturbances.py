@@ -125,7 +125,7 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     return list(zip(prominence[top].tolist(), frequency[top].tolist(), strict=True))
 
 
-def _refined(fitted: Fitted, frequency: float) -> Other | None:
+def _refined(fitted: Fitted, frequency: float) -> Other | None:  # noqa: PLR0911
     """What oscillates at a residual's peak; None where it may be a mode's own misfit."""
     rest = _residual_model(fitted)
     start = np.array([np.log(2 * np.pi * frequency), 0.0])
