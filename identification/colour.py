@@ -104,7 +104,7 @@ def _bridged(power: np.ndarray, spacing: float, modes: list[tuple[float, float]]
         if levels and b > 0 and a < len(out):
             ends = (levels[0], levels[-1])
             first, last = max(a, 0), min(b, len(out))
-            out[first:last] = np.exp(np.linspace(*np.log(np.maximum(ends, 1e-300)), last - first))
+            out[first:last] = np.geomspace(max(ends[0], 1e-300), max(ends[1], 1e-300), last - first)
     return out
 
 

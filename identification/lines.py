@@ -137,7 +137,7 @@ def _uniform(time: np.ndarray, value: np.ndarray, keep: np.ndarray) -> tuple[flo
 def _spectrum(span: Span) -> tuple[np.ndarray, np.ndarray, float]:
     """Windowed power, its local level, and the spacing of the ordinates in Hz."""
     n = len(span.value)
-    size = next_fast_len(n, real=True)
+    size = int(next_fast_len(n, real=True) or n)
     power = np.abs(np.fft.rfft(span.value * smooth_window(n), size)) ** 2
     count = -(-len(power) // _GROUP)
     padded = np.concatenate([power, np.full(count * _GROUP - len(power), power[-_GROUP:].mean())])
@@ -212,7 +212,7 @@ def _absent(head: np.ndarray, start: float, step: float, line: Line) -> bool:
     """Whether a quiet head shows clearly less than half of a line: then it began with the release."""
     t = step * np.arange(len(head))
     wave = np.exp(2j * np.pi * line.frequency_Hz * (t + start - line.zero_s))
-    basis = np.column_stack([wave.real, -wave.imag, np.ones_like(t), t])
+    basis = np.column_stack([np.real(wave), -np.imag(wave), np.ones_like(t), t])
     found, *_ = np.linalg.lstsq(basis, head, rcond=None)
     left = float(np.std(head - basis @ found)) * np.sqrt(2 / max(len(head) / 10, 1))
     return float(np.hypot(found[0], found[1])) + 3 * left < 0.5 * abs(line.amplitude_m)

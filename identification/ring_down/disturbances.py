@@ -113,7 +113,7 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     if len(grid) < 8 * _GROUP:
         return []
     even = np.interp(grid, t, residual) if len(grid) != len(t) else residual
-    size = next_fast_len(len(even), real=True)
+    size = int(next_fast_len(len(even), real=True) or len(even))
     power = np.abs(np.fft.rfft((even - even.mean()) * smooth_window(len(even)), size)) ** 2
     count = len(power) // _GROUP
     level = np.repeat(np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1), _GROUP)
@@ -178,7 +178,7 @@ def without_other(fitted: Fitted, other: Other) -> Decay:
             wandering = replace(near[0], order=order)
             return replace(channel, lines=tuple(wandering if line is near[0] else line for line in channel.lines))
         wave, _ = averaged_decay(other.lam, t, record.channels[axis].spread_s2)
-        basis = np.column_stack([wave.real, -wave.imag])
+        basis = np.column_stack([np.real(wave), -np.imag(wave)])
         c, *_ = np.linalg.lstsq(basis, rests[r][axis], rcond=None)
         return channel.without([Line(frequency, complex(c[0], c[1]), record.zero_s, -other.lam.real)])
 

@@ -86,7 +86,7 @@ class Channel:
             middles, wave = _average_wave(time, keep, width_s, line.rate.real, line.rate.imag)
             span = max(float(middles[-1] - middles[0]), 1e-9)
             shapes = np.polynomial.legendre.legvander(2 * (middles - middles[0]) / span - 1, line.order)
-            columns += [shapes * wave.real[:, None], shapes * wave.imag[:, None]]
+            columns += [shapes * np.real(wave)[:, None], shapes * np.imag(wave)[:, None]]
         return np.hstack(columns) if columns else np.empty((0, 0))
 
     @staticmethod
