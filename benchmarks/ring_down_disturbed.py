@@ -1,4 +1,4 @@
-"""Ring-downs in a laboratory that is not quiet: hum, steady lines, coloured noise, holds, cross sensors that hardly move.
+"""Ring-downs in a laboratory that is not quiet: hum, lines, coloured noise, holds, sensors that hardly move.
 
     python -m benchmarks.ring_down_disturbed [--runs 60] [--seed 1] [--only CASE …] [--dump]
 
@@ -228,10 +228,9 @@ def campaign(name: str, runs: int, seed: int, dump: bool) -> str:
     row = f"refused {refused / runs:4.0%} wrong {wrong / runs:4.0%} "
     if errors:
         z, c, s = np.array(errors), np.array(covered), np.array(stds)
-        row += (
-            f"| bias {z.mean(axis=0)[0]:+.2f} {z.mean(axis=0)[1]:+.2f} rms/std {np.sqrt((z**2).mean(axis=0))[0]:5.2f} {np.sqrt((z**2).mean(axis=0))[1]:5.2f} "
-            f"covers {c.mean(axis=0)[0]:4.0%} {c.mean(axis=0)[1]:4.0%} std f {np.median(s[:, 0]):.1e} ζ {np.median(s[:, 1]):.1e} "
-        )
+        bias, rms, share = z.mean(axis=0), np.sqrt((z**2).mean(axis=0)), c.mean(axis=0)
+        row += f"| bias {bias[0]:+.2f} {bias[1]:+.2f} rms/std {rms[0]:5.2f} {rms[1]:5.2f} "
+        row += f"covers {share[0]:4.0%} {share[1]:4.0%} std f {np.median(s[:, 0]):.1e} ζ {np.median(s[:, 1]):.1e} "
         if other_z:
             o = np.mean(other_z, axis=0)
             row += f"| cross {both / runs:4.0%} covers {o[0]:4.0%} {o[1]:4.0%} "

@@ -15,6 +15,7 @@ _HIGHEST_ORDER = 24
 _SEGMENTS = 4
 _CLEARLY = 60.0  # of the likelihood's logarithm, twice, beyond what BIC asks
 _LEAST = 160  # residuals
+_LEAST_INNOVATION = 0.1  # of the white noise's variance: a coarse reading at rest shows none, and is no measure
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def colour_of(residual: np.ndarray, noise: float, width_s: float, modes: list[tu
     criterion = [n * np.log(max(v, 1e-300)) + k * np.log(n) for k, v in enumerate(variances)]
     order = int(np.argmin(criterion))
     white = variances[0] < 1 + 6 * np.sqrt(2 / n) and criterion[0] - criterion[order] < _CLEARLY
-    if white or variances[order] <= 0:
+    if white or variances[order] < _LEAST_INNOVATION:
         return None
     own = np.sqrt(variances[order])
     scales = tuple(float(np.sqrt(v) / own) for v in variances[: order + 1])
@@ -103,7 +104,7 @@ def _bridged(power: np.ndarray, spacing: float, modes: list[tuple[float, float]]
         if levels and b > 0 and a < len(out):
             ends = (levels[0], levels[-1])
             first, last = max(a, 0), min(b, len(out))
-            out[first:last] = np.exp(np.linspace(*np.log(np.maximum(ends, 1e-300)), last - first))
+            out[first:last] = np.geomspace(max(ends[0], 1e-300), max(ends[1], 1e-300), last - first)
     return out
 
 

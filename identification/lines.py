@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -26,6 +27,7 @@ _VAGUE = 0.15  # standard deviation of the decay over the span, beyond which not
 _SURELY_STEADY = 5e-5  # ζ: below what any suspension has, whatever the statistics say
 _LARGE = 0.25  # of the largest motion
 _WIDE_S = 1.0  # a quiet head this long tells whether a line was there before the pull
+_LEAST_SHARE = 1e-4  # of the largest motion: what is left of it in the window's side lobes, and more
 _TOLD = 6
 
 
@@ -60,6 +62,14 @@ class Line:
         if self.decay == 0.0:
             return out
         return out * np.where(since >= 0, np.exp(-self.decay * np.maximum(since, 0.0)), 0.0)
+
+
+@lru_cache(8)
+def smooth_window(size: int) -> np.ndarray:
+    """Nuttall's window, shape (size,); not to be written to."""
+    window = nuttall(size, sym=False)
+    window.flags.writeable = False
+    return window
 
 
 def steady_lines(time_s: np.ndarray, value_m: np.ndarray, keep: np.ndarray) -> list[Line]:
@@ -127,8 +137,8 @@ def _uniform(time: np.ndarray, value: np.ndarray, keep: np.ndarray) -> tuple[flo
 def _spectrum(span: Span) -> tuple[np.ndarray, np.ndarray, float]:
     """Windowed power, its local level, and the spacing of the ordinates in Hz."""
     n = len(span.value)
-    size = next_fast_len(n, real=True)
-    power = np.abs(np.fft.rfft(span.value * nuttall(n, sym=False), size)) ** 2
+    size = int(next_fast_len(n, real=True) or n)
+    power = np.abs(np.fft.rfft(span.value * smooth_window(n), size)) ** 2
     count = -(-len(power) // _GROUP)
     padded = np.concatenate([power, np.full(count * _GROUP - len(power), power[-_GROUP:].mean())])
     level = np.median(padded.reshape(count, _GROUP), axis=1)
@@ -142,7 +152,7 @@ def _peaks(span: Span) -> Iterable[tuple[float, float]]:
     top = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > _PROMINENT * level[1:-1]))
     lowest = 2 * _LOBE / (span.length_s * spacing)
     top = top[top > lowest]
-    weight = float(nuttall(len(span.value), sym=False).sum())
+    weight = float(smooth_window(len(span.value)).sum())
     for k in top[np.argsort(power[top])[::-1]][:_MOST_LOOKED_AT]:
         a, b, c = np.log(power[k - 1 : k + 2])
         shift = 0.5 * (a - c) / (a - 2 * b + c)
@@ -152,8 +162,8 @@ def _peaks(span: Span) -> Iterable[tuple[float, float]]:
 def _amplitudes(span: Span, frequency: float) -> tuple[np.ndarray, np.ndarray]:
     """Middle times since the span's start and complex amplitudes (phase at the span's start) in the windows."""
     size = len(span.value) // 3
-    window = nuttall(size, sym=False)
-    window /= 0.5 * window.sum()
+    window = smooth_window(size)
+    window = window * (2 / window.sum())
     wave = np.exp(-2j * np.pi * frequency * span.step_s * np.arange(size))
     middles, out = [], []
     for centre in _CENTRES:
@@ -172,7 +182,7 @@ def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line 
     frequency += float(turn) / (2 * np.pi)
     middle, amplitude = _amplitudes(span, frequency)
     size, own = np.abs(amplitude), 1.8 * noise  # a third of the span, wider noise bandwidth
-    if size.min() < 3 * own:
+    if size.min() < 3 * own or size.min() < _LEAST_SHARE * largest:
         return None
     mean = float(size.mean())
     line, cov = np.polyfit(middle, np.log(size), 1), 1.3 * own / mean / np.sqrt(np.sum((middle - middle.mean()) ** 2))
@@ -202,7 +212,7 @@ def _absent(head: np.ndarray, start: float, step: float, line: Line) -> bool:
     """Whether a quiet head shows clearly less than half of a line: then it began with the release."""
     t = step * np.arange(len(head))
     wave = np.exp(2j * np.pi * line.frequency_Hz * (t + start - line.zero_s))
-    basis = np.column_stack([wave.real, -wave.imag, np.ones_like(t), t])
+    basis = np.column_stack([np.real(wave), -np.imag(wave), np.ones_like(t), t])
     found, *_ = np.linalg.lstsq(basis, head, rcond=None)
     left = float(np.std(head - basis @ found)) * np.sqrt(2 / max(len(head) / 10, 1))
     return float(np.hypot(found[0], found[1])) + 3 * left < 0.5 * abs(line.amplitude_m)
@@ -222,7 +232,7 @@ def _true_frequency(line: Line, time: np.ndarray, value: np.ndarray, keep: np.nd
     first = int(np.searchsorted(time, line.zero_s))
     stop = min(len(time), first + 60_000)
     since, part = time[first:stop] - line.zero_s, np.where(keep, value, 0.0)[first:stop]
-    window = nuttall(len(since), sym=False)
+    window = smooth_window(len(since))
     part = (part - part.mean()) * window * 2 / window.sum()
     best = [complex(np.sum(part * np.exp(-2j * np.pi * f * since))) for f in alike]
     k = int(np.argmax(np.abs(best)))

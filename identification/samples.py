@@ -12,6 +12,8 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 
+_AWAY = 0.05  # of the range: how far a motion goes between two visits to a rail
+
 
 @dataclass(frozen=True)
 class Averages:
@@ -79,9 +81,10 @@ def encoder_noise(angle: np.ndarray, step: float) -> float:
 
 
 def clipped(value: np.ndarray) -> np.ndarray:
-    """Where a sensor sat at its rail: runs of at least four equal samples at the record's extreme, more than once.
+    """Where a sensor sat at its rail: runs of at least four equal samples at the record's extreme, come to repeatedly.
 
-    A single run is a flat peak of a coarsely quantised signal and no rail.
+    Between two visits the motion goes away, by a twentieth of its range. A single visit is no rail: a flat peak of a
+    coarsely quantised signal, or a column that is held still before it is let go, whose reading may flicker by a step.
 
     Returns:
         shape (n,), true for samples to leave out.
@@ -90,13 +93,30 @@ def clipped(value: np.ndarray) -> np.ndarray:
     good = np.isfinite(value)
     if not good.any():
         return mask
-    for extreme in (np.nanmax(value), np.nanmin(value)):
+    low, high = float(np.nanmin(value)), float(np.nanmax(value))
+    for extreme, side in ((high, 1.0), (low, -1.0)):
         at = np.r_[False, value == extreme, False]
         edges = np.flatnonzero(at[1:] != at[:-1])
-        lengths = edges[1::2] - edges[::2]
-        if np.count_nonzero(lengths >= 4) >= 2:
+        first, last = edges[::2], edges[1::2]
+        long = last - first >= 4
+        if visits(value, side * (extreme - _AWAY * side * (high - low)), side, first[long]) >= 2:
             mask |= value == extreme
     return mask
+
+
+def visits(value: np.ndarray, level: float, side: float, at: np.ndarray) -> int:
+    """How many of some places, ascending, lie in visits of their own: with values beyond a level in between.
+
+    Args:
+        value: shape (n,); NaN is not beyond.
+        level: side times the value below which the motion has gone away.
+        side: 1 for visits at the top, −1 at the bottom.
+        at: indices into value.
+    """
+    if len(at) == 0:
+        return 0
+    away = np.cumsum(side * value < level)
+    return 1 + int(np.count_nonzero(np.diff(away[at]) > 0))
 
 
 def block_averages(time_s: np.ndarray, value: np.ndarray, width_s: float, noise: float) -> Averages:

@@ -15,6 +15,7 @@ from identification.ring_down.disturbances import (
     is_disturbed,
     mode_size,
     other_oscillation,
+    stays,
     steady_mode,
     white_rests,
     without_mode,
@@ -93,6 +94,8 @@ class Plan:
             if other is None:
                 break
             apart = self.again(fitted, without_other(fitted, other))
+            if other.near and not stays(apart, other.lam.imag / (2 * np.pi)):
+                break  # a mode's own misfit
             fitted = apart if other.line else self.better_shaped(fitted, apart, other)
         return fitted
 

@@ -150,7 +150,7 @@ class Fitted:
             drifts = len(record.channels) * (self.model.drift + 1)
             at = len(c) - drifts - record.line_columns.shape[1]
             own = []
-            for channel, means, times in zip(channels, record.channels, record.times, strict=True):
+            for channel, means in zip(channels, record.channels, strict=True):
                 lines = []
                 for line in channel.lines:
                     order = line.order + 1 if channel.in_blocks(line, self.width_s) else 0
@@ -158,8 +158,9 @@ class Fitted:
                         first = float(means.time_s[0])
                         more = complex(c[at], -c[at + order])
                         since = line.amplitude_m * np.exp(line.rate * (first - line.zero_s))
-                        line = replace(line, amplitude_m=complex(since + more), zero_s=first)
-                    lines.append(line)
+                        lines.append(replace(line, amplitude_m=complex(since + more), zero_s=first))
+                    else:
+                        lines.append(line)
                     at += 2 * order
                 own.append(lines)
             out.append(own)

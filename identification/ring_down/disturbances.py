@@ -7,15 +7,13 @@ peak is a line where it does not decay, and something else that rings where it d
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.signal.windows import nuttall
 
 from identification.colour import Colour, colour_of
 from identification.least_squares import solve_separable
-from identification.lines import Line, steady_lines
+from identification.lines import Line, smooth_window, steady_lines
 from identification.ring_down.decay import Decay, Fitted
 from identification.ring_down.model import DecayModel, DecayRecord
 from identification.ring_down.modes import averaged_decay, rate
@@ -29,6 +27,8 @@ SMALL = 0.25  # of the strongest mode's amplitude; what does not decay and is la
 _GROUP, _PROMINENT = 24, 40.0  # ordinates of a level; power over its median
 _OWN_BAND, _LOBE = 3.0, 4.0  # half-bandwidths, and ordinates, next to a mode in which what decays is its misfit
 _TRIED, _MOST_DAMPED = 3, 0.1
+_LEAST_SHARE = 2e-5  # of a mode's amplitude
+_STAYS = 0.25  # of a line's amplitude, by which it may rise or fall from the record's middle to its end
 _SAME_Hz = 0.3
 _WANDERS_S = 2.0  # of a record per order of a wandering line's polynomial
 
@@ -46,10 +46,12 @@ class Other:
     Attributes:
         lam: its rate, 1/s.
         line: whether it does not decay, or belongs to a line that is known already.
+        near: whether a mode is so near that only a fit of both can tell.
     """
 
     lam: complex
     line: bool
+    near: bool = False
 
 
 def steady_mode(fitted: Fitted) -> int | None:
@@ -111,8 +113,8 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     if len(grid) < 8 * _GROUP:
         return []
     even = np.interp(grid, t, residual) if len(grid) != len(t) else residual
-    size = next_fast_len(len(even), real=True)
-    power = np.abs(np.fft.rfft((even - even.mean()) * _window(len(even)), size)) ** 2
+    size = int(next_fast_len(len(even), real=True) or len(even))
+    power = np.abs(np.fft.rfft((even - even.mean()) * smooth_window(len(even)), size)) ** 2
     count = len(power) // _GROUP
     level = np.repeat(np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1), _GROUP)
     level = np.r_[level, np.full(len(power) - len(level), level[-1])]
@@ -123,12 +125,7 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     return list(zip(prominence[top].tolist(), frequency[top].tolist(), strict=True))
 
 
-@lru_cache(8)
-def _window(size: int) -> np.ndarray:
-    return nuttall(size, sym=False)
-
-
-def _refined(fitted: Fitted, frequency: float) -> Other | None:
+def _refined(fitted: Fitted, frequency: float) -> Other | None:  # noqa: PLR0911
     """What oscillates at a residual's peak; None where it may be a mode's own misfit."""
     rest = _residual_model(fitted)
     start = np.array([np.log(2 * np.pi * frequency), 0.0])
@@ -141,14 +138,20 @@ def _refined(fitted: Fitted, frequency: float) -> Other | None:
         abs(line.frequency_Hz - frequency) < _SAME_Hz for own in fitted.decay.records for c in own for line in c.lines
     ):
         return Other(complex(0.0, omega), True)
+    channels = [(k, i) for k, r in enumerate(rest.records) for i in range(len(r.channels))]
+    sizes = [float(np.hypot(*solution.coefficients[k][2 * i : 2 * i + 2])) for k, i in channels]
+    if max(sizes) < _LEAST_SHARE * max(mode_size(fitted, m) for m in range(fitted.model.modes)):
+        return None
     std = float(np.sqrt(solution.minimum.covariance[1, 1] * max(1.0, solution.chi2_per_dof)))
     if abs(zeta) < max(_STEADY * std, _SURELY_STEADY):
         return Other(complex(0.0, omega), True)
+    if zeta < 0:
+        return Other(complex(0.0, omega), True, True)  # a mode that is gone later took part of it
     lam = rate(omega, zeta)
     for own, damping in zip(fitted.omegas, fitted.zetas, strict=True):
         mode = rate(float(own), float(damping))
         if abs(lam - mode) < max(_OWN_BAND * max(-mode.real, -lam.real), 2 * np.pi * _LOBE / span):
-            return None
+            return Other(complex(0.0, omega), True, True)
     return Other(lam, False) if _DECAYS * std < zeta < _MOST_DAMPED else None
 
 
@@ -175,11 +178,32 @@ def without_other(fitted: Fitted, other: Other) -> Decay:
             wandering = replace(near[0], order=order)
             return replace(channel, lines=tuple(wandering if line is near[0] else line for line in channel.lines))
         wave, _ = averaged_decay(other.lam, t, record.channels[axis].spread_s2)
-        basis = np.column_stack([wave.real, -wave.imag])
+        basis = np.column_stack([np.real(wave), -np.imag(wave)])
         c, *_ = np.linalg.lstsq(basis, rests[r][axis], rcond=None)
         return channel.without([Line(frequency, complex(c[0], c[1]), record.zero_s, -other.lam.real)])
 
     return fitted.decay.with_channels(change)
+
+
+def stays(fitted: Fitted, frequency_Hz: float) -> bool:
+    """Whether a line that was fitted beside the modes keeps its amplitude over the record, where it is largest."""
+    best = (0.0, np.inf)
+    for record, channels, c in zip(
+        fitted.model.records, fitted.decay.records, fitted.solution.coefficients, strict=True
+    ):
+        at = len(c) - len(record.channels) * (fitted.model.drift + 1) - record.line_columns.shape[1]
+        for channel, means in zip(channels, record.channels, strict=True):
+            for line in channel.lines:
+                if not channel.in_blocks(line, fitted.width_s):
+                    continue
+                order = line.order + 1
+                first = line.amplitude_m * np.exp(line.rate * (float(means.time_s[0]) - line.zero_s))
+                size = complex(first + complex(c[at], -c[at + order]))
+                slope = complex(c[at + 1], -c[at + order + 1])
+                if abs(line.frequency_Hz - frequency_Hz) < 1e-6 * frequency_Hz and size:
+                    best = max(best, (abs(size), abs((slope / size).real)))
+                at += 2 * order
+    return best[1] < _STAYS
 
 
 def coloured(fitted: Fitted) -> Decay | None:

@@ -21,6 +21,9 @@ _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # noise is known to 1 % from so many
 _LEVEL_SAMPLES, _TOP_SHARES, _LEAST_VISITS = 20_000, (0.02, 0.005, 0.001), 3
 _LEAST_SAMPLES = 40
 _STUCK_REPEATS, _STUCK_CHANCE = 4, 1e-2
+_STAYS = 3  # times as long as any visit to a rail
+_HELD, _AFTER = 50, 4  # samples that a hold repeats at least, and that it takes to a small displacement
+_SMALL_STEP, _FROM_REST = 0.02, 0.36  # of the range; between a quarter of the way and half of it
 _SAME_WIDTH = 0.1  # ln of two block lengths for which one colour holds
 _BEYOND_BLOCKS = 0.9  # cycles a block, of which nothing is left in its mean
 
@@ -83,7 +86,7 @@ class Channel:
             middles, wave = _average_wave(time, keep, width_s, line.rate.real, line.rate.imag)
             span = max(float(middles[-1] - middles[0]), 1e-9)
             shapes = np.polynomial.legendre.legvander(2 * (middles - middles[0]) / span - 1, line.order)
-            columns += [shapes * wave.real[:, None], shapes * wave.imag[:, None]]
+            columns += [shapes * np.real(wave)[:, None], shapes * np.imag(wave)[:, None]]
         return np.hstack(columns) if columns else np.empty((0, 0))
 
     @staticmethod
@@ -123,7 +126,7 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
         at = int(np.argmax(np.diff(time) < 0))
         raise NotIdentifiable(f"time runs backwards after sample {at} ({time[at]:.6g} s); sort the recording by time")
     railed, stuck = clipped(value), stuck_samples(value)
-    if stuck.any():
+    if stuck.any():  # a motion that decays fast is at the rail once only
         railed |= stuck & ((value == np.nanmax(value)) | (value == np.nanmin(value)))
     finite = np.isfinite(value)
     noise = sample_noise(value if finite.all() else value[finite]) if finite.sum() >= _LEAST_SAMPLES else 0.0
@@ -179,8 +182,25 @@ def stuck_samples(value: np.ndarray) -> np.ndarray:
     if len(value) * usual**_STUCK_REPEATS > _STUCK_CHANCE:
         return mask
     for a, n in zip(first[long], length[long], strict=True):
-        mask[a : a + n + 1] = True
+        mask[a : a + n + 1] = not _held_still(value, int(a), int(n))
     return mask
+
+
+def _held_still(value: np.ndarray, first: int, length: int) -> bool:
+    """Whether equal samples, `length` more after the first, are a column at rest that is then let go.
+
+    It goes off from rest: half the time to a small displacement takes it a quarter of the way. From a rail, where the
+    motion comes back with a speed, it is half the way, and after a dropout the reading jumps.
+    """
+    last = first + length
+    if length < _HELD or length > 0.8 * len(value):
+        return False
+    gone = np.abs(value[last + 1 :] - value[last]) >= _SMALL_STEP * float(np.nanmax(value) - np.nanmin(value))
+    if not gone.any():
+        return True  # rest, until the record's end
+    there = int(np.argmax(gone)) + 1
+    whole, half = abs(value[last + there] - value[last]), abs(value[last + there // 2] - value[last])
+    return there >= _AFTER and bool(half < _FROM_REST * whole)
 
 
 def noisy_rail(value: np.ndarray, sigma: float) -> np.ndarray:
@@ -207,9 +227,32 @@ def noisy_rail(value: np.ndarray, sigma: float) -> np.ndarray:
         if level is None:
             continue
         near = np.flatnonzero(np.abs(sign * good - level) < 4 * sigma)
+        held = _longest_stay(near)
+        if held is not None:  # a column held still, not a rail, unless values pile up without it as well
+            others = np.sort(sign * _spread_subset(np.delete(good, np.arange(*held))))
+            level = _pile(others, sigma)
+            if level is None:
+                continue
+            near = np.flatnonzero(np.abs(sign * good - level) < 4 * sigma)
         if np.count_nonzero(np.diff(near) > 20) >= _LEAST_VISITS - 1:
             mask |= sign * value > level - 4.5 * sigma
+            if held is not None:
+                mask[np.flatnonzero(finite)[slice(*held)]] = False
     return mask
+
+
+def _longest_stay(near: np.ndarray) -> tuple[int, int] | None:
+    """The stay near a level, from index to index, that is several times as long as all others; None where none is."""
+    if len(near) < _HELD:
+        return None
+    edges = np.flatnonzero(np.diff(near) > 20)
+    first, last = near[np.r_[0, edges + 1]], near[np.r_[edges, len(near) - 1]] + 1
+    lengths = last - first
+    k = int(np.argmax(lengths))
+    others = np.delete(lengths, k)
+    if lengths[k] < _HELD or (len(others) and lengths[k] < _STAYS * int(others.max())):
+        return None
+    return int(first[k]), int(last[k])
 
 
 def _pile(ordered: np.ndarray, sigma: float) -> float | None:

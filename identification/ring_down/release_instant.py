@@ -9,6 +9,7 @@ from identification.errors import NotIdentifiable
 from identification.samples import Averages
 
 _WINDOW_S, _MARGIN_S = 0.1, 0.017
+_STILL = 0.03  # of the largest displacement
 _NOTICED = 60.0  # χ² of the largest stretch's means: noise alone explains 2 ln of their number, about 20
 
 
@@ -38,7 +39,10 @@ def release_instant(channels: list[Averages]) -> float:
     time = ends[int(np.argmax([float(np.max(e[1])) for e in ends]))][0]
     displaced = np.max([np.interp(time, t, middle) for t, middle, _, _ in ends], axis=0)
     spread = np.max([np.interp(time, t, s) for t, _, s, _ in ends], axis=0)
-    level = 0.03 * displaced + 6 * max(noise)
+    # noise of low frequencies shows in how far the stillest windows spread; a motion that never rests spreads more
+    still = float(np.percentile(spread, 10))
+    restless = max(6 * max(noise), 1.3 * still if still < _STILL * largest else 0.0)
+    level = 0.03 * displaced + restless
     if 6 * max(noise) > 0.1 * largest:
         return -np.inf
     held = np.flatnonzero((spread < level) & (displaced > 0.5 * largest))

@@ -53,7 +53,7 @@ def lone_direction(decay: Decay) -> Lone | None:
 
 def stronger_sensor(decay: Decay, ratio: float) -> int | None:
     """The sensor of a single record whose motion exceeds the other's by more than 1/ratio; None where neither does."""
-    if len(decay.records) > 1 or len(decay.records[0]) < 2:
+    if len(decay.records) != 1 or len(decay.records[0]) < 2:
         return None
     coarse = decay.averages(COARSE_S)[0]
     energy = [float(np.var(c.value)) - c.noise**2 / float(np.median(c.count)) for c in coarse]

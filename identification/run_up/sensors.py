@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from identification.errors import NotIdentifiable
+from identification.lines import Line, sentences, steady_lines
 from identification.samples import Averages, block_averages, clipped, white_noise
 
 _FEWEST_BLOCKS = 200
@@ -53,6 +54,8 @@ def sensor_averages(
     if rail.any():
         warnings.append(f"{np.count_nonzero(rail)} samples at the rail of sensor {name} left out")
         time, value = time[~rail], value[~rail]
+    value, lines = _without_lines(time, value)
+    warnings += [f"sensor {name}: {said}" for said in sentences([(name, lines)])]
     every = max(1, len(time) // _ENOUGH)
     step = float(np.median(np.diff(time)[::every]))
     if top_rad_s * step < _COARSE:
@@ -72,6 +75,14 @@ def sensor_averages(
     if len(averages.time_s) < _FEWEST_BLOCKS:
         raise NotIdentifiable(f"sensor {name} gives {len(averages.time_s)} block averages; record longer")
     return averages, warnings
+
+
+def _without_lines(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, list[Line]]:
+    """Values less their steady lines, and these. A passage sweeps over its frequencies and is steady at none."""
+    lines = steady_lines(time, value, np.ones(len(time), bool))
+    for line in lines:
+        value = value - line.at(time)
+    return value, lines
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
