@@ -6,8 +6,8 @@ import contextlib
 import importlib
 import multiprocessing
 import os
-import threading
 import queue
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.connection import Connection
