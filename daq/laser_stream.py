@@ -71,7 +71,7 @@ class LaserPipeline:
             return self._samples(clean, host_ns, gapless=True) if len(clean.code) else []
         out: Items = []
         while data:
-            data = self._decode(data, host_ns, out) if self._trial is None else self._try(data, out)
+            data = self._decode(data, host_ns, out) if self._trial is None else self._try(data, host_ns, out)
         return out
 
     def _decode(self, data: bytes, host_ns: int, out: Items) -> bytes:
@@ -91,8 +91,8 @@ class LaserPipeline:
         self._decoder.heed_answers = True
         return found.rest
 
-    def _try(self, data: bytes, out: Items) -> bytes:
-        """Let the stream decide which words it is made of; returns the bytes to be decoded by them."""
+    def _try(self, data: bytes, host_ns: int, out: Items) -> bytes:
+        """Let the stream decide which words it is made of, and decode by them what waited; returns what follows."""
         assert self._trial is not None
         decided, lines, rest = self._trial.feed(data)
         self._say(lines, out)
@@ -109,7 +109,7 @@ class LaserPipeline:
         elif not decided:
             text = f"an answer tells of the words {' '.join(told)}, the stream is not made of them: ignored"
             out.append(Event("words", self._device, text))
-        return held + rest
+        return self._decode(held, host_ns, out) + rest  # answers in what follows count again
 
     def _say(self, lines: Sequence[str], out: Items) -> None:
         before = min(self._said, len(lines))

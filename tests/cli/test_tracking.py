@@ -52,7 +52,7 @@ def test_what_goes_wrong_in_the_tracker_does_not_end_the_test(
         monkeypatch.setattr(Tracker, "feed_encoders", broken)
         done = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).spin_down()
         assert following.words() == "tracking stopped: not positive definite"
-    assert done.summary == {"slowed_down": True}
+    assert done.summary == {"slowed_down": True, "reached": True, "ended": "done"}
     assert not following.facts()["trusted"]
 
 
@@ -81,4 +81,4 @@ def test_a_test_that_does_not_exist_is_refused_before_a_device_is_opened(
 ) -> None:
     monkeypatch.setattr(Session, "open", lambda session: pytest.fail("a device was opened"))
     assert run(["test", "virtual", "point", "Z"]) == 2
-    assert "'point Z': no such test. Known: ring-down-x" in " ".join(capsys.readouterr().err.split())
+    assert "'point-Z': no such test. Known: ring-down-x" in " ".join(capsys.readouterr().err.split())

@@ -40,11 +40,26 @@ def _laser(rng: np.random.Generator, step: int, lost: set[int], restarts_at: int
     return b"" if step in lost else optoncdt.encode_block(words)
 
 
-def _node(step: int) -> bytes:
-    counts = np.column_stack([10 * step + np.arange(10), np.full(10, 2048)]).astype(np.int32)
-    block = rotorlink.EncoderBlock(1, 2 * step & 0xFFFF, 10 * step, 10_000 * step, 1000, 96, counts)
-    mark = rotorlink.IndexMark(1, (2 * step + 1) & 0xFFFF, 10_000 * step + 9_500, step)
-    return rotorlink.wire(block.pack()) + rotorlink.wire(mark.pack())
+class _Node:
+    """Encoder blocks, and index marks: one a step, or as often as the rotor turns."""
+
+    def __init__(self, marks_turn: bool) -> None:
+        self._marks_turn, self._seq, self._turns = marks_turn, 0, 0.0
+
+    def says(self, step: int, rpm: float) -> bytes:
+        counts = np.column_stack([10 * step + np.arange(10), np.full(10, 2048)]).astype(np.int32)
+        data = self._wire(rotorlink.EncoderBlock(1, self._seq, 10 * step, 10_000 * step, 1000, 96, counts))
+        if not self._marks_turn:
+            return data + self._wire(rotorlink.IndexMark(1, self._seq, 10_000 * step + 9_500, step))
+        before, self._turns = self._turns, self._turns + rpm / 60 * 0.01
+        if int(self._turns) == int(before):
+            return data
+        at_us = 10_000 * step + int(10_000 * (int(self._turns) - before) / (self._turns - before))
+        return data + self._wire(rotorlink.IndexMark(1, self._seq, at_us, int(self._turns)))
+
+    def _wire(self, frame: rotorlink.EncoderBlock | rotorlink.IndexMark) -> bytes:
+        self._seq = (self._seq + 1) & 0xFFFF
+        return rotorlink.wire(frame.pack())
 
 
 def _frame(identifier: int, data: bytes) -> bytes:
@@ -63,10 +78,12 @@ def reads(
     Args:
         lost: steps whose samples of laser y never come.
         restarts_at: step at which laser x begins its counters anew.
-        rests_from: step from which on the rotor stands.
+        rests_from: step at which a rotor that runs down evenly, with an index mark a turn, stands; None: a speed of
+            no rotor, with a mark in every step.
     """
     rng = np.random.default_rng(seed)
     kept: dict[str, bytes] = {}
+    node = _Node(marks_turn=rests_from is not None)
     yield "drive", TX, b"\rC\rS6\rO\r", START_NS
     for step in range(steps):
         host_ns = START_NS + (step + 1) * STEP_NS
@@ -79,13 +96,13 @@ def reads(
                 rotorlink.wire(rotorlink.Command(1, step, rotorlink.ACTIONS["lock both"]).pack()),
                 host_ns,
             )
-        rpm = 0 if rests_from is not None and step >= rests_from else 60 + step % 1000
+        rpm = 60 + step % 1000 if rests_from is None else max(0, 1059 * (rests_from - step) // rests_from)
         status = _frame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237 if step < steps // 2 else 0x0240, rpm))
         acknowledge = b"z\r" if step % 7 == 3 else b""
         came = {
             "laser_x": _laser(rng, step, set(), restarts_at),
             "laser_y": _laser(rng, step, set(lost), None),
-            "encoder": _node(step),
+            "encoder": node.says(step, rpm),
             "drive": acknowledge + status,
         }
         for i, (device, new) in enumerate(came.items()):

@@ -70,7 +70,7 @@ def line_to(sensor: LeftStreaming) -> Iterator[tuple[DeviceReader, list[Event], 
     events: list[Event] = []
     samples: list[int] = []
 
-    def take(data: bytes, host_ns: int) -> None:
+    def take(sent: object, data: bytes, host_ns: int) -> None:
         for item in device.pipeline.feed(RX, data, host_ns):
             if isinstance(item, Event):
                 events.append(item)
