@@ -282,6 +282,24 @@ def test_a_drive_that_goes_on_past_its_order_or_the_other_way_is_found(target: i
     assert any(other.drive_said(k * 10_000_000, np.array([-2.0 * k])) is not None for k in range(40))
 
 
+def marks_by(stamp: float) -> str | None:
+    """Forty index marks at 900 rpm, the common clock running so many times as fast as the node's; what is found wrong."""
+    watch, turn_ns, wrong = RotorWatch(1200.0, patience), 66_666_667, None
+    watch.told(900.0)
+    for turn in range(1, 41):
+        own = np.array([turn * turn_ns])
+        watch.drive_said(int(own[0]), np.array([900.0]))
+        wrong = wrong or watch.marks_came(int(own[0]), (own * stamp).astype(np.int64), own, np.array([turn]))
+    return wrong
+
+
+def test_a_clock_map_that_makes_good_a_late_read_is_no_overspeed() -> None:
+    """The map may run up to half as fast again or half as slow for a while; the node's own clock tells the speed."""
+    assert marks_by(1.0) is None
+    assert marks_by(0.5) is None
+    assert marks_by(1.5) is None
+
+
 @given(st.lists(st.tuples(st.integers(1, 60), st.floats(0, 1)), min_size=1, max_size=60))
 def test_the_share_of_bad_samples_is_that_of_the_newest_stretch(reads: list[tuple[int, float]]) -> None:
     rng = np.random.default_rng(len(reads))
