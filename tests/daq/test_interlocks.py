@@ -283,7 +283,7 @@ def test_a_drive_that_goes_on_past_its_order_or_the_other_way_is_found(target: i
 
 
 def marks_by(stamp: float) -> str | None:
-    """Forty index marks at 900 rpm, the common clock running so many times as fast as the node's; what is found wrong."""
+    """What is found wrong with index marks at 900 rpm, the common clock so many times as fast as the node's."""
     watch, turn_ns, wrong = RotorWatch(1200.0, patience), 66_666_667, None
     watch.told(900.0)
     for turn in range(1, 41):
