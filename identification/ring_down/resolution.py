@@ -123,11 +123,15 @@ class Resolution:
     gain: float
 
     @property
+    def certain(self) -> bool:
+        """Whether the distance is known well enough to be believed."""
+        return self.split >= CLOSE or self.split_std <= _CERTAIN * self.split
+
+    @property
     def resolved(self) -> bool:
         """Two axes, with an angle known to 3° or better, and modes that stand apart beyond doubt."""
         # a mode that has hardly any amplitude can be anywhere: it seems far off, and nobody knows how far
-        certain = self.split >= CLOSE or self.split_std <= _CERTAIN * self.split
-        apart = self.split >= RESOLVED_SPLIT and certain
+        apart = self.split >= RESOLVED_SPLIT and self.certain
         return apart and self.axis_std_rad <= WALD_STD and self.gain >= RESOLVED_GAIN
 
 
