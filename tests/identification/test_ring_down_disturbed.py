@@ -13,9 +13,10 @@ from synthetic import Campaign
 from identification import NotIdentifiable, fit_ring_down, fit_run_up_run
 from identification.colour import colour_of
 from identification.lines import steady_lines
+from identification.ring_down.release_instant import release_instant
 from identification.ring_down.resolution import Resolution
 from identification.ring_down.result import _unresolved
-from identification.samples import clipped
+from identification.samples import block_averages, clipped
 
 RATE = 1000.0
 F, ZETA = (3.0, 11.6), (0.012, 0.008)
@@ -193,6 +194,8 @@ def test_a_hold_that_noise_makes_restless_is_not_fitted() -> None:
     signal = signal + coloured(white, len(t), 20.0, 20e-6)
     shaking = np.clip((t - 1.05) / 0.05, 0, 1) * (t < 1.4)
     signal = signal + 220e-6 * (shaking * np.sin(2 * np.pi * 11.0 * t))[:, None]
+    means = [block_averages(t, own, 4e-3, 4e-6) for own in signal.T]
+    assert 1.4 <= release_instant(means) < 1.5
     fit = fit_ring_down(t, signal)
     assert fit.release_s[0] >= 1.39
     assert_true(fit, NAMES[2:])
