@@ -136,9 +136,8 @@ def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> A
         rates = rates[rates >= SLOWEST_PER_S]
     ending = rates >= SLOWEST_PER_S
     widths = width * np.where(ending & moves, _MARGIN, 1.0)[:, None]
-    shape = _shape(rates, edges_s)
-    early, late = np.triu_indices(len(means), 1)
-    span = shape[:, early] - shape[:, late]
+    early, late = _couples(len(means))
+    span = _spans(edges_s.tobytes())[:, len(_rates()) - len(rates) :].T if False else _spans(edges_s.tobytes())
     change = means[early] - means[late]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         one, other = (change - 2 * widths) / span, (change + 2 * widths) / span
@@ -185,6 +184,28 @@ def _terms() -> tuple[Array, Array]:
     return np.array(pairs), np.array(waves)
 
 
+@lru_cache(maxsize=8)  # the two quantities of one look share their windows
+def _designs(edges: bytes) -> tuple[Array, Array]:
+    """For each two terms 1 and their two shapes, (h, n, 3), and the least squares inverse of that, (h, 3, n).
+
+    Args:
+        edges: the bytes of the windows' edges, shape (n, 2), s.
+    """
+    edges_s = np.frombuffer(edges).reshape(-1, 2)
+    pairs, waves = _terms()
+    turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
+    shapes = np.concatenate([
+        np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
+        np.stack([np.real(turning), np.imag(turning)], axis=2),
+    ])  # fmt: skip
+    design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
+    scale = np.abs(design).max(axis=1, keepdims=True)
+    scaled = design / scale
+    across = scaled.transpose(0, 2, 1)
+    inverse = _solved(across @ scaled + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
+    return design, inverse
+
+
 def _solved(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, right), np.float64)
 
@@ -195,19 +216,9 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     Two terms of a pair may cancel now and not later, so their sizes are added.
     """
     pairs, waves = _terms()
-    turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
-    shapes = np.concatenate([
-        np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
-        np.stack([np.real(turning), np.imag(turning)], axis=2),
-    ])  # fmt: skip
-    design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
-    scale = np.abs(design).max(axis=1, keepdims=True)
-    design = design / scale
-    across = design.transpose(0, 2, 1)
-    inverse = _solved(across @ design + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
-    design = design * scale
+    design, inverse = _designs(edges_s.tobytes())
     found = np.asarray(inverse @ means, np.float64)
-    rest = np.abs(means - np.einsum("hnk,hk->hn", design, found)).max(axis=1)
+    rest = np.abs(means - (design @ found[:, :, None])[:, :, 0]).max(axis=1)
     width = max(width, 1.5 * float(rest.min()))
     if width > most:
         return None

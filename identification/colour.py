@@ -71,6 +71,9 @@ def colour_of(residual: np.ndarray, noise: float, width_s: float, modes: list[tu
     power = np.abs(np.fft.rfft((quiet - quiet.mean()) * taper, size)) ** 2 / n
     spacing = 1 / (size * width_s)
     covariance = np.fft.irfft(_bridged(power, spacing, modes))[: _HIGHEST_ORDER + 1]
+    small = float(np.sum((covariance[1:] / covariance[0]) ** 2))
+    if covariance[0] < 1 + 6 * np.sqrt(2 / n) and small < min(_CLEARLY / n, 0.05):
+        return None  # no predictor could gain what is asked below
     predictors, variances = _levinson(covariance)
     criterion = [n * np.log(max(v, 1e-300)) + k * np.log(n) for k, v in enumerate(variances)]
     order = int(np.argmin(criterion))

@@ -123,10 +123,11 @@ def _uniform(time: np.ndarray, value: np.ndarray, keep: np.ndarray) -> tuple[flo
     if len(t) < _LEAST_SAMPLES or t[-1] <= t[0]:
         return None
     own = (t[-1] - t[0]) / (len(t) - 1)
-    step = max(float(np.median(np.diff(t)[:: max(1, len(t) // 20000)])), 0.2 * own)
+    regular = np.max(np.abs(t - (t[0] + own * np.arange(len(t))))) < 0.02 * own
+    step = own if regular else max(float(np.median(np.diff(t)[:: max(1, len(t) // 20000)])), 0.2 * own)
     many = int(1 / (step * _HIGHEST_RATE_Hz) * (1 + 1e-6))
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-6) + 1)
-    even = y if len(grid) == len(t) and np.max(np.abs(grid - t)) < 0.02 * step else np.interp(grid, t, y)
+    even = y if regular and len(grid) == len(t) else np.interp(grid, t, y)
     if many > 1:
         count = len(even) // many
         even = even[: count * many].reshape(count, many).mean(axis=1)
@@ -141,7 +142,7 @@ def _spectrum(span: Span) -> tuple[np.ndarray, np.ndarray, float]:
     power = np.abs(np.fft.rfft(span.value * smooth_window(n), size)) ** 2
     count = -(-len(power) // _GROUP)
     padded = np.concatenate([power, np.full(count * _GROUP - len(power), power[-_GROUP:].mean())])
-    level = np.median(padded.reshape(count, _GROUP), axis=1)
+    level = np.partition(padded.reshape(count, _GROUP), _GROUP // 2, axis=1)[:, _GROUP // 2]
     return power, np.repeat(level, _GROUP)[: len(power)], 1 / (size * span.step_s)
 
 
@@ -159,14 +160,14 @@ def _peaks(span: Span) -> Iterable[tuple[float, float]]:
         yield (k + shift) * spacing, 2 * float(np.sqrt(level[k] / np.log(2) / 2)) / weight
 
 
-def _amplitudes(span: Span, frequency: float) -> tuple[np.ndarray, np.ndarray]:
+def _amplitudes(span: Span, frequency: float, centres: Sequence[float] = _CENTRES) -> tuple[np.ndarray, np.ndarray]:
     """Middle times since the span's start and complex amplitudes (phase at the span's start) in the windows."""
     size = len(span.value) // 3
     window = smooth_window(size)
     window = window * (2 / window.sum())
     wave = np.exp(-2j * np.pi * frequency * span.step_s * np.arange(size))
     middles, out = [], []
-    for centre in _CENTRES:
+    for centre in centres:
         first = round(centre * len(span.value) - size / 2)
         part = span.value[first : first + size]
         out.append(np.sum((part - part.mean()) * window * wave) * np.exp(-2j * np.pi * frequency * span.step_s * first))
@@ -176,6 +177,8 @@ def _amplitudes(span: Span, frequency: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line | None:
     """The line at a peak; None where it decays, jumps, is too faint to tell, or may well be the motion itself."""
+    if _clearly_decays(span, frequency, 1.8 * noise):
+        return None
     middle, amplitude = _amplitudes(span, frequency)
     phase = np.unwrap(np.angle(amplitude))
     turn, _ = np.polyfit(middle, phase, 1)
@@ -200,6 +203,16 @@ def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line 
     order = 1 if bent < 0.02 + 3 * own / mean else max(4, round(length / 2.0))
     constant = complex(np.mean(amplitude)) if order == 1 else complex(mean * np.exp(1j * phase.mean()))
     return Line(frequency, constant, span.start_s, order=min(order, 40))
+
+
+def _clearly_decays(span: Span, frequency: float, noise: float) -> bool:
+    """Whether the first and the last window alone tell a decay, beyond any doubt that all of them could raise."""
+    middle, amplitude = _amplitudes(span, frequency, (_CENTRES[0], _CENTRES[-1]))
+    first, last = np.abs(amplitude)
+    if first < 30 * noise or first < 2 * last:
+        return False
+    decay = np.log(first / max(last, noise)) / (middle[1] - middle[0])
+    return bool(decay > 4 * _SURELY_STEADY * 2 * np.pi * frequency)
 
 
 def _quiet_head(value: np.ndarray, largest: float) -> int:

@@ -12,6 +12,7 @@ from identification.ring_down.disturbances import (
     SMALL,
     Other,
     coloured,
+    foreign_mode,
     is_disturbed,
     mode_size,
     other_oscillation,
@@ -87,6 +88,7 @@ class Plan:
         """The fit with lines that it shows beside its modes, until it shows none."""
         for _ in range(_LINES):
             mode = steady_mode(fitted)
+            mode = foreign_mode(fitted) if mode is None else mode
             if mode is not None:
                 fitted = self.from_starts(without_mode(fitted, mode), near)
                 continue

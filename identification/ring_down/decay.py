@@ -54,7 +54,8 @@ class Decay:
             if any(len(a.time_s) < _LEAST_BLOCKS for a in own):
                 span = min(float(a.time_s[-1] - a.time_s[0]) for a in own)
                 raise NotIdentifiable(
-                    f"only {span:.2g} s after the release at {begin:.4g} s; record at least a few cycles of the decay"
+                    f"only {span:.2g} s after the release at {begin:.4g} s, {_LEAST_BLOCKS * width_s:.2g} s are "
+                    "needed; record at least a few cycles of the decay"
                 )
             out.append(own)
         return out

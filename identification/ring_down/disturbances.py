@@ -18,12 +18,17 @@ from identification.ring_down.decay import Decay, Fitted
 from identification.ring_down.model import DecayModel, DecayRecord
 from identification.ring_down.modes import averaged_decay, rate
 from identification.ring_down.record import Channel
+from identification.ring_down.residuals import gain_of
 from identification.samples import Averages
 
 _SURELY_STEADY = 5e-5  # ζ of no suspension, whatever the statistics say
 _STEADY, _DECAYS = 3.0, 4.0  # standard deviations of ζ
 _VAGUE = 0.15  # standard deviation of the decay over the record, beyond which steady is not decided
 SMALL = 0.25  # of the strongest mode's amplitude; what does not decay and is larger is the user's to explain
+_WEAKER = 0.5  # of the stronger mode's amplitude
+_FOREIGN_GAIN = 60.0  # of χ², by an amplitude of its own across
+_SUSPECT = 6.0  # standard deviations of χ²/dof
+_ACROSS = 0.2  # of a mode's amplitude; beyond what sensors 5° out of square and a sensor's crosstalk show
 _GROUP, _PROMINENT = 24, 40.0  # ordinates of a level; power over its median
 _OWN_BAND, _LOBE = 3.0, 4.0  # half-bandwidths, and ordinates, next to a mode in which what decays is its misfit
 _TRIED, _MOST_DAMPED = 3, 0.1
@@ -68,6 +73,42 @@ def steady_mode(fitted: Fitted) -> int | None:
             return int(m)
         if small and zeta < _STEADY * std and std * omega * span < _VAGUE:
             return int(m)
+    return None
+
+
+def foreign_mode(fitted: Fitted) -> int | None:
+    """The index of a turned pair's weaker mode that moves in another direction, or phase, than the pair has it.
+
+    A suspension's mode moves along a straight line square to the other's. A floor's or a cable's does not: it needs
+    an amplitude of its own in the sensor across, which here is added to the fit to see what it gains.
+    """
+    model = fitted.model
+    if not model.turned or not np.all(np.isfinite(fitted.theta)):
+        return None
+    sizes = [mode_size(fitted, m) for m in range(2)]
+    weak = int(np.argmin(sizes))
+    lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+    apart = abs(lams[0] - lams[1]) > _OWN_BAND * max(abs(lam.real) for lam in lams)
+    if sizes[weak] > _WEAKER * sizes[1 - weak] or not apart:
+        return None
+    noise, across = max(1.0, fitted.solution.chi2_per_dof), 1 - weak
+    if noise < 1 + _SUSPECT * np.sqrt(2 / fitted.count):
+        return None
+    for r, (record, block, c) in enumerate(
+        zip(model.records, model(fitted.theta), fitted.solution.coefficients, strict=True)
+    ):
+        parts = [np.zeros((len(t), 2)) for t in record.times]
+        wave, _ = averaged_decay(lams[weak], record.times[across], record.channels[across].spread_s2)
+        parts[across] = np.column_stack([np.real(wave), -np.imag(wave)])
+        extra = record.scaled(np.concatenate(parts))
+        known, residual = np.column_stack([block.basis, block.tangent(c)]), block.data - block.basis @ c
+        columns = np.column_stack([known, extra])
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        found, *_ = np.linalg.lstsq(columns / scale, residual, rcond=1e-12)
+        own = float(np.hypot(*(found / scale)[-2:]))
+        gain = gain_of(residual, known, extra) / noise
+        if gain > _FOREIGN_GAIN and own > _ACROSS * abs(fitted.amplitude(r, weak, weak)):
+            return weak
     return None
 
 
@@ -144,15 +185,21 @@ def _refined(fitted: Fitted, frequency: float) -> Other | None:  # noqa: PLR0911
         return None
     std = float(np.sqrt(solution.minimum.covariance[1, 1] * max(1.0, solution.chi2_per_dof)))
     if abs(zeta) < max(_STEADY * std, _SURELY_STEADY):
-        return Other(complex(0.0, omega), True)
+        # where a misfit makes the decay vague, and in a mode's own band, a fit of both tells
+        return Other(complex(0.0, omega), True, std * omega * span > _VAGUE or _in_own_band(fitted, 1j * omega, span))
     if zeta < 0:
         return Other(complex(0.0, omega), True, True)  # a mode that is gone later took part of it
     lam = rate(omega, zeta)
-    for own, damping in zip(fitted.omegas, fitted.zetas, strict=True):
-        mode = rate(float(own), float(damping))
-        if abs(lam - mode) < max(_OWN_BAND * max(-mode.real, -lam.real), 2 * np.pi * _LOBE / span):
-            return Other(complex(0.0, omega), True, True)
+    if _in_own_band(fitted, lam, span):
+        return Other(complex(0.0, omega), True, True)
     return Other(lam, False) if _DECAYS * std < zeta < _MOST_DAMPED else None
+
+
+def _in_own_band(fitted: Fitted, lam: complex, span_s: float) -> bool:
+    """Whether a rate is so near to a mode's that it may be its misfit."""
+    modes = [rate(float(omega), float(zeta)) for omega, zeta in zip(fitted.omegas, fitted.zetas, strict=True)]
+    lobe = 2 * np.pi * _LOBE / span_s
+    return any(abs(lam - mode) < max(_OWN_BAND * max(-mode.real, -lam.real), lobe) for mode in modes)
 
 
 def _residual_model(fitted: Fitted) -> DecayModel:

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from identification.errors import NotIdentifiable
+from identification.errors import FitFailed, NotIdentifiable
 from identification.ring_down.attempt import stretches
 from identification.ring_down.decay import COARSE_S, Fitted
+from identification.ring_down.disturbances import is_disturbed, mode_size
 from identification.ring_down.record import Channel, sample_noise
 
 _CUBIC = 3
@@ -19,6 +20,10 @@ HIGHEST_Hz = 0.4 / COARSE_S  # of Nyquist's 0.5 for the blocks that start values
 _LOUDEST_S = 1.0
 _STEPS = 20_000  # sampling intervals looked at
 _NEAR, _MOST = 0.2, 0.5  # of the peak's frequency; of the stretch's energy
+_WITHIN_A_PERIOD = 1 / (2 * np.pi)  # ζ of a mode that falls to 1/e within one
+_NO_SUSPENSION = 0.5
+_LEAST_BEFORE_S = 0.1  # of a record before its fit's begin
+_UNLIKE, _MISFIT = 4.0, 0.01  # times the usual noise; of the strongest mode
 _COARSE, _FEW = 0.7, 25.0  # residuals' noise over differences'; samples a cycle
 
 
@@ -44,6 +49,54 @@ def refuse_nothing_rings(fitted: Fitted) -> None:
             f"nothing rings after the release at {begins}: the best oscillation explains {max(gain, 0.0):.3g} of χ² "
             f"beyond drift, chance alone up to {price:.3g}; pull farther and let go suddenly"
         )
+
+
+def refuse_no_suspension_mode(fitted: Fitted) -> None:
+    """Raises NotIdentifiable when what was found decays within a period: it turns round once and is gone.
+
+    A push, a hold or a drift that the fit took in look like that, and what they hide passes for coloured noise. Up to
+    a damping of a half it is believed where the noise is white, or even and nothing precedes the decay.
+    """
+    for m, (omega, zeta) in enumerate(zip(fitted.omegas, fitted.zetas, strict=True)):
+        if zeta < _WITHIN_A_PERIOD:
+            continue
+        early, late = _early_and_late(fitted)
+        precedes = any(
+            begin - float(channels[0].time_s[0]) > _LEAST_BEFORE_S
+            for begin, channels in zip(fitted.decay.begins, fitted.decay.records, strict=True)
+        )
+        coloured = any(c.colour is not None for own in fitted.decay.records for c in own)
+        if zeta > _NO_SUSPENSION or (coloured and (precedes or early > _UNLIKE * late)):
+            raise NotIdentifiable(
+                f"what moves at {omega / (2 * np.pi):.3g} Hz after {fitted.decay.begins[0]:.4g} s decays within "
+                f"{1 / (2 * np.pi * zeta):.2f} of its period (ζ = {zeta:.2g}, mode {m + 1}), which no mode of the "
+                "suspension does; the fit may hold a part of the pull or the hold. Cut the recording at the release"
+            )
+
+
+def refuse_misfit(fitted: Fitted) -> None:
+    """Raises FitFailed when what a fit leaves, taken for coloured noise, is far larger at the begin than later on."""
+    if not is_disturbed(fitted):
+        return
+    early, late = _early_and_late(fitted)
+    size = max(mode_size(fitted, m) for m in range(fitted.model.modes))
+    if early > _UNLIKE * late and early > _MISFIT * size:
+        raise FitFailed(
+            f"ring-down: the modes leave {1e6 * early:.3g} µm rms in the first eighth of the record and "
+            f"{1e6 * late:.3g} µm later, {early / late:.2g} times as much: that is no noise but motion that is no free "
+            f"decay; does the fit, from {fitted.decay.begins[0]:.4g} s on, begin before the release?"
+        )
+
+
+def _early_and_late(fitted: Fitted) -> tuple[float, float]:
+    """Rms of what a fit leaves in the first eighth and, the median, in the others, m, where they differ most."""
+    worst = (0.0, 1e-300)
+    for residuals in fitted.plain_residuals():
+        for own in residuals:
+            parts = [float(np.std(part)) for part in np.array_split(own, 8)]
+            late = max(float(np.median(parts[1:])), 1e-300)
+            worst = max(worst, (parts[0], late), key=lambda pair: pair[0] / pair[1])
+    return worst
 
 
 def refuse_too_fast(records: Sequence[Sequence[Channel]]) -> None:

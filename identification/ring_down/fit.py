@@ -17,8 +17,14 @@ from identification.estimate import Estimate
 from identification.ring_down.attempt import Plan
 from identification.ring_down.begin import proposed, settled
 from identification.ring_down.decay import Decay, Priors, both_alike, second_mode_gain
-from identification.ring_down.disturbances import without_lines
-from identification.ring_down.evidence import coarse_remark, refuse_nothing_rings, refuse_too_fast
+from identification.ring_down.disturbances import foreign_mode, without_lines
+from identification.ring_down.evidence import (
+    coarse_remark,
+    refuse_misfit,
+    refuse_no_suspension_mode,
+    refuse_nothing_rings,
+    refuse_too_fast,
+)
 from identification.ring_down.model import BETA, RATIO
 from identification.ring_down.outliers import without_spikes
 from identification.ring_down.record import Channel, read_channel
@@ -28,6 +34,7 @@ from identification.ring_down.resolution import (
     WEAK,
     Lone,
     lone_direction,
+    not_of_the_pair,
     own_mode_missing,
     resolution,
     stronger_sensor,
@@ -171,9 +178,15 @@ def _both_directions(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], fi
         )
     fitted = plan.labelled(plan.shortened(fitted))
     refuse_nothing_rings(fitted)
+    refuse_misfit(fitted)
+    refuse_no_suspension_mode(fitted)
     warnings += coarse_remark(fitted)
     gain, single = second_mode_gain(fitted)
     strong = stronger_sensor(start, WEAK)
+    foreign = foreign_mode(fitted)
+    if foreign is not None:
+        warnings[:] = said
+        return _lone(start, valid, findings, not_of_the_pair(1 - foreign, float(fitted.omegas[foreign])))
     if gain < RESOLVED_GAIN and strong is not None:
         warnings[:] = said
         return _lone(start, valid, findings, own_mode_missing(strong, True))
@@ -208,6 +221,8 @@ def _one_direction(
     findings.tell_left_out(count)
     fitted = plan.with_fewest_modes(plan.shortened(fitted))
     refuse_nothing_rings(fitted)
+    refuse_misfit(fitted)
+    refuse_no_suspension_mode(fitted)
     findings.warnings += coarse_remark(fitted)
     if fitted.model.modes == 2:
         findings.warnings.append(

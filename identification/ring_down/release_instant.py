@@ -9,6 +9,7 @@ from identification.errors import NotIdentifiable
 from identification.samples import Averages
 
 _WINDOW_S, _MARGIN_S = 0.1, 0.017
+_LEAVES, _SMOOTH = 0.1, 5  # of a hold's level, beyond which it has ended; block means of a median
 _STILL = 0.03  # of the largest displacement
 _NOTICED = 60.0  # χ² of the largest stretch's means: noise alone explains 2 ln of their number, about 20
 
@@ -46,7 +47,24 @@ def release_instant(channels: list[Averages]) -> float:
     if 6 * max(noise) > 0.1 * largest:
         return -np.inf
     held = np.flatnonzero((spread < level) & (displaced > 0.5 * largest))
-    return float(time[held[-1]] + _WINDOW_S / 2 + _MARGIN_S) if len(held) else -np.inf
+    if not len(held):
+        return -np.inf
+    usual = float(time[held[-1]] + _WINDOW_S / 2 + _MARGIN_S)
+    most = int(np.argmax([float(np.max(e[1])) for e in ends]))
+    left = _left_hold(channels[most].time_s, moves[most], float(time[held[-1]]), restless)
+    return left + _MARGIN_S if left > usual + _WINDOW_S else usual
+
+
+def _left_hold(time: np.ndarray, move: np.ndarray, held_s: float, restless: float) -> float:
+    """When the displacement leaves the level at which it was last seen to be held, s.
+
+    Noise of low frequencies makes single windows of a hold look restless, but does not move it a tenth of the way.
+    """
+    smooth = median_filter(move, _SMOOTH)
+    near = np.abs(time - held_s) <= _WINDOW_S / 2
+    level = float(np.median(move[near]))
+    gone = (time > held_s) & (np.abs(smooth - level) > max(_LEAVES * abs(level), restless))
+    return float(time[np.argmax(gone)]) if gone.any() else -np.inf
 
 
 def _refuse_quiet(channels: list[Averages], moves: list[np.ndarray]) -> None:

@@ -71,6 +71,17 @@ def own_mode_missing(strong: int, others: bool) -> Lone:
     return Lone(strong, f"{reason}; direction {strong + 1} alone is fitted. Add a ring-down along {axis}")
 
 
+def not_of_the_pair(strong: int, omega: float) -> Lone:
+    """A record in which what seems the weaker mode moves in another direction than a mode of the pair can."""
+    axis = "xy"[1 - strong]
+    return Lone(
+        strong,
+        f"direction {2 - strong} is not shown by this record: what rings at {omega / (2 * np.pi):.3g} Hz moves in "
+        f"another direction, or phase, than a mode square to direction {strong + 1} can (a floor, a cable?); "
+        f"direction {strong + 1} alone is fitted. Add a ring-down along {axis}",
+    )
+
+
 def _alone(decay: Decay, axis: int) -> Fitted:
     """One free mode in one sensor."""
     own = decay.only(axis)
@@ -112,11 +123,15 @@ class Resolution:
     gain: float
 
     @property
+    def certain(self) -> bool:
+        """Whether the distance is known well enough to be believed."""
+        return self.split >= CLOSE or self.split_std <= _CERTAIN * self.split
+
+    @property
     def resolved(self) -> bool:
         """Two axes, with an angle known to 3° or better, and modes that stand apart beyond doubt."""
         # a mode that has hardly any amplitude can be anywhere: it seems far off, and nobody knows how far
-        certain = self.split >= CLOSE or self.split_std <= _CERTAIN * self.split
-        apart = self.split >= RESOLVED_SPLIT and certain
+        apart = self.split >= RESOLVED_SPLIT and self.certain
         return apart and self.axis_std_rad <= WALD_STD and self.gain >= RESOLVED_GAIN
 
 

@@ -16,10 +16,11 @@ from identification.ring_down.model import BETA
 from identification.ring_down.model_table import model_table
 from identification.ring_down.profile import profile_axis, profile_parameter
 from identification.ring_down.residuals import Whiteness, whiteness
-from identification.ring_down.resolution import Resolution, resolution
+from identification.ring_down.resolution import RESOLVED_GAIN, RESOLVED_SPLIT, WALD_STD, Resolution, resolution
 from identification.setting import ModelChoice, Setting
 
 _LEFT_OVER, _WRONG_CHI2 = 0.1, 10.0  # share of the signal and χ²/dof that mark a model that is none
+_TOO_LARGE = 1.3  # χ²/dof
 _NORMAL_95 = 1.959964
 _WHITE_P = 1e-4
 
@@ -119,10 +120,14 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     lost = not minimum.converged and (found is None or found.resolved)  # an angle that is anything has no minimum
     if lost or not np.all(np.isfinite(minimum.theta)):
         raise FitFailed(
-            f"ring-down: no convergence in {minimum.iterations} iterations, χ²/dof {chi2:.3g}; "
-            "is it a free decay, and in metres?"
+            f"ring-down: no convergence in {minimum.iterations} iterations"
+            + (
+                f", and χ²/dof {chi2:.3g} is above 1.3: is it a free decay, and in metres?"
+                if chi2 > _TOO_LARGE
+                else f"; χ²/dof {chi2:.3g} speaks for the model, so the data leave its values open: record longer"
+            )
         )
-    curves, rms = _curves(fitted, chi2)
+    curves, rms = _curves(fitted, chi2, _axes(labels))
     numbers = _numbers(fitted, findings, labels, stretch, found)
     dependence = _amplitudes(fitted, len(labels), stretch) if findings.setting != "fast" else []
     warnings += _widen_for_amplitude(numbers, dependence, labels)
@@ -133,7 +138,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     white = whiteness([r for record in fitted.channel_residuals() for r in record])
     table = model_table(fitted, found)
     warnings += [choice.why for choice in table if choice.chosen and choice.why.startswith("but ")]
-    if chi2 > 1.3:
+    if chi2 > _TOO_LARGE:
         warnings.append(f"residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up")
     numbers = _with_stiffness(numbers, findings.mass_kg)
     return RingDownFit(
@@ -177,14 +182,18 @@ def _coloured_said(fitted: Fitted) -> str:
     return f"{' and '.join(said)} rms in the means that are fitted" if said else ""
 
 
-def _curves(fitted: Fitted, chi2: float) -> tuple[list[Curve], list[float]]:
+def _curves(fitted: Fitted, chi2: float, axes: str) -> tuple[list[Curve], list[float]]:
     curves, rms = [], []
     for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.plain_residuals(), strict=True)):
-        for axis, channel, metres in zip("xy", record.channels, residuals, strict=False):
+        for axis, channel, metres in zip(axes, record.channels, residuals, strict=True):
             left_over = float(np.std(metres) / np.std(channel.value))
             white = float(np.std(1 / channel.weight) + np.mean(1 / channel.weight)) / float(np.std(channel.value))
             if left_over > max(_LEFT_OVER, 2 * white) and chi2 > _WRONG_CHI2:
-                raise FitFailed(f"ring-down: the model leaves {left_over:.0%} of sensor {axis}'s signal")
+                raise FitFailed(
+                    f"ring-down: the model leaves {left_over:.0%} of sensor {axis}'s signal, above "
+                    f"{max(_LEFT_OVER, 2 * white):.0%}, at a χ²/dof of {chi2:.3g}, above {_WRONG_CHI2:g}: it moves as "
+                    f"no {fitted.model.modes} decaying modes do"
+                )
             rms.append(float(np.sqrt(np.mean(metres**2))))
             curves.append(
                 Curve(f"ring-down {number + 1}: {axis}", "m", channel.time_s, channel.value, channel.value - metres)
@@ -272,11 +281,18 @@ def _damping_remark(numbers: _Numbers, label: str, at: int) -> list[str]:
 
 
 def _unresolved(found: Resolution) -> str:
-    angle = f"{min(np.degrees(found.axis_std_rad), 90.0):.2g}°"
-    return (
-        f"axes not resolved: the modes are {found.split:.2g} half-bandwidths apart and the axis angle stays uncertain "
-        f"by {angle}; both directions ring alike, intervals are from the profile likelihood over the angle"
-    )
+    why = []
+    if found.split < RESOLVED_SPLIT:
+        why.append(f"the modes are {found.split:.2g} half-bandwidths apart, {RESOLVED_SPLIT:g} are needed")
+    elif not found.certain:
+        why.append(f"the modes are {found.split:.2g} ± {found.split_std:.2g} half-bandwidths apart, not surely apart")
+    if found.axis_std_rad > WALD_STD:
+        angle = min(float(np.degrees(found.axis_std_rad)), 90.0)
+        why.append(f"the axis angle stays uncertain by {angle:.2g}°, {np.degrees(WALD_STD):.2g}° are needed")
+    if found.gain < RESOLVED_GAIN:
+        much = f"improves χ² by {found.gain:.3g} only" if found.gain > 0 else "explains no more"
+        why.append(f"a second mode {much} than one mode in both sensors, {RESOLVED_GAIN:g} are needed")
+    return f"axes not resolved: {'; '.join(why)}. Intervals are from the profile likelihood over the angle"
 
 
 def _verdict(white: Whiteness, chi2: float, stretch: np.ndarray, warnings: list[str], coloured: str) -> str:

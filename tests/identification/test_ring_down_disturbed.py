@@ -13,7 +13,10 @@ from synthetic import Campaign
 from identification import NotIdentifiable, fit_ring_down, fit_run_up_run
 from identification.colour import colour_of
 from identification.lines import steady_lines
-from identification.samples import clipped
+from identification.ring_down.release_instant import release_instant
+from identification.ring_down.resolution import Resolution
+from identification.ring_down.result import _unresolved
+from identification.samples import block_averages, clipped
 
 RATE = 1000.0
 F, ZETA = (3.0, 11.6), (0.012, 0.008)
@@ -178,3 +181,54 @@ def test_a_run_up_under_hum() -> None:
     for name in NAMES:
         assert abs(fit.values[name] - quiet.values[name]) < 0.5 * quiet.std[name]
         assert fit.std[name] < 1.3 * quiet.std[name]
+
+
+def coloured(white: np.ndarray, n: int, corner_Hz: float, rms_m: float) -> np.ndarray:
+    noise = lfilter([1], [1, -np.exp(-2 * np.pi * corner_Hz / RATE)], white, axis=0)[-n:]
+    return rms_m * noise / noise.std(axis=0)
+
+
+def test_a_hold_that_noise_makes_restless_is_not_fitted() -> None:
+    """Half of a hold shakes more than the other; the fit begins after it all the same, with modes of the column."""
+    t, signal, white = pluck(7, 1, held_m=3.5e-3)
+    signal = signal + coloured(white, len(t), 20.0, 20e-6)
+    shaking = np.clip((t - 1.05) / 0.05, 0, 1) * (t < 1.4)
+    signal = signal + 220e-6 * (shaking * np.sin(2 * np.pi * 11.0 * t))[:, None]
+    means = [block_averages(t, own, 4e-3, 4e-6) for own in signal.T]
+    assert 1.4 <= release_instant(means) < 1.5
+    fit = fit_ring_down(t, signal)
+    assert fit.release_s[0] >= 1.39
+    assert_true(fit, NAMES[2:])
+
+
+@pytest.mark.parametrize("phase", [0.4, 2.0])
+def test_a_floor_that_rings_longer_is_no_cross_mode(phase: float) -> None:
+    """The column hardly moves across; what rings there does not move square to the other mode."""
+    for axis, cross in ((0, 0.003), (1, 0.0)):
+        t, signal, _ = pluck(8, axis, cross=cross)
+        s = np.maximum(t - 1.4, 0)
+        floor = np.where(t >= 1.4, np.exp(-0.15 * s), 0.0)
+        shape = np.column_stack([25e-6 * np.cos(2 * np.pi * 17.3 * s), 15e-6 * np.cos(2 * np.pi * 17.3 * s + phase)])
+        fit = fit_ring_down(t, signal + floor[:, None] * shape)
+        assert_true(fit, [n for n in NAMES if n in fit.values])
+        assert NAMES[2 * axis] in fit.values
+        assert any("17.30 Hz" in w for w in fit.warnings)
+
+
+@pytest.mark.parametrize("zeta", [0.57, 0.8])
+def test_what_decays_within_a_period_is_no_mode(zeta: float) -> None:
+    rng = np.random.default_rng(9)
+    t = np.arange(8000) / RATE
+    w = 2 * np.pi * 0.9
+    y = 3e-3 * np.exp(-zeta * w * t) * np.cos(w * np.sqrt(1 - zeta**2) * t) + 4e-6 * rng.normal(size=len(t))
+    with pytest.raises(NotIdentifiable, match=r"decays within 0\.\d+ of its period \(ζ = 0\.\d+, mode 1\)"):
+        fit_ring_down(t, y)
+
+
+def test_an_unresolved_pair_is_given_the_criterion_that_it_fails() -> None:
+    found = Resolution(split=61.0, split_std=0.2, axis_std_rad=np.radians(5.1), gain=4000.0)
+    assert not found.resolved
+    said = _unresolved(found)
+    assert "uncertain by 5.1°, 3° are needed" in said
+    assert "half-bandwidths" not in said
+    assert "second mode" not in said
