@@ -31,7 +31,6 @@ from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 
 Fit = RingDownFit | RunUpFit | TransientFit
-_UNSETTLED = "had not settled"  # in a fit's own warnings
 _MOST_TOLD = 5  # missing places of one log
 
 
@@ -84,7 +83,7 @@ class _Work:
         self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
         if estimate is None:
             return
-        if any(_UNSETTLED in w for w in fit.warnings):
+        if not fit.settled:
             self.warnings.append(f"{run.test} left out: its fit had not settled, so its values are none to quote")
             return
         self.keep(estimate)

@@ -126,7 +126,10 @@ class Release:
         if not np.all(np.isfinite(theta)) or np.max(np.abs(theta[[0, 1, *range(11, 16)]])) > 40:
             return bad
         rest = self.rest.along(self.speed.moved(phase)) if np.any(phase) else self.rest
-        now = laid_over(self.knowledge, theta[:2], theta[SUSPENSION])
+        try:
+            now = laid_over(self.knowledge, theta[:2], theta[SUSPENSION])
+        except OutsideDomain:  # a trial that no rig can be
+            return bad
         true, at = theta[_START] - theta[_ZEROS], theta[_SHIFT]
         state, by = rest.at(now, true[0], true[1], at)
         state[[0, 1, 4, 5]] += theta[_DISK]

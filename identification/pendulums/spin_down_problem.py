@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from dynamics.errors import OutsideDomain
 from dynamics.speed_history import SpeedHistory
 from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
@@ -138,7 +139,10 @@ class SpinDown:
         bad = np.full(count, np.nan), np.zeros((count, size))
         if np.max(np.abs(theta[:2])) > 40 or np.max(np.abs(theta[_SUSPENSION])) > 40:
             return bad
-        now = laid_over(self.knowledge, theta[:2], theta[_SUSPENSION])
+        try:
+            now = laid_over(self.knowledge, theta[:2], theta[_SUSPENSION])
+        except OutsideDomain:  # a trial that no rig can be
+            return bad
         state = np.r_[theta[7:9], theta[_ANGLES], theta[9:11], theta[_SPEEDS]]
         still = SpeedHistory.constant(0.0, float(theta[PSI]), self.begin_s)
         dry, dry_by = self._dry(theta, kinds)
