@@ -77,11 +77,15 @@ class SpinDown:
         prior_std[:2], prior_std[PSI] = _DAMPING_STD, np.pi
         prior_std[_DISK] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
         prior_std[_SUSPENSION] = self.knowledge.log_std[:4]
+        prior, friction = self.start(kinds, 0.0), self.knowledge.friction
+        if friction is not None and "contact" in kinds:  # a release at speed has seen it
+            at = COUNT + 2 * kinds.index("contact")
+            prior[at : at + 2], prior_std[at : at + 2] = friction.contact_kg_m2, friction.contact_std_kg_m2
 
         def predict(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
             return self._angles(theta, problem.cut(end_s), kinds)
 
-        problem = TransientProblem(self.readings, predict, self.start(kinds, 0.0), prior_std)
+        problem = TransientProblem(self.readings, predict, prior, prior_std)
         return problem
 
     def start(self, kinds: Kinds, psi: float) -> np.ndarray:

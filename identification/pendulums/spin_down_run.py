@@ -107,7 +107,8 @@ def _chosen(case: SpinDown, angles: Sequence[float]) -> tuple[Kinds, list[Minimu
     Returns:
         Its kinds of friction, the answers with it, and a row for each model that was asked for.
     """
-    kinds: Kinds = ()
+    known = case.knowledge.friction
+    kinds: Kinds = ("contact",) if known is not None and any(known.contact_std_kg_m2) else ()
     answers = _answers(case, kinds, [case.start(kinds, psi) for psi in angles])
     rows: list[ModelChoice] = []
     for _ in range(len(_KINDS)):
