@@ -34,6 +34,7 @@ from identification.tracking.release_start import damping_start
 _SHIFTS = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
 _FAN = sorted(product(_SHIFTS, _SHIFTS), key=lambda s: (abs(s[0]) + abs(s[1]), s))  # of ln c3, ln c4, near ones first
 _SHARES = (0.01, 0.03, 0.1, 0.3, 0.8)  # of the largest viscous torque: friction to start from
+_EARLY = 25  # iterations over a horizon with friction
 _RACED = 2  # horizons over which starts with friction race
 _SURELY = 2.0  # standard deviations
 _AS_GOOD, _NEGATIVE = 0.9, 0.2  # of what friction mends; of the larger torque
@@ -175,7 +176,9 @@ def _with_friction(
         if shape in found and not others:
             continue
         own = others if shape in found else [*others, *_ahead(release, horizons, starts, shape)]
-        minimum = _settled(Search(release.problem(shape), horizons, max(1, len(others)), effort, tell), own, release)
+        minimum = _settled(
+            Search(release.problem(shape), horizons, max(1, len(others)), effort, tell, _EARLY), own, release
+        )
         if minimum is not None and (shape not in found or minimum.cost < found[shape].cost):
             found[shape] = minimum
     if not found:
