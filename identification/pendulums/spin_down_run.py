@@ -95,13 +95,14 @@ def _fit_from(
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
         if fit.chi2_per_dof < _FOLLOWED:
             raise FitFailed(
-                f"{run.source}: the spin-down's fit had not settled after {minimum.iterations} iterations, although its "
-                f"residuals are small enough (χ²/dof {fit.chi2_per_dof:.3g}, allowed below {_FOLLOWED:g}); record a "
+                f"{run.source}: the spin-down's fit had not settled after {minimum.iterations} iterations, although "
+                f"its residuals are small enough (χ²/dof {fit.chi2_per_dof:.3g}, allowed below {_FOLLOWED:g}); record a "
                 "longer run-down, or flick faster"
             )
         raise FitFailed(
             f"{run.source}: no model of the run-down follows the spin-down, with dry friction or without: χ²/dof "
-            f"{fit.chi2_per_dof:.3g}, expected below {_FOLLOWED:g}; did the rotor stand still, and did nothing touch a pendulum after its flick?"
+            f"{fit.chi2_per_dof:.3g}, expected below {_FOLLOWED:g}; did the rotor stand "
+            "still, and did nothing touch a pendulum after its flick?"
         )
     raise AssertionError("the last attempt returns or raises")
 
