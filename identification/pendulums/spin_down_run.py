@@ -96,8 +96,8 @@ def _fit_from(
         if fit.chi2_per_dof < _FOLLOWED:
             raise FitFailed(
                 f"{run.source}: the spin-down's fit had not settled after {minimum.iterations} iterations, although "
-                f"its residuals are small enough (χ²/dof {fit.chi2_per_dof:.3g}, allowed below {_FOLLOWED:g}); record a "
-                "longer run-down, or flick faster"
+                f"its residuals are small enough (χ²/dof {fit.chi2_per_dof:.3g}, allowed below {_FOLLOWED:g}); record "
+                "a longer run-down, or flick faster"
             )
         raise FitFailed(
             f"{run.source}: no model of the run-down follows the spin-down, with dry friction or without: χ²/dof "
