@@ -31,7 +31,6 @@ from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 
 Fit = RingDownFit | RunUpFit | TransientFit
-_UNSETTLED = "had not settled"  # in a fit's own warnings
 _MOST_TOLD = 5  # missing places of one log
 
 
@@ -84,7 +83,7 @@ class _Work:
         self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
         if estimate is None:
             return
-        if any(_UNSETTLED in w for w in fit.warnings):
+        if not fit.settled:
             self.warnings.append(f"{run.test} left out: its fit had not settled, so its values are none to quote")
             return
         self.keep(estimate)
@@ -107,9 +106,10 @@ class _Work:
         return replace(known, physics=known.physics.with_values(**damping))
 
     def _friction(self) -> Friction | None:
-        """What the spin-downs found, the last one's."""
-        found = [f.fit.friction for f in self.fits if f.test == "spin-down" and isinstance(f.fit, TransientFit)]
-        return found[-1] if found else None
+        """What a release found, which sees the most of it, else a spin-down."""
+        found = [(f.test != "spin-down", f.fit.friction) for f in self.fits if isinstance(f.fit, TransientFit)]
+        at_speed = [friction for release, friction in found if friction is not None and release]
+        return at_speed[-1] if at_speed else next((friction for _, friction in found if friction is not None), None)
 
 
 @on_one_thread
@@ -147,6 +147,7 @@ def identify(
     # short transients first; each sharpens the start of the next
     for run in sorted(points, key=lambda r: r.angle_time_s[-1] if len(r.angle_time_s) else 0.0):
         _one(run, work, _release)
+    _spin_downs_again([r for r in runs if r.test == "spin-down"], work)
     work.warnings += _left_out(work.left_out)
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
@@ -226,6 +227,26 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     fit = fit_spin_down_run(run, work.knowledge(), setting=work.setting)
     return fit, damping_estimate(run, fit, "coupled run-down of both pendulums, nonlinear least squares")
+
+
+def _spin_downs_again(runs: list[Run], work: _Work) -> None:
+    """With the drag that a release at speed found and a flick at rest hardly shows: it biases c all the same."""
+    known = work.knowledge()
+    if known.friction is None or not any(known.friction.contact_std_kg_m2):
+        return
+    for run in runs:
+        before = [e for e in work.estimates if e.source == run.source]
+        work.tell(f"{run.test}: fitting {Path(run.source).name} with the friction that a release found")
+        try:
+            fit = fit_spin_down_run(run, known, setting=work.setting)
+        except IdentificationError:
+            continue  # the one without stands
+        if not (fit.settled and before):
+            continue
+        work.estimates = [e for e in work.estimates if e.source != run.source]
+        work.fits = [f for f in work.fits if f.source != run.source]
+        work.warnings = [w for w in work.warnings if not w.startswith(f"{Path(run.source).name}: spin-down: d")]
+        work.add(run, fit, damping_estimate(run, fit, "coupled run-down of both pendulums, with a release's friction"))
 
 
 def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:

@@ -95,7 +95,7 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, pl
 def inverse_normal(jacobian: np.ndarray) -> np.ndarray:
     """(JᵀJ)⁻¹ with columns scaled first; directions without information get a huge variance, not an error."""
     scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-    scale = np.where(scale > 0, scale, 1e-150)
+    scale = np.maximum(scale, 1e-100)  # whose square's inverse a double still holds
     values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
     inverse = (vectors / np.maximum(values, 1e-15)) @ vectors.T
     inverse = inverse / np.outer(scale, scale)

@@ -54,6 +54,14 @@ class Friction:
         """M + F ω² of A and B on a rotor that turns at a speed, N m, shape (2,), not below 0."""
         return np.maximum(np.array(self.torque_Nm) + np.array(self.contact_kg_m2) * speed_rad_s**2, 0.0)
 
+    def sure_torque_at(self, speed_rad_s: float) -> np.ndarray:
+        """The same of what is more than three standard deviations from 0, the rest as 0; N m, shape (2,)."""
+        torque, contact = (
+            np.where(np.array(v) > 3 * np.array(std), np.array(v), 0.0)
+            for v, std in ((self.torque_Nm, self.torque_std_Nm), (self.contact_kg_m2, self.contact_std_kg_m2))
+        )
+        return torque + contact * speed_rad_s**2
+
     def told(self, label: str) -> str:
         """A sentence for a reader, with 95 % intervals."""
         parts = []

@@ -21,7 +21,7 @@ from identification.least_squares import Minimum
 from identification.pendulums.answers import covering
 from identification.pendulums.diagnosis import candidates, likely_causes
 from identification.pendulums.free_angles import laid_over
-from identification.pendulums.friction import Evidence
+from identification.pendulums.friction import Evidence, Friction
 from identification.pendulums.release_problem import SUSPENSION, Release, Shape
 from identification.pendulums.release_search import Effort, NotFollowed, Search, Tell, holding
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -33,7 +33,9 @@ from identification.tracking.release_start import damping_start
 
 _SHIFTS = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
 _FAN = sorted(product(_SHIFTS, _SHIFTS), key=lambda s: (abs(s[0]) + abs(s[1]), s))  # of ln c3, ln c4, near ones first
-_SHARES = (0.05, 0.2, 0.6)  # of the largest viscous torque: friction to start from where nothing is known of it
+_SHARES = (0.01, 0.03, 0.1, 0.3, 0.8)  # of the largest viscous torque: friction to start from
+_EARLY = 25  # iterations over a horizon with friction
+_RACED = 2  # horizons over which starts with friction race
 _SURELY = 2.0  # standard deviations
 _AS_GOOD, _NEGATIVE = 0.9, 0.2  # of what friction mends; of the larger torque
 _ALIKE = 8.0  # χ² between two shapes of friction that are as good
@@ -103,14 +105,13 @@ def _searched(
     """
     known = release.knowledge.friction
     if known is not None:
-        torque = known.torque_at(release.speed_rad_s)
-        found = _with_friction(release, horizons, _frictional_starts(release, torque, horizons), effort, tell)
+        found = _with_friction(release, horizons, _frictional_starts(release, known, horizons), effort, tell)
         if found is not None:
             return *found, []
     try:
         answers = _viscous(release, horizons, effort, tell)
     except NotFollowed as stuck:
-        rescued = _rescued(release, horizons, stuck, effort, tell) if known is None else None
+        rescued = _rescued(release, horizons, stuck, effort, tell)
         if rescued is None:
             raise _left_out(release, stuck) from stuck
         return *rescued, []
@@ -124,16 +125,27 @@ def _searched(
     return answers, None, other
 
 
-def _frictional_starts(release: Release, torque_Nm: np.ndarray, horizons: list[float]) -> list[tuple[np.ndarray, bool]]:
-    """From the damping and the friction that a spin-down found."""
+def _frictional_starts(release: Release, known: Friction, horizons: list[float]) -> list[tuple[np.ndarray, bool]]:
+    """From the damping and the friction that another test found, as far as it surely did."""
     start = release.problem().prior.copy()
+    torque = known.sure_torque_at(release.speed_rad_s)
     if release.run.phase_absolute:
-        return [(release.with_torque(start, torque_Nm), held) for held in (True, False)]
+        return [(release.with_torque(start, t), True) for t in (torque, *_torques(release, torque))]
     turns = [
         np.r_[start[:-1], turn] for turn in angles_to_try(laid_over(release.knowledge, start[:2], start[SUSPENSION]))
     ]
-    trials = [release.with_torque(theta, torque_Nm) for theta in turns]
+    trials = [release.with_torque(theta, torque) for theta in turns]
     return [(place, True) for place in race(release.problem("torque"), trials, horizons[:-1], holding)]
+
+
+def _torques(release: Release, sure_Nm: np.ndarray) -> list[np.ndarray]:
+    """Friction torques to start from: shares of what damping makes at the fastest, but what is surely known."""
+    damping = release.knowledge.physics
+    slip = np.array([_fastest(r.averages.time_s, r.averages.value) for r in release.readings])
+    viscous = slip * np.array([damping.a.damping_Nms_per_rad, damping.b.damping_Nms_per_rad])
+    likely = np.full(2, sure_Nm.max()) if sure_Nm.max() > 0 else None  # both pendulums are made alike
+    tried = [np.where(sure_Nm > 0, sure_Nm, share * viscous) for share in _SHARES]
+    return tried if likely is None else [np.where(sure_Nm > 0, sure_Nm, likely), *tried]
 
 
 def _viscous(release: Release, horizons: list[float], effort: Effort, tell: Tell) -> list[Minimum]:
@@ -151,30 +163,59 @@ def _viscous(release: Release, horizons: list[float], effort: Effort, tell: Tell
 def _with_friction(
     release: Release, horizons: list[float], starts: list[tuple[np.ndarray, bool]], effort: Effort, tell: Tell
 ) -> tuple[list[Minimum], Shape] | None:
-    """The answers with dry friction of the shape that explains the readings better; None where neither settles."""
+    """The answers with dry friction of the shape that explains the readings better; None where neither settles.
+
+    Both shapes are judged over the whole; each starts from what the other found, too, so that neither loses by its
+    search alone. A friction surely below zero is none.
+    """
     tell("with dry friction")
-    found: list[tuple[Minimum, Shape]] = []
-    shapes: tuple[Shape, Shape] = ("torque", "contact")
-    for shape in shapes:
-        try:
-            search = Search(release.problem(shape), horizons, 1, effort, tell)
-            found.append((search.answers(starts, release.run.source)[0], shape))
-            starts = [(found[-1][0].theta, held) for held in (True, False)]
-        except NotFollowed:
+    found: dict[Shape, Minimum] = {}
+    shapes: tuple[Shape, Shape] = ("contact", "torque")
+    for shape in (*shapes, shapes[0]):
+        others = [(m.theta, held) for s, m in found.items() if s != shape for held in (True, False)]
+        if shape in found and not others:
             continue
+        own = others if shape in found else [*others, *_ahead(release, horizons, starts, shape)]
+        minimum = _settled(
+            Search(release.problem(shape), horizons, max(1, len(others)), effort, tell, _EARLY), own, release
+        )
+        if minimum is not None and (shape not in found or minimum.cost < found[shape].cost):
+            found[shape] = minimum
     if not found:
         return None
-    found.sort(key=lambda f: f[0].cost)
-    best = found[0][0]
+    ranked = sorted(found.items(), key=lambda f: f[1].cost)
+    shape, best = ranked[0]
     unit = max(1.0, best.cost / len(best.residual))
-    return [m for m, _ in found if m.cost < best.cost + _ALIKE * unit], found[0][1]
+    return [m for _, m in ranked if m.cost < best.cost + _ALIKE * unit], shape
+
+
+def _settled(search: Search, starts: list[tuple[np.ndarray, bool]], release: Release) -> Minimum | None:
+    try:
+        found = search.answers(starts, release.run.source)
+    except NotFollowed:
+        return None
+    least = [m for m in found if np.all(m.theta[16:18] > -_SURELY * np.sqrt(np.diag(m.covariance))[16:18])]
+    return least[0] if least else None
+
+
+def _ahead(
+    release: Release, horizons: list[float], starts: list[tuple[np.ndarray, bool]], shape: Shape
+) -> list[tuple[np.ndarray, bool]]:
+    """The starts that lead over the first horizons."""
+    if len(starts) < 3 or len(horizons) <= _RACED:
+        return starts
+    try:
+        places = race(release.problem(shape), [theta for theta, _ in starts], horizons[:_RACED], holding)
+    except FitFailed:
+        return starts
+    return [(place, held) for place in places[:3] for held in (True, False)]
 
 
 def _rescued(
     release: Release, horizons: list[float], stuck: NotFollowed, effort: Effort, tell: Tell
 ) -> tuple[list[Minimum], Shape] | None:
     """What dry friction makes of a release that viscous damping alone does not explain."""
-    if stuck.doubtful is None:
+    if stuck.doubtful is None or release.knowledge.friction is not None:
         return None
     minimum, end = stuck.doubtful
     if likely_causes(release, minimum, end):
@@ -182,16 +223,11 @@ def _rescued(
     ask = release.friction_evidence(minimum, end)
     if not ask.found:
         return None
-    start, damping = release.problem().prior.copy(), release.knowledge.physics
     starts = [(release.with_torque(minimum.theta, np.maximum(ask.step, 0.0)), False)]
-    slip = np.array([_fastest(r.averages.time_s, r.averages.value) for r in release.readings])
-    viscous = slip * np.array([damping.a.damping_Nms_per_rad, damping.b.damping_Nms_per_rad])
     if release.run.phase_absolute:
-        starts += [(release.with_torque(start, share * viscous), False) for share in _SHARES]
-    found = _with_friction(release, horizons, starts, effort, tell)
-    if found is None or np.any(found[0][0].theta[16:18] < -_SURELY * np.sqrt(np.diag(found[0][0].covariance))[16:18]):
-        return None  # friction below zero is none
-    return found
+        start = release.problem().prior.copy()
+        starts += [(release.with_torque(start, t), True) for t in _torques(release, np.zeros(2))]
+    return _with_friction(release, horizons, starts, effort, tell)
 
 
 def _fastest(time_s: np.ndarray, angle_rad: np.ndarray) -> float:

@@ -36,6 +36,7 @@ _BLOCK_S = {"fast": 0.004, "balanced": 0.004, "reference": 0.001}
 _SHIFT_STD_S, _DISK_STD_M = 1e-3, 2e-5
 _LONGEST_S, _AFTER_SETTLING_S, _MEMORY_S = 25.0, 0.5, 12.0
 _DAMPING_STD = 2.5  # ln c: a start a hundred times wrong is within two of it
+_DAMPING_BESIDE_STD = 0.7  # beside dry friction, which could otherwise stand in for all of it
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,9 @@ class Release:
         start, omega = self.start, self.knowledge.physics.natural_frequencies_rad_s[0]
         # start angles are the locked ones less the zeros; the mean of quantised readings at rest is good to a step/√12
         angle_std = max(max(r.step_rad for r in self.readings) / np.sqrt(12), 1e-5)
+        damping_std = _DAMPING_STD if shape is None else _DAMPING_BESIDE_STD
         std = np.r_[
-            _DAMPING_STD, _DAMPING_STD, angle_std, angle_std, self.zero_std_rad, self.zero_std_rad, self.release_std_s,
+            damping_std, damping_std, angle_std, angle_std, self.zero_std_rad, self.zero_std_rad, self.release_std_s,
             _DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega, _DISK_STD_M * omega, self.knowledge.log_std,
         ]  # fmt: skip
         dry, modes, turn = 0 if shape is None else 2, len(self.speed.modes), not self.run.phase_absolute
@@ -126,7 +128,10 @@ class Release:
         if not np.all(np.isfinite(theta)) or np.max(np.abs(theta[[0, 1, *range(11, 16)]])) > 40:
             return bad
         rest = self.rest.along(self.speed.moved(phase)) if np.any(phase) else self.rest
-        now = laid_over(self.knowledge, theta[:2], theta[SUSPENSION])
+        try:
+            now = laid_over(self.knowledge, theta[:2], theta[SUSPENSION])
+        except OutsideDomain:  # a trial that no rig can be
+            return bad
         true, at = theta[_START] - theta[_ZEROS], theta[_SHIFT]
         state, by = rest.at(now, true[0], true[1], at)
         state[[0, 1, 4, 5]] += theta[_DISK]

@@ -95,6 +95,7 @@ class Search:
         fewest: starts tried in any case; after them the search ends as soon as one has led somewhere.
         effort: shared with other searches.
         tell: told what is tried, now and then.
+        early: iterations over each horizon but the last; a motion that sticks and slides needs more.
     """
 
     problem: TransientProblem
@@ -102,6 +103,7 @@ class Search:
     fewest: int
     effort: Effort
     tell: Tell
+    early: int = _EARLY
     trials: list[Trial] = field(default_factory=list)
 
     def answers(self, starts: Iterable[tuple[np.ndarray, bool]], source: str) -> list[Minimum]:
@@ -157,7 +159,7 @@ class Search:
         for i, end in enumerate(self.horizons):
             last = i == len(self.horizons) - 1
             now = early if i < len(self.horizons) - 2 else self.problem
-            minimum = now.solve(theta, end, _LATE if last else _EARLY, plateau=3 * GOOD)
+            minimum = now.solve(theta, end, _LATE if last else self.early, plateau=3 * GOOD)
             self.effort.left -= minimum.iterations * (end - begin)
             level = min(now.chi2_per_dof(minimum, end), now.misfit(minimum, end))
             if last and not minimum.converged and level < GOOD:

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from dynamics.errors import OutsideDomain
 from dynamics.speed_history import SpeedHistory
 from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
@@ -76,11 +77,15 @@ class SpinDown:
         prior_std[:2], prior_std[PSI] = _DAMPING_STD, np.pi
         prior_std[_DISK] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
         prior_std[_SUSPENSION] = self.knowledge.log_std[:4]
+        prior, friction = self.start(kinds, 0.0), self.knowledge.friction
+        if friction is not None and "contact" in kinds:  # a release at speed has seen it
+            at = COUNT + 2 * kinds.index("contact")
+            prior[at : at + 2], prior_std[at : at + 2] = friction.contact_kg_m2, friction.contact_std_kg_m2
 
         def predict(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
             return self._angles(theta, problem.cut(end_s), kinds)
 
-        problem = TransientProblem(self.readings, predict, self.start(kinds, 0.0), prior_std)
+        problem = TransientProblem(self.readings, predict, prior, prior_std)
         return problem
 
     def start(self, kinds: Kinds, psi: float) -> np.ndarray:
@@ -138,7 +143,10 @@ class SpinDown:
         bad = np.full(count, np.nan), np.zeros((count, size))
         if np.max(np.abs(theta[:2])) > 40 or np.max(np.abs(theta[_SUSPENSION])) > 40:
             return bad
-        now = laid_over(self.knowledge, theta[:2], theta[_SUSPENSION])
+        try:
+            now = laid_over(self.knowledge, theta[:2], theta[_SUSPENSION])
+        except OutsideDomain:  # a trial that no rig can be
+            return bad
         state = np.r_[theta[7:9], theta[_ANGLES], theta[9:11], theta[_SPEEDS]]
         still = SpeedHistory.constant(0.0, float(theta[PSI]), self.begin_s)
         dry, dry_by = self._dry(theta, kinds)

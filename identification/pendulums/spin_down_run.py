@@ -93,10 +93,16 @@ def _fit_from(
         if minimum.converged and fit.chi2_per_dof < _FOLLOWED:
             fit = _with_friction(case, fit, minimum, kinds, setting)
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
-        why = "" if minimum.converged else f", not settled after {minimum.iterations} iterations"
+        if fit.chi2_per_dof < _FOLLOWED:
+            raise FitFailed(
+                f"{run.source}: the spin-down's fit had not settled after {minimum.iterations} iterations, although "
+                f"its residuals are small enough (χ²/dof {fit.chi2_per_dof:.3g}, allowed below {_FOLLOWED:g}); record "
+                "a longer run-down, or flick faster"
+            )
         raise FitFailed(
             f"{run.source}: no model of the run-down follows the spin-down, with dry friction or without: χ²/dof "
-            f"{fit.chi2_per_dof:.3g}{why}; did the rotor stand still, and did nothing touch a pendulum after its flick?"
+            f"{fit.chi2_per_dof:.3g}, expected below {_FOLLOWED:g}; did the rotor stand "
+            "still, and did nothing touch a pendulum after its flick?"
         )
     raise AssertionError("the last attempt returns or raises")
 
@@ -107,7 +113,8 @@ def _chosen(case: SpinDown, angles: Sequence[float]) -> tuple[Kinds, list[Minimu
     Returns:
         Its kinds of friction, the answers with it, and a row for each model that was asked for.
     """
-    kinds: Kinds = ()
+    known = case.knowledge.friction
+    kinds: Kinds = ("contact",) if known is not None and any(known.contact_std_kg_m2) else ()
     answers = _answers(case, kinds, [case.start(kinds, psi) for psi in angles])
     rows: list[ModelChoice] = []
     for _ in range(len(_KINDS)):

@@ -42,6 +42,7 @@ class TransientFit:
         model, model_table: the smallest adequate model in words, and what it was compared with.
         warnings: what a reader must know.
         friction: dry friction beside the viscous damping, where the readings show it; it is in the fit.
+        settled: whether the iteration did; the values of one that did not are none to quote.
     """
 
     values: dict[str, float]
@@ -55,6 +56,7 @@ class TransientFit:
     model_table: list[ModelChoice]
     warnings: list[str]
     friction: Friction | None = None
+    settled: bool = True
 
     @property
     def std(self) -> dict[str, float]:
@@ -222,7 +224,7 @@ class TransientProblem:
         return TransientFit(
             dict(zip(_NAMES, c.tolist(), strict=True)), covariance * np.outer(c, c),
             log_intervals(c, covariance), curves, chi2, end_s - self.readings[0].averages.time_s[0], start, model,
-            table, warnings,
+            table, warnings, settled=minimum.converged,
         )  # fmt: skip
 
 

@@ -46,6 +46,7 @@ class RingDownFit:
         axes_resolved: with two modes, whether their axes can be told apart.
         amplitude: per mode, damping and frequency over amplitude, where the decay is long enough.
         setting: what was asked for.
+        settled: whether the iteration did; one that did not is refused, so always true.
     """
 
     values: dict[str, float]
@@ -64,6 +65,7 @@ class RingDownFit:
     axes_resolved: bool
     amplitude: list[AmplitudeDependence]
     setting: Setting
+    settled: bool = True
 
     @property
     def std(self) -> dict[str, float]:

@@ -323,5 +323,6 @@ def _result(
     fit = RunUpFit(
         dict(zip(names, values.tolist(), strict=True)), covariance, warnings, curves, naive,
         [c.noise for c in record.channels], chi2, tracked, {}, comparison.model, comparison.table,
+        solution.minimum.converged,
     )  # fmt: skip
     return replace(fit, intervals=intervals(record, design, fit, setting))

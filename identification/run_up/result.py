@@ -33,6 +33,7 @@ class RunUpFit:
         vold_kalman: per sensor f_Hz and zeta of a steady-state curve through the Vold–Kalman amplitude; biased too.
         intervals: 95 % of each value, from the likelihood's profile where the axes are badly resolved.
         model, model_table: the smallest adequate model, and what it was compared with (χ² + k ln n).
+        settled: whether the iteration did; the values of one that did not are none to quote.
     """
 
     values: dict[str, float]
@@ -46,6 +47,7 @@ class RunUpFit:
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     model: str = ""
     model_table: list[ModelChoice] = field(default_factory=list)
+    settled: bool = True
 
     @property
     def std(self) -> dict[str, float]:

@@ -51,10 +51,12 @@ def test_sensitivities_are_central_differences(method: str) -> None:
     motion, found = sensitivities(p, scene, times, names, 1e-10, method)
     assert motion.method == method
     assert found.shape == (31, 8, 15)
+    held = names.index("start_7")  # B is locked at first: its speed then means nothing, and one is refused
     for i, name in enumerate(names):
+        if i == held:
+            continue
         expected = central_difference(p, scene, times, name)
         assert np.max(np.abs(found[:, :, i] - expected)) < 1e-5 * np.max(np.abs(expected)) + 1e-9, name
-    held = names.index("start_7")  # B is locked at first: its speed then means nothing
     assert np.all(found[:, :, held] == 0.0)
 
 
