@@ -147,7 +147,7 @@ def identify(
     # short transients first; each sharpens the start of the next
     for run in sorted(points, key=lambda r: r.angle_time_s[-1] if len(r.angle_time_s) else 0.0):
         _one(run, work, _release)
-    _spin_downs_again([r for r in runs if r.test == "spin-down"], work)
+    _spin_downs_again([r for r in given if r.test == "spin-down"], work)
     work.warnings += _left_out(work.left_out)
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
