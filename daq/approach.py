@@ -120,6 +120,20 @@ def _shape(rates: NDArray[Any], edges_s: Array) -> NDArray[Any]:
     return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
 
 
+@lru_cache(maxsize=8)  # the two quantities of one look share their windows
+def _spans(edges: bytes) -> tuple[Array, Array]:
+    """1/(u_j − u_k) of every two windows j < k for every rate, and its modulus; shape (rates, couples).
+
+    Args:
+        edges: the bytes of the windows' edges, shape (n, 2), s.
+    """
+    shape = _shape(_rates(), np.frombuffer(edges).reshape(-1, 2))
+    early, late = np.triu_indices(shape.shape[1], 1)
+    with np.errstate(over="ignore", divide="ignore"):
+        inverse = 1 / (shape[:, early] - shape[:, late])
+    return inverse, np.abs(inverse)
+
+
 def _of_mean(rates: Array | float, average_s: float) -> Array:
     """Mean of e^{−λ(t−T)} over the last stretch."""
     x = np.maximum(np.asarray(rates), 1e-6) * average_s
@@ -136,13 +150,11 @@ def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> A
         rates = rates[rates >= SLOWEST_PER_S]
     ending = rates >= SLOWEST_PER_S
     widths = width * np.where(ending & moves, _MARGIN, 1.0)[:, None]
-    shape = _shape(rates, edges_s)
     early, late = np.triu_indices(len(means), 1)
-    span = shape[:, early] - shape[:, late]
-    change = means[early] - means[late]
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        one, other = (change - 2 * widths) / span, (change + 2 * widths) / span
-    low, high = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+    inverse, size = (table[-len(rates) :] for table in _spans(edges_s.tobytes()))
+    with np.errstate(over="ignore", invalid="ignore"):
+        middle, half = (means[early] - means[late]) * inverse, 2 * widths * size
+        low, high = (middle - half).max(axis=1), (middle + half).min(axis=1)
     fits = low <= high
     if not fits.any():
         return None
@@ -185,6 +197,28 @@ def _terms() -> tuple[Array, Array]:
     return np.array(pairs), np.array(waves)
 
 
+@lru_cache(maxsize=8)  # the two quantities of one look share their windows
+def _designs(edges: bytes) -> tuple[Array, Array]:
+    """For each two terms 1 and their two shapes, (h, n, 3), and the least squares inverse of that, (h, 3, n).
+
+    Args:
+        edges: the bytes of the windows' edges, shape (n, 2), s.
+    """
+    edges_s = np.frombuffer(edges).reshape(-1, 2)
+    pairs, waves = _terms()
+    turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
+    shapes = np.concatenate([
+        np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
+        np.stack([np.real(turning), np.imag(turning)], axis=2),
+    ])  # fmt: skip
+    design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
+    scale = np.abs(design).max(axis=1, keepdims=True)
+    scaled = design / scale
+    across = scaled.transpose(0, 2, 1)
+    inverse = _solved(across @ scaled + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
+    return design, inverse
+
+
 def _solved(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, right), np.float64)
 
@@ -195,19 +229,9 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     Two terms of a pair may cancel now and not later, so their sizes are added.
     """
     pairs, waves = _terms()
-    turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
-    shapes = np.concatenate([
-        np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
-        np.stack([np.real(turning), np.imag(turning)], axis=2),
-    ])  # fmt: skip
-    design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
-    scale = np.abs(design).max(axis=1, keepdims=True)
-    design = design / scale
-    across = design.transpose(0, 2, 1)
-    inverse = _solved(across @ design + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
-    design = design * scale
+    design, inverse = _designs(edges_s.tobytes())
     found = np.asarray(inverse @ means, np.float64)
-    rest = np.abs(means - np.einsum("hnk,hk->hn", design, found)).max(axis=1)
+    rest = np.abs(means - (design @ found[:, :, None])[:, :, 0]).max(axis=1)
     width = max(width, 1.5 * float(rest.min()))
     if width > most:
         return None

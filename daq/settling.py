@@ -97,12 +97,9 @@ def settled(
         edges = edges[edges >= release_time_s]
     if len(edges) <= windows:
         return _unknown(f"fewer than {windows} windows of {window_s:g} s since release")
-    newest = edges[-windows - 1 :]
-    angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, newest, angle_step_rad, windows)
-    if angles is None or np.ptp(angles.means[-3:], axis=0).max() > _FAR * angle_tolerance_rad:
-        edges = newest
-    elif len(edges) > len(newest):
-        angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, angle_step_rad, windows)
+    if _change(time_s, angles_rad, edges[-4:]) > _FAR * angle_tolerance_rad:
+        edges = edges[-windows - 1 :]
+    angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, angle_step_rad, windows)
     orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
     if angles is None or orbit is None:
         missing = "pendulum angles" if angles is None else "displacements"
@@ -190,6 +187,13 @@ def _more(approach: Approach, tolerance: float) -> float:
     return math.log(approach.remaining / tolerance) / rate if rate > 0 else math.inf
 
 
+def _change(time: np.ndarray, angles: np.ndarray, edges: np.ndarray) -> float:
+    """Roughly how much the angles' means change over a few windows, the larger pendulum's; nan when too few came."""
+    parts = np.split(angles, np.searchsorted(time, edges))[1:-1]
+    means = np.array([part.mean(axis=0) for part in parts if len(part)])
+    return float(np.ptp(means, axis=0).max()) if len(means) == len(parts) else math.nan
+
+
 def _slipping(angles: np.ndarray) -> str:
     """A sentence when a pendulum turns steadily relative to the rotor, otherwise empty."""
     for name, column in zip("AB", angles.T, strict=True):
@@ -205,10 +209,14 @@ def _slipping(angles: np.ndarray) -> str:
 def _still_as_released(
     time: np.ndarray, angles: np.ndarray, now: np.ndarray, end: float, release: float, linger: float
 ) -> bool:
-    before = (time > release - 0.5) & (time < release) & np.isfinite(angles).all(axis=1)
-    if end - release > linger or not before.any():
+    if end - release > linger:
         return False
-    start = angles[before].mean(axis=0)
+    begin, last = np.searchsorted(time, release - 0.5, "right"), np.searchsorted(time, release)
+    before = angles[begin:last]
+    before = before[np.isfinite(before).all(axis=1)]
+    if not len(before):
+        return False
+    start = before.mean(axis=0)
     change = (now[1] - now[0]) - (start[1] - start[0])
     return abs((change + np.pi) % (2 * np.pi) - np.pi) < _SAME_GAP
 

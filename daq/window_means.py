@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -66,16 +67,15 @@ def angle_means(
     if cut is None:
         return None
     step = _step(angles_rad) if step_rad is None else step_rad
-    fit, rest = cut.orders()
+    fit = cut.orders()
     kept = cut.enough
-    noise = np.sqrt(cut.mean(_squared(np.diff(rest, axis=0)), kept) / (2 * cut.counts[kept, None]))
-    once, twice = np.median(np.abs(fit[1:, kept]), axis=1)
+    noise = np.sqrt(cut.mean(_squared(np.diff(cut.rest(fit))), kept) / (2 * cut.counts[kept, None]))
+    once, twice = (np.median(np.hypot(*fit[k : k + 2, kept]), axis=0) for k in (1, 3))
     codes = cut.values / step if step > 0 else np.zeros_like(cut.values)
-    first = np.repeat(codes[cut.where[:-1].clip(max=len(codes) - 1)], cut.counts, axis=0)
-    off = codes - first
-    off = off - np.repeat(np.rint(cut.mean(off)), cut.counts, axis=0)
+    off = codes - np.repeat(codes[:, cut.where[:-1].clip(max=codes.shape[1] - 1)], cut.counts, axis=1)
+    off -= np.repeat(np.rint(cut.mean(off)).T, cut.counts, axis=1)
     seen = code_noise(cut.mean(1.0 * (off < -0.5), kept), cut.mean(1.0 * (off > 0.5), kept), cut.counts[kept, None])
-    means = np.asarray(fit[0, kept].real, np.float64)
+    means = np.asarray(fit[0, kept], np.float64)
     change = np.abs(np.diff(means, axis=0, prepend=means[:1], append=means[-1:]))
     moving = np.maximum(change[1:], change[:-1]) > _STANDS * step  # what sweeps over codes is no noise
     seen = np.where(moving, np.nan, seen)
@@ -143,9 +143,8 @@ def amplitude_means(
     columns: list[Array] = []
     width: list[float] = []
     for cut in (x, y):
-        fit, _ = cut.orders()
-        columns.append(np.abs(fit[1, kept, 0]))
-        noise = np.sqrt(cut.mean(_squared(np.diff(cut.values, 2, axis=0)), kept)[:, 0] / (3 * cut.counts[kept]))
+        columns.append(np.hypot(*cut.orders()[1:3, kept, 0]))
+        noise = np.sqrt(cut.mean(_squared(np.diff(cut.values, 2)), kept)[:, 0] / (3 * cut.counts[kept]))
         width.append(_DEVIATIONS * float(np.median(noise)))
     return WindowMeans(x.edges[kept], np.stack(columns, axis=1), np.array(width))
 
@@ -155,7 +154,7 @@ class _Cut:
     """Samples by window.
 
     Attributes:
-        phase, values: of all windows, shapes (s,), (s, columns).
+        phase, values: of all windows, shapes (s,), (columns, s).
         where: index of each window's first sample and of the end, shape (n + 1,).
         enough: whether a window has enough samples, shape (n,).
         edges: start and end of each window, shape (n, 2), s.
@@ -174,31 +173,47 @@ class _Cut:
 
     def mean(self, values: NDArray[Any], kept: NDArray[np.bool_] | None = None) -> Array:
         """Means per window (nan in an empty one), of all windows or of some; shape (windows, columns)."""
-        sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-        where = np.minimum(self.where, len(values))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            means = np.diff(sums[where], axis=0) / np.diff(where)[:, None]
+        where = np.minimum(self.where, values.shape[1])
+        counts = np.diff(where)
+        some = counts > 0
+        means = np.full((len(counts), len(values)), np.nan)
+        means[some] = (np.add.reduceat(values[:, : where[-1]], where[:-1][some], axis=1) / counts[some]).T
         return means if kept is None else means[kept]
 
-    def orders(self) -> tuple[NDArray[np.complex128], Array]:
-        """Complex amplitudes of orders 0, 1, 2 by least squares, and what they leave; (3, n, columns), (s, columns).
+    def orders(self) -> NDArray[np.floating]:
+        """Amplitudes of 1, cos ψ, sin ψ, cos 2ψ, sin 2ψ by least squares, shape (5, n, columns).
 
-        Values ≈ Re Σ A_k e^{ikψ} in each window that has enough samples.
+        In each window that has enough samples; 0 in the others.
         """
-        turn = np.exp(1j * self.phase)
-        both = turn * turn
-        basis = np.stack([np.ones_like(self.phase), np.real(turn), np.imag(turn), np.real(both), np.imag(both)], axis=1)
-        fit = np.zeros((5, len(self.enough), self.values.shape[1]))
+        basis = self._basis
+        fit = np.zeros((len(self.enough), 5, len(self.values)))
+        kept = np.flatnonzero(self.enough)
+        gram, right = np.empty((len(kept), 5, 5)), np.empty((len(kept), 5, len(self.values)))
+        for k, j in enumerate(kept):
+            inside = basis[:, self.where[j] : self.where[j + 1]]
+            part = self.values[:, self.where[j] : self.where[j + 1]]
+            gram[k], right[k] = inside @ inside.T, inside @ (part - part[:, :1]).T
+        fit[kept] = np.linalg.solve(gram, right)
+        fit[kept, 0] += self.values[:, self.where[kept]].T
+        return fit.transpose(1, 0, 2)
+
+    def rest(self, fit: NDArray[np.floating]) -> Array:
+        """What the orders leave of the values, shape (columns, s)."""
         rest = self.values.copy()
         for j in np.flatnonzero(self.enough):
             part = slice(self.where[j], self.where[j + 1])
-            level = self.values[self.where[j]]
-            inside = basis[part]
-            found = np.linalg.solve(inside.T @ inside, inside.T @ (self.values[part] - level))
-            rest[part] -= level + inside @ found
-            fit[:, j] = found
-            fit[0, j] += level
-        return np.stack([fit[0] + 0j, fit[1] - 1j * fit[2], fit[3] - 1j * fit[4]]), rest
+            rest[:, part] -= fit[:, j].T @ self._basis[:, part]
+        return rest
+
+    @cached_property
+    def _basis(self) -> Array:
+        out = np.empty((5, len(self.phase)))
+        out[0] = 1.0
+        cos, sin = np.cos(self.phase, out=out[1]), np.sin(self.phase, out=out[2])
+        np.multiply(2 * cos, cos, out=out[3])
+        out[3] -= 1.0
+        np.multiply(2 * cos, sin, out=out[4])
+        return out
 
 
 def _squared(values: NDArray[Any]) -> Array:
@@ -206,9 +221,13 @@ def _squared(values: NDArray[Any]) -> Array:
 
 
 def _cut(time: Array, values: Array, mark_time: Array, mark_phase: Array, edges: Array, newest: int) -> _Cut | None:
-    table = values[:, None] if values.ndim == 1 else values
-    good = np.isfinite(table).all(axis=1) & (time >= edges[0]) & (time < edges[-1])
-    time, table = time[good], table[good]
+    begin, end = np.searchsorted(time, edges[[0, -1]])
+    time, table = time[begin:end], np.ascontiguousarray(np.atleast_2d(values.T)[:, begin:end])
+    good = np.isfinite(table[0])
+    for column in table[1:]:
+        good &= np.isfinite(column)
+    if not good.all():
+        time, table = time[good], table[:, good]
     if len(time) < _LEAST_SAMPLES:
         return None
     where = np.searchsorted(time, edges).astype(np.int64)
