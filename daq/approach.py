@@ -120,6 +120,20 @@ def _shape(rates: NDArray[Any], edges_s: Array) -> NDArray[Any]:
     return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
 
 
+@lru_cache(maxsize=8)  # the two quantities of one look share their windows
+def _spans(edges: bytes) -> tuple[Array, Array]:
+    """1/(u_j − u_k) of every two windows j < k for every rate, and its modulus; shape (rates, couples).
+
+    Args:
+        edges: the bytes of the windows' edges, shape (n, 2), s.
+    """
+    shape = _shape(_rates(), np.frombuffer(edges).reshape(-1, 2))
+    early, late = np.triu_indices(shape.shape[1], 1)
+    with np.errstate(over="ignore", divide="ignore"):
+        inverse = 1 / (shape[:, early] - shape[:, late])
+    return inverse, np.abs(inverse)
+
+
 def _of_mean(rates: Array | float, average_s: float) -> Array:
     """Mean of e^{−λ(t−T)} over the last stretch."""
     x = np.maximum(np.asarray(rates), 1e-6) * average_s
@@ -136,12 +150,11 @@ def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> A
         rates = rates[rates >= SLOWEST_PER_S]
     ending = rates >= SLOWEST_PER_S
     widths = width * np.where(ending & moves, _MARGIN, 1.0)[:, None]
-    early, late = _couples(len(means))
-    span = _spans(edges_s.tobytes())[:, len(_rates()) - len(rates) :].T if False else _spans(edges_s.tobytes())
-    change = means[early] - means[late]
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        one, other = (change - 2 * widths) / span, (change + 2 * widths) / span
-    low, high = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+    early, late = np.triu_indices(len(means), 1)
+    inverse, size = (table[-len(rates) :] for table in _spans(edges_s.tobytes()))
+    with np.errstate(over="ignore", invalid="ignore"):
+        middle, half = (means[early] - means[late]) * inverse, 2 * widths * size
+        low, high = (middle - half).max(axis=1), (middle + half).min(axis=1)
     fits = low <= high
     if not fits.any():
         return None

@@ -275,7 +275,6 @@ class Interlocks:
     def _look(self, topic: str, batch: Batch, host_ns: int) -> list[Event | Stop]:
         """A laser: too far, or blind."""
         displacement = batch.columns["displacement_m"]
-        distance = np.abs(displacement)
         invalid = np.isnan(displacement)
         share = self._sight[topic]
         share.add(int(batch.time_ns[0]), int(batch.time_ns[-1]), invalid)
@@ -283,7 +282,8 @@ class Interlocks:
         if share.in_a_row:
             self._code[topic] = int(batch.columns["code"][-1])
         if share.in_a_row < len(invalid):
-            self._seen_m[topic] = float(distance[~invalid][-1])
+            newest = displacement[-1] if not invalid[-1] else displacement[~invalid][-1]
+            self._seen_m[topic] = abs(float(newest))
         out: list[Event | Stop] = [*self._blindness(topic, share.mostly_bad)]
         if not self._driving or not self.turning(host_ns):
             return out

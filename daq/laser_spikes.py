@@ -82,7 +82,7 @@ def _watch(new, counter, before, state, flags):  # pragma: no cover - compiled
     for k in range(len(new)):
         j = begin + k
         count = np.int64(counter[k])
-        if code[j] > _CODE_MAX or (count - last) % _COUNTER_WRAP != 1:
+        if code[j] > _CODE_MAX or (count != last + 1 and (count - last) % _COUNTER_WRAP != 1):
             row = 0
         last = count
         flags[k] = 0

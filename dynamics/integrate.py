@@ -38,6 +38,8 @@ _RATIO = 30.0  # between the tolerances of the first two runs
 _HEADROOM = 120.0  # accuracy over the first run's tolerance at an accuracy of 1e-6; less below
 _FINEST = 1e-15  # a tolerance per step below this is rounding
 _MOST_RUNS = 6
+_LONG_RUN = 300_000.0  # steps: a run worth a look at its beginning first
+_PILOTS = (1 / 128, 1 / 32)  # of it
 _COARSE = 5e-9  # above it steps are so large that errors fall irregularly
 _ROUNDING_TOLERANCE = 1e-13  # below it both runs err by rounding alike
 _STRONG_GROWTH = 300.0  # error over tolerance above which one difference alone is not trusted
@@ -94,6 +96,7 @@ def simulate(
     if implicit and resolved:  # its steps damp what they do not follow, in the derivatives too
         setup = dataclasses.replace(setup, problem=dataclasses.replace(setup.problem, longest_step_s=np.inf))
     _refuse_hopeless(setup, tolerance, implicit, work_limit)
+    _refuse_chaotic(setup, accuracy, tolerance, implicit)
     last, bound, work = _converge(setup, accuracy, tolerance, implicit, work_limit, dense)
     events = tuple(sorted([*last.events, *setup.stop], key=lambda e: e.time_s))
     return Motion(
@@ -126,6 +129,30 @@ def _refuse_hopeless(setup: Setup, tolerance: float, implicit: bool, work_limit:
             f"{setup.duration_s:.3g} s of motion need about {expected:.2g} steps, the limit is {work_limit:.2g}; "
             f"raise work_limit (a million take {6 if implicit else 1.3} s), ask for less accuracy or a shorter run"
         )
+
+
+def _refuse_chaotic(setup: Setup, accuracy: float, tolerance: float, implicit: bool) -> None:
+    """Look at the beginning of a long run, before all of it is followed twice.
+
+    Errors that grew so much there that no tolerance can hold them to the accuracy would refuse the whole run too.
+    """
+    expected = setup.expected_steps(tolerance, implicit)
+    if expected < _LONG_RUN:
+        return
+    times = setup.problem.times
+    for share in _PILOTS:
+        count = int(np.searchsorted(times, times[0] + share * setup.duration_s, "right"))
+        if count < 2:
+            continue
+        problem = dataclasses.replace(setup.problem, times=times[:count])
+        coarse, fine = (run(problem, t, implicit, WORK_LIMIT) for t in (tolerance, max(tolerance / _RATIO, _FINEST)))
+        growth = _distance(setup, coarse.states, fine.states) / tolerance
+        if 5 * growth * _FINEST > accuracy:
+            raise NotConverged(
+                f"{setup.duration_s:.3g} s of motion, about {expected:.2g} steps: within the first "
+                f"{times[count - 1] - times[0]:.2g} s an error has grown {growth:.2g} times, too fast to end within "
+                f"{accuracy:.2g}: it separates from its neighbours; ask for less or shorten the run"
+            )
 
 
 def _converge(

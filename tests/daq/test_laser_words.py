@@ -105,7 +105,7 @@ def test_words_without_counter_and_timestamp_are_counted_as_unusable(told: tuple
     assert any("no samples without" in event.text for event in events)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(ORDERS, ORDERS, st.data())
 def test_no_words_and_no_text_invent_losses_or_break_it(true: list[str], told: list[str], data: st.DataObject) -> None:
     wire = bytearray(stream(USUAL, K[:20]) + answer(*told) + stream(true, K[20:]) + stream(USUAL, K[:9] + 80))

@@ -429,3 +429,21 @@ def test_a_batch_is_its_single_runs_and_failures_are_flagged() -> None:
     assert np.array_equal(last.states[:, 0], batch.states[:2, -1])
     with pytest.raises(OutsideDomain, match="as many"):
         simulate_batch(parameters, scenes[:2], times)
+
+
+def test_a_long_run_that_separates_is_refused_from_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 1e6 rad/s free pendulums forget their start in hundredths of a second: no second of it is followed."""
+    followed: list[float] = []
+
+    def counted(problem, *args):
+        followed.append(float(problem.times[-1] - problem.times[0]))
+        return run(problem, *args)
+
+    monkeypatch.setattr("dynamics.integrate.run", counted)
+    fast = dataclasses.replace(release(rig()), history=SpeedHistory.constant(1e6), start=None)
+    with pytest.raises(NotConverged, match=r"within the first .* too fast"):
+        simulate(rig(), fast, 1.0)
+    assert max(followed) < 0.05
+    followed.clear()
+    simulate(rig(), release(rig()), 1.0)  # a short run is followed whole, at once
+    assert min(followed) == 1.0
