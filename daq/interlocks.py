@@ -159,7 +159,8 @@ class Interlocks:
             elif topic == "pendulums":
                 out += self._pendulums(batch, host_ns)
             elif topic == "tacho":
-                out += self._wrong(self.rotor.marks_came(host_ns, batch.time_ns, batch.columns["revolutions"]))
+                own_ns = batch.columns["node_time_us"].astype(np.int64) * 1000
+                out += self._wrong(self.rotor.marks_came(host_ns, batch.time_ns, batch.columns["revolutions"], own_ns))
             elif topic == "motor":
                 out += self._wrong(self.rotor.drive_said(host_ns, batch.columns["speed_rpm"]))
             return out

@@ -52,7 +52,7 @@ class RotorWatch:
         self.target_rpm = 0.0
         self._highest = self._lowest = 0.0  # what the drive may show of what it was told
         self._beyond = 0
-        self._marks: deque[tuple[int, int]] = deque(maxlen=4096)  # time ns, revolutions
+        self._marks: deque[tuple[int, int, int]] = deque(maxlen=4096)  # time ns, revolutions, the sender's own time ns
         self._mark_host_ns: int | None = None
         self._marks_after_zero = 0
         self._turns_unseen = 0.0
@@ -94,14 +94,30 @@ class RotorWatch:
         """The node that sends the index marks is alive."""
         self._node_ns = host_ns
 
-    def marks_came(self, host_ns: int, time_ns: NDArray[np.int64], revolutions: NDArray[np.integer]) -> str | None:
-        """Index marks of one read, their own times; returns what is surely wrong with them."""
+    def marks_came(
+        self,
+        host_ns: int,
+        time_ns: NDArray[np.int64],
+        revolutions: NDArray[np.integer],
+        own_ns: NDArray[np.integer] | None = None,
+    ) -> str | None:
+        """Index marks of one read; returns what is surely wrong with them.
+
+        Args:
+            host_ns: when they were read.
+            time_ns: their times on the host's clock, shape (n,).
+            revolutions: turns counted, shape (n,).
+            own_ns: their times on their sender's clock, shape (n,). Speeds are of these: how that clock lies on the
+                host's is corrected while it runs, by as much as a busy host was late.
+        """
         self._turns_unseen = 0.0
         self._node_ns = host_ns
-        for at, turn in zip(time_ns.tolist(), revolutions.tolist(), strict=True):
-            if self._marks and not 0 < turn - self._marks[-1][1] < 1_000_000:
+        own = time_ns if own_ns is None else own_ns
+        for at, turn, its in zip(time_ns.tolist(), revolutions.tolist(), own.tolist(), strict=True):
+            last = self._marks[-1] if self._marks else None
+            if last is not None and not (0 < turn - last[1] < 1_000_000 and its > last[2]):
                 self._marks.clear()  # counted anew
-            self._marks.append((at, turn))
+            self._marks.append((at, turn, its))
             if self._zero_since_ns is not None and at > self._zero_since_ns + self._late_ns:
                 self._marks_after_zero += 1
         self._mark_host_ns = host_ns
@@ -182,7 +198,7 @@ class RotorWatch:
     def _last_turn_ns(self) -> float | None:
         if len(self._marks) < 2:
             return None
-        (before, first), (after, last) = self._marks[-2], self._marks[-1]
+        (_, first, before), (_, last, after) = self._marks[-2], self._marks[-1]
         return (after - before) / (last - first)
 
     def _too_fast(self, rpm: float, rows: int) -> str | None:
@@ -195,7 +211,7 @@ class RotorWatch:
     def _marks_too_fast(self) -> str | None:
         if len(self._marks) < 4:
             return None
-        (before, first), (after, last) = self._marks[-4], self._marks[-1]
+        (_, first, before), (_, last, after) = self._marks[-4], self._marks[-1]
         rpm = _RPM_PER_TURN_NS * (last - first) / max(1, after - before)
         share, more = _OVERSPEED
         if rpm <= (1 + share) * self._limit_rpm + more:
@@ -224,7 +240,7 @@ class RotorWatch:
         around = [(a, b) for at, a, b in self._words if first[0] - margin <= at <= last[0] + margin]
         if not around or self._words[0][0] > first[0]:
             return None
-        rpm = _RPM_PER_TURN_NS * (last[1] - first[1]) / (last[0] - first[0])
+        rpm = _RPM_PER_TURN_NS * (last[1] - first[1]) / (last[2] - first[2])
         speeds = [abs(value) for pair in around for value in pair]
         share, more = _DISAGREE
         if (1 - share) * min(speeds) - more <= rpm <= (1 + share) * max(speeds) + more:

@@ -9,9 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daq import channels
 from daq.channel_watch import ChannelWatch
-from daq.interlocks import Share
+from daq.interlocks import Interlocks, Share, Stop
 from daq.rotor_watch import RotorWatch
+from daq.stream_items import Batch
+from rig_configs import load_rig
 from tests.daq.far_ends import Bench
 
 
@@ -320,3 +323,27 @@ def test_silences_add_up_to_the_time_a_channel_was_not_heard(steps: list[tuple[s
         counted = watch.losses(now).get(device, {}).get(f"{topic}_silent_ms", 0)
         assert counted == pytest.approx(told_s * 1e3, abs=1.0)
     assert not any(e.facts["channel"] == "c" for e in events)
+
+
+@pytest.mark.parametrize("slew", [0.4, 0.5, 2.5])
+def test_a_clock_map_that_catches_up_makes_no_rotor_too_fast(slew: float) -> None:
+    """A host that was busy learns late how the node's clock lies on its own; meanwhile mapped times run wrong."""
+    interlocks = Interlocks(load_rig("virtual").limits, patience, driving=True)
+    turn_us = 57_200
+    found: list[object] = []
+    for k in range(1, 60):
+        mark = np.array([k])
+        time_ns = np.array([10**18 + round(k * turn_us * slew) * 1000])
+        columns = {"revolutions": mark, "node_time_us": (mark * turn_us).astype(np.uint64)}
+        now_ns = 10**18 + k * turn_us * 1000
+        drive = {"speed_rpm": np.array([1049.0]), "status": np.array([0], np.uint32)}
+        found += interlocks.feed(Batch(channels.MOTOR, np.array([now_ns]), mark.astype(np.uint32), drive), now_ns)
+        found += interlocks.feed(Batch(channels.TACHO, time_ns, mark.astype(np.uint32), columns), now_ns)
+    assert [item for item in found if isinstance(item, Stop) and "limits" in item.text] == []
+    assert interlocks.rotor.mark_rpm(now_ns) == pytest.approx(60e6 / turn_us)
+
+
+def test_marks_that_are_too_fast_by_their_own_clock_are_found() -> None:
+    watch = RotorWatch(1200.0, patience)
+    k = np.arange(8)
+    assert watch.marks_came(10**18, 10**18 + k * 57_200_000, k, k * 40_000_000) is not None
