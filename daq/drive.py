@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import threading
 import time
@@ -17,6 +18,8 @@ from daq.protocols import cia402, slcan
 from daq.protocols.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.transports.host_clock import HostClock
 from rig_configs.schema import Drive
+
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets is said by us, in our words
 
 _SETUP_WAIT_S = 0.3  # wall seconds to wait for an SDO answer
 _WORD_S = 0.5  # wall seconds after which the drive's word is too old

@@ -22,6 +22,7 @@ from rig_configs.schema import Laser
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 _AGREE = 3  # rows in a row that make a new beat
 _LONG_JUMP_TICKS = 100_000  # 1 s
+_HELD_UP_TICKS = 3_000_000  # 30 s; a restart looks like such a gap in two of a thousand cases at most
 _LATE_NS = 2_000_000_000  # by how much longer than on the host a gap may last on the sensor: bytes wait in buffers
 
 Items = list[Batch | Event]
@@ -160,6 +161,8 @@ class LaserPipeline:
         The line has no checksum. Counter and timestamp must advance together, and by no more than the host's time
         allows; a row that disagrees with what came before it is damage, unless the rows after it agree with it: then
         the sensor has restarted, or this is the first of all, or a long gap is over. Until they have come it waits.
+        A host that was held up reads full buffers late and what came after them at once: its time has no room for
+        the gap between them, yet counter and timestamp advance together over it, which those of a restart do not.
         """
         _, counter, ticks = _columns(values, places)
         rows = np.column_stack([counter.astype(np.int64), ticks])
@@ -181,7 +184,7 @@ class LaserPipeline:
                     if len(self._doubtful) > _AGREE:
                         dropped += len(self._doubtful.pop(0))
                     continue
-                if not onward and last is not None:
+                if not onward and last is not None and not self._goes_on(last, chain[0][0]):
                     stretches.append((True, []))
                 self._doubtful = [other for other in self._doubtful if other is not chain]
             dropped += sum(map(len, self._doubtful))
@@ -214,6 +217,11 @@ class LaserPipeline:
         passed, fits = self._advance(before, after)
         room_ns = max(0, host_ns - self._last_host_ns) + _LATE_NS
         return bool(fits) and int(passed) * 10_000 <= room_ns
+
+    def _goes_on(self, before: NDArray[np.int64], after: NDArray[np.int64]) -> bool:
+        """Whether counter and ticks advance together over a gap that no restart explains, whatever the host's time."""
+        passed, fits = self._advance(before, after)
+        return bool(fits) and int(passed) <= _HELD_UP_TICKS
 
     def _advance(self, before: NDArray[np.int64], after: NDArray[np.int64]) -> tuple[Any, Any]:
         """Ticks passed, and whether the counter agrees, modulo both wraps; rows (…, 2)."""

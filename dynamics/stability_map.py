@@ -23,6 +23,7 @@ from dynamics.parameters import RotorParameters, physics_of
 _LADDER = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)  # steps per half revolution
 _BATCH = 128 * LANES  # points a thread takes at a time
 _MOST_POINTS = 20_000_000
+_LEAST_RATIO, _GREATEST_RATIO = 1e-15, 1e15  # beyond, squares and quotients leave the range of a double
 _FINEST = 1e-12
 
 
@@ -70,12 +71,12 @@ def stability_map(
     Args:
         rig: RotorParameters, or anything whose `.physics` is; k1 and the damping ratios stay, k2 = K k1. Dry friction
             is left out.
-        speed_ratios: Ω = ω/ω_n1, shape (n,), above 0.
-        stiffness_ratios: K = k2/k1, shape (m,), above 0.
+        speed_ratios: Ω = ω/ω_n1, shape (n,), 1e-15 … 1e15.
+        stiffness_ratios: K = k2/k1, shape (m,), 1e-15 … 1e15.
         accuracy: bound on the error, relative to max(1, largest modulus); 1e-12 … 0.1.
         progress: called with the share of points done, 0 … 1, from the calling thread.
     Raises:
-        OutsideDomain: a ratio that is not finite and above 0, an accuracy outside the range.
+        OutsideDomain: a ratio or an accuracy outside the range.
         NoBalancedState: no balanced state exists for these first mass moments.
         NotConverged: a point whose multiplier can't be had even roughly; the message names it.
     """
@@ -86,6 +87,11 @@ def stability_map(
     for name, values in (("speed_ratios", speeds), ("stiffness_ratios", stiffness)):
         if values.ndim != 1 or not np.all(np.isfinite(values) & (values > 0)):
             raise OutsideDomain(f"{name} must be one-dimensional, finite and above 0, got {values!r}")
+        if np.any((values < _LEAST_RATIO) | (values > _GREATEST_RATIO)):
+            raise OutsideDomain(
+                f"{name} must be above 0 and lie in {_LEAST_RATIO:g} … {_GREATEST_RATIO:g}, got "
+                f"{values.min():g} … {values.max():g}"
+            )
     need_number(accuracy=accuracy)
     if not _FINEST <= accuracy <= 0.1:
         raise OutsideDomain(f"accuracy must lie in {_FINEST:g} … 0.1, got {accuracy!r}")

@@ -246,8 +246,9 @@ def _sentence(error: ErrorDetails) -> str:
     if error["type"] == "missing":
         return f"{key}: missing; expected {_expectation(error['loc'])}"
     got = error.get("input")
-    shown = _shown(got)
-    return f"{key}: {error['msg']}, got {shown}"
+    if isinstance(got, dict) and error["type"] == "value_error":  # of a whole table; its words tell what came
+        return f"{key}{': ' if key else ''}{error['msg'].removeprefix('Value error, ')}"
+    return f"{key}: {error['msg']}, got {_shown(got)}"
 
 
 def _shown(value: Any) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from rig_configs.errors import RigFileError
+from rig_configs.regular_file import need_regular
 
 _LARGEST_BYTES = 32_000_000
 _DEEPEST = 50
@@ -20,9 +21,10 @@ def read_text(path: Path) -> str:
     """A file's text; a byte order mark before it is left out.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: it cannot be read, or is no file: a named pipe, a device.
         RigFileError: it is no text of UTF-8, or too large for what it should be.
     """
+    need_regular(path)
     with open(path, "rb") as file:
         data = file.read(_LARGEST_BYTES + 1)
     if len(data) > _LARGEST_BYTES:

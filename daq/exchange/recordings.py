@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.exchange.columns import Recording
 from daq.exchange.errors import ExchangeError
-from daq.regular_file import need_regular
+from rig_configs.regular_file import need_regular
 
 
 def open_recording(path: Path) -> Recording:

@@ -17,7 +17,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from daq.errors import LogError, RecordingError
-from daq.regular_file import need_regular
+from rig_configs.regular_file import need_regular
 
 SUFFIX = ".verdict.json"
 _MOST_BYTES = 2**20  # a verdict is a few lines; a file that claims more is none

@@ -12,7 +12,7 @@ from pathlib import Path
 from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
-from daq.regular_file import need_regular
+from rig_configs.regular_file import need_regular
 
 PIECE_BYTES = 2**20
 """What is read at once where a long stretch is gone through."""

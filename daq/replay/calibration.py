@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.regular_file import need_regular
 from rig_configs.errors import RigFileError
 from rig_configs.load import validate
+from rig_configs.regular_file import need_regular
 from rig_configs.schema import Rig
 from rig_configs.toml_text import parse_toml, read_text
 

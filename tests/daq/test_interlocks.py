@@ -9,9 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daq import channels
 from daq.channel_watch import ChannelWatch
-from daq.interlocks import Share
+from daq.interlocks import Interlocks, Share, Stop
 from daq.rotor_watch import RotorWatch
+from daq.stream_items import Batch
+from rig_configs import load_rig
 from tests.daq.far_ends import Bench
 
 
@@ -282,24 +285,6 @@ def test_a_drive_that_goes_on_past_its_order_or_the_other_way_is_found(target: i
     assert any(other.drive_said(k * 10_000_000, np.array([-2.0 * k])) is not None for k in range(40))
 
 
-def marks_by(stamp: float) -> str | None:
-    """What is found wrong with index marks at 900 rpm, the common clock so many times as fast as the node's."""
-    watch, turn_ns, wrong = RotorWatch(1200.0, patience), 66_666_667, None
-    watch.told(900.0)
-    for turn in range(1, 41):
-        own = np.array([turn * turn_ns])
-        watch.drive_said(int(own[0]), np.array([900.0]))
-        wrong = wrong or watch.marks_came(int(own[0]), (own * stamp).astype(np.int64), own, np.array([turn]))
-    return wrong
-
-
-def test_a_clock_map_that_makes_good_a_late_read_is_no_overspeed() -> None:
-    """The map may run up to half as fast again or half as slow for a while; the node's own clock tells the speed."""
-    assert marks_by(1.0) is None
-    assert marks_by(0.5) is None
-    assert marks_by(1.5) is None
-
-
 @given(st.lists(st.tuples(st.integers(1, 60), st.floats(0, 1)), min_size=1, max_size=60))
 def test_the_share_of_bad_samples_is_that_of_the_newest_stretch(reads: list[tuple[int, float]]) -> None:
     rng = np.random.default_rng(len(reads))
@@ -338,3 +323,27 @@ def test_silences_add_up_to_the_time_a_channel_was_not_heard(steps: list[tuple[s
         counted = watch.losses(now).get(device, {}).get(f"{topic}_silent_ms", 0)
         assert counted == pytest.approx(told_s * 1e3, abs=1.0)
     assert not any(e.facts["channel"] == "c" for e in events)
+
+
+@pytest.mark.parametrize("slew", [0.4, 0.5, 2.5])
+def test_a_clock_map_that_catches_up_makes_no_rotor_too_fast(slew: float) -> None:
+    """A host that was busy learns late how the node's clock lies on its own; meanwhile mapped times run wrong."""
+    interlocks = Interlocks(load_rig("virtual").limits, patience, driving=True)
+    turn_us = 57_200
+    found: list[object] = []
+    for k in range(1, 60):
+        mark = np.array([k])
+        time_ns = np.array([10**18 + round(k * turn_us * slew) * 1000])
+        columns = {"revolutions": mark, "node_time_us": (mark * turn_us).astype(np.uint64)}
+        now_ns = 10**18 + k * turn_us * 1000
+        drive = {"speed_rpm": np.array([1049.0]), "status": np.array([0], np.uint32)}
+        found += interlocks.feed(Batch(channels.MOTOR, np.array([now_ns]), mark.astype(np.uint32), drive), now_ns)
+        found += interlocks.feed(Batch(channels.TACHO, time_ns, mark.astype(np.uint32), columns), now_ns)
+    assert [item for item in found if isinstance(item, Stop) and "limits" in item.text] == []
+    assert interlocks.rotor.mark_rpm(10**18 + 59 * turn_us * 1000) == pytest.approx(60e6 / turn_us)
+
+
+def test_marks_that_are_too_fast_by_their_own_clock_are_found() -> None:
+    watch = RotorWatch(1200.0, patience)
+    k = np.arange(8)
+    assert watch.marks_came(10**18, 10**18 + k * 57_200_000, k * 40_000_000, k) is not None

@@ -133,6 +133,17 @@ def test_a_gap_longer_than_the_host_waited_is_a_restart_and_no_loss() -> None:
     assert laser.losses["samples"] == 0
 
 
+@pytest.mark.parametrize("seconds", [2.3, 7.0, 29.0])
+@pytest.mark.parametrize("first", [0, 70_000, 250_000])
+def test_a_gap_that_a_busy_host_saw_late_is_a_loss_and_no_restart(seconds: float, first: int) -> None:
+    laser = pipeline()
+    k, lost = np.arange(first, first + 80), round(4000 * seconds)
+    rows, events = fed([stream(USUAL, k), stream(USUAL, k + 80 + lost)], laser)  # within a few milliseconds
+    assert [event.kind for event in events] == ["gap"]
+    assert laser.losses["samples"] == lost
+    assert len(rows) == 160
+
+
 def test_a_damaged_first_sample_is_no_restart() -> None:
     wire = bytearray(stream(USUAL, K))
     wire[4] ^= 1  # its counter

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import contextlib
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -187,3 +188,13 @@ def test_the_truth_changes_by_what_holds_now() -> None:
     assert softer.physics == rig.physics
     with pytest.raises(RigFileError, match="unknown key"):
         with_truth(rig, "suspension.k1", 5.0)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+@pytest.mark.parametrize("target", ["pipe.toml", "/dev/zero", "."])
+def test_what_is_no_file_is_refused_without_waiting_for_it(tmp_path: Path, target: str) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "named.toml").symlink_to(tmp_path / target)
+    for read in (load_rig, IdentifiedParameters.load):
+        with pytest.raises((RigFileError, ParametersFileError), match="not a file"):
+            read(tmp_path / "named.toml")

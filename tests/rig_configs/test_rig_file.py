@@ -180,3 +180,9 @@ def test_identified_values_lie_over_a_rig_that_was_loaded_with_relative_settings
     physics = with_parameters(changed, known).physics
     assert physics.k2_N_per_m == pytest.approx(40000.0)
     assert physics.imbalance_moment_kg_m == pytest.approx(2.6e-3)
+
+
+def test_a_fault_of_the_whole_rig_is_told_in_its_own_words() -> None:
+    with pytest.raises(RigFileError) as refused:
+        load_rig("virtual", settings=["suspension.k1_N_per_m=1e-300"])
+    assert str(refused.value) == "virtual.toml: k1_N_per_m must lie in 1e-15 … 1e+15, got 1e-300"
