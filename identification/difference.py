@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.estimate import FOUND_TOGETHER
 from identification.joint.combine import JointEstimate
 from identification.joint.provenance import KeptTest, rebuilt
 from rig_configs.parameters_file import IdentifiedParameters
@@ -156,7 +157,7 @@ def _shared(label: str, before: _Side, after: _Side, pairs: Mapping[int, int]) -
     device's clock is fitted anew in every log.
     """
     old, new = before.felt(label), after.felt(label)
-    device, is_clock = label.partition(" ")[2], label.startswith("clock")
+    device, is_clock = label.partition(" ")[2], label.startswith(("clock", FOUND_TOGETHER))
     serials = [set[str]() if is_clock else _serials(side.tests, label, device) for side in (before, after)]
     if serials[0] and serials[0] == serials[1] and len(serials[0]) == 1:
         return [new - old], f"the same {device} (serial {min(serials[0])}) both times: its gain's error cancels"

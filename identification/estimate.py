@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+FOUND_TOGETHER = "friction"
+"""Begin of the labels of errors in what all tests together have found and each was given."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -34,6 +37,15 @@ class Estimate:
     def total_covariance(self) -> np.ndarray:
         """Own and shared errors together, shape (n, n)."""
         return self.covariance + sum((np.outer(v, v) for v in self.shared.values()), np.zeros_like(self.covariance))
+
+    @property
+    def weighing_covariance(self) -> np.ndarray:
+        """What a test weighs by: its own errors and shared ones, but those found from the tests together."""
+        found = self.covariance.copy()
+        for label, shift in self.shared.items():
+            if not label.startswith(FOUND_TOGETHER):
+                found = found + np.outer(shift, shift)
+        return found
 
     @property
     def std(self) -> dict[str, float]:

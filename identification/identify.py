@@ -15,6 +15,7 @@ from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
 from identification.joint.provenance import with_tests
+from identification.joint.shared_friction import told, with_shared_friction
 from identification.pendulums.friction import Friction
 from identification.pendulums.release import ReleaseLeftOut, fit_release
 from identification.pendulums.release_search import Effort
@@ -147,7 +148,7 @@ def identify(
     # short transients first; each sharpens the start of the next
     for run in sorted(points, key=lambda r: r.angle_time_s[-1] if len(r.angle_time_s) else 0.0):
         _one(run, work, _release)
-    _spin_downs_again([r for r in given if r.test == "spin-down"], work)
+    _share_friction(work)
     work.warnings += _left_out(work.left_out)
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
@@ -229,24 +230,13 @@ def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     return fit, damping_estimate(run, fit, "coupled run-down of both pendulums, nonlinear least squares")
 
 
-def _spin_downs_again(runs: list[Run], work: _Work) -> None:
-    """With the drag that a release at speed found and a flick at rest hardly shows: it biases c all the same."""
-    known = work.knowledge()
-    if known.friction is None or not any(known.friction.contact_std_kg_m2):
-        return
-    for run in runs:
-        before = [e for e in work.estimates if e.source == run.source]
-        work.tell(f"{run.test}: fitting {Path(run.source).name} with the friction that a release found")
-        try:
-            fit = fit_spin_down_run(run, known, setting=work.setting)
-        except IdentificationError:
-            continue  # the one without stands
-        if not (fit.settled and before):
-            continue
-        work.estimates = [e for e in work.estimates if e.source != run.source]
-        work.fits = [f for f in work.fits if f.source != run.source]
-        work.warnings = [w for w in work.warnings if not w.startswith(f"{Path(run.source).name}: spin-down: d")]
-        work.add(run, fit, damping_estimate(run, fit, "coupled run-down of both pendulums, with a release's friction"))
+def _share_friction(work: _Work) -> None:
+    """Each transient's damping with the friction that all of them found; a lone one says what it leaves open."""
+    fits = {f.source: f.fit for f in work.fits if isinstance(f.fit, TransientFit)}
+    work.estimates, shared = with_shared_friction(work.estimates, fits)
+    undecided = [f"{Path(source).name}: {fit.undecided}" for source, fit in fits.items() if fit.undecided]
+    work.warnings = [w for w in work.warnings if w not in undecided]
+    work.warnings += undecided if shared is None else told(shared)
 
 
 def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:

@@ -19,12 +19,13 @@ from rig_configs.parameters_file import IdentifiedParameters
 if TYPE_CHECKING:
     from identification.identify import Identification
 
-SOURCES = ("noise", "model", "clock", "gain", "disagreement", "mass")
+SOURCES = ("noise", "model", "clock", "gain", "friction", "disagreement", "mass")
 _ADVICE = {
     "noise": "record longer, at a larger amplitude, or more often",
     "model": "the residuals are more than sensor noise: look at the fit, dry friction and amplitude dependence",
     "clock": "longer logs know the devices' rates better",
     "gain": "calibrate the lasers and the lever between laser and disk",
+    "friction": "releases at other speeds and a spin-down know the pendulums' dry friction better",
     "disagreement": "the tests disagree: repeat them",
     "mass": "weigh the rotor",
 }
@@ -85,7 +86,8 @@ def _limit(i: int, joint: JointEstimate, model: list[float], mass_std: float) ->
         parts["noise"] += own * (1 - share)
         parts["model"] += own * share
     for label, shift in together.shared.items():
-        parts["clock" if label.startswith("clock") else "gain"] += float(shift[i] ** 2)
+        kind = label.partition(" ")[0]
+        parts[kind if kind in ("clock", "friction") else "gain"] += float(shift[i] ** 2)
     total = joint.parameters.covariance[i, i]
     parts["disagreement"] = max(0.0, float(total - sum(parts.values())))
     if not name.startswith("zeta"):

@@ -3,7 +3,8 @@
 Each test weighs by its own total covariance. Errors that tests share (a gain, a device's clock rate) do not average
 out, so the joint covariance carries them as fully correlated: with p = W d and one shared error of shifts v_i per test
 it adds (W v)(W v)ᵀ. Weights from the fully correlated matrix itself would be optimal only if the correlation were
-exactly one; they can leave the range of the data, these can not. Source: docs/theory/joint_estimate.md.
+exactly one; they can leave the range of the data, these can not. An error in what the tests together have found (the
+pendulums' friction) does not weigh: it went into every test alike. Source: docs/theory/joint_estimate.md.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def weighted(estimates: Sequence[Estimate]) -> Weighted:
         columns = [names.index(n) for n in estimate.names]
         design = np.eye(len(names))[columns]
         unit = scale[columns]
-        pull = design.T @ np.linalg.inv(estimate.total_covariance / np.outer(unit, unit))
+        pull = design.T @ np.linalg.inv(estimate.weighing_covariance / np.outer(unit, unit))
         information += pull @ design
         pulls.append(scale[:, None] * pull / unit)
     inverse = np.linalg.inv(information)

@@ -47,10 +47,12 @@ def covering(fit: TransientFit, answers: Sequence[Minimum], where: str, advice: 
         return fit
     c = np.array(list(fit.values.values()))
     apart = [m.theta[:2] - answers[0].theta[:2] for m in answers[1:]]
-    covariance = fit.covariance / np.outer(c, c) + sum(np.outer(d, d) for d in apart) / 1.96**2
+    more = sum((np.outer(d, d) for d in apart), np.zeros((2, 2))) / 1.96**2
+    covariance = fit.covariance / np.outer(c, c) + more
     others = ", ".join(f"c3 {x:.3e} with c4 {y:.3e}" for x, y in (np.exp(m.theta[:2]) for m in answers[1:]))
     warning = f"nearly as well the readings are explained, {where}, by {others}; the intervals reach so far. {advice}"
     return replace(
         fit, covariance=covariance * np.outer(c, c), intervals=log_intervals(c, covariance),
         warnings=[*fit.warnings, warning],
+        open_friction=None if fit.open_friction is None else fit.open_friction.widened(more),
     )  # fmt: skip

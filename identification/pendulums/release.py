@@ -25,7 +25,7 @@ from identification.pendulums.friction import Evidence, Friction
 from identification.pendulums.release_problem import SUSPENSION, Release, Shape
 from identification.pendulums.release_search import Effort, NotFollowed, Search, Tell, holding
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import TransientFit
+from identification.pendulums.transient import TransientFit, with_open_friction
 from identification.pendulums.unknown_phase import angles_to_try, race, told
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
@@ -90,6 +90,7 @@ def fit_release(
     if shape is not None:
         friction = release.friction(best, problem.covariance(best, end, setting, (16, 17)), shape)
         fit = replace(fit, friction=friction, warnings=[*fit.warnings, friction.told(f"release {run.test}")])
+    fit = with_open_friction(fit, release.open_friction(shape, best, end, setting), f"release {run.test}")
     if not run.phase_absolute:
         return told(fit, answers, knowledge.physics)
     return covering(fit, answers, "with friction that goes otherwise with the speed", "A spin-down at rest decides")

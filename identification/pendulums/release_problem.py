@@ -2,7 +2,7 @@
 
 θ = (ln c3, ln c4, θ3, θ4 at release, two encoder zeros, shift of the release's time, the disk's deviation x, y, ẋ, ẏ
 from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P), then with dry friction its torque on A and B at the rotor's
-speed, then what the recorded phase leaves open.
+speed (of both shapes: first one's, then the other's), then what the recorded phase leaves open.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from identification.pendulums.decline import encoder_step
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, Friction, evidence
 from identification.pendulums.locked_start import LockedStart
+from identification.pendulums.open_friction import CONTACT_STD_kg_m2, TORQUE_STD_Nm, OpenFriction
 from identification.pendulums.recorded_speed import RecordedSpeed, recorded_speed
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientProblem
@@ -27,8 +28,8 @@ from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
 from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
 
-Shape = Literal["torque", "contact"]
-"""How dry friction goes with the speed: a torque that is the same at any, or one that goes with the contact force."""
+Shape = Literal["torque", "contact", "both"]
+"""How dry friction goes with the speed: a torque that is the same at any, one that goes with the contact force, both."""
 
 SUSPENSION, _BASE = slice(11, 16), 16
 _START, _ZEROS, _SHIFT, _DISK = slice(2, 4), slice(4, 6), 6, slice(7, 11)
@@ -109,7 +110,7 @@ class Release:
             damping_std, damping_std, angle_std, angle_std, self.zero_std_rad, self.zero_std_rad, self.release_std_s,
             _DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega, _DISK_STD_M * omega, self.knowledge.log_std,
         ]  # fmt: skip
-        dry, modes, turn = 0 if shape is None else 2, len(self.speed.modes), not self.run.phase_absolute
+        dry, modes, turn = _unknowns(shape), len(self.speed.modes), not self.run.phase_absolute
         prior = np.r_[start, np.zeros(dry + modes + int(turn))]
         std = np.r_[std, np.full(dry, np.inf), np.ones(modes), np.full(int(turn), TURN_STD_RAD)]
 
@@ -156,14 +157,13 @@ class Release:
         """M_A, M_B, F_A, F_B and their derivatives by θ."""
         if shape is None:
             return None, None
-        unit = np.zeros((4, 2))
-        if shape == "torque":
-            unit[0, 0] = unit[1, 1] = 1.0
-        else:
-            unit[2, 0] = unit[3, 1] = 1.0 / self.speed_rad_s**2
+        w2 = self.speed_rad_s**2
+        unit = np.diag([1.0, 1.0, 1.0 / w2, 1.0 / w2])
+        unit = {"torque": unit[:, :2], "contact": unit[:, 2:], "both": unit}[shape]
+        at = slice(_BASE, _BASE + _unknowns(shape))
         by = np.zeros((4, len(theta)))
-        by[:, _BASE : _BASE + 2] = unit
-        return unit @ theta[_BASE : _BASE + 2], by
+        by[:, at] = unit
+        return unit @ theta[at], by
 
     def with_torque(self, theta: np.ndarray, torque_Nm: np.ndarray) -> np.ndarray:
         """θ of a problem without friction as one with it."""
@@ -178,6 +178,25 @@ class Release:
         columns = slope[:, _BASE : _BASE + 2] * weight[:, None]
         sizes = (len(cut[0].time_s), len(cut[1].time_s))
         return evidence(minimum, columns, plain.rounding(minimum, end_s, 40), sizes)
+
+    def open_friction(
+        self, shape: Shape | None, minimum: Minimum, end_s: float, setting: Setting
+    ) -> OpenFriction | None:
+        """What a fit with friction of one shape says of damping and all friction; None where it cannot be followed."""
+        problem, w2 = self.problem("both"), self.speed_rad_s**2
+        own, scale = slice(_BASE, _BASE + 4), np.array([1.0, 1.0, w2, w2])
+        problem.prior_std[:2] = _DAMPING_STD
+        problem.prior_std[own] = scale * np.repeat([TORQUE_STD_Nm, CONTACT_STD_kg_m2], 2)
+        torque, after = np.zeros(4), _BASE + _unknowns(shape)
+        if shape is not None:
+            at = 2 if shape == "contact" else 0
+            torque[at : at + 2] = minimum.theta[_BASE:after]
+        found = problem.one_step(np.r_[minimum.theta[:_BASE], torque, minimum.theta[after:]], end_s)
+        if found is None:
+            return None
+        wanted, unit = [0, 1, *range(_BASE, _BASE + 4)], np.r_[1.0, 1.0, 1.0 / scale]
+        covariance = problem.covariance(found, end_s, setting, wanted)
+        return OpenFriction(found.theta[wanted] * unit, covariance * np.outer(unit, unit))
 
     def friction(self, minimum: Minimum, covariance: np.ndarray, shape: Shape) -> Friction:
         """The friction that a fit found; covariance of both torques, shape (2, 2)."""
@@ -197,6 +216,10 @@ class Release:
     def laid_over(self, physics_knowledge: Knowledge) -> Release:
         """The same recording with other masses and lengths."""
         return replace(self, knowledge=physics_knowledge)
+
+
+def _unknowns(shape: Shape | None) -> int:
+    return 0 if shape is None else 4 if shape == "both" else 2
 
 
 def _release_time(run: Run) -> tuple[float, float]:

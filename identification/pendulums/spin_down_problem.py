@@ -17,14 +17,17 @@ from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, evidence
+from identification.pendulums.open_friction import CONTACT_STD_kg_m2, TORQUE_STD_Nm, OpenFriction
 from identification.pendulums.push import TIME_CONSTANTS, Decline
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientProblem
 from identification.samples import Averages
+from identification.setting import Setting
 
 Kind = Literal["torque", "contact"]
 Kinds = tuple[Kind, ...]
 """Of friction: a torque that is the same at any speed, one that goes with its square (the contact force)."""
+BOTH: Kinds = ("torque", "contact")
 
 PSI, COUNT = 6, 15
 _ANGLES, _SPEEDS, _DISK, _SUSPENSION = slice(2, 4), slice(4, 6), slice(7, 11), slice(11, 15)
@@ -77,10 +80,7 @@ class SpinDown:
         prior_std[:2], prior_std[PSI] = _DAMPING_STD, np.pi
         prior_std[_DISK] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
         prior_std[_SUSPENSION] = self.knowledge.log_std[:4]
-        prior, friction = self.start(kinds, 0.0), self.knowledge.friction
-        if friction is not None and "contact" in kinds:  # a release at speed has seen it
-            at = COUNT + 2 * kinds.index("contact")
-            prior[at : at + 2], prior_std[at : at + 2] = friction.contact_kg_m2, friction.contact_std_kg_m2
+        prior = self.start(kinds, 0.0)
 
         def predict(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
             return self._angles(theta, problem.cut(end_s), kinds)
@@ -131,6 +131,20 @@ class SpinDown:
         columns = slope[:, -2:] * weight[:, None]
         sizes = (len(cut[0].time_s), len(cut[1].time_s))
         return evidence(minimum, columns, plain.rounding(minimum, self.end_s, 40), sizes)
+
+    def open_friction(self, kinds: Kinds, minimum: Minimum, setting: Setting) -> OpenFriction | None:
+        """What a fit with some kinds of friction says of damping and all friction; None where it cannot be followed."""
+        problem = self.problem(BOTH)
+        for kind, std in (("torque", TORQUE_STD_Nm), ("contact", CONTACT_STD_kg_m2)):
+            at = COUNT + 2 * BOTH.index(kind)
+            problem.prior[at : at + 2], problem.prior_std[at : at + 2] = 0.0, std
+        problem.prior[PSI] = minimum.theta[PSI]  # as the fit had it
+        none: dict[Kind, np.ndarray] = {kind: np.zeros(2) for kind in BOTH}
+        found = problem.one_step(self.extended(minimum.theta, kinds, BOTH, none), self.end_s)
+        if found is None:
+            return None
+        wanted = [0, 1, *range(COUNT, COUNT + 4)]
+        return OpenFriction(found.theta[wanted], problem.covariance(found, self.end_s, setting, wanted))
 
     def positive(self, minimum: Minimum, kinds: Kinds) -> bool:
         """Whether no friction is surely below zero, which none is."""

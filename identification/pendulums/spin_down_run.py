@@ -23,10 +23,11 @@ from identification.estimate import Estimate
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering, plausible_answers
 from identification.pendulums.friction import Evidence, Friction
+from identification.pendulums.open_friction import pooled
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import Readings, TransientFit, TransientProblem, log_intervals
+from identification.pendulums.transient import Readings, TransientFit, TransientProblem, with_open_friction
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 
@@ -92,6 +93,7 @@ def _fit_from(
         fit = problem.result(minimum, end, "spin-down", 2, setting, table)
         if minimum.converged and fit.chi2_per_dof < _FOLLOWED:
             fit = _with_friction(case, fit, minimum, kinds, setting)
+            fit = with_open_friction(fit, case.open_friction(kinds, minimum, setting), "spin-down")
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
         if fit.chi2_per_dof < _FOLLOWED:
             raise FitFailed(
@@ -113,8 +115,7 @@ def _chosen(case: SpinDown, angles: Sequence[float]) -> tuple[Kinds, list[Minimu
     Returns:
         Its kinds of friction, the answers with it, and a row for each model that was asked for.
     """
-    known = case.knowledge.friction
-    kinds: Kinds = ("contact",) if known is not None and any(known.contact_std_kg_m2) else ()
+    kinds: Kinds = ()
     answers = _answers(case, kinds, [case.start(kinds, psi) for psi in angles])
     rows: list[ModelChoice] = []
     for _ in range(len(_KINDS)):
@@ -161,15 +162,12 @@ def _together(fits: list[TransientFit]) -> TransientFit:
     """Stretches of one record, combined by their information."""
     if len(fits) == 1 or fits[1].chi2_per_dof > 2:
         return fits[0]
-    information = [np.linalg.inv(f.covariance) for f in fits]
-    covariance = np.linalg.inv(information[0] + information[1])
-    pulled = sum(i @ np.array(list(f.values.values())) for i, f in zip(information, fits, strict=True))
-    found = covariance @ pulled
-    return replace(
-        fits[0], values=dict(zip(fits[0].values, found.tolist(), strict=True)), covariance=covariance,
-        intervals=log_intervals(found, covariance / np.outer(found, found)),
-        curves=[*fits[0].curves, *fits[1].curves], warnings=fits[0].warnings + fits[1].warnings,
-    )  # fmt: skip
+    opens = [f.open_friction for f in fits]
+    if opens[0] is None or opens[1] is None:
+        return fits[0]
+    warnings = [w for f in fits for w in f.warnings if w != f.undecided]
+    both = replace(fits[0], curves=[*fits[0].curves, *fits[1].curves], warnings=warnings)
+    return with_open_friction(both, pooled([opens[0], opens[1]]), "spin-down")
 
 
 def damping_estimate(run: Run, fit: TransientFit, method: str) -> Estimate:

@@ -9,14 +9,15 @@ hardly moves.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from identification.curve import Curve
-from identification.least_squares import Minimum, minimise
+from identification.least_squares import Minimum, inverse_normal, minimise
 from identification.pendulums.friction import Friction
+from identification.pendulums.open_friction import Alone, OpenFriction, alone
 from identification.pendulums.quantiser import rounding_errors
 from identification.samples import Averages, correlation_inflation
 from identification.setting import ModelChoice, Setting
@@ -24,6 +25,7 @@ from identification.setting import ModelChoice, Setting
 Predict = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 _DRAWS = {"fast": 0, "balanced": 100, "reference": 400}
 _JITTERS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # steps
+_WIDER = 1.5  # times as long intervals are worth a word
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
 
@@ -43,6 +45,9 @@ class TransientFit:
         warnings: what a reader must know.
         friction: dry friction beside the viscous damping, where the readings show it; it is in the fit.
         settled: whether the iteration did; the values of one that did not are none to quote.
+        open_friction: damping and friction, all of it free; several tests share it
+            (identification.pendulums.open_friction). None where it was not asked for.
+        undecided: a warning that friction too small to be found has widened the intervals; "" where it has not.
     """
 
     values: dict[str, float]
@@ -57,6 +62,8 @@ class TransientFit:
     warnings: list[str]
     friction: Friction | None = None
     settled: bool = True
+    open_friction: OpenFriction | None = None
+    undecided: str = ""
 
     @property
     def std(self) -> dict[str, float]:
@@ -140,11 +147,24 @@ class TransientProblem:
         Args:
             plateau: χ² per reading above which steps that gain little end it: the model is at fault there.
         """
+        return minimise(self._evaluation(end_s), start, iterations, plateau)
+
+    def one_step(self, theta: np.ndarray, end_s: float) -> Minimum | None:
+        """Where one Gauss–Newton step leads, with residuals to first order; None where there are no finite numbers."""
+        residual, jacobian = self._evaluation(end_s)(theta)
+        if not np.all(np.isfinite(residual)):
+            return None
+        covariance = inverse_normal(jacobian)
+        step = -covariance @ (jacobian.T @ residual)
+        return Minimum(theta + step, covariance, residual + jacobian @ step, jacobian, True, 1)
+
+    def _evaluation(self, end_s: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """θ to residual and Jacobian, knowledge last; infinite where the motion cannot be followed."""
         data = self.cut(end_s)
         measured = np.concatenate([d.value for d in data])
         weight = np.concatenate([d.weight for d in data])
         known = np.isfinite(self.prior_std)
-        rows = np.eye(len(start))[known] / self.prior_std[known, None]
+        rows = np.eye(len(self.prior))[known] / self.prior_std[known, None]
 
         def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             angle, jacobian = self.predict(theta, end_s)
@@ -153,7 +173,7 @@ class TransientProblem:
                 return np.full(len(residual), np.inf), np.zeros((len(residual), len(theta)))
             return residual, np.concatenate([jacobian * weight[:, None], rows])
 
-        return minimise(evaluate, start, iterations, plateau)
+        return evaluate
 
     def chi2_per_dof(self, minimum: Minimum, end_s: float) -> float:
         """Reduced χ² of the data alone."""
@@ -233,6 +253,34 @@ def _root(covariance: np.ndarray) -> np.ndarray:
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     return scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
+
+
+def with_open_friction(fit: TransientFit, found: OpenFriction | None, label: str) -> TransientFit:
+    """A fit whose values and intervals leave friction open, as far as it is not below zero.
+
+    Args:
+        found: None leaves the fit as it is.
+        label: the test, for the warning.
+    """
+    if found is None:
+        return fit
+    free: Alone = alone(found)
+    c, low, high = (np.exp(free.log_damping + shift) for shift in (0.0, -free.below, free.above))
+    wider, told = float(np.max(np.sqrt(np.diag(free.covariance)) / free.known_std)), ""
+    if wider > _WIDER:
+        limits = (f"{name} below {a:.2g} and {b:.2g} {unit}" for name, unit, (a, b) in (
+            ("a torque", "N m", free.torque_Nm), ("with the contact force", "kg m²", free.contact_kg_m2)
+        ))  # fmt: skip
+        told = (
+            f"{label}: by itself it does not exclude dry friction of A and B ({', '.join(limits)}, 95 %), which makes "
+            f"c3 and c4 {wider:.2g} times less certain than viscous damping alone would be; a spin-down and releases "
+            "at two speeds together decide"
+        )
+    return replace(
+        fit, values=dict(zip(_NAMES, c.tolist(), strict=True)), covariance=free.covariance * np.outer(c, c),
+        intervals={n: (float(a), float(b)) for n, a, b in zip(_NAMES, low, high, strict=True)},
+        warnings=[*fit.warnings, told] if told else fit.warnings, open_friction=found, undecided=told,
+    )  # fmt: skip
 
 
 def log_intervals(c: np.ndarray, covariance: np.ndarray) -> dict[str, tuple[float, float]]:

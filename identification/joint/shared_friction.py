@@ -1,0 +1,92 @@
+"""Dry friction is the rig's and not a test's: every transient's damping with the friction that all of them found.
+
+What this friction is wrong by is one error through all of these tests (Estimate.shared), and none of the tests weighs
+less for it. A release and a spin-down that see the same friction are then neither two pieces of evidence of it nor two
+independent values of c. Source: docs/theory/joint_estimate.md.
+"""
+
+# pyright: strict
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.estimate import FOUND_TOGETHER, Estimate
+from identification.joint.combine import joint_estimate
+from identification.pendulums.open_friction import Together, together
+from identification.pendulums.transient import TransientFit
+
+_ROUNDS = 3  # of leaving out tests that stand apart and taking the friction without them
+_CERTAIN = 3.5  # standard deviations from which friction is told of
+_NAMES = (("a torque of A", "N m"), ("a torque of B", "N m"), ("contact friction of A", "kg m²"),
+          ("contact friction of B", "kg m²"))  # fmt: skip
+
+
+def with_shared_friction(
+    estimates: Sequence[Estimate], fits: Mapping[str, TransientFit]
+) -> tuple[list[Estimate], Together | None]:
+    """The estimates with the pendulums' friction shared by the tests that show damping.
+
+    Args:
+        estimates: of all tests.
+        fits: the transients among them by source.
+    Returns:
+        Estimates in the same order, and what they share; a single transient as it stands alone, and None.
+    """
+    own = [_alone(e, fits[e.source]) if e.source in fits else e for e in estimates]
+    at = [i for i, e in enumerate(own) if e.source in fits and _is_open(e, fits[e.source])]
+    if len(at) < 2:
+        return own, None
+    opens = [o for i in at if (o := fits[own[i].source].open_friction) is not None]
+    trusted = list(range(len(at)))
+    for _ in range(_ROUNDS):
+        shared = together(opens, trusted)
+        found = list(own)
+        for k, i in enumerate(at):
+            found[i] = _with(own[i], shared, k)
+        bad = joint_estimate(found).left_out
+        less = [k for k in trusted if at[k] not in bad]
+        if len(less) == len(trusted) or not less:
+            break
+        trusted = less
+    return found, shared
+
+
+def told(shared: Together) -> list[str]:
+    """A sentence for friction that is surely there, and one for what comes out below zero."""
+    std = np.sqrt(np.diag(shared.covariance))
+    sure = shared.friction / std
+    parts = [
+        f"{name} {v:.3g} ± {1.96 * s:.2g} {unit}"
+        for (name, unit), v, s, z in zip(_NAMES, shared.friction, std, sure, strict=True)
+        if z > _CERTAIN
+    ]
+    below = [f"{name} {v:.3g} ± {1.96 * s:.2g} {unit}" for (name, unit), v, s, z in
+             zip(_NAMES, shared.friction, std, sure, strict=True) if z < -_CERTAIN]  # fmt: skip
+    out = [f"dry friction beside the viscous damping, by all pendulum tests together: {', '.join(parts)} (95 %)"]
+    less = [
+        f"{', '.join(below)} (95 %) by all pendulum tests together: less than none, so the model is at fault somewhere; "
+        "look at masses, lengths and at what drove or touched a pendulum"
+    ]
+    return (out if parts else []) + (less if below else [])
+
+
+def _is_open(estimate: Estimate, fit: TransientFit) -> bool:
+    return fit.open_friction is not None and estimate.names == tuple(fit.values)
+
+
+def _alone(estimate: Estimate, fit: TransientFit) -> Estimate:
+    """Without what it shared before, with other tests."""
+    if not _is_open(estimate, fit):
+        return estimate
+    shared = {label: v for label, v in estimate.shared.items() if not label.startswith(FOUND_TOGETHER)}
+    return replace(estimate, values=np.array(list(fit.values.values())), covariance=fit.covariance, shared=shared)
+
+
+def _with(estimate: Estimate, found: Together, at: int) -> Estimate:
+    c = np.exp(found.log_damping[at])
+    shared = {**estimate.shared, **{f"{FOUND_TOGETHER} {k + 1}": c * v for k, v in enumerate(found.shared[at].T)}}
+    return replace(estimate, values=c, covariance=found.own[at] * np.outer(c, c), shared=shared)

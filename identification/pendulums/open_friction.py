@@ -1,0 +1,199 @@
+"""A pendulum transient with its dry friction left open, and what several of them say of damping and friction together.
+
+A friction too small to be found biases c by many times the standard deviation of a fit that goes without. So every fit
+is asked once more at its end, with M_A, M_B (a torque at any speed) and F_A, F_B (with the contact force, F φ̇²) as
+unknowns beside ln c3, ln c4: one Gauss–Newton step from where it stands. Tests of one campaign have these four in
+common: a flick at rest shows M and hardly F, releases at several speeds show M + F ω². Together they leave c nearly as
+well known as without friction. A test that stands alone takes what M ≥ 0 and F ≥ 0 leave. Source:
+docs/theory/pendulum_damping.md.
+"""
+
+# pyright: strict
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+Array = NDArray[np.float64]
+
+DAMPING, FRICTION = slice(0, 2), slice(2, 6)
+TORQUE_STD_Nm, CONTACT_STD_kg_m2 = 1e-2, 1e-4
+"""Beyond any bearing: keeps directions finite that a test does not show."""
+_UNIT = np.array([1.0, 1.0, 1e-6, 1e-6, 1e-9, 1e-9])
+_INSIDE = 1.96**2  # χ² of a 95 % interval
+_SURELY = 20.0  # χ² of four frictions that chance exceeds once in 2000
+_FURTHEST = 40.0  # standard deviations of ln c with all friction open
+
+
+@dataclass(frozen=True)
+class OpenFriction:
+    """What one transient says of damping and friction.
+
+    Attributes:
+        values: ln c3, ln c4, M_A, M_B (N m), F_A, F_B (kg m²), shape (6,); friction of any sign.
+        covariance: shape (6, 6).
+    """
+
+    values: Array
+    covariance: Array
+
+    def widened(self, log_damping: Array) -> OpenFriction:
+        """The same with more covariance of ln c3, ln c4, shape (2, 2)."""
+        covariance = self.covariance.copy()
+        covariance[DAMPING, DAMPING] += log_damping
+        return replace(self, covariance=covariance)
+
+    def information(self) -> Array:
+        """Inverse covariance in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice), shape (6, 6)."""
+        return np.linalg.inv(self.covariance / np.outer(_UNIT, _UNIT))
+
+
+@dataclass(frozen=True)
+class Alone:
+    """Damping by one transient, friction not below zero.
+
+    Attributes:
+        log_damping: the most likely ln c3, ln c4, shape (2,).
+        below, above: how far their 95 % intervals reach, shape (2,).
+        covariance: Gaussian that reaches as far as the longer side, shape (2, 2).
+        known_std: what the standard deviations were if the friction were known, shape (2,).
+        torque_Nm, contact_kg_m2: of A and B, the 95 % limits from above, shape (2,).
+    """
+
+    log_damping: Array
+    below: Array
+    above: Array
+    covariance: Array
+    known_std: Array
+    torque_Nm: Array
+    contact_kg_m2: Array
+
+
+@dataclass(frozen=True)
+class Together:
+    """What several transients say of the friction that they share.
+
+    Attributes:
+        friction, covariance: M_A, M_B, F_A, F_B, shapes (4,), (4, 4).
+        log_damping: ln c3, ln c4 by each test with this friction, shape (2,) each.
+        own: their covariances were the friction known, shape (2, 2) each.
+        shared: shifts of each test's ln c3, ln c4 for one standard deviation of each independent part of the friction's
+            error, shape (2, 4) each.
+    """
+
+    friction: Array
+    covariance: Array
+    log_damping: list[Array]
+    own: list[Array]
+    shared: list[Array]
+
+
+def alone(one: OpenFriction) -> Alone:
+    """The profile likelihood of c3 and of c4 over friction not below zero.
+
+    Where the readings ask for less friction than none, the interval is that of a fit without; where they ask for some,
+    or cannot exclude it, it reaches as far as that friction takes it. Beside a boundary a profile alone covers 90 %:
+    unless friction is surely there, the interval holds that of a fit without, too.
+    """
+    best, below, above = np.zeros(2), np.zeros(2), np.zeros(2)
+    none = _without(one)
+    for k in range(2):
+        at = [k, 2, 3, 4, 5]
+        unit = _UNIT[at]
+        best[k], low, high = _profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 0)
+        if none is not None:
+            reach = 1.96 * np.sqrt(none[1][k, k])
+            low, high = min(low, none[0][k] - reach), max(high, none[0][k] + reach)
+        below[k], above[k] = best[k] - low, high - best[k]
+    std = np.maximum(below, above) / 1.96
+    spread = np.sqrt(np.diag(one.covariance)[DAMPING])
+    correlation = one.covariance[DAMPING, DAMPING] / np.outer(spread, spread)
+    limits = np.zeros(4)
+    for k in range(4):
+        at = [2 + (k + j) % 4 for j in range(4)]
+        unit = _UNIT[at]
+        _, _, limits[k] = _profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 1)
+    limits = np.maximum(limits, 0.0) * _UNIT[FRICTION]
+    known = np.sqrt(np.diag(np.linalg.inv(one.information()[DAMPING, DAMPING])))
+    return Alone(best, below, above, correlation * np.outer(std, std), known, limits[:2], limits[2:])
+
+
+def _without(one: OpenFriction) -> tuple[Array, Array] | None:
+    """ln c3, ln c4 and their covariance without friction; None where there surely is some."""
+    information = one.information()
+    own = np.linalg.inv(information[DAMPING, DAMPING])
+    friction = one.values[FRICTION] / _UNIT[FRICTION]
+    inner = one.covariance[FRICTION, FRICTION] / np.outer(_UNIT[FRICTION], _UNIT[FRICTION])
+    if friction @ np.linalg.solve(inner, friction) > _SURELY:
+        return None
+    return one.values[DAMPING] + own @ information[DAMPING, FRICTION] @ friction, own
+
+
+def _profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, float]:
+    """Most likely value of the first unknown and its 95 % interval, the others not below zero.
+
+    Args:
+        least: 1 where the first one's own most likely value is not below zero either.
+    """
+    spread = np.sqrt(covariance[0, 0])
+    slope = covariance[1:, 0] / covariance[0, 0]
+    left = covariance[1:, 1:] - np.outer(slope, covariance[0, 1:])
+    root = np.linalg.cholesky(np.linalg.inv(0.5 * (left + left.T))).T
+
+    def excess(value: float) -> float:
+        wanted = mean[1:] + slope * (value - mean[0])
+        return ((value - mean[0]) / spread) ** 2 + nnls(root, root @ wanted)[1] ** 2
+
+    whole = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    # a value of any sign is the difference of two that are not below zero
+    design = whole if least else np.column_stack([whole, -whole[:, 0]])
+    found, left_over = nnls(design, whole @ mean)
+    best, lowest = float(found[0] - (0.0 if least else found[-1])), left_over**2
+    reach = []
+    for side in (-1.0, 1.0):
+        near, far = 0.0, spread
+        while excess(best + side * far) - lowest < _INSIDE and far < _FURTHEST * spread:
+            near, far = far, 2 * far
+        for _ in range(40):
+            middle = 0.5 * (near + far)
+            near, far = (middle, far) if excess(best + side * middle) - lowest < _INSIDE else (near, middle)
+        reach.append(best + side * far)
+    return best, reach[0], reach[1]
+
+
+def pooled(tests: Sequence[OpenFriction]) -> OpenFriction:
+    """Damping and friction by several tests, or stretches of one, each by its information."""
+    information = [t.information() for t in tests]
+    whole = np.linalg.inv(sum(information, np.zeros((6, 6))))
+    found = whole @ sum((i @ (t.values / _UNIT) for i, t in zip(information, tests, strict=True)), np.zeros(6))
+    return OpenFriction(found * _UNIT, 0.5 * (whole + whole.T) * np.outer(_UNIT, _UNIT))
+
+
+def together(tests: Sequence[OpenFriction], trusted: Sequence[int] | None = None) -> Together:
+    """All tests' friction as one, and each test's damping with it.
+
+    Args:
+        trusted: those that say what the friction is; all of them where it is not given.
+
+    Weighted sums of the damping, each test by its own covariance, and the shared parts added, are then exactly the
+    least squares over damping and friction together.
+    """
+    whole = pooled(tests if trusted is None else [tests[i] for i in trusted])
+    unit = _UNIT[FRICTION]
+    friction, spread = whole.values[FRICTION] / unit, whole.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
+    sizes, turn = np.linalg.eigh(spread)
+    parts = turn * np.sqrt(np.maximum(sizes, 0.0))
+    out = Together(friction * unit, spread * np.outer(unit, unit), [], [], [])
+    for test in tests:
+        each = test.information()
+        own = np.linalg.inv(each[DAMPING, DAMPING])
+        by = -own @ each[DAMPING, FRICTION]
+        out.own.append(0.5 * (own + own.T))
+        out.log_damping.append(test.values[DAMPING] + by @ (friction - test.values[FRICTION] / _UNIT[FRICTION]))
+        out.shared.append(by @ parts)
+    return out
