@@ -25,7 +25,9 @@ from dynamics.speed_history import phase_at
 COLUMNS = 19
 """Columns of the derivatives: those of identification.pendulums.variational, then M_A, M_B, F_A, F_B."""
 _ENOUGH = 1e-9  # rad/s: a rate that is zero
-_MOST_SWITCHES = 4000
+_LEAST_SLIDE_S = 1e-9
+_PAST = 1e-3  # of a step: past the instant at which a stick can no longer hold
+_MOST_SWITCHES = 40_000
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -136,6 +138,7 @@ def _excess(y, phase, p, torque, mode, i, f, ds, s, work, g, d):
     _slope(y, s, phase, p, torque, mode, f, ds, work, g, d)
     mode[i] = own
     needed, limit = work[i, 7], max(0.0, torque[i] + p[FA + i] * phase[1] * phase[1])
+    work[i, 3] = abs(needed) - limit  # below 0 by what it still holds
     if needed > limit:
         return needed - limit
     return needed + limit if needed < -limit else 0.0
@@ -168,7 +171,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
     k, ks, wy, ws = np.empty((4, 8)), np.empty((4, 8, COLUMNS)), np.empty(8), np.empty((8, COLUMNS))
     phase, work, g, d = np.empty((3, 3)), np.empty((2, 8)), np.empty((2, COLUMNS)), np.empty((4, COLUMNS))
     out, out_s, at = np.empty(8), np.empty((8, COLUMNS)), np.empty(3)
-    f, ds, mode = np.empty(8), np.empty((8, COLUMNS)), np.zeros(2, np.int64)
+    f, ds, mode, held = np.empty(8), np.empty((8, COLUMNS)), np.zeros(2, np.int64), np.zeros(2)
     segment, t, switches = phase_at(start_s, 0, knots, coefficients, at), start_s, 0
     for i in range(2):
         mode[i] = 0 if abs(y[6 + i]) <= _ENOUGH else (1 if y[6 + i] > 0 else -1)
@@ -176,6 +179,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
         if mode[i] == 0:
             over = _excess(y, at, p, torque, mode, i, f, ds, s, work, g, d)
             mode[i] = 0 if over == 0.0 else (1 if over > 0 else -1)
+            held[i] = work[i, 3]
     for row in range(n):
         while times[row] - t > 1e-12:
             steps = max(1.0, np.ceil((times[row] - t) / step - 1e-9))
@@ -195,6 +199,15 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                         part = trial if 0.0 < trial < 1.0 else part
                     if part < share:
                         first, share = i, max(part, 0.0)
+            loose = -1
+            for i in range(2):  # the first stick to end, by the line through what it still holds
+                if mode[i] == 0:
+                    _excess(out, phase[2], p, torque, mode, i, f, ds, s, work, g, d)
+                    after = work[i, 3]
+                    if after > 0.0 and held[i] < 0.0 and held[i] / (held[i] - after) < share:
+                        loose, share = i, min(1.0, held[i] / (held[i] - after) + _PAST)
+            if loose >= 0:
+                first = -1
             if first >= 0:
                 for _ in range(6):  # secant on the instant itself
                     segment = _step(
@@ -205,7 +218,13 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                     if abs(out[6 + first]) <= _ENOUGH or slope == 0.0:
                         break
                     share = min(1.0, max(0.0, share - out[6 + first] / (slope * h)))
-            # a stick that cannot hold within this step begins to slide at its end
+            if loose >= 0:
+                segment = _step(
+                    y, s, t, share * h, segment, knots, coefficients, p, torque, mode, k, ks, wy, ws, phase, work, g, d,
+                    out, out_s,
+                )  # fmt: skip
+            # a slide that ends where it began, at a peak of the torque that just moves it: it sticks for a step
+            hardly = first >= 0 and share * h <= _LEAST_SLIDE_S
             t += share * h
             for r in range(8):
                 y[r] = out[r]
@@ -222,9 +241,9 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                 came = mode[first]
                 y[6 + first] = 0.0
                 over = _excess(y, at, p, torque, mode, first, f, ds, s, work, g, d)
-                mode[first] = 0 if over == 0.0 else (1 if over > 0 else -1)
-                if mode[first] == came:  # a friction below zero: it goes on the way it went
-                    mode[first] = -came
+                mode[first] = 0 if over == 0.0 or hardly else (1 if over > 0 else -1)
+                if mode[first] == came and torque[first] + p[FA + first] * at[1] * at[1] < 0.0:
+                    mode[first] = -came  # a friction below zero: it goes on the way it went; else it has only touched
                 y[6 + first] = mode[first] * 2.0 * _ENOUGH
                 _slope(y, s, at, p, torque, mode, f, ds, work, g, d)
                 if wy[6 + first] != 0.0:
@@ -234,8 +253,10 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                         for c in range(COLUMNS):
                             s[r, c] += (f[r] - wy[r]) * ws[0, c]
             for i in range(2):
-                if mode[i] == 0:
+                held[i] = 0.0
+                if mode[i] == 0 and not (hardly and i == first):
                     over = _excess(y, at, p, torque, mode, i, f, ds, s, work, g, d)
+                    held[i] = work[i, 3]
                     if over != 0.0:
                         mode[i] = 1 if over > 0 else -1
                         y[6 + i] = mode[i] * 2.0 * _ENOUGH

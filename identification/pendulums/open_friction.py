@@ -52,6 +52,13 @@ class OpenFriction:
         """Inverse covariance in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice), shape (6, 6)."""
         return np.linalg.inv(self.covariance / np.outer(_UNIT, _UNIT))
 
+    def given(self, friction: Array) -> tuple[Array, Array]:
+        """ln c3, ln c4 (2,) and their covariance (2, 2) were M_A, M_B, F_A, F_B known, shape (4,)."""
+        information = self.information()
+        own = np.linalg.inv(information[DAMPING, DAMPING])
+        away = (friction - self.values[FRICTION]) / _UNIT[FRICTION]
+        return self.values[DAMPING] - own @ information[DAMPING, FRICTION] @ away, 0.5 * (own + own.T)
+
 
 @dataclass(frozen=True)
 class Alone:
@@ -101,14 +108,14 @@ def alone(one: OpenFriction) -> Alone:
     unless friction is surely there, the interval holds that of a fit without, too.
     """
     best, below, above = np.zeros(2), np.zeros(2), np.zeros(2)
-    none = _without(one)
+    none, known = one.given(np.zeros(4))
     for k in range(2):
         at = [k, 2, 3, 4, 5]
         unit = _UNIT[at]
         best[k], low, high = _profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 0)
-        if none is not None:
-            reach = 1.96 * np.sqrt(none[1][k, k])
-            low, high = min(low, none[0][k] - reach), max(high, none[0][k] + reach)
+        if not _excluded(one):
+            reach = 1.96 * np.sqrt(known[k, k])
+            low, high = min(low, none[k] - reach), max(high, none[k] + reach)
         below[k], above[k] = best[k] - low, high - best[k]
     std = np.maximum(below, above) / 1.96
     spread = np.sqrt(np.diag(one.covariance)[DAMPING])
@@ -119,19 +126,15 @@ def alone(one: OpenFriction) -> Alone:
         unit = _UNIT[at]
         _, _, limits[k] = _profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 1)
     limits = np.maximum(limits, 0.0) * _UNIT[FRICTION]
-    known = np.sqrt(np.diag(np.linalg.inv(one.information()[DAMPING, DAMPING])))
-    return Alone(best, below, above, correlation * np.outer(std, std), known, limits[:2], limits[2:])
+    return Alone(best, below, above, correlation * np.outer(std, std), np.sqrt(np.diag(known)), limits[:2], limits[2:])
 
 
-def _without(one: OpenFriction) -> tuple[Array, Array] | None:
-    """ln c3, ln c4 and their covariance without friction; None where there surely is some."""
-    information = one.information()
-    own = np.linalg.inv(information[DAMPING, DAMPING])
-    friction = one.values[FRICTION] / _UNIT[FRICTION]
-    inner = one.covariance[FRICTION, FRICTION] / np.outer(_UNIT[FRICTION], _UNIT[FRICTION])
-    if friction @ np.linalg.solve(inner, friction) > _SURELY:
-        return None
-    return one.values[DAMPING] + own @ information[DAMPING, FRICTION] @ friction, own
+def _excluded(one: OpenFriction) -> bool:
+    """Whether there surely is friction."""
+    unit = _UNIT[FRICTION]
+    friction = one.values[FRICTION] / unit
+    inner = one.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
+    return bool(friction @ np.linalg.solve(inner, friction) > _SURELY)
 
 
 def _profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, float]:
@@ -185,15 +188,13 @@ def together(tests: Sequence[OpenFriction], trusted: Sequence[int] | None = None
     """
     whole = pooled(tests if trusted is None else [tests[i] for i in trusted])
     unit = _UNIT[FRICTION]
-    friction, spread = whole.values[FRICTION] / unit, whole.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
+    spread = whole.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
     sizes, turn = np.linalg.eigh(spread)
     parts = turn * np.sqrt(np.maximum(sizes, 0.0))
-    out = Together(friction * unit, spread * np.outer(unit, unit), [], [], [])
+    out = Together(whole.values[FRICTION], whole.covariance[FRICTION, FRICTION], [], [], [])
     for test in tests:
-        each = test.information()
-        own = np.linalg.inv(each[DAMPING, DAMPING])
-        by = -own @ each[DAMPING, FRICTION]
-        out.own.append(0.5 * (own + own.T))
-        out.log_damping.append(test.values[DAMPING] + by @ (friction - test.values[FRICTION] / _UNIT[FRICTION]))
-        out.shared.append(by @ parts)
+        log_damping, own = test.given(whole.values[FRICTION])
+        out.own.append(own)
+        out.log_damping.append(log_damping)
+        out.shared.append(-own @ test.information()[DAMPING, FRICTION] @ parts)
     return out

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from daq.signals import Run
-from identification.errors import FitFailed
+from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering
 from identification.pendulums.diagnosis import candidates, likely_causes
@@ -25,7 +25,7 @@ from identification.pendulums.friction import Evidence, Friction
 from identification.pendulums.release_problem import SUSPENSION, Release, Shape
 from identification.pendulums.release_search import Effort, NotFollowed, Search, Tell, holding
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import TransientFit, with_open_friction
+from identification.pendulums.transient import UNTOLD, TransientFit, with_open_friction
 from identification.pendulums.unknown_phase import angles_to_try, race, told
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
@@ -38,6 +38,8 @@ _EARLY = 25  # iterations over a horizon with friction
 _RACED = 2  # horizons over which starts with friction race
 _SURELY = 2.0  # standard deviations
 _AS_GOOD, _NEGATIVE = 0.9, 0.2  # of what friction mends; of the larger torque
+_HARDLY_RAD = 0.02  # less is no motion to tell damping from
+_HELD = "a lock did not open, or dry friction holds the pendulum: look at the locks and clean the bearings"
 _ALIKE = 8.0  # χ² between two shapes of friction that are as good
 
 
@@ -77,23 +79,41 @@ def fit_release(
     """
     check_setting(setting)
     release = Release.of(run, knowledge, zero_std_rad, setting)
+    if max(release.moved_rad) < _HARDLY_RAD:
+        a, b = np.degrees(release.moved_rad)
+        raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
     horizons, effort, tell = release.horizons(setting), effort or Effort(), tell or (lambda _: None)
     end = horizons[-1]
     answers, shape, other = _searched(release, horizons, effort, tell)
     problem, best = release.problem(shape), answers[0]
     fit = problem.result(best, end, f"release {run.test}", 2, setting, _model_table(release, best, end, shape))
     if max(fit.std[n] / fit.values[n] for n in fit.values) > 0.2:
-        raise FitFailed(
-            f"{run.source}: {fit.horizon_s:.2g} s of the release do not show the damping; record a longer one"
-        )
+        raise FitFailed(f"{run.source}: {_not_shown(release, fit, shape)}")
     fit = replace(fit, warnings=[*fit.warnings, *other])
     if shape is not None:
         friction = release.friction(best, problem.covariance(best, end, setting, (16, 17)), shape)
         fit = replace(fit, friction=friction, warnings=[*fit.warnings, friction.told(f"release {run.test}")])
-    fit = with_open_friction(fit, release.open_friction(shape, best, end, setting), f"release {run.test}")
+    found = release.open_friction(shape, best, end, setting)
+    if found is None:
+        raise FitFailed(UNTOLD.format(run.source, "release", "record one at another speed, or clean the bearings"))
+    fit = with_open_friction(fit, found, f"release {run.test}")
     if not run.phase_absolute:
         return told(fit, answers, knowledge.physics)
     return covering(fit, answers, "with friction that goes otherwise with the speed", "A spin-down at rest decides")
+
+
+def _not_shown(release: Release, fit: TransientFit, shape: Shape | None) -> str:
+    """Why a release that is followed does not show the damping, and what to do."""
+    over = f"{fit.horizon_s:.2g} s of the release do not show the damping"
+    moved = [f"{name} by {np.degrees(m):.2g}°" for name, m in zip("AB", release.moved_rad, strict=True)]
+    if min(release.moved_rad) < _HARDLY_RAD:
+        return f"{over}: the pendulums moved {' and '.join(moved)} only; {_HELD}"
+    if shape is not None:
+        return (
+            f"{over}: dry friction rules the motion (the pendulums moved {' and '.join(moved)}) and hides the viscous "
+            "damping; clean or replace the bearings, or release at another speed"
+        )
+    return f"{over}; record a longer one"
 
 
 def _searched(

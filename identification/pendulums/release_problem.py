@@ -89,6 +89,12 @@ class Release:
         return float(self.rest.history.phase(self.rest.release_s)[0, 1])
 
     @property
+    def moved_rad(self) -> np.ndarray:
+        """How far each pendulum goes after the release, without the encoders' flicker, shape (2,)."""
+        ranges = [np.quantile(r.averages.value, [0.005, 0.995]) for r in self.readings]
+        return np.array([float(high - low) for low, high in ranges])
+
+    @property
     def start(self) -> np.ndarray:
         """θ to begin with, without friction and phase, shape (16,)."""
         physics = self.knowledge.physics
@@ -191,7 +197,7 @@ class Release:
         if shape is not None:
             at = 2 if shape == "contact" else 0
             torque[at : at + 2] = minimum.theta[_BASE:after]
-        found = problem.one_step(np.r_[minimum.theta[:_BASE], torque, minimum.theta[after:]], end_s)
+        found = problem.opened(np.r_[minimum.theta[:_BASE], torque, minimum.theta[after:]], end_s)
         if found is None:
             return None
         wanted, unit = [0, 1, *range(_BASE, _BASE + 4)], np.r_[1.0, 1.0, 1.0 / scale]

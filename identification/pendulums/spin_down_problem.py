@@ -140,7 +140,7 @@ class SpinDown:
             problem.prior[at : at + 2], problem.prior_std[at : at + 2] = 0.0, std
         problem.prior[PSI] = minimum.theta[PSI]  # as the fit had it
         none: dict[Kind, np.ndarray] = {kind: np.zeros(2) for kind in BOTH}
-        found = problem.one_step(self.extended(minimum.theta, kinds, BOTH, none), self.end_s)
+        found = problem.opened(self.extended(minimum.theta, kinds, BOTH, none), self.end_s)
         if found is None:
             return None
         wanted = [0, 1, *range(COUNT, COUNT + 4)]

@@ -27,7 +27,7 @@ from identification.pendulums.open_friction import pooled
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import Readings, TransientFit, TransientProblem, with_open_friction
+from identification.pendulums.transient import UNTOLD, Readings, TransientFit, TransientProblem, with_open_friction
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 
@@ -93,7 +93,10 @@ def _fit_from(
         fit = problem.result(minimum, end, "spin-down", 2, setting, table)
         if minimum.converged and fit.chi2_per_dof < _FOLLOWED:
             fit = _with_friction(case, fit, minimum, kinds, setting)
-            fit = with_open_friction(fit, case.open_friction(kinds, minimum, setting), "spin-down")
+            found = case.open_friction(kinds, minimum, setting)
+            if found is None:
+                raise FitFailed(UNTOLD.format(run.source, "spin-down", "flick faster, or clean the bearings"))
+            fit = with_open_friction(fit, found, "spin-down")
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
         if fit.chi2_per_dof < _FOLLOWED:
             raise FitFailed(

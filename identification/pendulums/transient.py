@@ -23,8 +23,12 @@ from identification.samples import Averages, correlation_inflation
 from identification.setting import ModelChoice, Setting
 
 Predict = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+UNTOLD = "{}: the {} does not tell viscous damping from dry friction: with both the fit does not settle; {}"
+"""Refusal: log, test, what to do."""
 _DRAWS = {"fast": 0, "balanced": 100, "reference": 400}
 _JITTERS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # steps
+_AS_FORESEEN = 1.0  # χ² above what a linear model foresees
+_OPENED = 30  # iterations
 _WIDER = 1.5  # times as long intervals are worth a word
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
@@ -149,14 +153,24 @@ class TransientProblem:
         """
         return minimise(self._evaluation(end_s), start, iterations, plateau)
 
-    def one_step(self, theta: np.ndarray, end_s: float) -> Minimum | None:
-        """Where one Gauss–Newton step leads, with residuals to first order; None where there are no finite numbers."""
-        residual, jacobian = self._evaluation(end_s)(theta)
+    def opened(self, theta: np.ndarray, end_s: float) -> Minimum | None:
+        """The minimum near the one of a fit with fewer unknowns; None where there is none.
+
+        One Gauss–Newton step where the motion follows it, an iteration where it does not.
+        """
+        evaluate = self._evaluation(end_s)
+        residual, jacobian = evaluate(theta)
         if not np.all(np.isfinite(residual)):
             return None
         covariance = inverse_normal(jacobian)
         step = -covariance @ (jacobian.T @ residual)
-        return Minimum(theta + step, covariance, residual + jacobian @ step, jacobian, True, 1)
+        there = residual + jacobian @ step
+        found = evaluate(theta + step)[0]
+        unit = max(1.0, float(there @ there) / len(there))
+        if np.all(np.isfinite(found)) and found @ found < there @ there + _AS_FORESEEN * unit:
+            return Minimum(theta + step, covariance, found, jacobian, True, 1)
+        minimum = self.solve(theta, end_s, _OPENED)
+        return minimum if minimum.converged else None
 
     def _evaluation(self, end_s: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
         """θ to residual and Jacobian, knowledge last; infinite where the motion cannot be followed."""
@@ -255,15 +269,12 @@ def _root(covariance: np.ndarray) -> np.ndarray:
     return scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
-def with_open_friction(fit: TransientFit, found: OpenFriction | None, label: str) -> TransientFit:
+def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> TransientFit:
     """A fit whose values and intervals leave friction open, as far as it is not below zero.
 
     Args:
-        found: None leaves the fit as it is.
         label: the test, for the warning.
     """
-    if found is None:
-        return fit
     free: Alone = alone(found)
     c, low, high = (np.exp(free.log_damping + shift) for shift in (0.0, -free.below, free.above))
     wider, told = float(np.max(np.sqrt(np.diag(free.covariance)) / free.known_std)), ""
