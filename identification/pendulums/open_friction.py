@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from identification.errors import FitFailed
+
 Array = NDArray[np.float64]
 
 DAMPING, FRICTION = slice(0, 2), slice(2, 6)
@@ -26,6 +28,7 @@ TORQUE_STD_Nm, CONTACT_STD_kg_m2 = 1e-2, 1e-4
 """Beyond any bearing: keeps directions finite that a test does not show."""
 _UNIT = np.array([1.0, 1.0, 1e-6, 1e-6, 1e-9, 1e-9])
 _INSIDE = 1.96**2  # χ² of a 95 % interval
+_SOUND = 1e-12  # least eigenvalue of a correlation
 _SURELY = 20.0  # χ² of four frictions that chance exceeds once in 2000
 _FURTHEST = 40.0  # standard deviations of ln c with all friction open
 
@@ -41,6 +44,33 @@ class OpenFriction:
 
     values: Array
     covariance: Array
+
+    @classmethod
+    def of_torque_at(cls, values: Array, covariance: Array, speed2: float) -> OpenFriction:
+        """Of a test that shows M + F ω² alone.
+
+        Args:
+            values: as above, of any split between M and F.
+            covariance: of ln c3, ln c4 and both torques at the speed, shape (4, 4).
+            speed2: ω², (rad/s)².
+        """
+        design = np.zeros((4, 6))
+        design[[0, 1, 2, 3], [0, 1, 2, 3]] = 1.0
+        design[[2, 3], [4, 5]] = speed2
+        design = design * _UNIT / _UNIT[:4, None]
+        prior = np.r_[np.zeros(2), np.repeat([TORQUE_STD_Nm, CONTACT_STD_kg_m2], 2) ** -2.0] * _UNIT**2
+        shown = np.linalg.inv(covariance / np.outer(_UNIT[:4], _UNIT[:4]))
+        whole = np.linalg.inv(design.T @ shown @ design + np.diag(prior))
+        return cls(values, 0.5 * (whole + whole.T) * np.outer(_UNIT, _UNIT))
+
+    def __post_init__(self) -> None:
+        unit = np.sqrt(np.abs(np.diag(self.covariance)))
+        if not (np.all(np.isfinite(self.covariance)) and np.all(np.isfinite(self.values)) and np.all(unit > 0)):
+            raise FitFailed("damping and friction have no finite covariance; record the test again")
+        sizes, turn = np.linalg.eigh(self.covariance / np.outer(unit, unit))
+        if sizes[0] < _SOUND:  # rounding draws are few, and some directions are hardly shown
+            covariance = (turn * np.maximum(sizes, _SOUND)) @ turn.T * np.outer(unit, unit)
+            object.__setattr__(self, "covariance", 0.5 * (covariance + covariance.T))
 
     def widened(self, log_damping: Array) -> OpenFriction:
         """The same with more covariance of ln c3, ln c4, shape (2, 2)."""

@@ -188,7 +188,10 @@ class Release:
     def open_friction(
         self, shape: Shape | None, minimum: Minimum, end_s: float, setting: Setting
     ) -> OpenFriction | None:
-        """What a fit with friction of one shape says of damping and all friction; None where it cannot be followed."""
+        """What a fit with friction of one shape says of damping and all friction; None where it cannot be followed.
+
+        Where that is too much for the readings, M + F ω² counts as what the fit's own shape made of it.
+        """
         problem, w2 = self.problem("both"), self.speed_rad_s**2
         own, scale = slice(_BASE, _BASE + 4), np.array([1.0, 1.0, w2, w2])
         problem.prior_std[:2] = _DAMPING_STD
@@ -199,10 +202,17 @@ class Release:
             torque[at : at + 2] = minimum.theta[_BASE:after]
         found = problem.opened(np.r_[minimum.theta[:_BASE], torque, minimum.theta[after:]], end_s)
         if found is None:
-            return None
+            return None if shape is None else self._at_this_speed(shape, minimum, end_s, setting)
         wanted, unit = [0, 1, *range(_BASE, _BASE + 4)], np.r_[1.0, 1.0, 1.0 / scale]
         covariance = problem.covariance(found, end_s, setting, wanted)
         return OpenFriction(found.theta[wanted] * unit, covariance * np.outer(unit, unit))
+
+    def _at_this_speed(self, shape: Shape, minimum: Minimum, end_s: float, setting: Setting) -> OpenFriction:
+        wanted, w2 = [0, 1, _BASE, _BASE + 1], self.speed_rad_s**2
+        own = self.problem(shape).covariance(minimum, end_s, setting, wanted)
+        one, two = minimum.theta[_BASE : _BASE + 2], np.zeros(2)
+        values = np.r_[minimum.theta[:2], two, one / w2] if shape == "contact" else np.r_[minimum.theta[:2], one, two]
+        return OpenFriction.of_torque_at(values, own, w2)
 
     def friction(self, minimum: Minimum, covariance: np.ndarray, shape: Shape) -> Friction:
         """The friction that a fit found; covariance of both torques, shape (2, 2)."""

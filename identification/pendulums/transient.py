@@ -28,7 +28,8 @@ UNTOLD = "{}: the {} does not tell viscous damping from dry friction: with both 
 _DRAWS = {"fast": 0, "balanced": 100, "reference": 400}
 _JITTERS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # steps
 _AS_FORESEEN = 1.0  # χ² above what a linear model foresees
-_OPENED = 30  # iterations
+_NEAR = 4.0  # χ² above it of an iteration that goes on along a valley
+_OPENED = 8  # iterations
 _WIDER = 1.5  # times as long intervals are worth a word
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
@@ -170,7 +171,7 @@ class TransientProblem:
         if np.all(np.isfinite(found)) and found @ found < there @ there + _AS_FORESEEN * unit:
             return Minimum(theta + step, covariance, found, jacobian, True, 1)
         minimum = self.solve(theta, end_s, _OPENED)
-        return minimum if minimum.converged else None
+        return minimum if minimum.converged or minimum.cost < there @ there + _NEAR * unit else None
 
     def _evaluation(self, end_s: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
         """θ to residual and Jacobian, knowledge last; infinite where the motion cannot be followed."""
