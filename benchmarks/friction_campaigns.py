@@ -179,13 +179,13 @@ def _one_fit(fit):
     return fit.values, fit.std, fit.intervals, fit.friction is not None
 
 
-def campaign(drawn: Drawn, guess, tables: dict[str, Tally], label: str) -> None:
+def campaign(drawn: Drawn, guess, tables: dict[str, Tally], label: str, quick: bool) -> None:
     runs = [drawn.spin_down(), *(drawn.release(s) for s in SPEEDS_Hz)]
     estimate, stands_for = drawn.known()
     found = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
     knowledge = Knowledge.nominal(guess.physics).with_found(found, estimate.std)
     tally(tables["spin-down"], drawn.truth, lambda: _one_fit(fit_spin_down_run(runs[0], knowledge)), f"{label} spin")
-    for run in runs[1:]:
+    for run in [] if quick else runs[1:]:
         tally(tables["release"], drawn.truth, lambda run=run: _one_fit(fit_release(run, knowledge, ZERO_STD)),
               f"{label} {run.test}")  # fmt: skip
     earlier = Identification(
@@ -203,6 +203,8 @@ def campaign(drawn: Drawn, guess, tables: dict[str, Tally], label: str) -> None:
         return ask
 
     tally(tables["all"], drawn.truth, all_of(runs, True), f"{label} all")
+    if quick:
+        return
     tally(tables["spin-down + one release"], drawn.truth, all_of([runs[0], runs[-1]], False), f"{label} two")
 
 
@@ -213,6 +215,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="none,torque,contact,both")
     parser.add_argument("--limit", type=float, help="largest contact part drawn, kg m²; the torque with it")
+    parser.add_argument("--quick", action="store_true", help="the spin-down alone and all together")
     given = parser.parse_args()
     print(f"seeds ({given.seed}, {given.first}…{given.first + given.draws - 1})")
     head = f"{'':34}{'n':>5}{'refused':>8}{'crashed':>8}{'mean z':>8}{'sd z':>7}{'max |z|':>8}{'|z|<1.96':>9}"
@@ -230,7 +233,7 @@ def main() -> None:
             print(f"  {kind} {number}: M {drawn.dry.torque_Nm[0]:.1e}, F {drawn.dry.contact_kg_m2[0]:.1e}, {bits} bits, "
                   f"{drawn.encoders.rate_Hz:.0f} Hz, jitter {drawn.encoders.jitter:g}, c {drawn.c[0]:.1e} "
                   f"{drawn.c[1]:.1e}", flush=True)  # fmt: skip
-            campaign(drawn, guess, tables[kind], f"{kind} {number}")
+            campaign(drawn, guess, tables[kind], f"{kind} {number}", given.quick)
         print(head)
         for name, table in tables[kind].items():
             print(f"{kind + ': ' + name:34}{table.line()}", flush=True)

@@ -17,6 +17,7 @@ from identification.joint import ConsistencyRow, combine
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import told, with_shared_friction
 from identification.pendulums.friction import Friction
+from identification.pendulums.open_friction import pooled
 from identification.pendulums.release import ReleaseLeftOut, fit_release
 from identification.pendulums.release_search import Effort
 from identification.pendulums.spin_down_run import damping_estimate, fit_spin_down_run
@@ -107,10 +108,13 @@ class _Work:
         return replace(known, physics=known.physics.with_values(**damping))
 
     def _friction(self) -> Friction | None:
-        """What a release found, which sees the most of it, else a spin-down."""
-        found = [(f.test != "spin-down", f.fit.friction) for f in self.fits if isinstance(f.fit, TransientFit)]
-        at_speed = [friction for release, friction in found if friction is not None and release]
-        return at_speed[-1] if at_speed else next((friction for _, friction in found if friction is not None), None)
+        """What all tests so far show of it, where that is sure; else what a release found, or a spin-down."""
+        found = [(f.test != "spin-down", f.fit) for f in self.fits if isinstance(f.fit, TransientFit)]
+        opens = [o for _, fit in found if (o := fit.open_friction) is not None]
+        if len(opens) > 1 and (sure := Friction.sure(pooled(opens))) is not None:
+            return sure
+        at_speed = [fit.friction for release, fit in found if fit.friction is not None and release]
+        return at_speed[-1] if at_speed else next((fit.friction for _, fit in found if fit.friction is not None), None)
 
 
 @on_one_thread

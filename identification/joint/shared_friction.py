@@ -20,7 +20,7 @@ from identification.pendulums.open_friction import Together, together
 from identification.pendulums.transient import TransientFit
 
 _ROUNDS = 3  # of leaving out tests that stand apart and taking the friction without them
-_CERTAIN = 3.5  # standard deviations from which friction is told of
+_CERTAIN, _BELOW = 4.0, 6.0  # standard deviations from which friction is told of, and that it is less than none
 _NAMES = (("a torque of A", "N m"), ("a torque of B", "N m"), ("contact friction of A", "kg m²"),
           ("contact friction of B", "kg m²"))  # fmt: skip
 
@@ -65,7 +65,7 @@ def told(shared: Together) -> list[str]:
         if z > _CERTAIN
     ]
     below = [f"{name} {v:.3g} ± {1.96 * s:.2g} {unit}" for (name, unit), v, s, z in
-             zip(_NAMES, shared.friction, std, sure, strict=True) if z < -_CERTAIN]  # fmt: skip
+             zip(_NAMES, shared.friction, std, sure, strict=True) if z < -_BELOW]  # fmt: skip
     out = [f"dry friction beside the viscous damping, by all pendulum tests together: {', '.join(parts)} (95 %)"]
     less = [
         f"{', '.join(below)} (95 %) by all pendulum tests together: less than none, so the model is at fault somewhere; "

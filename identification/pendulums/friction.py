@@ -13,10 +13,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from identification.least_squares import Minimum
+from identification.pendulums.open_friction import OpenFriction
 from identification.samples import correlation_inflation
 
 CHANCE = 5e-4  # of friction being taken for real where there is none
 _FEW_DRAWS = 40
+_BEYOND_DOUBT = 3.5  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,15 @@ class Friction:
     contact_kg_m2: tuple[float, float] = (0.0, 0.0)
     contact_std_kg_m2: tuple[float, float] = (0.0, 0.0)
     speed_rad_s: float = 0.0
+
+    @classmethod
+    def sure(cls, found: OpenFriction) -> Friction | None:
+        """What tests with open friction show beyond doubt; None where that is nothing."""
+        values, std = found.values[2:], np.sqrt(np.diag(found.covariance)[2:])
+        if not np.any(values > _BEYOND_DOUBT * std):
+            return None
+        (ma, mb, fa, fb), (sma, smb, sfa, sfb) = values.tolist(), std.tolist()
+        return cls((ma, mb), (sma, smb), (fa, fb), (sfa, sfb))
 
     @property
     def values(self) -> dict[str, float]:

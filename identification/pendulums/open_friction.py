@@ -33,6 +33,19 @@ _SURELY = 20.0  # χ² of four frictions that chance exceeds once in 2000
 _FURTHEST = 40.0  # standard deviations of ln c with all friction open
 
 
+def whitener(matrix: Array) -> Array:
+    """W with WᵀW the inverse of a positive matrix of any scales; directions that rounding has lost are kept finite."""
+    unit = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-200))
+    sizes, turn = np.linalg.eigh(0.5 * (matrix + matrix.T) / np.outer(unit, unit))
+    return (turn / np.sqrt(np.maximum(sizes, _SOUND))).T / unit
+
+
+def inverse(matrix: Array) -> Array:
+    """Its inverse, symmetric."""
+    w = whitener(matrix)
+    return w.T @ w
+
+
 @dataclass(frozen=True)
 class OpenFriction:
     """What one transient says of damping and friction.
@@ -59,18 +72,12 @@ class OpenFriction:
         design[[2, 3], [4, 5]] = speed2
         design = design * _UNIT / _UNIT[:4, None]
         prior = np.r_[np.zeros(2), np.repeat([TORQUE_STD_Nm, CONTACT_STD_kg_m2], 2) ** -2.0] * _UNIT**2
-        shown = np.linalg.inv(covariance / np.outer(_UNIT[:4], _UNIT[:4]))
-        whole = np.linalg.inv(design.T @ shown @ design + np.diag(prior))
-        return cls(values, 0.5 * (whole + whole.T) * np.outer(_UNIT, _UNIT))
+        shown = inverse(covariance / np.outer(_UNIT[:4], _UNIT[:4]))
+        return cls(values, inverse(design.T @ shown @ design + np.diag(prior)) * np.outer(_UNIT, _UNIT))
 
     def __post_init__(self) -> None:
-        unit = np.sqrt(np.abs(np.diag(self.covariance)))
-        if not (np.all(np.isfinite(self.covariance)) and np.all(np.isfinite(self.values)) and np.all(unit > 0)):
+        if not (np.all(np.isfinite(self.covariance)) and np.all(np.isfinite(self.values))):
             raise FitFailed("damping and friction have no finite covariance; record the test again")
-        sizes, turn = np.linalg.eigh(self.covariance / np.outer(unit, unit))
-        if sizes[0] < _SOUND:  # rounding draws are few, and some directions are hardly shown
-            covariance = (turn * np.maximum(sizes, _SOUND)) @ turn.T * np.outer(unit, unit)
-            object.__setattr__(self, "covariance", 0.5 * (covariance + covariance.T))
 
     def widened(self, log_damping: Array) -> OpenFriction:
         """The same with more covariance of ln c3, ln c4, shape (2, 2)."""
@@ -80,14 +87,14 @@ class OpenFriction:
 
     def information(self) -> Array:
         """Inverse covariance in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice), shape (6, 6)."""
-        return np.linalg.inv(self.covariance / np.outer(_UNIT, _UNIT))
+        return inverse(self.covariance / np.outer(_UNIT, _UNIT))
 
     def given(self, friction: Array) -> tuple[Array, Array]:
         """ln c3, ln c4 (2,) and their covariance (2, 2) were M_A, M_B, F_A, F_B known, shape (4,)."""
         information = self.information()
-        own = np.linalg.inv(information[DAMPING, DAMPING])
+        own = inverse(information[DAMPING, DAMPING])
         away = (friction - self.values[FRICTION]) / _UNIT[FRICTION]
-        return self.values[DAMPING] - own @ information[DAMPING, FRICTION] @ away, 0.5 * (own + own.T)
+        return self.values[DAMPING] - own @ information[DAMPING, FRICTION] @ away, own
 
 
 @dataclass(frozen=True)
@@ -164,7 +171,7 @@ def _excluded(one: OpenFriction) -> bool:
     unit = _UNIT[FRICTION]
     friction = one.values[FRICTION] / unit
     inner = one.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
-    return bool(friction @ np.linalg.solve(inner, friction) > _SURELY)
+    return bool(friction @ inverse(inner) @ friction > _SURELY)
 
 
 def _profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, float]:
@@ -176,13 +183,13 @@ def _profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, 
     spread = np.sqrt(covariance[0, 0])
     slope = covariance[1:, 0] / covariance[0, 0]
     left = covariance[1:, 1:] - np.outer(slope, covariance[0, 1:])
-    root = np.linalg.cholesky(np.linalg.inv(0.5 * (left + left.T))).T
+    root = whitener(left)
 
     def excess(value: float) -> float:
         wanted = mean[1:] + slope * (value - mean[0])
         return ((value - mean[0]) / spread) ** 2 + nnls(root, root @ wanted)[1] ** 2
 
-    whole = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    whole = whitener(covariance)
     # a value of any sign is the difference of two that are not below zero
     design = whole if least else np.column_stack([whole, -whole[:, 0]])
     found, left_over = nnls(design, whole @ mean)
@@ -202,9 +209,9 @@ def _profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, 
 def pooled(tests: Sequence[OpenFriction]) -> OpenFriction:
     """Damping and friction by several tests, or stretches of one, each by its information."""
     information = [t.information() for t in tests]
-    whole = np.linalg.inv(sum(information, np.zeros((6, 6))))
+    whole = inverse(sum(information, np.zeros((6, 6))))
     found = whole @ sum((i @ (t.values / _UNIT) for i, t in zip(information, tests, strict=True)), np.zeros(6))
-    return OpenFriction(found * _UNIT, 0.5 * (whole + whole.T) * np.outer(_UNIT, _UNIT))
+    return OpenFriction(found * _UNIT, whole * np.outer(_UNIT, _UNIT))
 
 
 def together(tests: Sequence[OpenFriction], trusted: Sequence[int] | None = None) -> Together:

@@ -204,8 +204,14 @@ class Release:
         if found is None:
             return None if shape is None else self._at_this_speed(shape, minimum, end_s, setting)
         wanted, unit = [0, 1, *range(_BASE, _BASE + 4)], np.r_[1.0, 1.0, 1.0 / scale]
-        covariance = problem.covariance(found, end_s, setting, wanted)
-        return OpenFriction(found.theta[wanted] * unit, covariance * np.outer(unit, unit))
+        # M and F ω² are seen as nearly one: how c goes with each is known from the white noise's covariance, while a
+        # hundred draws of the rounding would blur it; they tell by how much all of it is longer
+        white = found.covariance[np.ix_(wanted, wanted)]
+        seen = np.zeros((4, 6))
+        seen[[0, 1, 2, 3, 2, 3], range(6)] = 1.0
+        drawn = seen @ problem.covariance(found, end_s, setting, wanted) @ seen.T
+        stretch = max(1.0, float(np.max(np.diag(drawn) / np.diag(seen @ white @ seen.T))))
+        return OpenFriction(found.theta[wanted] * unit, stretch * white * np.outer(unit, unit))
 
     def _at_this_speed(self, shape: Shape, minimum: Minimum, end_s: float, setting: Setting) -> OpenFriction:
         wanted, w2 = [0, 1, _BASE, _BASE + 1], self.speed_rad_s**2
