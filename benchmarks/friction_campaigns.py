@@ -101,7 +101,9 @@ class Drawn:
         whole = self.moment + ARM_KG_M * np.exp(1j * lock).sum()
         x, y = (whole * speed**2 / (p[1 + i] - p[0] * speed**2 + 1j * speed * p[3 + i]) for i in range(2))
         turn = np.exp(1j * (psi0 + speed * go))
-        start = np.r_[(x * turn).real, (y * turn).imag, lock, (1j * speed * x * turn).real, (1j * speed * y * turn).imag]
+        start = np.r_[
+            (x * turn).real, (y * turn).imag, lock, (1j * speed * x * turn).real, (1j * speed * y * turn).imag
+        ]
         after, angle = t >= go, np.tile(lock, (len(t), 1))
         angle[after] = swings(np.r_[start, 0, 0], np.r_[go, t[after]], p, self.dry)[1:, 2:4]
         turns = 2 * np.pi * np.arange(np.ceil(psi0 / (2 * np.pi)), (psi0 + speed * t[-1]) // (2 * np.pi))
@@ -198,7 +200,12 @@ def campaign(drawn: Drawn, guess, tables: dict[str, Tally], label: str, quick: b
             if show:
                 for warning in done.warnings:
                     print(f"      {warning}", flush=True)
-            return done.parameters.values, done.parameters.std, None, any("dry friction beside" in w for w in done.warnings)
+            return (
+                done.parameters.values,
+                done.parameters.std,
+                None,
+                any("dry friction beside" in w for w in done.warnings),
+            )
 
         return ask
 

@@ -201,8 +201,12 @@ class Release:
             at = 2 if shape == "contact" else 0
             torque[at : at + 2] = minimum.theta[_BASE:after]
         found = problem.opened(np.r_[minimum.theta[:_BASE], torque, minimum.theta[after:]], end_s)
+        if found is None and shape is None:  # M and F that nearly cancel are far off along their valley
+            start = self.with_torque(minimum.theta, np.zeros(2))
+            dry = self.problem("torque").opened(start, end_s)
+            return None if dry is None else self._at_this_speed("torque", dry, end_s, setting)
         if found is None:
-            return None if shape is None else self._at_this_speed(shape, minimum, end_s, setting)
+            return self._at_this_speed(shape or "torque", minimum, end_s, setting)
         wanted, unit = [0, 1, *range(_BASE, _BASE + 4)], np.r_[1.0, 1.0, 1.0 / scale]
         # M and F ω² are seen as nearly one: how c goes with each is known from the white noise's covariance, while a
         # hundred draws of the rounding would blur it; they tell by how much all of it is longer
