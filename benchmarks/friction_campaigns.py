@@ -237,8 +237,8 @@ def main() -> None:
                      enumerate("ab")}  # fmt: skip
             guess = load_rig("virtual", settings=wrong)
             bits = round(np.log2(2 * np.pi / drawn.encoders.step_rad))
-            print(f"  {kind} {number}: M {drawn.dry.torque_Nm[0]:.1e}, F {drawn.dry.contact_kg_m2[0]:.1e}, {bits} bits, "
-                  f"{drawn.encoders.rate_Hz:.0f} Hz, jitter {drawn.encoders.jitter:g}, c {drawn.c[0]:.1e} "
+            print(f"  {kind} {number}: M {drawn.dry.torque_Nm[0]:.1e}, F {drawn.dry.contact_kg_m2[0]:.1e}, "
+                  f"{bits} bits, {drawn.encoders.rate_Hz:.0f} Hz, jitter {drawn.encoders.jitter:g}, c {drawn.c[0]:.1e} "
                   f"{drawn.c[1]:.1e}", flush=True)  # fmt: skip
             campaign(drawn, guess, tables[kind], f"{kind} {number}", given.quick)
         print(head)

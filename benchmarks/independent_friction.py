@@ -29,7 +29,8 @@ class Dry:
 
 @njit(cache=True)
 def _slope(t, y, p, dry, mode):
-    """p as in independent_rig: mass, k1, k2, c1, c2, SA, SB, SP, JA, JB, cA, cB, speed, phase; mode −1, 0 (sticks), 1."""
+    """With p as in independent_rig: mass, k1, k2, c1, c2, SA, SB, SP, JA, JB, cA, cB, speed,
+    phase; mode −1, 0 (sticks), 1."""
     out, m, f = np.empty(8), np.zeros((4, 4)), np.zeros(4)
     speed, psi = p[12], p[13] + p[12] * t
     m[0, 0] = m[1, 1] = p[0]

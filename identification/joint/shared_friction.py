@@ -42,16 +42,14 @@ def with_shared_friction(
         return own, None
     opens = [o for i in at if (o := fits[own[i].source].open_friction) is not None]
     trusted = list(range(len(at)))
+    found, shared = _each(own, at, together(opens))
     for _ in range(_ROUNDS):
-        shared = together(opens, trusted)
-        found = list(own)
-        for k, i in enumerate(at):
-            found[i] = _with(own[i], shared, k)
         bad = joint_estimate(found).left_out
         less = [k for k in trusted if at[k] not in bad]
         if len(less) == len(trusted) or not less:
             break
         trusted = less
+        found, shared = _each(own, at, together(opens, trusted))
     return found, shared
 
 
@@ -68,10 +66,17 @@ def told(shared: Together) -> list[str]:
              zip(_NAMES, shared.friction, std, sure, strict=True) if z < -_BELOW]  # fmt: skip
     out = [f"dry friction beside the viscous damping, by all pendulum tests together: {', '.join(parts)} (95 %)"]
     less = [
-        f"{', '.join(below)} (95 %) by all pendulum tests together: less than none, so the model is at fault somewhere; "
-        "look at masses, lengths and at what drove or touched a pendulum"
+        f"{', '.join(below)} (95 %) by all pendulum tests together: less than none, so the model is at fault "
+        "somewhere; look at masses, lengths and at what drove or touched a pendulum"
     ]
     return (out if parts else []) + (less if below else [])
+
+
+def _each(own: Sequence[Estimate], at: Sequence[int], shared: Together) -> tuple[list[Estimate], Together]:
+    found = list(own)
+    for k, i in enumerate(at):
+        found[i] = _with(own[i], shared, k)
+    return found, shared
 
 
 def _is_open(estimate: Estimate, fit: TransientFit) -> bool:

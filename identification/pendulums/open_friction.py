@@ -8,8 +8,6 @@ well known as without friction. A test that stands alone takes what M ≥ 0 and 
 docs/theory/pendulum_damping.md.
 """
 
-# pyright: strict
-
 from __future__ import annotations
 
 from collections.abc import Sequence

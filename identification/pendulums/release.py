@@ -131,10 +131,10 @@ def _searched(
         torque = known.sure_torque_at(release.speed_rad_s)
         if torque.min() > 0:
             a, b = np.degrees(release.moved_rad)
-            raise ReleaseLeftOut(
-                f"{release.run.source}: no damping is found beside the dry friction that other tests show (at this speed "
-                f"{torque[0]:.2g} and {torque[1]:.2g} N m; A moved by {a:.2g}°, B by {b:.2g}°): it hides the viscous "
-                "damping. Clean or replace the bearings, or release at another speed", []
+            raise FitFailed(
+                f"{release.run.source}: no damping is found beside the dry friction that other tests show (at this "
+                f"speed {torque[0]:.2g} and {torque[1]:.2g} N m; A moved by {a:.2g}°, B by {b:.2g}°): it hides the viscous "
+                "damping. Clean or replace the bearings, or release at another speed"
             )  # fmt: skip
     try:
         answers = _viscous(release, horizons, effort, tell)

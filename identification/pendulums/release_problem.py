@@ -20,7 +20,7 @@ from identification.pendulums.decline import encoder_step
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, Friction, evidence
 from identification.pendulums.locked_start import LockedStart
-from identification.pendulums.open_friction import CONTACT_STD_kg_m2, TORQUE_STD_Nm, OpenFriction
+from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFriction, TORQUE_STD_Nm
 from identification.pendulums.recorded_speed import RecordedSpeed, recorded_speed
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientProblem
@@ -29,7 +29,7 @@ from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
 
 Shape = Literal["torque", "contact", "both"]
-"""How dry friction goes with the speed: a torque that is the same at any, one that goes with the contact force, both."""
+"""How dry friction goes with the speed: a torque the same at any, one that goes with the contact force, or both."""
 
 SUSPENSION, _BASE = slice(11, 16), 16
 _START, _ZEROS, _SHIFT, _DISK = slice(2, 4), slice(4, 6), 6, slice(7, 11)

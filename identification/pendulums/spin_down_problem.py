@@ -17,7 +17,7 @@ from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, evidence
-from identification.pendulums.open_friction import CONTACT_STD_kg_m2, TORQUE_STD_Nm, OpenFriction
+from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFriction, TORQUE_STD_Nm
 from identification.pendulums.push import TIME_CONSTANTS, Decline
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientProblem
