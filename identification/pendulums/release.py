@@ -133,9 +133,9 @@ def _searched(
             a, b = np.degrees(release.moved_rad)
             raise FitFailed(
                 f"{release.run.source}: no damping is found beside the dry friction that other tests show (at this "
-                f"speed {torque[0]:.2g} and {torque[1]:.2g} N m; A moved by {a:.2g}°, B by {b:.2g}°): it hides the viscous "
-                "damping. Clean or replace the bearings, or release at another speed"
-            )  # fmt: skip
+                f"speed {torque[0]:.2g} and {torque[1]:.2g} N m; A moved by {a:.2g}°, B by {b:.2g}°): it hides the "
+                "viscous damping. Clean or replace the bearings, or release at another speed"
+            )
     try:
         answers = _viscous(release, horizons, effort, tell)
     except NotFollowed as stuck:
