@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""The undamaged part of a laser's stream in one compiled pass.
+"""The undamaged part of a laser's stream in one compiled pass, and what its distance words mean in another.
 
 Nearly all of a stream is whole blocks, each the one after its predecessor. They need no state machine: one loop takes
 the words apart, checks that counter and timestamp go on by one sample, and stops at the first byte that is anything
@@ -18,6 +18,7 @@ from daq.laser_spikes import compile_watch
 from daq.protocols import optoncdt
 
 _COUNTER_WRAP, _TIMESTAMP_WRAP = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
+_CODE_MAX = optoncdt.CODE_MAX
 
 
 class CleanBlocks(NamedTuple):
@@ -82,9 +83,39 @@ def take_clean_blocks(
     return CleanBlocks(*(column[:taken] for column in columns))
 
 
+@njit(cache=True, nogil=True)
+def _measure(code, range_m, to_disk, displacement):  # pragma: no cover - compiled
+    """Fill in displacements, by the operations of `optoncdt.metres` in their order; returns how many are none."""
+    invalid = 0
+    for i in range(len(code)):
+        if code[i] <= _CODE_MAX:
+            metres = (102.0 / _CODE_MAX * code[i] - 1.0) * range_m / 100.0
+            displacement[i] = (metres - 0.5 * range_m) * to_disk
+        else:
+            displacement[i] = np.nan
+            invalid += 1
+    return invalid
+
+
+def measure(code: NDArray[np.uint32], range_m: float, to_disk: float) -> tuple[NDArray[np.float64], int]:
+    """Displacement of the disk, and how many words are no reading.
+
+    Args:
+        code: distance words, shape (n,).
+        range_m: measuring range of the sensor, m; displacement 0 is its middle.
+        to_disk: displacement of the disk over displacement at the sensor.
+
+    Returns:
+        m, shape (n,), NaN for an error code; the number of those.
+    """
+    displacement = np.empty(len(code))
+    return displacement, int(_measure(code, range_m, to_disk, displacement))
+
+
 def compile_loop() -> None:
     """Load what is compiled, or compile it, before any byte waits for it."""
     take_clean_blocks(bytes(12), optoncdt.Places(4, 0, 1, 2, 3), 0, 0, 25.0)
+    measure(np.zeros(1, np.uint32), 1.0, 1.0)
     compile_watch()
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, Unwrap, steps_from
 from daq.errors import DeviceError
-from daq.laser_blocks import CleanBlocks, may_begin_block, take_clean_blocks
+from daq.laser_blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
+from daq.laser_rows import RowOrder
 from daq.laser_spikes import LOOK_AHEAD, SpikeWatch
 from daq.laser_words import WordsTrial
 from daq.protocols import optoncdt
@@ -20,13 +21,9 @@ from daq.stream_items import TX, Batch, Event
 from rig_configs.schema import Laser
 
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
-_AGREE = 3  # rows in a row that make a new beat
-_LONG_JUMP_TICKS = 100_000  # 1 s
-_HELD_UP_TICKS = 3_000_000  # 30 s; a restart looks like such a gap in two of a thousand cases at most
-_LATE_NS = 2_000_000_000  # by how much longer than on the host a gap may last on the sensor: bytes wait in buffers
+_TOLD_SHARE = 2e-3  # by which a rate differs when it is told; less is for who knows the host's clock
 
 Items = list[Batch | Event]
-_Chain = list[tuple[NDArray[np.int64], NDArray[np.uint32]]]  # rows that continue one another: counter and ticks, words
 
 
 class LaserPipeline:
@@ -51,15 +48,14 @@ class LaserPipeline:
         self._nominal_ticks = 1.0 / (config.rate_Hz * optoncdt.TICK_S)
         self._joined = False
         self._tail = b""  # the beginning of a block whose rest has not come
-        self._last_raw: NDArray[np.int64] | None = None  # counter and ticks of the last row that fitted, …
-        self._last_host_ns = 0  # … and when it came
-        self._doubtful: list[_Chain] = []  # rows that fit nowhere yet
+        self._order = RowOrder(self._nominal_ticks)
+        self._told_beat = self._nominal_ticks
         self._restart()
 
     def _restart(self) -> None:
         self._ticks = Unwrap(optoncdt.TIMESTAMP_WRAP)
         self._clock = ClockMap(self._tolerance_ppm)
-        self._last_tick: int | None = None
+        self._last: tuple[int, int] | None = None  # counter and ticks, these unwrapped
         self._spikes = SpikeWatch()
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
@@ -69,8 +65,11 @@ class LaserPipeline:
         data, self._tail = self._tail + data, b""
         clean = self._clean(data, host_ns)
         if clean is not None:
-            return self._samples(clean, host_ns, gapless=True) if len(clean.code) else []
-        out: Items = []
+            out = self._samples(clean, host_ns, gapless=True) if len(clean.code) else []
+            if self._order.beat != self._told_beat:
+                self._tell_rate(out)
+            return out
+        out = []
         while data:
             data = self._decode(data, host_ns, out) if self._trial is None else self._try(data, host_ns, out)
         return out
@@ -88,7 +87,7 @@ class LaserPipeline:
             self._joined = True
             self._rows(found.values, host_ns, out)
         if found.told is not None:
-            self._trial = WordsTrial(self._decoder, found.told, self._follows)
+            self._trial = WordsTrial(self._decoder, found.told, self._order.follows)
         self._decoder.heed_answers = True
         return found.rest
 
@@ -120,20 +119,20 @@ class LaserPipeline:
     def _clean(self, data: bytes, host_ns: int) -> CleanBlocks | None:
         """All of `data`, if it continues without any damage; the beginning of a block at its end waits for the rest."""
         places = self._places
-        if places is None or self._trial is not None or self._last_raw is None or self._doubtful or not data:
+        if places is None or self._trial is not None or self._order.in_doubt or not data:
             return None
         if not self._decoder.idle:
             return None
-        last_counter, last_tick = self._last_raw.tolist()
-        clean = take_clean_blocks(data, places, last_counter, last_tick, self._nominal_ticks)
+        assert self._order.last is not None
+        last_counter, last_tick = self._order.last.tolist()
+        clean = take_clean_blocks(data, places, last_counter, last_tick, self._order.beat)
         taken = len(clean.code)
         tail = data[3 * taken * places.words :]
         if len(tail) >= 3 * places.words or not may_begin_block(tail):
             return None
         self._tail = tail
         if taken:
-            self._last_raw = np.array([clean.counter[-1], clean.ticks[-1]], np.int64)
-            self._last_host_ns = host_ns
+            self._order.go_on(int(clean.counter[-1]), int(clean.ticks[-1]), host_ns)
         return clean
 
     def _rows(self, values: NDArray[np.uint32], host_ns: int, out: Items) -> None:
@@ -146,104 +145,41 @@ class LaserPipeline:
                         "and timestamp (OUTADD_RS422 COUNTER TIMESTAMP)")  # fmt: skip
                 out.append(Event("words", self._device, text))
             return
-        for restarted, rows in self._stretches(values, self._places, host_ns, out):
+        _, counter, ticks = _columns(values, self._places)
+        found = self._order.sort(np.column_stack([counter.astype(np.int64), ticks]), values, host_ns)
+        if found.dropped:
+            self.losses["damaged"] += found.dropped
+            what = "a sample" if found.dropped == 1 else f"{found.dropped} samples"
+            text = f"{what} whose counter and timestamp fit nowhere {'was' if found.dropped == 1 else 'were'} dropped"
+            out.append(Event("damage", self._device, text, {"damaged": found.dropped}))
+        self._tell_rate(out)
+        for restarted, rows in found.stretches:
             if restarted:
                 text = "counter and timestamp do not continue: the sensor restarted"
                 out.append(Event("restart", self._device, text))
                 self._restart()
             out += self._samples(_columns(rows, self._places), host_ns, gapless=False)
 
-    def _stretches(
-        self, values: NDArray[np.uint32], places: optoncdt.Places, host_ns: int, out: Items
-    ) -> list[tuple[bool, NDArray[np.uint32]]]:
-        """Rows that continue one another, each with whether it begins anew; lone rows that fit nowhere are dropped.
-
-        The line has no checksum. Counter and timestamp must advance together, and by no more than the host's time
-        allows; a row that disagrees with what came before it is damage, unless the rows after it agree with it: then
-        the sensor has restarted, or this is the first of all, or a long gap is over. Until they have come it waits.
-        A host that was held up reads full buffers late and what came after them at once: its time has no room for
-        the gap between them, yet counter and timestamp advance together over it, which those of a restart do not.
-        """
-        _, counter, ticks = _columns(values, places)
-        rows = np.column_stack([counter.astype(np.int64), ticks])
-        if self._last_raw is not None and not self._doubtful:
-            all_rows = np.concatenate([self._last_raw[None], rows])
-            if bool(np.all(self._follows(all_rows[:-1], all_rows[1:]))):
-                self._last_raw, self._last_host_ns = rows[-1], host_ns
-                return [(False, values)]
-        stretches: list[tuple[bool, list[NDArray[np.uint32]]]] = [(False, [])]
-        dropped = 0
-        for row, value in zip(rows, values, strict=True):
-            last = self._last_raw
-            if last is not None and self._follows(last, row):
-                chain: _Chain = [(row, value)]
-            else:
-                chain = self._doubt(row, value)
-                onward = last is not None and self._resumes(last, chain[0][0], host_ns)
-                if len(chain) < (2 if onward or last is None else _AGREE):
-                    if len(self._doubtful) > _AGREE:
-                        dropped += len(self._doubtful.pop(0))
-                    continue
-                if not onward and last is not None and not self._goes_on(last, chain[0][0]):
-                    stretches.append((True, []))
-                self._doubtful = [other for other in self._doubtful if other is not chain]
-            dropped += sum(map(len, self._doubtful))
-            self._doubtful = []
-            stretches[-1][1].extend(value for _, value in chain)
-            self._last_raw, self._last_host_ns = row, host_ns
-        if dropped:
-            self.losses["damaged"] += dropped
-            what = "a sample" if dropped == 1 else f"{dropped} samples"
-            text = f"{what} whose counter and timestamp fit nowhere {'was' if dropped == 1 else 'were'} dropped"
-            out.append(Event("damage", self._device, text, {"damaged": dropped}))
-        return [(restarted, np.array(kept, np.uint32)) for restarted, kept in stretches if kept]
-
-    def _doubt(self, row: NDArray[np.int64], value: NDArray[np.uint32]) -> _Chain:
-        """Keep a row that does not follow what came before; returns the rows it goes on from, and itself."""
-        chain = next((chain for chain in self._doubtful if self._follows(chain[-1][0], row)), None)
-        if chain is None:
-            chain = []
-            self._doubtful.append(chain)
-        chain.append((row, value))
-        return chain
-
-    def _follows(self, before: NDArray[np.int64], after: NDArray[np.int64]) -> Any:
-        """Whether counter and ticks advance together, by one sample or over a short gap; rows (…, 2)."""
-        passed, fits = self._advance(before, after)
-        return fits & (passed <= _LONG_JUMP_TICKS)
-
-    def _resumes(self, before: NDArray[np.int64], after: NDArray[np.int64], host_ns: int) -> bool:
-        """Whether counter and ticks advance together over a gap that the host's time has room for."""
-        passed, fits = self._advance(before, after)
-        room_ns = max(0, host_ns - self._last_host_ns) + _LATE_NS
-        return bool(fits) and int(passed) * 10_000 <= room_ns
-
-    def _goes_on(self, before: NDArray[np.int64], after: NDArray[np.int64]) -> bool:
-        """Whether counter and ticks advance together over a gap that no restart explains, whatever the host's time."""
-        passed, fits = self._advance(before, after)
-        return bool(fits) and int(passed) <= _HELD_UP_TICKS
-
-    def _advance(self, before: NDArray[np.int64], after: NDArray[np.int64]) -> tuple[Any, Any]:
-        """Ticks passed, and whether the counter agrees, modulo both wraps; rows (…, 2)."""
-        counts = (after[..., 0] - before[..., 0]) % optoncdt.COUNTER_WRAP
-        passed = (after[..., 1] - before[..., 1]) % optoncdt.TIMESTAMP_WRAP
-        # the counter alone may have wrapped several times in a long gap
-        expected = counts * self._nominal_ticks
-        around = optoncdt.COUNTER_WRAP * self._nominal_ticks
-        off = np.abs((passed - expected + around / 2) % around - around / 2)
-        ahead = (passed > 0.5 * self._nominal_ticks) & (passed < optoncdt.TIMESTAMP_WRAP // 2)
-        return passed, ahead & (off <= 1e-3 * passed + 2)
+    def _tell_rate(self, out: Items) -> None:
+        """An event when the sensor turns out to measure at another rate than was taken for it."""
+        beat = self._order.beat
+        if not self._order.knows_beat or abs(beat / self._told_beat - 1.0) < _TOLD_SHARE:
+            return
+        self._told_beat = beat
+        rate, expected = 1.0 / (beat * optoncdt.TICK_S), 1.0 / (self._nominal_ticks * optoncdt.TICK_S)
+        text = f"the sensor measures {rate:.4g} times a second by its own clock, the rig file says {expected:g}"
+        out.append(Event("rate", self._device, text, {"rate_Hz": rate, "nominal_Hz": expected}))
 
     def _samples(self, rows: CleanBlocks, host_ns: int, *, gapless: bool) -> list[Batch | Event]:
-        before = self._last_tick
+        before = self._last
         ticks = self._ticks.feed(rows.ticks)
-        self._last_tick = int(ticks[-1])
+        counter = np.ascontiguousarray(rows.counter, np.uint32)
+        self._last = int(counter[-1]), int(ticks[-1])
         time_ns = self._clock.map(ticks * 10_000, host_ns)
-        out = [] if gapless else self._gaps(before, ticks, time_ns)
-        displacement = (optoncdt.metres(rows.code, self._range_m) - 0.5 * self._range_m) * self._to_disk
-        self.losses["invalid"] += int(np.count_nonzero(np.isnan(displacement)))
-        counter = rows.counter.astype(np.uint32)
-        code = rows.code.astype(np.uint32)
+        out = [] if gapless else self._gaps(before, counter, ticks, time_ns)
+        code = np.ascontiguousarray(rows.code, np.uint32)
+        displacement, invalid = measure(code, self._range_m, self._to_disk)
+        self.losses["invalid"] += invalid
         flags = self._spikes.feed(code, counter)
         columns = {
             "displacement_m": displacement,
@@ -261,23 +197,32 @@ class LaserPipeline:
         """Samples that were lone spikes; the event's time is that of the first."""
         found = np.flatnonzero(flags)
         self.losses["suspect"] += len(found)
-        first_ns = int(time_ns[found[0]]) - round(LOOK_AHEAD * self._nominal_ticks) * 10_000
+        first_ns = int(time_ns[found[0]]) - round(LOOK_AHEAD * self._order.beat) * 10_000
         what = "a sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
         text = f"{what} out of the signal and is back at once: marked as suspect"
         return Event("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
 
-    def _gaps(self, before: int | None, ticks: NDArray[np.int64], time_ns: NDArray[np.int64]) -> list[Batch | Event]:
-        """Samples missing between rows; the timestamp tells, since the counter wraps within a minute.
+    def _gaps(
+        self,
+        before: tuple[int, int] | None,
+        counter: NDArray[np.uint32],
+        ticks: NDArray[np.int64],
+        time_ns: NDArray[np.int64],
+    ) -> list[Batch | Event]:
+        """Samples missing between rows: the counter says how many, the timestamp how often it wrapped meanwhile.
 
         A gap's own time is that of the first sample after it.
         """
-        first = int(ticks[0]) - round(self._nominal_ticks) if before is None else before
-        steps = np.rint(steps_from(first, ticks) / self._nominal_ticks).astype(np.int64)
+        if before is None:
+            before = int(counter[0]) - 1, int(ticks[0]) - round(self._order.beat)
+        counts = steps_from(before[0], counter.astype(np.int64)) % optoncdt.COUNTER_WRAP
+        wraps = np.rint((steps_from(before[1], ticks) / self._order.beat - counts) / optoncdt.COUNTER_WRAP)
+        steps = counts + optoncdt.COUNTER_WRAP * wraps.astype(np.int64)
         out: list[Batch | Event] = []
         for i in np.flatnonzero(steps != 1):
             lost = int(steps[i]) - 1
             self.losses["samples"] += lost
-            span = lost * self._nominal_ticks * optoncdt.TICK_S
+            span = lost * self._order.beat * optoncdt.TICK_S
             out.append(Event("gap", self._device, f"{lost} samples lost ({span * 1e3:.2f} ms)",
                              {"samples": lost, "span_s": span, "time_ns": int(time_ns[i]),
                               "device_ticks": int(ticks[i])}))  # fmt: skip
