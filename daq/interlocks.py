@@ -22,6 +22,7 @@ from daq.channel_watch import HOST, ChannelWatch
 from daq.exceedance import Exceedance
 from daq.rotor_watch import AT_REST_RPM, RotorWatch
 from daq.stream_items import Batch, Event
+from daq.stuck_watch import StuckWatch
 from rig_configs.schema import Limits
 
 LASERS: tuple[str, ...] = ("laser/x", "laser/y")
@@ -110,6 +111,7 @@ class Interlocks:
         self.rotor = RotorWatch(limits.speed_rpm, patience)
         self._sight = {topic: Share(_BLIND_S) for topic in LASERS}
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in LASERS}
+        self._stuck = StuckWatch(LASERS)
         self._seen_m = dict.fromkeys(LASERS, 0.0)
         self._code = dict.fromkeys(LASERS, 0)
         self._blind = dict.fromkeys(LASERS, False)
@@ -273,7 +275,7 @@ class Interlocks:
         )
 
     def _look(self, topic: str, batch: Batch, host_ns: int) -> list[Event | Stop]:
-        """A laser: too far, or blind."""
+        """A laser: too far, blind, or stuck."""
         displacement = batch.columns["displacement_m"]
         invalid = np.isnan(displacement)
         share = self._sight[topic]
@@ -286,7 +288,9 @@ class Interlocks:
             self._seen_m[topic] = abs(float(newest))
         out: list[Event | Stop] = [*self._blindness(topic, share.mostly_bad)]
         if not self._driving or not self.turning(host_ns):
+            self._stuck.clear()
             return out
+        hangs = self._stuck.feed(topic, batch.time_ns, displacement)
         limit = self._limits.amplitude_m
         gone = share.in_a_row >= _GONE_SAMPLES and self._seen_m[topic] > _LARGE * limit
         if beyond_m is not None or gone:
@@ -298,6 +302,8 @@ class Interlocks:
             out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm"))
         elif share.mostly_bad:
             out.append(Stop("device", self._blind_words(topic)))
+        elif hangs is not None:
+            out.append(Stop("device", hangs))
         return out
 
     def _blindness(self, topic: str, blind: bool) -> list[Event]:
