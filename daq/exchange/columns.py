@@ -50,6 +50,11 @@ class Recording(Protocol):
     path: Path
 
     @property
+    def others(self) -> Mapping[str, str]:
+        """What else the file holds and is no column of numbers: what each is, by name."""
+        ...
+
+    @property
     def names(self) -> Sequence[str]:
         """Every column's name, in the file's order."""
         ...
@@ -79,12 +84,17 @@ def pick(recording: Recording, wanted: str, option: str) -> str:
         return wanted
     if wanted.isascii() and wanted.isdigit() and 1 <= int(wanted) <= len(names):
         return names[int(wanted) - 1]
+    if wanted in recording.others:
+        raise ExchangeError(
+            f"{recording.path}: {option}: expected a column of numbers, {wanted!r} is {recording.others[wanted]}"
+        )
     without_unit = [name for name in names if name_and_unit(name) == (wanted, recording.units.get(name, ""))]
     if len(without_unit) == 1:
         return without_unit[0]
     near = difflib.get_close_matches(wanted, names, 1, 0.4)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     shown = ", ".join(repr(name) for name in names[:_NAMES_SHOWN]) + (" …" if len(names) > _NAMES_SHOWN else "")
+    shown = shown or "(the file has none)"
     raise ExchangeError(f"{recording.path}: {option}: expected one of the columns {shown}, got {wanted!r}{hint}")
 
 
