@@ -22,6 +22,7 @@ from cli import crash
 from cli.console import say, wait_for_compilation
 from cli.numbers import NUMBERS_ARE_FINITE
 from daq.errors import LogError, RigError
+from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
 from dynamics.errors import DynamicsError
 from rig_configs.errors import RigConfigError
@@ -80,6 +81,7 @@ def commands(told: Collection[str] = ()) -> App:
         name="rig",
         suppress_keyboard_interrupt=False,
         default_parameter=NUMBERS_ARE_FINITE,
+        version=software_version,
         help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.",
     )
     for module, verbs in _VERBS.items():
@@ -114,19 +116,26 @@ def _carried_out(arguments: list[str]) -> int:
         code = _exit_code(error)
         if code is None:
             return crash.report(error, arguments)
-        full = isinstance(error, OSError) and error.errno == ENOSPC
-        say(f"rig: {error}{'; make room on the disk, or use another' if full else ''}")
+        say(f"rig: {_words(error)}")
         return code
 
 
+def _words(error: Exception) -> str:
+    """What to say of an error, with what to do where the error itself does not."""
+    if isinstance(error, MemoryError):
+        return f"the memory is full{f' ({error})' if str(error) else ''}; end other programs, or use a part of the data"
+    full = isinstance(error, OSError) and error.errno == ENOSPC
+    return f"{error}{'; make room on the disk, or use another' if full else ''}"
+
+
 def _exit_code(error: Exception) -> int | None:
-    """2 for bad input, 3 for hardware and I/O, None for what nobody raised on purpose."""
+    """2 for bad input, 3 for hardware, I/O and memory, None for what nobody raised on purpose."""
     identification = sys.modules.get("identification")  # it loads fits and statistics: only where they are used
     if isinstance(error, RigConfigError | DynamicsError | LogError | AnalysisError) or (
         identification is not None and isinstance(error, identification.IdentificationError)
     ):
         return 2
-    return 3 if isinstance(error, RigError | OSError) else None
+    return 3 if isinstance(error, RigError | OSError | MemoryError) else None
 
 
 def main() -> None:

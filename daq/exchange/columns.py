@@ -26,22 +26,25 @@ class Column:
         values: int64 where every value is a whole number, otherwise float64, shape (n,); NaN where the file says that
             there is no number; anything where it is absent.
         absent: true where the file holds nothing at all, shape (n,).
-        lines: line of each row in a text file, shape (n,); None: rows are counted from 1.
+        lines: line of each row in a text file, its number in another, shape (n,); None: rows are counted from 1.
+        counted: what `lines` counts, "line" or "row".
     """
 
     name: str
     values: NDArray[Any]
     absent: NDArray[np.bool_]
     lines: NDArray[np.int64] | None = None
+    counted: str = "line"
 
     def place(self, row: int) -> str:
         """Where a row is, for messages."""
-        return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+        return f"row {row + 1}" if self.lines is None else f"{self.counted} {self.lines[row]}"
 
     def keep(self, rows: NDArray[Any]) -> Column:
         """The rows of a mask or of indices."""
         lines = np.arange(1, len(self.values) + 1) if self.lines is None else self.lines
-        return Column(self.name, self.values[rows], self.absent[rows], lines[rows])
+        counted = "row" if self.lines is None else self.counted
+        return Column(self.name, self.values[rows], self.absent[rows], lines[rows], counted)
 
 
 class Recording(Protocol):

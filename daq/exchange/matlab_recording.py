@@ -37,7 +37,7 @@ class MatRecording:
                 listed = whosmat(path, appendmat=False)
                 refuse_bomb(path, "", sum(_bytes(shape) for _, shape, _ in listed))
                 found = loadmat(path, appendmat=False, simplify_cells=True)
-        except ExchangeError:
+        except (ExchangeError, MemoryError):
             raise
         except Exception as fault:  # scipy raises a dozen kinds for damaged files
             raise _unreadable(path, fault) from fault
@@ -92,7 +92,7 @@ class Hdf5Recording:
                     dataset = datasets[place]
                     values = dataset[()] if index is None else dataset[index]
                     columns[name] = as_column(f"{self.path}: {name}", values.reshape(-1))
-        except ExchangeError:
+        except (ExchangeError, MemoryError):
             raise
         except Exception as fault:
             raise _unreadable(self.path, fault) from fault

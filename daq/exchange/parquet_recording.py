@@ -37,6 +37,8 @@ class ParquetRecording:
             with pq.ParquetFile(self.path) as file:
                 refuse_bomb(self.path, "", 8 * file.metadata.num_rows * len(wanted))
                 table = file.read(columns=wanted)
+        except MemoryError:
+            raise
         except (pa.ArrowException, OSError) as fault:
             raise _unreadable(self.path, fault) from fault
         return {name: self._column(name, table.column(name)) for name in wanted}
