@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say, show
-from cli.options import Json, ParametersPath, Settings, need_folder, what_if_words
+from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 _NOTHING_KNOWN_DEG = 90.0  # of an axis
@@ -33,7 +33,7 @@ def identify(
     from identification.joint.limits import limits  # noqa: PLC0415
 
     _need(logs, "rig identify LOG…")
-    need_folder(output, "rig identify: -o")
+    need_place("rig identify: -o", output)
     loaded = load_rig(rig, settings=settings or [])
     runs = results.load_runs(logs)
     found = find(runs, loaded, STDERR.print, setting=setting)
@@ -76,6 +76,7 @@ def validate(
     from identification.identify import missing_warnings  # noqa: PLC0415
 
     _need(logs, "rig validate RIG LOG…")
+    need_place("rig validate: --report", report)
     if parameters is None:
         raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
     found_before = IdentifiedParameters.load(parameters)
