@@ -11,7 +11,7 @@ import signal
 import sys
 from collections.abc import Collection
 from contextlib import nullcontext
-from errno import ENOSPC
+from errno import EDQUOT, EFBIG, ENOSPC
 from io import TextIOWrapper
 from keyword import iskeyword
 
@@ -67,6 +67,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
     },
     "cli.bench": {"bench": "Time against true error for every method on offer, with peers in the same run."},
 }
+_FULL = (ENOSPC, EDQUOT, EFBIG)  # the disk, this person's share of it, what one file may hold
 _PARAMETERS = "Show identified parameters, say what changed, follow them over time."
 _USE_COMPILED = {"check", "record", "test", "log", "replay", "recover", "export", "import", "identify", "validate"}
 
@@ -124,7 +125,7 @@ def _words(error: Exception) -> str:
     """What to say of an error, with what to do where the error itself does not."""
     if isinstance(error, MemoryError):
         return f"the memory is full{f' ({error})' if str(error) else ''}; end other programs, or use a part of the data"
-    full = isinstance(error, OSError) and error.errno == ENOSPC
+    full = isinstance(error, OSError) and error.errno in _FULL
     return f"{error}{'; make room on the disk, or use another' if full else ''}"
 
 
