@@ -226,3 +226,31 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
     assert any(direction == 1 and quick in data for direction, _, data in written)
     assert [ns for _, ns, _ in written] == sorted(ns for _, ns, _ in written)  # rx and tx as they were
     assert [row.topic for row in check(path) if row.difference] == []
+
+
+def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
+    far_end: VirtualRigProcess, rig: Rig, tmp_path: Path
+) -> None:
+    class Breaks(SimulatedOperator):
+        """Whoever flicks the pendulums hits B's encoder, too."""
+
+        def flick(self) -> None:
+            super().flick()
+            far_end.line.ask("fail", device="encoder", what="flags", value=2)
+
+    try:
+        with (
+            pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was stopped"),
+            Session(rig, HostClock(TIME_SCALE)) as session,
+        ):
+            Procedures(session, Breaks(far_end.line), tmp_path, quiet).spin_down()
+        assert "fault of encoder B" in str(summary_of(only_log(tmp_path))["ended"])
+        far_end.line.ask("fail", device="encoder", what="flags", value=1)
+        with Session(rig, HostClock(TIME_SCALE)) as session:
+            tests = Procedures(session, Breaks(far_end.line), tmp_path, quiet)
+            for test in (tests.spin_down, lambda: tests.point("A", 15.0), lambda: tests.run_up(600.0, 10.0)):
+                with pytest.raises(ProcedureError, match=r"fault of encoder A: .*Nothing was turned"):
+                    test()
+        assert len(list(tmp_path.glob("*.mcap*"))) == 1
+    finally:
+        far_end.line.ask("fail", device="encoder", what="flags", value=0)
