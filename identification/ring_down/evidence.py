@@ -150,13 +150,13 @@ def _loudest(value: np.ndarray, keep: np.ndarray, size: int) -> tuple[int, float
 
 def coarse_remark(fitted: Fitted) -> list[str]:
     """A sentence when the noise had to be taken from the residuals, so that χ² can't tell a wrong model."""
+    cycle_s = 2 * np.pi / float(np.max(fitted.omegas))
     for record in fitted.decay.records:
         for channel in record:
-            if channel.noise < _COARSE * sample_noise(channel.value_m[channel.keep]):
-                per_cycle = 2 * np.pi / float(np.max(fitted.omegas)) / float(np.median(np.diff(channel.time_s)))
-                if per_cycle < _FEW:
-                    return [
-                        f"only {per_cycle:.2g} samples a cycle: the noise is taken from the residuals and χ² says "
-                        "nothing of the model; sample faster"
-                    ]
+            per_cycle = cycle_s / float(np.median(np.diff(channel.time_s)))
+            if per_cycle < _FEW and channel.noise < _COARSE * sample_noise(channel.value_m[channel.keep]):
+                return [
+                    f"only {per_cycle:.2g} samples a cycle: the noise is taken from the residuals and χ² says "
+                    "nothing of the model; sample faster"
+                ]
     return []

@@ -132,7 +132,7 @@ def suspicious(fitted: Fitted) -> bool:
             kept = channel.keep[first:last]
             largest, lowest, highest = _extremes(residual, model, kept)
             low, high = _clear_of_rail(channel)
-            if largest > _SUSPECT * _scale(residual, kept) or not (low < lowest and highest < high):
+            if not (low < lowest and highest < high) or _scatter_below(residual, kept, largest / _SUSPECT):
                 return True
     return False
 
@@ -160,8 +160,28 @@ def _extremes(residual: np.ndarray, model: np.ndarray, kept: np.ndarray) -> tupl
     return largest, lowest, highest
 
 
+def _scatter_below(residual: np.ndarray, kept: np.ndarray, limit: float) -> bool:
+    """Whether `_scale` is below a limit: as counting tells, without a median, unless the limit is the median itself."""
+    below, count = _count_below(residual, kept, _every(residual), limit / _NORMAL)
+    return 2 * below > count if abs(2 * below - count) > 1 else _scale(residual, kept) < limit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count_below(residual: np.ndarray, kept: np.ndarray, step: int, limit: float) -> tuple[int, int]:
+    """How many of every step-th kept residuals lie below a limit, and how many there are."""
+    below = count = 0
+    for i in range(0, len(residual), step):
+        count += kept[i]
+        below += kept[i] and abs(residual[i]) < limit
+    return below, count
+
+
+def _every(residual: np.ndarray) -> int:
+    return max(1, len(residual) // 40_000)
+
+
 def _scale(residual: np.ndarray, kept: np.ndarray) -> float:
-    step = max(1, len(residual) // 40_000)
+    step = _every(residual)
     values = np.abs(residual[::step][kept[::step]])
     return max(_NORMAL * float(np.median(values)), 1e-300) if len(values) else np.inf
 

@@ -15,7 +15,7 @@ from numba import njit
 from identification.colour import Colour
 from identification.errors import NotIdentifiable
 from identification.lines import Line
-from identification.samples import Averages, clipped, white_noise
+from identification.samples import Averages, clipped, white_noise, white_noises
 
 _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # noise is known to 1 % from so many
 _LEVEL_SAMPLES, _TOP_SHARES, _LEAST_VISITS = 20_000, (0.02, 0.005, 0.001), 3
@@ -280,7 +280,7 @@ def sample_noise(value: np.ndarray) -> float:
         return max(white_noise(value), 1e-12 * float(np.ptp(value)) + 1e-300)
     size = _NOISE_SAMPLES // _NOISE_CHUNKS
     starts = np.linspace(0, len(value) - size, _NOISE_CHUNKS).astype(int)
-    chunks = [white_noise(value[a : a + size]) for a in starts]
+    chunks = white_noises(value[starts[:, None] + np.arange(size)])
     return max(float(np.median(chunks)), 1e-12 * float(np.ptp(value)) + 1e-300)
 
 
