@@ -15,6 +15,8 @@ import numpy as np
 from numba import njit
 from scipy.fft import next_fast_len
 
+from identification.samples import usual_interval
+
 _HIGHEST_RATE_Hz = 1000.0  # of the grid that is searched; faster records are averaged to it
 _LEAST_SAMPLES = 400
 _LOBE = 4  # bins from a peak's middle to the window's first zero
@@ -70,7 +72,7 @@ def smooth_window(size: int) -> np.ndarray:
     """Nuttall's window over one period, shape (size,); not to be written to."""
     a0, a1, a2, a3 = _NUTTALL
     half = size // 2 + 1
-    c = _turning(2 * np.pi / size, half).real
+    c = np.real(_turning(2 * np.pi / size, half))
     window = np.empty(size)
     # a0 − a1 cos x + a2 cos 2x − a3 cos 3x in powers of cos x: one cosine instead of three, and the rest is its mirror
     window[:half] = (a0 - a2) + c * ((3 * a3 - a1) + c * (2 * a2 - 4 * a3 * c))
@@ -138,7 +140,7 @@ def _uniform(time: np.ndarray, value: np.ndarray, keep: np.ndarray) -> tuple[flo
         return None
     own = (t[-1] - t[0]) / (len(t) - 1)
     regular = _largest_offset(t, own) < 0.02 * own
-    step = own if regular else max(float(np.median(np.diff(t)[:: max(1, len(t) // 20000)])), 0.2 * own)
+    step = own if regular else max(usual_interval(t), 0.2 * own)
     many = int(1 / (step * _HIGHEST_RATE_Hz) * (1 + 1e-6))
     whole = int((t[-1] - t[0]) / step + 1e-6) + 1
     even = y if regular and whole == len(t) else np.interp(t[0] + step * np.arange(whole), t, y)
@@ -257,7 +259,7 @@ def _absent(head: np.ndarray, start: float, step: float, line: Line) -> bool:
 
 def _true_frequency(line: Line, time: np.ndarray, value: np.ndarray, keep: np.ndarray, step: float) -> Line:
     """Where the record was averaged before it was searched: which of the frequencies that look alike there it is."""
-    every = float(np.median(np.diff(time)[:: max(1, len(time) // 20000)]))
+    every = usual_interval(time)
     if step < 1.5 * every:
         return line
     rate = 1 / step

@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 
+_INTERVALS = 20_000
 _AWAY = 0.05  # of the range: how far a motion goes between two visits to a rail
 
 
@@ -84,6 +85,12 @@ def encoder_noise(angle: np.ndarray, step: float) -> float:
         return 0.42 * step
     robust = 8 * max(step, float(np.median(np.abs(third))) / 0.6745)  # a push or a gap is no noise
     return max(step / np.sqrt(12), float(np.sqrt(np.mean(np.clip(third, -robust, robust) ** 2) / 20.0)))
+
+
+def usual_interval(time_s: np.ndarray) -> float:
+    """The median of a record's sampling intervals, s, of as many as tell it, evenly spread; time_s ascending, (n,)."""
+    every = max(1, len(time_s) // _INTERVALS)
+    return float(np.median(time_s[1::every] - time_s[:-1:every]))
 
 
 def clipped(value: np.ndarray) -> np.ndarray:
