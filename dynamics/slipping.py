@@ -4,8 +4,8 @@ Strobed once a revolution, a motion that slips regularly lies on a closed curve 
 χ growing by the slip rate ρ each revolution (on a single set of points of it when ρ is rational: a periodic slipping
 orbit). Two things are asked, and neither holds in a transient:
 - the curve fitted to one stretch of the motion foretells the next stretch;
-- the linearised map, from where the motion has come to lie on the curve until its end, shrinks every deviation across the curve, and none along it grows more than
-  the curve itself is stretched.
+- the linearised map, from where the motion has come to lie on the curve until its end, shrinks every deviation
+  across the curve, and none along it grows more than the curve itself is stretched.
 Chaotic slipping and slipping at two rates meet neither; nobody can tell those from a long transient by watching.
 """
 
