@@ -81,17 +81,17 @@ class DrivePipeline:
 
     def _speed(self, rows: list[tuple[int, int, float]], host_ns: int) -> list[Batch | Event]:
         out: list[Batch | Event] = []
-        status = np.array([r[0] for r in rows], np.uint32)
-        before = np.concatenate([[-1 if self._status is None else self._status], status[:-1]])
-        for i in np.flatnonzero(status != before):
-            word = int(status[i])
+        for word, _, _ in rows:
+            if word == self._status:
+                continue
             if self._status is None or cia402.state(word) != cia402.state(self._status):
                 out.append(Event("drive", self._device, cia402.state(word), {"statusword": word}))
             self._status = word
+        words, actual, target = zip(*rows, strict=True)
         columns = {
-            "speed_rpm": np.array([r[1] for r in rows], float),
-            "target_rpm": np.array([r[2] for r in rows]),
-            "statusword": status,
+            "speed_rpm": np.array(actual, float),
+            "target_rpm": np.array(target),
+            "statusword": np.array(words, np.uint32),
         }
         time_ns = np.full(len(rows), host_ns, np.int64)
         out.append(Batch(channels.MOTOR, time_ns, np.zeros(len(rows), np.uint32), columns))

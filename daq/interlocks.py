@@ -68,13 +68,15 @@ class Share:
     def add(self, first_ns: int, last_ns: int, bad: NDArray[np.bool_]) -> None:
         """Samples of one read, shape (n,)."""
         count = int(np.count_nonzero(bad))
-        if count == len(bad):
-            self.in_a_row += count
-        else:
-            self.in_a_row = len(bad) - 1 - int(np.flatnonzero(~bad)[-1]) if count else 0
-        self._reads.append((first_ns, last_ns, len(bad), count))
-        self._samples += len(bad)
-        self._bad += count
+        last = len(bad) - 1 - int(np.flatnonzero(~bad)[-1]) if 0 < count < len(bad) else count
+        self.note(first_ns, last_ns, len(bad), count, last)
+
+    def note(self, first_ns: int, last_ns: int, samples: int, bad: int, bad_last: int) -> None:
+        """Samples of one read, counted: how many, how many of them bad, and how many bad ones behind every good one."""
+        self.in_a_row = self.in_a_row + bad if bad == samples else bad_last
+        self._reads.append((first_ns, last_ns, samples, bad))
+        self._samples += samples
+        self._bad += bad
         while self._reads[0][1] < last_ns - self._stretch_ns:
             _, _, samples, gone = self._reads.popleft()
             self._samples -= samples
@@ -83,8 +85,9 @@ class Share:
     @property
     def mostly_bad(self) -> bool:
         """Whether more than half are bad, over the whole stretch."""
-        whole = bool(self._reads) and self._reads[-1][1] - self._reads[0][0] >= 0.8 * self._stretch_ns
-        return whole and 2 * self._bad > self._samples
+        if 2 * self._bad <= self._samples:
+            return False
+        return bool(self._reads) and self._reads[-1][1] - self._reads[0][0] >= 0.8 * self._stretch_ns
 
     def clear(self) -> None:
         """Forget all samples."""
@@ -276,23 +279,22 @@ class Interlocks:
 
     def _look(self, topic: str, batch: Batch, host_ns: int) -> list[Event | Stop]:
         """A laser: too far, blind, or stuck."""
-        displacement = batch.columns["displacement_m"]
-        invalid = np.isnan(displacement)
-        share = self._sight[topic]
-        share.add(int(batch.time_ns[0]), int(batch.time_ns[-1]), invalid)
-        beyond_m = self._exceedances[topic].feed(displacement)
+        samples, share, displacement = len(batch.time_ns), self._sight[topic], batch.columns["displacement_m"]
+        invalid, invalid_last, newest_m, beyond_m = self._exceedances[topic].look(displacement)
+        share.note(int(batch.time_ns[0]), int(batch.time_ns[-1]), samples, invalid, invalid_last)
         if share.in_a_row:
             self._code[topic] = int(batch.columns["code"][-1])
-        if share.in_a_row < len(invalid):
-            newest = displacement[-1] if not invalid[-1] else displacement[~invalid][-1]
-            self._seen_m[topic] = abs(float(newest))
-        out: list[Event | Stop] = [*self._blindness(topic, share.mostly_bad)]
-        if not self._driving or not self.turning(host_ns):
+        if invalid < samples:
+            self._seen_m[topic] = abs(newest_m)
+        blind, limit = share.mostly_bad, self._limits.amplitude_m
+        out: list[Event | Stop] = [*self._blindness(topic, blind)]
+        gone = share.in_a_row >= _GONE_SAMPLES and self._seen_m[topic] > _LARGE * limit
+        hangs = self._stuck.feed(topic, batch.time_ns, displacement)
+        if not (blind or gone or beyond_m is not None or hangs is not None) or not self._driving:
+            return out
+        if not self.turning(host_ns):
             self._stuck.clear()
             return out
-        hangs = self._stuck.feed(topic, batch.time_ns, displacement)
-        limit = self._limits.amplitude_m
-        gone = share.in_a_row >= _GONE_SAMPLES and self._seen_m[topic] > _LARGE * limit
         if beyond_m is not None or gone:
             seen = (
                 f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm"
@@ -300,9 +302,9 @@ class Interlocks:
                 else f"{beyond_m * 1e3:.1f} mm"
             )
             out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm"))
-        elif share.mostly_bad:
+        elif blind or hangs is None:
             out.append(Stop("device", self._blind_words(topic)))
-        elif hangs is not None:
+        else:
             out.append(Stop("device", hangs))
         return out
 
@@ -319,9 +321,14 @@ class Interlocks:
         self.rotor.node_heard(host_ns)
         flags = batch.columns["flags"]
         out: list[Event | Stop] = []
-        self._faulty_samples += int(np.count_nonzero(flags & sum(_FAULTS)))
+        first_ns, last_ns = int(batch.time_ns[0]), int(batch.time_ns[-1])
+        faulty = int(np.count_nonzero(flags & sum(_FAULTS)))
+        self._faulty_samples += faulty
         for bit, share in self._sound.items():
-            share.add(int(batch.time_ns[0]), int(batch.time_ns[-1]), (flags & bit) != 0)
+            if faulty:
+                share.add(first_ns, last_ns, (flags & bit) != 0)
+            else:
+                share.note(first_ns, last_ns, len(flags), 0, 0)
             if share.mostly_bad != self._faulty[bit]:
                 self._faulty[bit] = share.mostly_bad
                 words = "reports a fault" if share.mostly_bad else "is sound again"

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.clock import lower_line
 from daq.protocols import optoncdt
@@ -121,11 +122,11 @@ class RateWatch:
 
     def rate(self) -> Rate | None:
         """The newest rate; None as long as there is too little to tell."""
-        bins = list(self._bins)
-        if len(bins) < 3:
+        if len(bins := list(self._bins)) < 3:
             return None
-        device = np.array([b[1] - bins[0][1] for b in bins]) * 1e-9
-        lag = np.array([b[2] - bins[0][2] for b in bins]) * 1e-9
+        table: NDArray[np.int64] = np.array(bins, np.int64)
+        device: NDArray[np.float64] = 1e-9 * (table[:, 1] - table[0, 1])
+        lag: NDArray[np.float64] = 1e-9 * (table[:, 2] - table[0, 2])
         count = bins[-1][3] - bins[0][3]
         offset, slope = lower_line(device, lag)
         span = float(device[-1]) * (1.0 + slope)

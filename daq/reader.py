@@ -137,6 +137,9 @@ class DeviceReader:
             if data:
                 self.bytes_in += len(data)
                 self.heard_s = time.monotonic()
+            if not self._sent:  # nearly always
+                take((), data, host_ns)
+                return
             sent = self.sent()
             take([item for item in sent if item[1] <= host_ns], data, host_ns)
             if later := [item for item in sent if item[1] > host_ns]:

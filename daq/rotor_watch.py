@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,8 @@ class RotorWatch:
 
     def drive_said(self, host_ns: int, rpm: NDArray[np.float64]) -> str | None:
         """The drive's reports of one read, actual speeds, shape (n,), n ≥ 1; returns what is surely wrong with them."""
-        least, greatest, last = float(rpm.min()), float(rpm.max()), float(rpm[-1])
+        said: list[float] = rpm.tolist()  # a handful: quicker than arrays
+        least, greatest, last = min(said), max(said), said[-1]
         if self._word is None:
             self._highest, self._lowest = max(self.target_rpm, greatest), min(self.target_rpm, least)
         else:
@@ -83,7 +85,7 @@ class RotorWatch:
         self._words.append((host_ns, least, greatest))
         while self._words[0][0] < host_ns - _ns(_HISTORY_S) - 3 * self._late_ns:
             self._words.popleft()
-        return self._too_fast(float(np.abs(rpm).max()), len(rpm)) or self._ran_away(least, greatest, last)
+        return self._too_fast(max(abs(least), abs(greatest)), len(said)) or self._ran_away(least, greatest, last)
 
     def drive_unknown(self) -> None:
         """The drive's last word counts for nothing any more: it restarted, or left operation."""
@@ -229,8 +231,11 @@ class RotorWatch:
         if first is None:
             return None
         margin = self._late_ns + _ns(0.2)
-        around = [(a, b) for at, a, b in self._words if first[0] - margin <= at <= last[0] + margin]
-        if not around or self._words[0][0] > first[0]:
+        if not self._words or self._words[0][0] > first[0]:
+            return None
+        recent = takewhile(lambda word: word[0] >= first[0] - margin, reversed(self._words))  # the newest come last
+        around = [(least, greatest) for at, least, greatest in recent if at <= last[0] + margin]
+        if not around:
             return None
         rpm = _RPM_PER_TURN_NS * (last[2] - first[2]) / (last[1] - first[1])
         speeds = [abs(value) for pair in around for value in pair]

@@ -16,9 +16,11 @@ from types import TracebackType
 from typing import Any
 
 from daq import lasers
+from daq.clock import compile_line
 from daq.drive import DriveControl
 from daq.drive_stream import DrivePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError, RigError
+from daq.exceedance import compile_look
 from daq.interlocks import Interlocks, Stop
 from daq.laser_blocks import compile_loop
 from daq.log.file import ReservedName
@@ -142,6 +144,8 @@ class Session:
     def _open_links(self) -> None:
         keep_heap_whole()
         compile_loop()
+        compile_look()
+        compile_line()
         d = self.rig.devices
         ports = {
             "laser_x": (d.laser_x.port, d.laser_x.baud, None),

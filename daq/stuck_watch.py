@@ -24,6 +24,7 @@ class _Reading:
     """Of one channel: the value it holds, since when; how far the others have moved meanwhile, lowest and highest."""
 
     value: float = np.nan
+    still: bool = False  # for a whole read at least
     since_ns: int = 0
     low_m: float = np.inf
     high_m: float = -np.inf
@@ -40,12 +41,12 @@ class StuckWatch:
         self._readings = {topic: _Reading() for topic in topics}
 
     def clear(self) -> None:
-        """Forget what was seen: the rotor does not turn."""
+        """Forget what was seen."""
         for reading in self._readings.values():
-            reading.value = np.nan
+            reading.value, reading.still = np.nan, False
 
     def feed(self, topic: str, time_ns: NDArray[np.int64], displacement_m: NDArray[np.floating[Any]]) -> str | None:
-        """Take a channel's next samples while the rotor turns.
+        """Take a channel's next samples; of a rotor that stands the answer means nothing.
 
         Args:
             topic: of the channel.
@@ -55,7 +56,8 @@ class StuckWatch:
             What is wrong, once this channel has stood still for long enough beside another that moved.
         """
         own, newest = self._readings[topic], float(displacement_m[-1])
-        if newest == own.value and bool(np.all(displacement_m == newest)):
+        if newest == own.value and displacement_m[0] == newest and bool(np.all(displacement_m == newest)):
+            own.still = True
             swing_m = own.high_m - own.low_m
             still_s = (int(time_ns[-1]) - own.since_ns) * 1e-9
             if still_s >= _STILL_S and swing_m >= _SWING_M:
@@ -64,8 +66,9 @@ class StuckWatch:
                     f"moves by {swing_m * 1e3:.2f} mm across it: the sensor hangs. Switch it off and on"
                 )
         else:
-            own.value, own.since_ns, own.low_m, own.high_m = newest, int(time_ns[-1]), np.inf, -np.inf
-        if not np.isnan(newest):
+            own.value, own.still = newest, False
+            own.since_ns, own.low_m, own.high_m = int(time_ns[-1]), np.inf, -np.inf
+        if any(other.still for other in self._readings.values()) and not np.isnan(newest):
             self._note(topic, displacement_m)
         return None
 
