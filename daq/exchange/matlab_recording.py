@@ -108,7 +108,7 @@ class Hdf5Recording:
             return
         name, shape = place.replace("/", "."), item.shape
         if shape is None or item.dtype.kind not in "iuf":
-            self.others[name] = "empty" if shape is None else _described(item)
+            self.others[name] = "without values" if shape is None else _described(item)
         elif len(shape) == 1 or (len(shape) == 2 and 1 in shape):
             self._places[name] = (place, None)
         elif len(shape) == 2 and shape[0] <= _MOST_COLUMNS:  # MATLAB's columns are HDF5's rows

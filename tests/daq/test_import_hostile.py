@@ -211,7 +211,7 @@ def test_what_is_no_column_is_said_by_its_name(tmp_path: Path) -> None:
     found = open_recording(path)
     assert found.names == ("x",)
     for name, words in {
-        "z": "of complex128", "stamp": "of object", "cube": r"of shape \(2, 2, 2\)", "none": "empty",
+        "z": "of complex128", "stamp": "of object", "cube": r"of shape \(2, 2, 2\)", "none": "without values",
         "soft": "a soft link", "out": "a link to another file",
     }.items():  # fmt: skip
         with pytest.raises(ExchangeError, match=f"--x: expected a column of numbers, '{name}' is .*{words}"):
