@@ -177,6 +177,8 @@ class RowOrder:
         first, last = chain.rows[0], self.last
         if last is None:
             return False if len(chain.rows) >= 2 else None
+        if self.follows(last, first):  # by the beat that has just been found
+            return False
         onward = self._resumes(last, first, host_ns)
         if len(chain.rows) < (2 if onward else _AGREE):
             return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from daq import channels
@@ -47,6 +47,7 @@ def ticks_of(items: list[Batch | Event]) -> np.ndarray:
 
 
 @settings(max_examples=60)
+@example(3694.0, 0, [54], 0)
 @given(
     st.floats(300.0, 10_000.0), st.integers(0, 2**20), st.lists(st.integers(1, 900), min_size=1, max_size=5),
     st.integers(0, 400),
