@@ -25,14 +25,15 @@ from mcap.writer import Writer
 from benchmarks.can_frames import drive_frames, slcan_reads
 from benchmarks.laser_samples import RATE_HZ, START_NS, laser_reads
 from daq import channels
-from daq.drive_stream import DrivePipeline
-from daq.interlocks import Interlocks
-from daq.laser_stream import LaserPipeline
+from daq.acquisition.interlocks import Interlocks
+from daq.acquisition.rate_watch import RateWatches
+from daq.acquisition.recent import Recent
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.items import RX, Batch, joined
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.log.file import LogFile
-from daq.protocols import cia402, optoncdt
-from daq.rate_watch import RateWatches
-from daq.recent import Recent
-from daq.stream_items import RX, Batch, joined
 from rig_configs import load_rig
 
 _FLUSH_NS, _TICK_NS = 50_000_000, 100_000_000

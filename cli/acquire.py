@@ -15,12 +15,12 @@ from cli.console import StepProgress, print_json, say, wait_for_compilation
 from cli.numbers import LookSeconds, PositiveRpm, PositiveSeconds, TimeScale
 from cli.options import Json, ParametersPath, Settings, rig_or_log, what_if_words
 from cli.recording import RecordingStatus
-from daq import test_inputs
-from daq.device_check import common_factor, device_checks, passed
+from daq.acquisition.device_check import common_factor, device_checks, passed
+from daq.acquisition.session import Session
+from daq.guided_tests import test_inputs
+from daq.guided_tests.procedure import Procedures, TestDone, zero_counters
 from daq.log.file import ReservedName
 from daq.log.losses import Losses
-from daq.procedure import Procedures, TestDone, zero_counters
-from daq.session import Session
 from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
@@ -32,11 +32,11 @@ class TerminalOperator:
     """Asks the person at the terminal; the test goes on when the sensors see that it was done."""
 
     def pluck(self, axis: str) -> None:
-        """See daq.procedure.Operator."""
+        """See daq.guided_tests.procedure.Operator."""
         say(f">>> displace the column by 2 to 3 mm along {axis} and let go")
 
     def flick(self) -> None:
-        """See daq.procedure.Operator."""
+        """See daq.guided_tests.procedure.Operator."""
         say(">>> flick both pendulums, slower than two turns a second")
 
 

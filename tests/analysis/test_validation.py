@@ -10,7 +10,7 @@ from analysis_runs import Drawn, draw, point_run
 
 from analysis import NoStableState, predict_point, validate
 from analysis.validation import balanced_z, validate_point
-from daq.signals import Run
+from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig, load_rig
 
 SETTLED_S = {"A": 45.0, "B": 50.0, "C": 62.0, "D": 30.0, "E": 25.0}

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from daq.approach import bound
-from daq.window_means import code_noise, half_width
+from daq.signals.approach import bound
+from daq.signals.window_means import code_noise, half_width
 
 WINDOW_S = 1.02
 

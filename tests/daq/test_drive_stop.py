@@ -6,11 +6,11 @@ import struct
 
 import pytest
 
-from daq.drive import DriveControl
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import SdoServer, drive_objects
+from daq.drivers.cia402.control import DriveControl
 from daq.errors import DeviceError, LinkLost
-from daq.protocols import cia402, slcan
-from daq.protocols.canopen_node import SdoServer, drive_objects
-from daq.transports import HostClock
+from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
 CONFIG = load_rig("virtual").devices.drive
@@ -72,8 +72,8 @@ class FarEnd:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drive._NO_SLOWER_S", 0.3)
-    monkeypatch.setattr("daq.drive._REPEAT_S", 0.02)
+    monkeypatch.setattr("daq.drivers.cia402.control._NO_SLOWER_S", 0.3)
+    monkeypatch.setattr("daq.drivers.cia402.control._REPEAT_S", 0.02)
 
 
 def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:

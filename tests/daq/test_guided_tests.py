@@ -9,15 +9,15 @@ import pytest
 
 from cli.main import run
 from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.acquisition.session import Session
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import SdoServer, drive_objects
 from daq.errors import DeviceError, ProcedureError
+from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.log import open_log
 from daq.log.outcome import not_reached_of
-from daq.procedure import Procedures, zero_counters
-from daq.protocols import cia402, slcan
-from daq.protocols.canopen_node import SdoServer, drive_objects
-from daq.session import Session
-from daq.signals import load_run
-from daq.transports import HostClock
+from daq.signals.run import load_run
+from daq.transports import HostClock, slcan
 from identification.identify import missing_warnings
 from rig_configs import load_rig
 from rig_configs.schema import Rig
@@ -129,7 +129,7 @@ class FaultyDrive:
     """A drive that stands in FAULT for a reason; its host's frames in, its answers out."""
 
     def __init__(self, reason: dict[tuple[int, int], tuple[int, str]]) -> None:
-        from daq.drive import DriveControl
+        from daq.drivers.cia402.control import DriveControl
 
         rig = load_rig("virtual")
         self.state, self.control = cia402.FAULT, 0

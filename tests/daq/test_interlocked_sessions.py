@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.acquisition.session import Session
+from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError, ProcedureError
+from daq.guided_tests.procedure import Procedures
 from daq.log import open_log
 from daq.log.losses import losses_of
-from daq.procedure import Procedures
-from daq.protocols import cia402
 from daq.replay import check
-from daq.session import Session
 from daq.transports import HostClock
 from rig_configs import load_rig
 from rig_configs.schema import Rig
@@ -152,7 +152,7 @@ def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig
 def test_a_rotor_that_still_turns_at_the_end_is_said(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daq.drive._RUN_DOWN_S", 1.0)
+    monkeypatch.setattr("daq.drivers.cia402.control._RUN_DOWN_S", 1.0)
     said: list[str] = []
     still = "the rotor still turns"
     with pytest.raises(DeviceError, match=still), Session(rig, HostClock(TIME_SCALE), say=said.append) as session:  # noqa: PT012

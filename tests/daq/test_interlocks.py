@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import channels
-from daq.channel_watch import ChannelWatch
-from daq.interlocks import Interlocks, Share, Stop
-from daq.rotor_watch import RotorWatch
-from daq.stream_items import Batch
+from daq.acquisition.channel_watch import ChannelWatch
+from daq.acquisition.interlocks import Interlocks, Share, Stop
+from daq.acquisition.rotor_watch import RotorWatch
+from daq.drivers.items import Batch
 from rig_configs import load_rig
 from tests.daq.far_ends import Bench
 

@@ -8,10 +8,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from daq import channels
-from daq.laser_blocks import measure
-from daq.laser_stream import LaserPipeline
-from daq.protocols import optoncdt
-from daq.stream_items import RX, Batch, Event
+from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.blocks import measure
+from daq.drivers.optoncdt.stream import LaserPipeline
 from rig_configs import load_rig
 
 LASER = load_rig("virtual").devices.laser_x

@@ -13,16 +13,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq import lasers
-from daq.drive import DriveControl
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.control import DriveControl
+from daq.drivers.items import RX, TX
+from daq.drivers.optoncdt import dialogue as lasers
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.rotorlink import wire as rotorlink
 from daq.errors import DeviceError, LogError
 from daq.log import Log, open_log
 from daq.playback import PlayedDevice, played_devices
 from daq.playback.bytes_played import WholeBlocks
 from daq.playback.devices import PlayedDrive, PlayedLaser, PlayedNode
-from daq.protocols import cia402, optoncdt, rotorlink, slcan
-from daq.stream_items import RX, TX
-from daq.transports import HostClock
+from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 from tests.daq.replayed_log import IDENTITIES, write_log
 

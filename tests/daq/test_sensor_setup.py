@@ -9,13 +9,13 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from daq import lasers
+from daq.acquisition.reader import DeviceReader
+from daq.drivers.items import RX, Event
+from daq.drivers.optoncdt import dialogue as lasers
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.commands import SensorCommands, info_lines
+from daq.drivers.pipelines import make_pipelines
 from daq.errors import DeviceError
-from daq.protocols import optoncdt
-from daq.protocols.optoncdt_sensor import SensorCommands, info_lines
-from daq.reader import DeviceReader
-from daq.stream_items import RX, Event
-from daq.streams import make_pipelines
 from daq.transports import HostClock, open_link
 from daq.transports.wires import TcpWire
 from rig_configs import load_rig
