@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.clock import lower_line
+from daq.drivers.contract import SampleClock
+from daq.drivers.devices import devices_of
 from daq.drivers.items import Batch, Event
-from daq.drivers.optoncdt import wire as optoncdt
 from rig_configs.schema import Devices
 
 _BIN_NS = 250_000_000
@@ -90,15 +91,12 @@ class RateWatch:
     """One channel's rate.
 
     Args:
-        nominal_Hz: the rig file's.
-        tolerance_ppm: standard uncertainty of the device's clock.
-        time_field, tick_ns: which column is the device's time, and its unit.
-        count_wrap: where the samples' sequence number wraps.
+        clock: what its driver says of its samples' times.
     """
 
-    def __init__(self, nominal_Hz: float, tolerance_ppm: float, time_field: str, tick_ns: int, count_wrap: int) -> None:
-        self._nominal, self._tolerance = nominal_Hz, _STDS * tolerance_ppm
-        self._field, self._tick_ns, self._wrap = time_field, tick_ns, count_wrap
+    def __init__(self, clock: SampleClock) -> None:
+        self._nominal, self._tolerance = clock.rate_Hz, _STDS * clock.tolerance_ppm
+        self._field, self._tick_ns, self._wrap = clock.field, clock.tick_ns, clock.count_wrap
         self._bins: deque[tuple[int, int, int, int]] = deque(maxlen=_BINS)  # number, device ns, lag ns, count
         self._last: tuple[int, int, int] | None = None  # device ns, host ns, sequence
         self._count = 0
@@ -150,13 +148,8 @@ class RateWatches:
     """
 
     def __init__(self, devices: Devices) -> None:
-        x, y, node = devices.laser_x, devices.laser_y, devices.encoder
-        tick = round(optoncdt.TICK_S * 1e9)
-        self._watches = {
-            "laser/x": RateWatch(x.rate_Hz, x.clock_tolerance_ppm, "device_ticks", tick, optoncdt.COUNTER_WRAP),
-            "laser/y": RateWatch(y.rate_Hz, y.clock_tolerance_ppm, "device_ticks", tick, optoncdt.COUNTER_WRAP),
-            "pendulums": RateWatch(node.rate_Hz, node.clock_tolerance_ppm, "node_time_us", 1000, 2**32),
-        }
+        clocks = [clock for device in devices_of(devices).values() for clock in device.clocks]
+        self._watches = {clock.topic: RateWatch(clock) for clock in clocks}
         self._due: dict[str, int] = {}
         self._suspect: set[str] = set()
         self._wrong: dict[str, Rate] = {}

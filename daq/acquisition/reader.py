@@ -9,13 +9,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from daq.drivers.pipelines import Pipeline
+from daq.drivers.contract import Pipeline
 from daq.errors import LinkLost
 from daq.transports import HostClock, Link
 
-_REST_S = 0.01  # rig time between two turns: what a wake-up costs counts, not the bytes
-_LASER_REST_S = 0.02  # its samples bear their own time, and come without a pause
 _NEXT_S = 0.005  # wall seconds to wait for the next arrival
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
 _LARGE_BYTES = 128 * 1024
@@ -47,6 +46,7 @@ class DeviceReader:
         name: the device, as in the rig file.
         pipeline: decodes its bytes; may be exchanged between two reads, under `lock`.
         clock: stamps arrivals.
+        rest_s: rig time between two turns: what a wake-up costs counts, not the bytes.
 
     Attributes:
         lock: held while bytes, in either direction, go to log and pipeline: both see one order. Nothing that goes out
@@ -55,7 +55,7 @@ class DeviceReader:
         heard_s: when bytes came last, `time.monotonic`.
     """
 
-    def __init__(self, name: str, link: Link, pipeline: Pipeline, clock: HostClock) -> None:
+    def __init__(self, name: str, link: Link, pipeline: Pipeline, clock: HostClock, rest_s: float = 0.01) -> None:
         self.name, self.link, self.pipeline = name, link, pipeline
         self.lock = threading.Lock()
         self.replies: queue.Queue[str] = queue.Queue()
@@ -64,7 +64,7 @@ class DeviceReader:
         self._clock = clock
         self._writing, self._stamping = threading.Lock(), threading.Lock()
         self._sent: list[tuple[bytes, int]] = []  # on their way into the log
-        self._rest_s = _LASER_REST_S if name.startswith("laser") else _REST_S
+        self._rest_s = rest_s
         self._ending = False
         self._thread: threading.Thread | None = None
 
@@ -144,3 +144,30 @@ class DeviceReader:
             take([item for item in sent if item[1] <= host_ns], data, host_ns)
             if later := [item for item in sent if item[1] > host_ns]:
                 take(later, b"", host_ns)
+
+
+@dataclass(frozen=True)
+class OpenDevice:
+    """A device being read, as its driver talks to it (see Talk).
+
+    Attributes:
+        reader: of the device.
+        begin_anew: gives the reader a fresh pipeline.
+    """
+
+    reader: DeviceReader
+    begin_anew: Callable[[], None]
+
+    @property
+    def replies(self) -> queue.Queue[str]:
+        """See Talk."""
+        return self.reader.replies
+
+    @property
+    def bytes_in(self) -> int:
+        """See Talk."""
+        return self.reader.bytes_in
+
+    def send(self, data: bytes) -> None:
+        """See Talk."""
+        self.reader.send(data)

@@ -18,17 +18,15 @@ from typing import Any
 from daq.acquisition.exceedance import compile_look
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.rate_watch import RateWatches
-from daq.acquisition.reader import DeviceReader, keep_heap_whole
+from daq.acquisition.reader import DeviceReader, OpenDevice, keep_heap_whole
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState, Recorder
 from daq.clock import compile_line
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.devices import devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.drivers.optoncdt import dialogue as lasers
-from daq.drivers.optoncdt.blocks import compile_loop
-from daq.drivers.pipelines import make_pipelines
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError, RigError
@@ -45,10 +43,6 @@ _WATCH_S = 0.25  # wall seconds between two looks for silent devices, and at the
 _SILENCE_S = 2.0  # wall seconds
 _BY_ITSELF_S = 8.0  # wall seconds for a drive out of reach to stop by itself, and for the index marks to show it
 _REASON_S = 0.3  # wall seconds that a drive may take to say why it stopped
-
-
-DEVICE_OF = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "motor": "drive"}
-"""Channels that every open rig fills all the time, and whose they are."""
 
 
 class Session:
@@ -80,6 +74,7 @@ class Session:
         self.rig, self.clock = rig, clock
         self.recent = Recent(_KEEP_S)
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
+        self._known = devices_of(rig.devices)
         self.rates = RateWatches(rig.devices)
         self.observers: list[Callable[[Event], None]] = []  # told of every event
         self.trouble: Exception | None = None
@@ -106,14 +101,9 @@ class Session:
                 lambda: self._interlocks.speed_rpm(self.clock.now_ns()),
             )  # fmt: skip
             self._start_readers()
-            for name, config in (("laser_x", d.laser_x), ("laser_y", d.laser_y)):
-                device = self._devices[name]
-                self.identities[name] = lasers.configure(
-                    name, config, lambda data, n=name: self.send(n, data), device, partial(self._forget, device)
-                )
-            self.identities["encoder"] = {"driver": d.encoder.driver, "port": d.encoder.port}
+            for name, device in self._known.items():
+                self.identities[name] = device.driver.open(name, device.settings, self._talk(name))
             self.drive.start()
-            self.identities["drive"] = {"driver": d.drive.driver, "node_id": d.drive.node_id}
             self._wait_alive("every device to send samples")
             self._begin_anew(None)  # what waited in the ports' buffers was late and would mislead the clock maps
             self._wait_alive("every device to go on sending samples")
@@ -144,19 +134,17 @@ class Session:
 
     def _open_links(self) -> None:
         keep_heap_whole()
-        compile_loop()
         compile_look()
         compile_line()
-        d = self.rig.devices
-        ports = {
-            "laser_x": (d.laser_x.port, d.laser_x.baud, None),
-            "laser_y": (d.laser_y.port, d.laser_y.baud, None),
-            "encoder": (d.encoder.port, d.encoder.baud, None),
-            "drive": (d.drive.port, 115_200, d.drive.bitrate),
-        }
-        pipelines = make_pipelines(d, {})
-        for name, (port, baud, bitrate) in ports.items():
-            self._devices[name] = DeviceReader(name, open_link(port, baud, bitrate), pipelines[name], self.clock)
+        for device in self._known.values():
+            device.driver.prepare()
+        for name, device in self._known.items():
+            link = open_link(device.line.port, device.line.baud, device.line.bitrate)
+            self._devices[name] = DeviceReader(name, link, device.pipeline({}), self.clock, device.driver.rest_s)
+
+    def _talk(self, name: str) -> OpenDevice:
+        reader = self._devices[name]
+        return OpenDevice(reader, partial(self._forget, reader))
 
     def _start_readers(self) -> None:
         for device in self._devices.values():
@@ -223,9 +211,9 @@ class Session:
             rest, end = False, time.monotonic() + _BY_ITSELF_S
             while self._opened and self.rotor_at_rest() is False and time.monotonic() < end:
                 time.sleep(0.02)
-        for name in ("laser_x", "laser_y"):
+        for name, device in self._known.items():
             with contextlib.suppress(LinkLost, DeviceError):
-                self.send(name, b"OUTPUT NONE\n")
+                device.driver.stop(self._talk(name))
         if rest or not self._opened or self.rotor_at_rest():
             return ""
         still = "nobody can tell whether the rotor stands" if self.rotor_at_rest() is None else "the rotor still turns"
@@ -247,7 +235,11 @@ class Session:
 
     def _silent(self) -> list[str]:
         """Devices of which no sample has come."""
-        return [device for topic, device in DEVICE_OF.items() if not len(self.recent.last(topic, ())[0])]
+        return [
+            name
+            for name, device in self._known.items()
+            if not all(len(self.recent.last(channel.topic, ())[0]) for channel in device.channels)
+        ]
 
     def _wait_alive(self, what: str) -> None:
         """Wait for samples of every device; of those that give none, say what came instead."""
@@ -269,7 +261,7 @@ class Session:
     def _forget(self, device: DeviceReader) -> None:
         """A fresh pipeline for a device whose line has just run dry: what it sent before was told to someone else."""
         with device.lock:
-            device.pipeline = make_pipelines(self.rig.devices, self.identities)[device.name]
+            device.pipeline = self._known[device.name].pipeline(self.identities.get(device.name, {}))
 
     # --- bytes -------------------------------------------------------------------------------------------------
 

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from daq.channels import CHANNELS, EVENTS_TOPIC, HEALTH_TOPIC
+from daq.drivers.contract import Pipeline
+from daq.drivers.devices import make_pipelines
 from daq.drivers.items import Batch, joined
-from daq.drivers.pipelines import Pipeline, make_pipelines
 from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.log.file import LogFile

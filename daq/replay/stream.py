@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from daq.drivers.contract import Pipeline
+from daq.drivers.devices import make_pipelines
 from daq.drivers.items import Batch, Event
-from daq.drivers.pipelines import Pipeline, make_pipelines
 from daq.errors import DeviceError, LogError
 from daq.log import Log
 from daq.log.samples import RawChunk

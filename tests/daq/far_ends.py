@@ -6,8 +6,8 @@ import contextlib
 
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch, Event
-from daq.drivers.pipelines import make_pipelines
 from daq.transports import slcan
 from daq.virtual_rig.run import VirtualRig
 from rig_configs import load_rig

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cli.main import run
-from daq.drivers.pipelines import make_pipelines
+from daq.drivers.devices import make_pipelines
 from daq.errors import LogError
 from daq.log import open_log
 from daq.log.file import LogFile

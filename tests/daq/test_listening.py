@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from daq.acquisition.session import Session
-from daq.drivers.pipelines import make_pipelines
+from daq.drivers.devices import make_pipelines
 from daq.errors import LinkLost
 from daq.log import open_log
 from daq.replay import check

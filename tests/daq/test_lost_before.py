@@ -12,8 +12,8 @@ from cyclopts import App
 from benchmarks.damaged_logs import chunk_spans, make_shape
 from cli.logs import log as log_command
 from daq.catalogue import Catalogue
+from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch
-from daq.drivers.pipelines import make_pipelines
 from daq.log import lost_before as module
 from daq.log import open_log, opened, recover
 from daq.log.file import LogFile

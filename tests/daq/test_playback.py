@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from daq.channels import CHANNELS
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, TX, Batch
-from daq.drivers.pipelines import make_pipelines
 from daq.errors import LinkLost, LogError
 from daq.log import Log, open_log
 from daq.log.file import LogFile

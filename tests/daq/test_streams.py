@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from daq import channels
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
-from daq.drivers.pipelines import make_pipelines
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.transports import slcan

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
+from daq.drivers.contract import Talk
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.errors import DeviceError
 from rig_configs.schema import Laser
@@ -16,36 +16,19 @@ _QUIET_S = 0.1
 _STOP_TRIES = 3
 
 
-class Line(Protocol):
-    """A sensor's serial line while it is being set up.
-
-    Attributes:
-        replies: answer lines as the pipeline decodes them, the prompt being a line of its own.
-        bytes_in: bytes that have come so far.
-    """
-
-    replies: queue.Queue[str]
-    bytes_in: int
-
-
-def configure(
-    device: str, config: Laser, send: Callable[[bytes], None], line: Line, begin_anew: Callable[[], None]
-) -> dict[str, Any]:
+def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     """Stop the stream, wait until the line is quiet, ask who it is, choose the output words, start the stream.
 
     A host that was killed leaves its sensor streaming. What still comes of that stream belongs to no recording of
     ours, and its counter and timestamp need not go on in ours: it is let run dry before anything is asked or chosen.
 
-    Args:
-        send: writes bytes to the sensor.
-        begin_anew: forget what was decoded so far; called when the line is quiet.
     Returns:
         Identity: name, serial, version, range_m, words.
     Raises:
         DeviceError: no answer, a refusal, or a sensor that is not what the rig file says.
     """
 
-    replies = line.replies
+    replies, send = talk.replies, talk.send
 
     def command(text: str) -> list[str]:
         while not replies.empty():
@@ -69,8 +52,8 @@ def configure(
             f"Is the baud rate {config.baud} and the sensor powered?"
         )
 
-    _run_dry(device, config, send, line)
-    begin_anew()
+    _run_dry(device, config, talk)
+    talk.begin_anew()
     command("OUTPUT NONE")  # while it streamed, its answer may have drowned
     command("ECHO ON")
     info = optoncdt.parse_info(command("GETINFO"))
@@ -93,20 +76,20 @@ def configure(
     return {**info, "words": list(words)}
 
 
-def _run_dry(device: str, config: Laser, send: Callable[[bytes], None], line: Line) -> None:
+def _run_dry(device: str, config: Laser, talk: Talk) -> None:
     """Tell the sensor to be silent, and wait until nothing has come for a while.
 
     Raises:
         DeviceError: it goes on sending.
     """
     for _ in range(_STOP_TRIES):
-        send(b"OUTPUT NONE\n")
+        talk.send(b"OUTPUT NONE\n")
         deadline = time.monotonic() + _ANSWER_S
-        seen, since = line.bytes_in, time.monotonic()
+        seen, since = talk.bytes_in, time.monotonic()
         while time.monotonic() < deadline:
             time.sleep(_QUIET_S / 10)
-            if line.bytes_in != seen:
-                seen, since = line.bytes_in, time.monotonic()
+            if talk.bytes_in != seen:
+                seen, since = talk.bytes_in, time.monotonic()
             elif time.monotonic() - since > _QUIET_S:
                 return
     raise DeviceError(
