@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import queue
-import secrets
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -22,12 +20,9 @@ from daq.acquisition.reader import DeviceReader, OpenDevice, keep_heap_whole
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState, Recorder
 from daq.clock import compile_line
-from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.control import DriveControl
-from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.contract import MovesLocks, PendulumLocks, RotorGuard, SpeedSource, TurnsRotor
 from daq.drivers.devices import devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.errors import DeviceError, LinkLost, ProcedureError, RigError
 from daq.log.file import ReservedName
@@ -81,25 +76,20 @@ class Session:
         self.notices: list[str] = []
         self._say = say
         self.lenient = False  # whether a device that is not what the rig file says is only looked at, as by `rig check`
-        self._drive: DriveControl | None = None
+        self._drive: SpeedSource | None = None
+        self._drive_name = ""
         self._devices: dict[str, DeviceReader] = {}
         self._recorder: Recorder | None = None
-        self._acknowledges: queue.Queue[Event] = queue.Queue()
+        self._locks: PendulumLocks | None = None
         self._interlocks = Interlocks(rig.limits, clock.patience, driving=True)
-        # The node remembers the seq of past commands, also those of an earlier session, and acts once on each.
-        self._command_seq = secrets.randbelow(0x8000)
         self._opened = self._guarding = self._closing = False
         self._disk_slow = False
 
     def open(self) -> Session:
         """Open every link, identify the devices, start their streams."""
-        d = self.rig.devices
         try:
             self._open_links()
-            self._drive = DriveControl(
-                d.drive, lambda data: self.send("drive", data), self.clock, self._permit, self.rotor_at_rest,
-                lambda: self._interlocks.speed_rpm(self.clock.now_ns()),
-            )  # fmt: skip
+            self._take_command()
             self._start_readers()
             for name, device in self._known.items():
                 self.identities[name] = device.driver.open(name, device.settings, self._talk(name))
@@ -141,6 +131,17 @@ class Session:
         for name, device in self._known.items():
             link = open_link(device.line.port, device.line.baud, device.line.bitrate)
             self._devices[name] = DeviceReader(name, link, device.pipeline({}), self.clock, device.driver.rest_s)
+
+    def _take_command(self) -> None:
+        """Of what turns the rotor and of what holds the pendulums."""
+        guard = RotorGuard(self._permit, self.rotor_at_rest, lambda: self._interlocks.speed_rpm(self.clock.now_ns()))
+        for name, device in self._known.items():
+            send = partial(self.send, name)
+            if isinstance(device.driver, TurnsRotor):
+                self._drive_name = name
+                self._drive = device.driver.speed_source(device.settings, send, self.clock, guard)
+            if isinstance(device.driver, MovesLocks):
+                self._locks = device.driver.locks(device.settings, send)
 
     def _talk(self, name: str) -> OpenDevice:
         reader = self._devices[name]
@@ -228,7 +229,7 @@ class Session:
             self._say(f"warning: {text}")
 
     @property
-    def drive(self) -> DriveControl:
+    def drive(self) -> SpeedSource:
         """The motor drive of an open session."""
         assert self._drive is not None, "the session is not open"
         return self._drive
@@ -280,8 +281,8 @@ class Session:
         if not data:
             return
         found = self._keep(device, RX, data, host_ns)
-        if self._drive is not None and isinstance(device.pipeline, DrivePipeline):
-            self.drive.notice(device.pipeline.frames)
+        if self._drive is not None and device.name == self._drive_name:
+            self._drive.notice(device.pipeline)
         for item in found:
             if isinstance(item, Batch):
                 self.recent.add(item)
@@ -292,7 +293,8 @@ class Session:
             if item.kind == "reply":
                 device.replies.put(item.text)
             elif item.kind == "acknowledge":
-                self._acknowledges.put(item)
+                if self._locks is not None:
+                    self._locks.heard(item)
             else:
                 self._happened(item, host_ns)
 
@@ -318,9 +320,9 @@ class Session:
             self._heed(self._interlocks.happened(event), host_ns)
 
     def _tell_emergency(self, event: Event) -> None:
-        code = int(event.facts["error_code"])
-        if code and not self._closing:
-            self._notice(f"{event.device}: emergency {cia402.emergency_words(code)}. The run is not clean")
+        words = self._known[event.device].driver.words(event)
+        if words and not self._closing:
+            self._notice(f"{event.device}: emergency {words}. The run is not clean")
 
     def _heed(self, found: Iterable[Event | Stop], host_ns: int) -> None:
         """Carry out what the interlocks found."""
@@ -421,10 +423,10 @@ class Session:
                 facts["bytes"] = {n: d.bytes_in for n, d in self._devices.items()}
                 recorder.health({"kind": "health", "device": "host", "text": "", **facts})
 
-    def _watch_drive(self, drive: DriveControl) -> None:
+    def _watch_drive(self, drive: SpeedSource) -> None:
         if self.trouble is None and drive.dropped_out is not None:
             self._fail(self._dropped_out(drive.dropped_out))
-        elif self.trouble is not None and drive.state == cia402.OPERATION_ENABLED:
+        elif self.trouble is not None and drive.enabled:
             self._fail(self.trouble)  # again: one frame may be lost
 
     def _look_at_disk(self, recorder: Recorder) -> None:
@@ -536,7 +538,7 @@ class Session:
     def _dropped_out(self, state: str) -> ProcedureError:
         """What to say of a drive that left operation by itself; its reason may come a little after its state."""
         deadline = time.monotonic() + _REASON_S
-        while not self.drive.emergencies and time.monotonic() < deadline:
+        while not self.drive.why() and time.monotonic() < deadline:
             time.sleep(0.01)
         return ProcedureError(
             f"the drive went to {state} by itself{self.drive.why()}. Look at the log's events and at the drive, then "
@@ -557,25 +559,10 @@ class Session:
             time.sleep(0.003)
 
     def command_node(self, action: str) -> None:
-        """Send a command to the on-rotor node until it is acknowledged; a lost frame is repeated with its seq.
+        """Have the pendulums locked or released, until it is acknowledged.
 
         Raises:
             DeviceError: refused (the message says why) or never acknowledged.
         """
-        self._command_seq = (self._command_seq + 1) & 0x7FFF
-        seq = self._command_seq
-        frame = rotorlink.wire(rotorlink.Command(1, seq, rotorlink.ACTIONS[action]).pack())
-        for _ in range(20):
-            self.send("encoder", frame)
-            deadline = time.monotonic() + 0.15
-            while time.monotonic() < deadline:
-                self.check()
-                try:
-                    event = self._acknowledges.get(timeout=0.02)
-                except queue.Empty:
-                    continue
-                if event.facts["command_seq"] == seq:
-                    if event.facts["result"] in (0, 4):  # 4: it already is so
-                        return
-                    raise DeviceError(f"encoder node: {action!r} refused: {event.text}")
-        raise DeviceError(f"encoder node: {action!r} was not acknowledged after 20 tries. Is the radio in reach?")
+        assert self._locks is not None, "the session is not open"
+        self._locks.command(action, self.check)

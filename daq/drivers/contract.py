@@ -9,12 +9,13 @@ file.
 from __future__ import annotations
 
 import queue
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from daq.channels import Channel
 from daq.drivers.items import Batch, Event
+from daq.transports.host_clock import HostClock
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,10 @@ class Driver(Protocol):
         """
         ...
 
+    def words(self, event: Event) -> str:
+        """An emergency of a device, for its operator; empty when it is one that has passed."""
+        ...
+
     def prepare(self) -> None:
         """Load what takes long to load, before any byte waits for it."""
         ...
@@ -153,4 +158,130 @@ class Driver(Protocol):
         Raises:
             LinkLost, DeviceError: it is.
         """
+        ...
+
+
+# --- what a device can be asked to do --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RotorGuard:
+    """What a speed source asks before it turns the rotor, and while it stops it.
+
+    Attributes:
+        permit: called with each speed, rpm, before the device is told, with None before it is enabled; raises where the
+            rotor must not turn so.
+        at_rest: whether the rotor stands, by all that is known; None when nobody can tell.
+        speed_rpm: how fast it turns, by all that is known; NaN when nobody can tell.
+    """
+
+    permit: Callable[[float | None], None]
+    at_rest: Callable[[], bool | None]
+    speed_rpm: Callable[[], float]
+
+
+class SpeedSource(Protocol):
+    """An open device that turns the rotor."""
+
+    was_reset: str
+    """What `enable` found and reset, for whoever runs the rig; empty when nothing."""
+
+    @property
+    def actual_rpm(self) -> float:
+        """Its own word on its speed; NaN where that is too old to be one."""
+        ...
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it holds the rotor's speed, by its own newest word."""
+        ...
+
+    @property
+    def dropped_out(self) -> str | None:
+        """The state it fell into by itself while it should have been running."""
+        ...
+
+    def notice(self, pipeline: Pipeline) -> None:
+        """Its reader has just fed its pipeline."""
+        ...
+
+    @property
+    def state(self) -> str:
+        """Its state as it last told, in its own words."""
+        ...
+
+    def fault_code(self) -> int | None:
+        """Why it stands in a fault, asked anew; None when it does not tell."""
+        ...
+
+    def why(self) -> str:
+        """What it says of why it stopped, to stand behind a message; empty when nothing."""
+        ...
+
+    def start(self) -> None:
+        """Set it up, rotor at rest."""
+        ...
+
+    def enable(self) -> None:
+        """Hold speed 0."""
+        ...
+
+    def set_ramp(self, rpm_per_s: float) -> None:
+        """How fast it speeds up and slows down."""
+        ...
+
+    def set_speed(self, rpm: float) -> None:
+        """Ramp to a speed."""
+        ...
+
+    def disable(self) -> None:
+        """Let go of the rotor, which stands."""
+        ...
+
+    def quick_stop(self) -> None:
+        """Stop as fast as it can."""
+        ...
+
+    def stop(self, told: Callable[[str], None] = ...) -> bool:
+        """Stop the rotor, then let go of the device; whether the rotor is known to stand."""
+        ...
+
+
+class PendulumLocks(Protocol):
+    """An open device that locks and releases the pendulums."""
+
+    def command(self, action: str, check: Callable[[], None]) -> None:
+        """Have it do something, until it says that it does.
+
+        Args:
+            action: "lock both", "release both", "lock A", …, or "zero": take the angles now for those of closed locks.
+            check: called while it waits; raises to give up.
+
+        Raises:
+            DeviceError: refused, or no answer.
+        """
+        ...
+
+    def heard(self, event: Event) -> None:
+        """An acknowledgement came."""
+        ...
+
+
+@runtime_checkable
+class TurnsRotor(Protocol):
+    """A driver of devices that turn the rotor."""
+
+    def speed_source(
+        self, settings: Any, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
+    ) -> SpeedSource:
+        """The command of an open device."""
+        ...
+
+
+@runtime_checkable
+class MovesLocks(Protocol):
+    """A driver of devices that lock and release the pendulums."""
+
+    def locks(self, settings: Any, send: Callable[[bytes], None]) -> PendulumLocks:
+        """The command of an open device."""
         ...

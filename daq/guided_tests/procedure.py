@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
-from daq.drivers.cia402 import wire as cia402
 from daq.errors import ProcedureError
 from daq.guided_tests import test_inputs
 from daq.log.numbering import next_number, one_at_a_time
@@ -452,9 +451,9 @@ class Procedures:
 
     def _stop_rotor(self) -> None:
         drive = self._s.drive
-        if drive.actual_rpm != 0 or drive.state == cia402.OPERATION_ENABLED:
+        if drive.actual_rpm != 0 or drive.enabled:
             drive.set_ramp(_STOP_RAMP_RPM_S)
-            if drive.state != cia402.OPERATION_ENABLED:  # it coasts, perhaps since a host was killed: brake it
+            if not drive.enabled:  # it coasts, perhaps since a host was killed: brake it
                 self._enable()
             drive.set_speed(0)
             self._s.wait_for_rest(30.0)

@@ -9,6 +9,7 @@ import pytest
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import SdoServer, drive_objects
 from daq.drivers.cia402.control import DriveControl
+from daq.drivers.contract import RotorGuard
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
@@ -29,8 +30,8 @@ class FarEnd:
         self.brakes = True
         self._lines, self._answers = slcan.LineDecoder(), slcan.LineDecoder()
         self._sdo = SdoServer(drive_objects(), {}, self._written)
-        self.control = DriveControl(CONFIG, self.send, HostClock(), speed=lambda: abs(self.rpm))
-        self.control._at_rest = lambda: self.rpm == 0
+        guard = RotorGuard(lambda rpm: None, lambda: self.rpm == 0, lambda: abs(self.rpm))
+        self.control = DriveControl(CONFIG, self.send, HostClock(), guard)
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == WATCH:
@@ -54,7 +55,7 @@ class FarEnd:
                 self.speak()
 
     def report(self, identifier: int, data: bytes) -> None:
-        self.control.notice(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
+        self.control.heed(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
 
     def speak(self) -> None:
         _, word = cia402.STATES[self.state]

@@ -141,7 +141,7 @@ class FaultyDrive:
     def _hear(self, data: bytes) -> None:
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id == cia402.cob_sdo_request(5):
-                self.host.notice([slcan.CanFrame(cia402.cob_sdo_answer(5), self._sdo.answer(frame.data))])
+                self.host.heed([slcan.CanFrame(cia402.cob_sdo_answer(5), self._sdo.answer(frame.data))])
             elif frame.arbitration_id == cia402.cob_rpdo(1, 5):
                 word, before = cia402.unpack_rpdo1(frame.data)[0], self.control
                 self.control = word
@@ -155,7 +155,7 @@ class FaultyDrive:
 
     def _report(self) -> None:
         word = cia402.STATES[self.state][1]
-        self.host.notice([slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
+        self.host.heed([slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
 
 
 @pytest.mark.parametrize(

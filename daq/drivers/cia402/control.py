@@ -15,6 +15,8 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
+from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.contract import Pipeline, RotorGuard
 from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock
@@ -53,11 +55,7 @@ class DriveControl:
         config: the drive's table of the rig file.
         send: writes bytes to the drive's link (and to the log).
         clock: for time-outs, and for the age of the drive's word.
-        permit: asked with each speed (rpm) before the drive is told, with None before it is enabled; raises where the
-            rotor must not turn so.
-        at_rest: whether the rotor stands, by all that is known; None when nobody can tell. Without it the drive's own
-            word counts.
-        speed: how fast the rotor turns, by all that is known, rpm; NaN when nobody can tell.
+        guard: what is asked before the rotor is turned; without it the drive's own word counts.
 
     Attributes:
         dropped_out: state it fell into by itself while it should have been running.
@@ -69,13 +67,14 @@ class DriveControl:
         config: Drive,
         send: Callable[[bytes], None],
         clock: HostClock,
-        permit: Callable[[float | None], None] = lambda rpm: None,
-        at_rest: Callable[[], bool | None] | None = None,
-        speed: Callable[[], float] | None = None,
+        guard: RotorGuard | None = None,
     ) -> None:
-        self._config, self._send, self._clock, self._permit = config, send, clock, permit
-        self._at_rest = at_rest or (lambda: None if math.isnan(self.actual_rpm) else self.actual_rpm == 0)
-        self._speed = speed or (lambda: abs(self.actual_rpm))
+        self._config, self._send, self._clock = config, send, clock
+        self._guarded = guard or RotorGuard(
+            permit=lambda rpm: None,
+            at_rest=lambda: None if math.isnan(self.actual_rpm) else self.actual_rpm == 0,
+            speed_rpm=lambda: abs(self.actual_rpm),
+        )
         self._network = canopen.Network(bus=_SendOnlyBus(send))
         self._node = canopen.RemoteNode(config.node_id, canopen.ObjectDictionary())
         self._node.sdo.RESPONSE_TIMEOUT = _SETUP_WAIT_S
@@ -91,8 +90,13 @@ class DriveControl:
         self.emergencies: list[int] = []
         self._armed = False
 
-    def notice(self, frames: list[slcan.CanFrame]) -> None:
-        """Frames the link's reader decoded."""
+    def notice(self, pipeline: Pipeline) -> None:
+        """See SpeedSource."""
+        assert isinstance(pipeline, DrivePipeline)
+        self.heed(pipeline.frames)
+
+    def heed(self, frames: list[slcan.CanFrame]) -> None:
+        """Frames from the drive."""
         node = self._config.node_id
         for frame in frames:
             identifier, data = frame.arbitration_id, frame.data
@@ -119,6 +123,11 @@ class DriveControl:
     def state(self) -> str:
         """The drive's CiA 402 state as last reported."""
         return cia402.UNKNOWN if self._statusword is None else cia402.state(self._statusword)
+
+    @property
+    def enabled(self) -> bool:
+        """See SpeedSource."""
+        return self.state == cia402.OPERATION_ENABLED
 
     def start(self) -> None:
         """Open the bus, set the drive up, start the heartbeat, go operational.
@@ -175,7 +184,7 @@ class DriveControl:
         if self.state == cia402.FAULT:
             self._reset_if_only_heartbeat()
         while self.state != cia402.OPERATION_ENABLED:
-            self._permit(None)
+            self._guarded.permit(None)
             word = cia402.towards_operation(self.state)
             if word is not None:
                 self._pdo(word, 0)
@@ -221,7 +230,7 @@ class DriveControl:
         Raises:
             RigError: whatever `permit` raises.
         """
-        self._permit(rpm)
+        self._guarded.permit(rpm)
         self._pdo(cia402.ENABLE_OPERATION, round(rpm))
 
     def disable(self) -> None:
@@ -303,12 +312,12 @@ class DriveControl:
     def _rest(self, told: Callable[[str], None]) -> bool:
         """Quick stop, and wait until the rotor stands: as long as it grows slower, or runs down by itself."""
         never_turned = not self._word_ns and not self._ordered  # it never said a word, nor was it told one
-        if never_turned or (self._at_rest() and self.state != cia402.OPERATION_ENABLED):
+        if never_turned or (self._guarded.at_rest() and self.state != cia402.OPERATION_ENABLED):
             return True
         begun = slower = said = time.monotonic()
         next_stop, least = begun, math.inf
-        while not (rest := self._at_rest()):
-            now, speed = time.monotonic(), self._speed()
+        while not (rest := self._guarded.at_rest()):
+            now, speed = time.monotonic(), self._guarded.speed_rpm()
             if not speed > least - 1.0:  # also where nobody tells it: index marks alone decide then
                 slower, least = now, speed
             too_long = now - begun > self._clock.wall(_RUN_DOWN_S) or now - slower > _NO_SLOWER_S

@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from daq import channels
 from daq.channels import Channel
+from daq.drivers.cia402 import wire
+from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
-from daq.drivers.contract import Line, SampleClock, Talk
+from daq.drivers.contract import Line, RotorGuard, SampleClock, Talk
+from daq.drivers.items import Event
+from daq.transports.host_clock import HostClock
 from rig_configs.schema import Drive
 
 _ADAPTER_BAUD = 115_200  # of the adapter's own serial port, where it has one
@@ -37,6 +41,11 @@ class Cia402:
         """See Driver."""
         return DrivePipeline(device, settings)
 
+    def words(self, event: Event) -> str:
+        """See Driver."""
+        code = int(event.facts["error_code"])
+        return wire.emergency_words(code) if code else ""
+
     def prepare(self) -> None:
         """See Driver."""
 
@@ -46,6 +55,12 @@ class Cia402:
 
     def stop(self, talk: Talk) -> None:
         """See Driver; who holds the drive has stopped it (`control`)."""
+
+    def speed_source(
+        self, settings: Drive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
+    ) -> DriveControl:
+        """See TurnsRotor."""
+        return DriveControl(settings, send, clock, guard)
 
 
 DRIVER = Cia402()

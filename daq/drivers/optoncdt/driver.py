@@ -9,6 +9,7 @@ from typing import Any
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.contract import Line, SampleClock, Talk
+from daq.drivers.items import Event
 from daq.drivers.optoncdt import wire
 from daq.drivers.optoncdt.blocks import compile_loop
 from daq.drivers.optoncdt.dialogue import configure
@@ -41,6 +42,10 @@ class OptoNcdt:
         """See Driver."""
         (channel,) = self.channels(settings)
         return LaserPipeline(device, settings, channel, identity)
+
+    def words(self, event: Event) -> str:
+        """See Driver."""
+        return event.text
 
     def prepare(self) -> None:
         """See Driver."""

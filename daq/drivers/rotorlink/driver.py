@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.contract import Line, SampleClock, Talk
+from daq.drivers.items import Event
+from daq.drivers.rotorlink.locks import NodeLocks
 from daq.drivers.rotorlink.stream import NodePipeline
 from rig_configs.schema import EncoderNode
 
@@ -36,6 +38,10 @@ class RotorLink:
         """See Driver."""
         return NodePipeline(device, settings)
 
+    def words(self, event: Event) -> str:
+        """See Driver."""
+        return event.text
+
     def prepare(self) -> None:
         """See Driver."""
 
@@ -45,6 +51,10 @@ class RotorLink:
 
     def stop(self, talk: Talk) -> None:
         """See Driver; a node goes on for as long as it has power."""
+
+    def locks(self, settings: EncoderNode, send: Callable[[bytes], None]) -> NodeLocks:
+        """See MovesLocks."""
+        return NodeLocks(send)
 
 
 DRIVER = RotorLink()
