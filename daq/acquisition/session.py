@@ -450,6 +450,12 @@ class Session:
         assert isinstance(pipeline, NodePipeline)
         return pipeline
 
+    @property
+    def node_status(self) -> rotorlink.Status | None:
+        """The node's newest word of itself, when all that it leads to has been done."""
+        with self._devices["encoder"].lock:
+            return self.node.status
+
     # --- recording ---------------------------------------------------------------------------------------------
 
     @property

@@ -438,7 +438,8 @@ class Procedures:
         """
         self._clock.sleep(_LOCKED_LOOK_S)
         # one of other counts ends the test; patience, since without it the angles would be blamed
-        self._look_until(lambda: self._s.node.status is not None, _STATUS_S + self._clock.patience(_STATUS_S))
+        self._look_until(lambda: self._s.node_status is not None, _STATUS_S + self._clock.patience(_STATUS_S))
+        self._s.check()
         _, (a, b, flags) = self._newest("pendulums", ("theta3_rad", "theta4_rad", "flags"), 0.5 * _LOCKED_LOOK_S)
         zero_std = self._s.rig.devices.encoder.zero_std_deg
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, zero_std))]
