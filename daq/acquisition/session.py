@@ -24,6 +24,7 @@ from daq.drivers.contract import MovesLocks, PendulumLocks, RotorGuard, SpeedSou
 from daq.drivers.devices import devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.rotorlink.stream import NodePipeline
+from daq.drivers.rotorlink.wire import Status
 from daq.errors import DeviceError, LinkLost, ProcedureError, RigError
 from daq.log.file import ReservedName
 from daq.transports import HostClock, open_link
@@ -451,7 +452,7 @@ class Session:
         return pipeline
 
     @property
-    def node_status(self) -> rotorlink.Status | None:
+    def node_status(self) -> Status | None:
         """The node's newest word of itself, when all that it leads to has been done."""
         with self._devices["encoder"].lock:
             return self.node.status
