@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
-from daq.errors import ProcedureError
+from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests import test_inputs
 from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending
@@ -440,6 +440,8 @@ class Procedures:
         # one of other counts ends the test; patience, since without it the angles would be blamed
         self._look_until(lambda: self._s.node_status is not None, _STATUS_S + self._clock.patience(_STATUS_S))
         self._s.check()
+        if self._s.node.miscount:  # said while the session was still opening, when nobody was to be stopped
+            raise DeviceError(f"encoder: {self._s.node.miscount}")
         _, (a, b, flags) = self._newest("pendulums", ("theta3_rad", "theta4_rad", "flags"), 0.5 * _LOCKED_LOOK_S)
         zero_std = self._s.rig.devices.encoder.zero_std_deg
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, zero_std))]

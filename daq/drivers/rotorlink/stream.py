@@ -20,6 +20,7 @@ class NodePipeline:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
         self.status: rotorlink.Status | None = None  # the node's newest word of itself …
         self.rssi_dBm: int | None = None  # … and how strong its frames come in
+        self.miscount = ""  # what is wrong with its counts, by its own word
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
@@ -115,6 +116,7 @@ class NodePipeline:
                         f"the node says {frame.counts_per_revolution} counts per revolution, the rig file "
                         f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
                     )
+                    self.miscount = text
                     out.append(Event("fault", self._device, text))
                 out.append(Event("status", self._device, f"battery {frame.battery_mv} mV",
                                  {"battery_mv": frame.battery_mv, "frames_sent": frame.frames_sent,
