@@ -257,8 +257,7 @@ class Session:
         device = self._devices[name]
         lost = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in device.pipeline.losses.items() if n)
         came = f"{device.bytes_in} bytes came, none of them a sample" if device.bytes_in else "silent"
-        rate = " Is its rate that of the rig file?" if device.pipeline.losses.get("damaged") else ""
-        return f"{name}: {came}{f' ({lost})' if lost else ''}. Look at its power, its settings and the rig file.{rate}"
+        return f"{name}: {came}{f' ({lost})' if lost else ''}. Look at its power, its settings and the rig file"
 
     def _forget(self, device: DeviceReader) -> None:
         """A fresh pipeline for a device whose line has just run dry: what it sent before was told to someone else."""

@@ -23,7 +23,7 @@ class Line:
     """What carries a device's bytes.
 
     Attributes:
-        port: serial port, `tcp://host:port`, or a CAN adapter's.
+        port: as `daq.transports.open_link` takes it.
         baud: of a serial port.
         bitrate: of the CAN bus behind an adapter, bit/s; None where there is none.
     """

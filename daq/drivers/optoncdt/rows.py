@@ -13,7 +13,7 @@ right, and the difference is told.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ class _Chain:
         return _Chain([row for row, _ in left], [value for _, value in left])
 
 
-@dataclass
+@dataclass(frozen=True)
 class Sorted:
     """What a read's rows come to.
 
@@ -55,7 +55,7 @@ class Sorted:
         dropped: rows that fit nowhere.
     """
 
-    stretches: list[tuple[bool, NDArray[np.uint32]]] = field(default_factory=list[tuple[bool, NDArray[np.uint32]]])
+    stretches: list[tuple[bool, Words]]
     dropped: int = 0
 
 
