@@ -9,8 +9,8 @@ import numpy as np
 
 from analysis.errors import NotEnoughData
 from analysis.order_tracking import order_track
-from daq.settling import Settling, settled
-from daq.signals import Run
+from daq.signals.run import Run
+from daq.signals.settling import Settling, settled
 from dynamics import RotorParameters
 from rig_configs import Rig
 

@@ -20,7 +20,7 @@ from scipy.special import ndtri_exp
 from analysis.errors import NoStableState, NotEnoughData
 from analysis.prediction import QUANTITIES, Prediction, predict_point
 from analysis.steady_state import SteadyMeasurement, measure
-from daq.signals import Run
+from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig
 
 Z_LIMIT = 4.0

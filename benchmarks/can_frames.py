@@ -16,10 +16,11 @@ from can.io.generic import MessageWriter
 
 from benchmarks.laser_samples import START_NS
 from daq import channels
-from daq.drive_stream import DrivePipeline
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.items import RX, Batch
 from daq.mcap.writer import BlockWriter
-from daq.protocols import cia402, slcan
-from daq.stream_items import RX, Batch
+from daq.transports import slcan
 from rig_configs import load_rig
 
 PERIOD_NS = 1_000_000  # 1 kHz

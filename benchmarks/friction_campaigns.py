@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.independent_friction import Dry, swings
 from benchmarks.independent_rig import Encoders
-from daq.signals import Release, Run
+from daq.signals.run import Release, Run
 from identification import IdentificationError, fit_release, fit_spin_down_run, identify
 from identification.estimate import Estimate
 from identification.identify import Identification

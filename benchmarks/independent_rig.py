@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from daq.signals import Release, Run
+from daq.signals.run import Release, Run
 from dynamics.parameters import RotorParameters
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.laser_stream import LaserPipeline
-from daq.protocols import optoncdt
-from daq.stream_items import RX, Batch
+from daq.drivers.items import RX, Batch
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.stream import LaserPipeline
 from rig_configs import load_rig
 
 RATE_HZ = 4000.0

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification import IdentificationError, fit_ring_down_runs
 
 MASS_KG = 7.345

@@ -13,10 +13,10 @@ from rich.table import Table
 from rich.text import Text
 
 from cli.words import printable, stdout_console
-from daq.device_check import Checks, DriveSeen, LaserSeen, Look, NodeSeen, passed
-from daq.protocols import cia402
-from daq.session import Session
-from daq.stream_items import Event
+from daq.acquisition.device_check import Checks, DriveSeen, LaserSeen, Look, NodeSeen, passed
+from daq.acquisition.session import Session
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.items import Event
 
 _LOCKED_S = 0.1  # how far back the pendulums' newest angles are looked at
 _STATUS_S = 3.0  # the node tells its state each second; wait for it so long, rig time

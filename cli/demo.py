@@ -18,9 +18,9 @@ from cli.numbers import TimeScale
 from cli.options import Json, Settings
 from cli.simulated import SimulatedOperator, VirtualRigProcess
 from cli.workbench import Workbench
+from daq.acquisition.session import Session
+from daq.guided_tests.procedure import Procedures, TestDone
 from daq.log import open_log
-from daq.procedure import Procedures, TestDone
-from daq.session import Session
 from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
 from rig_configs.load import with_truth
@@ -170,7 +170,7 @@ def _campaign(
 
 def _radio_check(path: Path, radio: Mapping[str, Any]) -> dict[str, Any]:
     """Frames this log counted as lost against those the simulated radio dropped in the same stretch."""
-    from daq.protocols import rotorlink  # noqa: PLC0415
+    from daq.drivers.rotorlink import wire as rotorlink  # noqa: PLC0415
 
     decoder = rotorlink.FrameDecoder()
     numbers: list[int] = []

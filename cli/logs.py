@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from cli.console import print_json, say, share_progress
 from cli.log_table import print_logs
-from cli.options import Json
+from cli.options import Json, need_place
 from cli.words import local_time
 from daq.catalogue.query import Query, Sort, parse_instant
 
@@ -112,6 +112,7 @@ def log(
         snapshot: print only the rig file as it was when the log was recorded (TOML).
         plot: draw the whole log into this .svg, .png or .pdf file.
     """
+    need_place("rig log: --plot", plot)
     from cli.log_facts import log_facts  # noqa: PLC0415 (the log's reader takes half a second to import)
     from cli.log_page import print_log  # noqa: PLC0415
     from daq.log import open_log  # noqa: PLC0415

@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Collection
 from contextlib import nullcontext
-from errno import ENOSPC
+from errno import EDQUOT, EFBIG, ENOSPC
 from io import TextIOWrapper
 from keyword import iskeyword
 
@@ -21,33 +22,75 @@ from cli import crash
 from cli.console import say, wait_for_compilation
 from cli.numbers import NUMBERS_ARE_FINITE
 from daq.errors import LogError, RigError
+from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
 from dynamics.errors import DynamicsError
 from rig_configs.errors import RigConfigError
 
-app = App(
-    name="rig",
-    suppress_keyboard_interrupt=False,
-    default_parameter=NUMBERS_ARE_FINITE,
-    help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.",
-)
-_VERBS = {  # imported when called: `rig predict` need not wait for the drivers
-    "cli.demo": ("demo",),
-    "cli.acquire": ("virtual", "check", "record", "test"),
-    "cli.offline": ("identify", "validate"),
-    "cli.logs": ("log", "logs"),
-    "cli.replay": ("replay",),
-    "cli.recover": ("recover",),
-    "cli.exchange": ("export", "import"),
-    "cli.model": ("predict", "map"),
-    "cli.plan": ("plan",),
-    "cli.bench": ("bench",),
+_VERBS = {  # imported when called: `rig predict` need not wait for the drivers, nor `rig --help` for anything
+    "cli.demo": {
+        "demo": "A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, "
+        "reported.",
+    },
+    "cli.acquire": {
+        "virtual": "Start a virtual rig and print its ports as one JSON line; Ctrl-C ends it.",
+        "check": "Validate a rig file, open its devices, hold what they do against it; exit 1 when a device fails a "
+        "check.",
+        "record": "Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and "
+        "the disk.",
+        "test": "Run one guided test: ring-down-x, ring-down-y, spin-down, run-up, run-down, or point NAME.",
+    },
+    "cli.offline": {
+        "identify": "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.",
+        "validate": "Compare measured steady states at the points with the model; exit 1 when a point does not pass.",
+    },
+    "cli.logs": {
+        "log": "What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or "
+        "damaged.",
+        "logs": "List the logs of a folder and of the folders below it, newest first.",
+    },
+    "cli.replay": {"replay": "Decode a log's raw bytes again through the same pipelines."},
+    "cli.recover": {
+        "recover": "Make a cut or damaged log whole: a new file of all that is sound in it; says what is missing.",
+    },
+    "cli.exchange": {
+        "export": "Write a log's channels for other programs: parquet, csv, MATLAB/Octave, hdf5.",
+        "import": "Make a log of a csv, parquet, mat or hdf5 file recorded elsewhere.",
+    },
+    "cli.model": {
+        "predict": "Steady states, stability and amplitudes at a point or a speed, and where a release ends.",
+        "map": "Largest multiplier of the balanced state over speed ratio and stiffness ratio.",
+    },
+    "cli.plan": {
+        "plan": "Say which experiments reach a wanted uncertainty: how long, what amplitude, what rate; exit 1 when "
+        "none can.",
+    },
+    "cli.bench": {"bench": "Time against true error for every method on offer, with peers in the same run."},
 }
+_FULL = (ENOSPC, EDQUOT, EFBIG)  # the disk, this person's share of it, what one file may hold
+_PARAMETERS = "Show identified parameters, say what changed, follow them over time."
 _USE_COMPILED = {"check", "record", "test", "log", "replay", "recover", "export", "import", "identify", "validate"}
-for module, verbs in _VERBS.items():
-    for verb in verbs:
-        app.command(f"{module}:{verb}{'_' if iskeyword(verb) else ''}", name=verb)
-app.command("cli.parameters:app", name="parameters")
+
+
+def commands(told: Collection[str] = ()) -> App:
+    """The command line.
+
+    Args:
+        told: verbs whose own modules are imported and asked what they are; the others get their one line from here.
+    """
+    app = App(
+        name="rig",
+        suppress_keyboard_interrupt=False,
+        default_parameter=NUMBERS_ARE_FINITE,
+        version=software_version,
+        help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.",
+    )
+    for module, verbs in _VERBS.items():
+        for verb, line in verbs.items():
+            place = f"{module}:{verb}{'_' if iskeyword(verb) else ''}"
+            app.command(place, name=verb, help=None if verb in told else line)
+    app.command("cli.parameters:app", name="parameters", help=None if "parameters" in told else _PARAMETERS)
+    return app
 
 
 def run(arguments: list[str]) -> int:
@@ -60,7 +103,7 @@ def run(arguments: list[str]) -> int:
 def _carried_out(arguments: list[str]) -> int:
     try:
         with wait_for_compilation("log") if set(arguments[:1]) & _USE_COMPILED else nullcontext():
-            result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+            result = commands(arguments)(arguments, exit_on_error=False, print_error=True, result_action="return_value")
         return result if isinstance(result, int) else 0
     except CycloptsError:
         return 2  # cyclopts has said what is wrong
@@ -74,19 +117,26 @@ def _carried_out(arguments: list[str]) -> int:
         code = _exit_code(error)
         if code is None:
             return crash.report(error, arguments)
-        full = isinstance(error, OSError) and error.errno == ENOSPC
-        say(f"rig: {error}{'; make room on the disk, or use another' if full else ''}")
+        say(f"rig: {_words(error)}")
         return code
 
 
+def _words(error: Exception) -> str:
+    """What to say of an error, with what to do where the error itself does not."""
+    if isinstance(error, MemoryError):
+        return f"the memory is full{f' ({error})' if str(error) else ''}; end other programs, or use a part of the data"
+    full = isinstance(error, OSError) and error.errno in _FULL
+    return f"{error}{'; make room on the disk, or use another' if full else ''}"
+
+
 def _exit_code(error: Exception) -> int | None:
-    """2 for bad input, 3 for hardware and I/O, None for what nobody raised on purpose."""
+    """2 for bad input, 3 for hardware, I/O and memory, None for what nobody raised on purpose."""
     identification = sys.modules.get("identification")  # it loads fits and statistics: only where they are used
     if isinstance(error, RigConfigError | DynamicsError | LogError | AnalysisError) or (
         identification is not None and isinstance(error, identification.IdentificationError)
     ):
         return 2
-    return 3 if isinstance(error, RigError | OSError) else None
+    return 3 if isinstance(error, RigError | OSError | MemoryError) else None
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from cli.console import print_json, say, share_progress, wait_for_compilation
 from cli.numbers import Positive, PositiveRpm
-from cli.options import Json, ParametersPath, Settings, what_if_words
+from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
 from rig_configs import Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def predict(
     json: Json = False,
 ) -> int:
     """Steady states, stability and amplitudes at a point or a speed, and where a release ends."""
-    _writable(plot)
+    need_place("rig predict: --plot", plot)
     loaded = load_rig(rig, parameters, settings or [])
     speed = _speed(loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("dynamics"):
@@ -236,13 +236,6 @@ def _near_one(multiplier: float) -> str:
     return f"{multiplier:.6f}" if abs(multiplier - 1) > 1e-4 else f"1 {multiplier - 1:+.3e}"
 
 
-def _writable(*paths: Path | None) -> None:
-    """Refuse a place that cannot be written before the work is done."""
-    for path in paths:
-        if path is not None and not path.parent.is_dir():
-            raise RigFileError(f"{path}: there is no directory {path.parent} to write to")
-
-
 def map(
     rig: str,
     *,
@@ -256,7 +249,7 @@ def map(
     json: Json = False,
 ) -> int:
     """Largest multiplier of the balanced state over speed ratio and stiffness ratio."""
-    _writable(output, plot)
+    need_place("rig map:", output, plot)
     if output is not None and output.suffix != ".npz":
         raise RigFileError(f"rig map: -o expected a name ending in .npz, got {output}")
     omega = _axis("--speed-ratio", speed_ratio)

@@ -12,7 +12,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-LONGEST_S = 1e7  # 116 days; a test that runs longer is a slip of the pen
+LONGEST_S = 366 * 86_400.0  # a year; what runs longer is a slip of the pen
+_LONGEST_LOOK_S = 3600.0
 SLOWEST, FASTEST = 0.01, 100.0  # seconds of rig time per wall second, as HostClock takes them
 _LARGEST = 1e15
 
@@ -45,6 +46,7 @@ TimeScale = Annotated[
     ),
 ]
 PositiveSeconds = Annotated[float, Parameter(validator=between(0, LONGEST_S))]
+LookSeconds = Annotated[float, Parameter(validator=between(0, _LONGEST_LOOK_S))]
 SecondsOrNone = Annotated[float, Parameter(validator=between(0, LONGEST_S, low_too=True))]
 PositiveRpm = Annotated[float, Parameter(validator=between(0, 1e6))]
 Positive = Annotated[float, Parameter(validator=between(0, 1e9))]

@@ -9,8 +9,10 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say, show
-from cli.options import Json, ParametersPath, Settings, need_folder, what_if_words
+from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
+
+_NOTHING_KNOWN_DEG = 90.0  # of an axis
 
 
 def identify(
@@ -31,7 +33,7 @@ def identify(
     from identification.joint.limits import limits  # noqa: PLC0415
 
     _need(logs, "rig identify LOG…")
-    need_folder(output, "rig identify: -o")
+    need_place("rig identify: -o", output)
     loaded = load_rig(rig, settings=settings or [])
     runs = results.load_runs(logs)
     found = find(runs, loaded, STDERR.print, setting=setting)
@@ -74,6 +76,7 @@ def validate(
     from identification.identify import missing_warnings  # noqa: PLC0415
 
     _need(logs, "rig validate RIG LOG…")
+    need_place("rig validate: --report", report)
     if parameters is None:
         raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
     found_before = IdentifiedParameters.load(parameters)
@@ -115,10 +118,10 @@ def _given_angle(value_deg: float | None, std_deg: float | None) -> tuple[float,
     """The axis angle of the command line; None where there is none."""
     if value_deg is None and std_deg is None:
         return None
-    if value_deg is None or std_deg is None or not math.isfinite(value_deg) or not 0 <= std_deg < math.inf:
+    if value_deg is None or std_deg is None or not math.isfinite(value_deg) or not 0 <= std_deg <= _NOTHING_KNOWN_DEG:
         raise RigFileError(
-            "rig validate: expected --axis-angle-deg and --axis-angle-std-deg together, finite, the latter not "
-            f"negative, got {value_deg} and {std_deg}"
+            "rig validate: expected --axis-angle-deg and --axis-angle-std-deg together, finite, the latter 0 to "
+            f"{_NOTHING_KNOWN_DEG:g}, got {value_deg} and {std_deg}"
         )
     return value_deg, std_deg
 

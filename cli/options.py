@@ -43,11 +43,17 @@ def what_if_words(settings: Sequence[str] | None, before: str = "") -> str:
     return f"{before}what if {', '.join(settings)}" if settings else ""
 
 
-def need_folder(path: Path, option: str) -> None:
-    """Whether a file can be written there, asked before the work is done.
+def need_place(option: str, *paths: Path | None) -> None:
+    """Whether files can be written there, asked before the work is done.
 
+    Args:
+        option: where they were named, for messages.
+        paths: the files; None: none is wanted.
     Raises:
-        RigFileError: its folder is not there.
+        RigFileError: a folder is not there, or the name is a folder's.
     """
-    if not path.parent.is_dir():
-        raise RigFileError(f"{option} {path}: there is no folder {path.parent}; make it, or give another name")
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            raise RigFileError(f"{option} {path}: there is no folder {path.parent}; make it, or give another name")
+        if path is not None and path.is_dir():
+            raise RigFileError(f"{option} {path}: expected a file's name, this is a folder; give another name")

@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 
 from cli.console import print_json, say
 from cli.numbers import Chance
-from cli.options import Json, need_folder
+from cli.options import Json, need_place
 from cli.plan import share
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, RigFileError
 
@@ -90,7 +90,7 @@ def history(
     from identification.history import history as follow  # noqa: PLC0415
 
     if plot is not None:
-        need_folder(plot, "rig parameters history: --plot")
+        need_place("rig parameters history: --plot", plot)
     found = follow(list(places) or [Path()], rig)
     if plot is not None:
         _draw(found, plot, level)

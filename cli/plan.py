@@ -42,7 +42,7 @@ def plan(
     loaded = load_rig(rig, parameters, settings or [])
     sensors = Sensors.of(loaded)
     if log:
-        from daq.signals import load_run  # noqa: PLC0415
+        from daq.signals.run import load_run  # noqa: PLC0415
 
         sensors = sensors.as_in([load_run(path) for path in log])
     found = find(loaded, wants, sensors, mass, lambda text: STDERR.print(f"trying {text}"))

@@ -11,9 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from cli.console import LiveTable, say
+from daq.acquisition.recorder import DiskState
+from daq.acquisition.session import Session
 from daq.log.losses import Losses
-from daq.recorder import DiskState
-from daq.session import Session
 
 _EVERY_S, _LINE_EVERY_S = 0.25, 10.0
 _ROWS = (

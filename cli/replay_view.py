@@ -10,10 +10,10 @@ from typing import Any
 from rich.table import Table
 
 from cli.console import LiveTable, say
+from daq.drivers.items import Batch, Event
 from daq.log import Log
 from daq.log.losses import Losses
 from daq.replay.pace import Paced
-from daq.stream_items import Batch, Event
 
 _REFRESH_S = 0.125
 _PLAIN_S = 5.0  # between two lines where there is no terminal

@@ -15,7 +15,7 @@ from analysis.report.campaign import ConsistencyCheck, IdentificationResult, Tes
 from analysis.validation import Validation
 from daq.errors import RecordingError
 from daq.log.verdicts import Verdict, digest_of, keep_verdict
-from daq.signals import Run, load_run
+from daq.signals.run import Run, load_run
 from daq.version import software_version
 from identification import Identification
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters

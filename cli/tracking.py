@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.protocols.rotorlink import FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED
-from daq.session import Session
+from daq.acquisition.session import Session
+from daq.drivers.rotorlink.wire import FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED
 from dynamics import RotorParameters
 from identification.tracking.tracker import Sensors, Tracked, Tracker
 from rig_configs import IdentifiedParameters, overridden

@@ -161,6 +161,6 @@ class Workbench:
                     raise
 
     def close(self) -> None:
-        """End the worker."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        """End the worker, whatever it is at: nobody waits for it any more."""
         self._lifeline.close()
+        self._pool.shutdown(wait=True, cancel_futures=True)

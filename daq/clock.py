@@ -14,6 +14,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 _BIN_NS = 250_000_000
@@ -30,22 +31,38 @@ def lower_line(device: NDArray[np.floating], lag: NDArray[np.floating]) -> tuple
     Returns:
         Lag at device time 0 and slope.
     """
-    hull: list[int] = []
+    if len(device) == 1:
+        return float(lag[0]), 0.0
+    middle = float(np.mean(device))
+    a, b = _edge(np.ascontiguousarray(device, np.float64), np.ascontiguousarray(lag, np.float64), middle)
+    slope = float((lag[b] - lag[a]) / (device[b] - device[a]))
+    return float(lag[a] - slope * device[a]), slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _edge(
+    device: NDArray[np.float64], lag: NDArray[np.float64], middle: float
+) -> tuple[int, int]:  # pragma: no cover - compiled
+    """The two points of the lower convex hull, of two points or more, between which its edge passes `middle`."""
+    hull, size = np.empty(len(device), np.int64), 0
     for i in range(len(device)):
-        while len(hull) > 1:
-            a, b = hull[-2], hull[-1]
+        while size > 1:
+            a, b = hull[size - 2], hull[size - 1]
             turn = (device[b] - device[a]) * (lag[i] - lag[a]) - (lag[b] - lag[a]) * (device[i] - device[a])
             if turn > 0:
                 break
-            hull.pop()
-        hull.append(i)
-    if len(hull) == 1:
-        return float(lag[hull[0]]), 0.0
-    middle = float(np.mean(device))
-    k = next((j for j in range(len(hull) - 1) if device[hull[j + 1]] >= middle), len(hull) - 2)
-    a, b = hull[k], hull[k + 1]
-    slope = float((lag[b] - lag[a]) / (device[b] - device[a]))
-    return float(lag[a] - slope * device[a]), slope
+            size -= 1
+        hull[size] = i
+        size += 1
+    k = 0
+    while k < size - 2 and device[hull[k + 1]] < middle:
+        k += 1
+    return hull[k], hull[k + 1]
+
+
+def compile_line() -> None:
+    """Load what is compiled, or compile it, before any read waits for it."""
+    lower_line(np.arange(3.0), np.zeros(3))
 
 
 class ClockMap:

@@ -19,10 +19,10 @@ from dynamics.phase_segments import phase_within
 from dynamics.quick_rates import quick_rates
 
 # The tableau row by row without its zeros: stages 0–11, the end of the step (12), three stages for the interpolant.
-_BEGIN = np.concatenate((np.zeros(1, np.int64), np.cumsum(np.count_nonzero(DENSE_STEPS, axis=1))))
-_COLUMN = np.ascontiguousarray(np.nonzero(DENSE_STEPS)[1])  # numba keeps no code that holds a strided array
-_VALUE = DENSE_STEPS[np.nonzero(DENSE_STEPS)]
-_NODE, _E3, _E5, _DENSE = DENSE_NODES, ERROR_3, ERROR_5, INTERPOLANT
+BEGIN = np.concatenate((np.zeros(1, np.int64), np.cumsum(np.count_nonzero(DENSE_STEPS, axis=1))))
+COLUMN = np.ascontiguousarray(np.nonzero(DENSE_STEPS)[1])  # numba keeps no code that holds a strided array
+VALUE = DENSE_STEPS[np.nonzero(DENSE_STEPS)]
+NODE, _E3, _E5, _DENSE = DENSE_NODES, ERROR_3, ERROR_5, INTERPOLANT
 
 STAGES = DENSE_STAGES
 POWERS = 8
@@ -35,8 +35,8 @@ def _stages(begin, end, y, t, h, first, last, system, k, work, phase):
     p, free_a, free_b, knots, origins, cubics = system
     for row in range(begin, end):
         a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0 * y[0]
-        for m in range(_BEGIN[row], _BEGIN[row + 1]):
-            a, j = _VALUE[m], _COLUMN[m]
+        for m in range(BEGIN[row], BEGIN[row + 1]):
+            a, j = VALUE[m], COLUMN[m]
             a0 += a * k[j, 0]
             a1 += a * k[j, 1]
             a2 += a * k[j, 2]
@@ -47,7 +47,7 @@ def _stages(begin, end, y, t, h, first, last, system, k, work, phase):
             a7 += a * k[j, 7]
         work[0], work[1], work[2], work[3] = y[0] + h * a0, y[1] + h * a1, y[2] + h * a2, y[3] + h * a3
         work[4], work[5], work[6], work[7] = y[4] + h * a4, y[5] + h * a5, y[6] + h * a6, y[7] + h * a7
-        phase_within(t + _NODE[row] * h, first, last, knots, origins, cubics, phase)
+        phase_within(t + NODE[row] * h, first, last, knots, origins, cubics, phase)
         quick_rates(work, phase[0], phase[1], phase[2], p, free_a, free_b, k, row)
 
 

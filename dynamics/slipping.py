@@ -4,8 +4,8 @@ Strobed once a revolution, a motion that slips regularly lies on a closed curve 
 χ growing by the slip rate ρ each revolution (on a single set of points of it when ρ is rational: a periodic slipping
 orbit). Two things are asked, and neither holds in a transient:
 - the curve fitted to one stretch of the motion foretells the next stretch;
-- the linearised map over that stretch shrinks every deviation across the curve, and none along it grows more than
-  the curve itself is stretched.
+- the linearised map, from where the motion has come to lie on the curve until its end, shrinks every deviation
+  across the curve, and none along it grows more than the curve itself is stretched.
 Chaotic slipping and slipping at two rates meet neither; nobody can tell those from a long transient by watching.
 """
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ _CURVE_RAD = 2e-3  # how well the curve must foretell the next stretch
 _SHRUNK = 0.1  # what a deviation across the curve must have shrunk to
 _STRETCH = 20.0  # growth along the curve beyond the curve's own
 _MOST_FITTED, _MOST_JUDGED = 3000, 1500  # revolutions fitted, and judged
+_TOGETHER = 5  # maps multiplied before deviations along and across are told apart again
 _RATES = 4  # the largest whole number of turns one pendulum makes while the curve is passed once
 _SAME_RATE = 1e-5  # turns per revolution
 
@@ -78,9 +80,9 @@ def slipping_motion(
             break
     if found is None:
         return None
-    misfit, along = found
+    misfit, begin, along = found
     along[2:4] += 2 * math.pi * np.array(turns)
-    judged = _shrinkage(parameters, speed_rad_s, whole[fitted:], scale, kept, along)
+    judged = _shrinkage(parameters, speed_rad_s, whole[begin:], scale, kept, along)
     if judged is None or judged[0] > _SHRUNK:
         return None
     return SlippingMotion((float(rates[0]), float(rates[1])), misfit, *judged)
@@ -106,14 +108,15 @@ def _windings(rates: NDArray[np.float64]) -> list[tuple[float, tuple[int, int]]]
 
 def _curve(
     phase: NDArray[np.floating], states: NDArray[np.float64], fitted: int
-) -> tuple[float, NDArray[np.float64]] | None:
+) -> tuple[float, int, NDArray[np.float64]] | None:
     """A closed curve through the first states that foretells the others.
 
     Args:
         phase: of the slip, turns, shape (n,).
         states: scaled and without whole turns, shape (n, 8).
     Returns:
-        Largest misfit of the states not fitted, and du/dχ (8,) at the first of them; None when no curve does.
+        Largest misfit of the states not fitted, the first state from which on all lie as near, and du/dχ (8,) there;
+        None when no curve does.
     """
     middle = states[:fitted].mean(axis=0)
     for count in _HARMONICS:
@@ -125,11 +128,13 @@ def _curve(
         train = basis[:fitted]
         gram = train.T @ train + 1e-9 * fitted * np.eye(basis.shape[1])
         weights = np.linalg.solve(gram, train.T @ (states[:fitted] - middle))
-        misfit = float(np.max(np.abs(basis[fitted:] @ weights + middle - states[fitted:])))
+        off = np.max(np.abs(basis @ weights + middle - states), axis=1)
+        misfit = float(np.max(off[fitted:]))
         if misfit < _CURVE_RAD:
-            at = waves[fitted]
+            begin = len(off) - int(np.argmax(off[::-1] >= _CURVE_RAD)) if np.any(off >= _CURVE_RAD) else 0
+            at = waves[begin]
             slope = 2 * math.pi * np.concatenate([[0.0], -order * np.imag(at), order * np.real(at)])
-            return misfit, slope @ weights
+            return misfit, begin, slope @ weights
     return None
 
 
@@ -151,14 +156,14 @@ def _shrinkage(
         maps = turn_derivatives(parameters, speed, states[begin : min(begin + block, len(states) - 1)])
         if maps is None or not np.all(np.isfinite(maps)):
             return None
-        for full in maps:
-            own = (full * scale[None, :] / scale[:, None])[np.ix_(kept, kept)]
-            frame, r = np.linalg.qr(own @ frame)
+        own = (maps * scale[None, :] / scale[:, None])[:, kept][:, :, kept]
+        for at in range(0, len(own), _TOGETHER):
+            frame, r = np.linalg.qr(reduce(lambda after, turn: turn @ after, own[at : at + _TOGETHER], frame))
             growth += math.log(abs(r[0, 0]))
             if growth > math.log(1e4):
                 return None
             across = r[1:, 1:] @ across
-            done += 1
+        done += len(own)
         if np.linalg.norm(across, 2) < 0.1 * _SHRUNK and done >= 0.5 * len(states):
             break
     # along the curve a deviation is stretched as the curve is: bounded, however long it is watched

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.signals import Run
+from daq.signals.run import Run
 
 _UNKNOWN = 20e-6
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from scipy.fft import next_fast_len
-from scipy.signal.windows import nuttall
+
+from identification.samples import usual_interval
 
 _HIGHEST_RATE_Hz = 1000.0  # of the grid that is searched; faster records are averaged to it
 _LEAST_SAMPLES = 400
@@ -29,6 +31,7 @@ _LARGE = 0.25  # of the largest motion
 _WIDE_S = 1.0  # a quiet head this long tells whether a line was there before the pull
 _LEAST_SHARE = 1e-4  # of the largest motion: what is left of it in the window's side lobes, and more
 _TOLD = 6
+_NUTTALL = (0.3635819, 0.4891775, 0.1365995, 0.0106411)
 
 
 @dataclass(frozen=True)
@@ -66,10 +69,23 @@ class Line:
 
 @lru_cache(8)
 def smooth_window(size: int) -> np.ndarray:
-    """Nuttall's window, shape (size,); not to be written to."""
-    window = nuttall(size, sym=False)
+    """Nuttall's window over one period, shape (size,); not to be written to."""
+    a0, a1, a2, a3 = _NUTTALL
+    half = size // 2 + 1
+    c = np.real(_turning(2 * np.pi / size, half))
+    window = np.empty(size)
+    # a0 − a1 cos x + a2 cos 2x − a3 cos 3x in powers of cos x: one cosine instead of three, and the rest is its mirror
+    window[:half] = (a0 - a2) + c * ((3 * a3 - a1) + c * (2 * a2 - 4 * a3 * c))
+    window[half:] = window[size - half : 0 : -1]
     window.flags.writeable = False
     return window
+
+
+def _turning(angle_rad: float, count: int) -> np.ndarray:
+    """e^{i k angle} for k = 0 … count − 1: products of two short rows are quicker than as many sines and cosines."""
+    row = 1 << (max(count - 1, 1).bit_length() + 1) // 2
+    fine, coarse = np.exp(1j * angle_rad * np.arange(row)), np.exp(1j * angle_rad * row * np.arange(-(-count // row)))
+    return np.multiply.outer(coarse, fine).ravel()[:count]
 
 
 def steady_lines(time_s: np.ndarray, value_m: np.ndarray, keep: np.ndarray) -> list[Line]:
@@ -123,23 +139,33 @@ def _uniform(time: np.ndarray, value: np.ndarray, keep: np.ndarray) -> tuple[flo
     if len(t) < _LEAST_SAMPLES or t[-1] <= t[0]:
         return None
     own = (t[-1] - t[0]) / (len(t) - 1)
-    regular = np.max(np.abs(t - (t[0] + own * np.arange(len(t))))) < 0.02 * own
-    step = own if regular else max(float(np.median(np.diff(t)[:: max(1, len(t) // 20000)])), 0.2 * own)
+    regular = _largest_offset(t, own) < 0.02 * own
+    step = own if regular else max(usual_interval(t), 0.2 * own)
     many = int(1 / (step * _HIGHEST_RATE_Hz) * (1 + 1e-6))
-    grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-6) + 1)
-    even = y if regular and len(grid) == len(t) else np.interp(grid, t, y)
+    whole = int((t[-1] - t[0]) / step + 1e-6) + 1
+    even = y if regular and whole == len(t) else np.interp(t[0] + step * np.arange(whole), t, y)
     if many > 1:
         count = len(even) // many
-        even = even[: count * many].reshape(count, many).mean(axis=1)
+        even = even[: count * many].reshape(count, many) @ np.full(many, 1 / many)
         return float(t[0] + 0.5 * (many - 1) * step), step * many, even
     return float(t[0]), step, even
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _largest_offset(time: np.ndarray, step: float) -> float:
+    """Farthest that an instant lies from where an even step from the first one on has it, s."""
+    largest, first = 0.0, time[0]
+    for i in range(len(time)):
+        largest = max(largest, abs(time[i] - (first + step * i)))
+    return largest
 
 
 def _spectrum(span: Span) -> tuple[np.ndarray, np.ndarray, float]:
     """Windowed power, its local level, and the spacing of the ordinates in Hz."""
     n = len(span.value)
     size = int(next_fast_len(n, real=True) or n)
-    power = np.abs(np.fft.rfft(span.value * smooth_window(n), size)) ** 2
+    spectrum = np.fft.rfft(span.value * smooth_window(n), size)
+    power = spectrum.real**2 + spectrum.imag**2
     count = -(-len(power) // _GROUP)
     padded = np.concatenate([power, np.full(count * _GROUP - len(power), power[-_GROUP:].mean())])
     level = np.partition(padded.reshape(count, _GROUP), _GROUP // 2, axis=1)[:, _GROUP // 2]
@@ -165,12 +191,12 @@ def _amplitudes(span: Span, frequency: float, centres: Sequence[float] = _CENTRE
     size = len(span.value) // 3
     window = smooth_window(size)
     window = window * (2 / window.sum())
-    wave = np.exp(-2j * np.pi * frequency * span.step_s * np.arange(size))
+    wave = window * _turning(-2 * np.pi * frequency * span.step_s, size)
     middles, out = [], []
     for centre in centres:
         first = round(centre * len(span.value) - size / 2)
         part = span.value[first : first + size]
-        out.append(np.sum((part - part.mean()) * window * wave) * np.exp(-2j * np.pi * frequency * span.step_s * first))
+        out.append(np.sum((part - part.mean()) * wave) * np.exp(-2j * np.pi * frequency * span.step_s * first))
         middles.append((first + size / 2) * span.step_s)
     return np.array(middles), np.array(out)
 
@@ -233,7 +259,7 @@ def _absent(head: np.ndarray, start: float, step: float, line: Line) -> bool:
 
 def _true_frequency(line: Line, time: np.ndarray, value: np.ndarray, keep: np.ndarray, step: float) -> Line:
     """Where the record was averaged before it was searched: which of the frequencies that look alike there it is."""
-    every = float(np.median(np.diff(time)[:: max(1, len(time) // 20000)]))
+    every = usual_interval(time)
     if step < 1.5 * every:
         return line
     rate = 1 / step

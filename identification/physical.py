@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.estimate import Estimate
 from identification.joint.combine import reduced
 from identification.run_up.fit import RunUpFit, run_up_estimate

@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 
+_INTERVALS = 20_000
 _AWAY = 0.05  # of the range: how far a motion goes between two visits to a rail
 
 
@@ -52,12 +53,18 @@ def white_noise(value: np.ndarray) -> float:
 
     A signal that is smooth over four samples does not enter; quantisation does, as the noise that it is.
     """
-    third = np.diff(value[np.isfinite(value)], 3)
-    if len(third) < 20:
-        raise NotIdentifiable(f"{len(value)} samples are too few to know the noise; record longer")
-    robust = float(np.median(np.abs(third)) / 0.6745)
-    limit = 8 * robust if robust else np.inf  # a coarse quantiser's median may be 0
-    return float(np.sqrt(np.mean(np.clip(third, -limit, limit) ** 2) / 20.0))
+    finite = np.isfinite(value)
+    return float(white_noises(value if finite.all() else value[finite]))
+
+
+def white_noises(value: np.ndarray) -> np.ndarray:
+    """White noise as `white_noise` has it, of many stretches at once: shape (…, n), NaN-free, to (…)."""
+    third = np.diff(value, 3)
+    if third.shape[-1] < 20:
+        raise NotIdentifiable(f"{value.shape[-1]} samples are too few to know the noise; record longer")
+    robust = np.median(np.abs(third), axis=-1, keepdims=True) / 0.6745
+    limit = np.where(robust > 0, 8 * robust, np.inf)  # a coarse quantiser's median may be 0
+    return np.sqrt(np.mean(np.clip(third, -limit, limit) ** 2, axis=-1) / 20.0)
 
 
 def encoder_noise(angle: np.ndarray, step: float) -> float:
@@ -78,6 +85,12 @@ def encoder_noise(angle: np.ndarray, step: float) -> float:
         return 0.42 * step
     robust = 8 * max(step, float(np.median(np.abs(third))) / 0.6745)  # a push or a gap is no noise
     return max(step / np.sqrt(12), float(np.sqrt(np.mean(np.clip(third, -robust, robust) ** 2) / 20.0)))
+
+
+def usual_interval(time_s: np.ndarray) -> float:
+    """The median of a record's sampling intervals, s, of as many as tell it, evenly spread; time_s ascending, (n,)."""
+    every = max(1, len(time_s) // _INTERVALS)
+    return float(np.median(time_s[1::every] - time_s[:-1:every]))
 
 
 def clipped(value: np.ndarray) -> np.ndarray:

@@ -166,7 +166,9 @@ def apply_setting(raw: dict[str, Any], key: str, value: Any, source: str = "--se
 
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_RELATIVE = re.compile(rf"(?P<times>\*)\s*(?P<factor>[+-]?{_NUMBER})|(?P<sign>[+-])\s*(?P<percent>{_NUMBER})\s*%")
+_RELATIVE = re.compile(
+    rf"(?P<times>\*)\s*(?P<factor>[+-]?{_NUMBER})|(?P<sign>[+-])\s*(?P<percent>{_NUMBER})\s*%", re.ASCII
+)
 _LONGEST_SHOWN = 60
 
 

@@ -42,18 +42,27 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         text: TOML.
         source: where it is from, for messages.
     Raises:
-        RigFileError: no TOML, tables nested deeper than any of ours, whole numbers beyond 64 bits.
+        RigFileError: no TOML, tables nested deeper than any of ours, whole numbers beyond 64 bits, numbers too small
+            to be kept.
     """
     try:
-        table = tomllib.loads(text)
+        table = tomllib.loads(text, parse_float=_float)
     except tomllib.TOMLDecodeError as fault:
         raise RigFileError(f"{source}: not a TOML file: {fault}") from fault
     except RecursionError:
         raise RigFileError(f"{source}: expected a TOML file, got brackets nested thousands deep") from None
-    except ValueError as fault:  # Python reads no whole number of more than 4300 digits
+    except ValueError as fault:  # Python reads no whole number of more than 4300 digits, `_float` none that vanishes
         raise RigFileError(f"{source}: not a TOML file: a number that cannot be read ({fault})") from fault
     _check(table, source)
     return table
+
+
+def _float(text: str) -> float:
+    """A number with a point or an exponent; one that is not zero does not become zero."""
+    value = float(text)
+    if value == 0 and text.lower().partition("e")[0].strip("+-0._"):
+        raise ValueError(f"{text[:40]} is smaller than any that can be kept")
+    return value
 
 
 def _check(table: dict[str, Any], source: str) -> None:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from analysis.plots.style import MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
 from analysis.prediction import Prediction
 from analysis.steady_state import SteadyMeasurement
-from daq.signals import Run
+from daq.signals.run import Run
 from dynamics import RotorParameters, Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.integrate import locked_state

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from analysis.plots.fit import FitCurve
 from analysis.validation import Validation
-from daq.signals import Run
+from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain, signed, with_std
 from analysis.validation import Z_LIMIT, PointResult, Score
-from daq.signals import Run
+from daq.signals.run import Run
 from rig_configs import PARAMETER_UNITS
 
 SYMBOLS = {

@@ -18,7 +18,7 @@ from analysis.report import tables
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
 from analysis.validation import Z_LIMIT, PointResult
-from daq.signals import Run
+from daq.signals.run import Run
 from dynamics.errors import DynamicsError
 
 _TEMPLATE = "template.html.j2"

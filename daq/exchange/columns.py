@@ -26,28 +26,36 @@ class Column:
         values: int64 where every value is a whole number, otherwise float64, shape (n,); NaN where the file says that
             there is no number; anything where it is absent.
         absent: true where the file holds nothing at all, shape (n,).
-        lines: line of each row in a text file, shape (n,); None: rows are counted from 1.
+        lines: line of each row in a text file, its number in another, shape (n,); None: rows are counted from 1.
+        counted: what `lines` counts, "line" or "row".
     """
 
     name: str
     values: NDArray[Any]
     absent: NDArray[np.bool_]
     lines: NDArray[np.int64] | None = None
+    counted: str = "line"
 
     def place(self, row: int) -> str:
         """Where a row is, for messages."""
-        return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+        return f"row {row + 1}" if self.lines is None else f"{self.counted} {self.lines[row]}"
 
     def keep(self, rows: NDArray[Any]) -> Column:
         """The rows of a mask or of indices."""
         lines = np.arange(1, len(self.values) + 1) if self.lines is None else self.lines
-        return Column(self.name, self.values[rows], self.absent[rows], lines[rows])
+        counted = "row" if self.lines is None else self.counted
+        return Column(self.name, self.values[rows], self.absent[rows], lines[rows], counted)
 
 
 class Recording(Protocol):
     """An open file of columns."""
 
     path: Path
+
+    @property
+    def others(self) -> Mapping[str, str]:
+        """What else the file holds and is no column of numbers: what each is, by name."""
+        ...
 
     @property
     def names(self) -> Sequence[str]:
@@ -79,12 +87,17 @@ def pick(recording: Recording, wanted: str, option: str) -> str:
         return wanted
     if wanted.isascii() and wanted.isdigit() and 1 <= int(wanted) <= len(names):
         return names[int(wanted) - 1]
+    if wanted in recording.others:
+        raise ExchangeError(
+            f"{recording.path}: {option}: expected a column of numbers, {wanted!r} is {recording.others[wanted]}"
+        )
     without_unit = [name for name in names if name_and_unit(name) == (wanted, recording.units.get(name, ""))]
     if len(without_unit) == 1:
         return without_unit[0]
     near = difflib.get_close_matches(wanted, names, 1, 0.4)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     shown = ", ".join(repr(name) for name in names[:_NAMES_SHOWN]) + (" …" if len(names) > _NAMES_SHOWN else "")
+    shown = shown or "(the file has none)"
     raise ExchangeError(f"{recording.path}: {option}: expected one of the columns {shown}, got {wanted!r}{hint}")
 
 

@@ -15,9 +15,15 @@ from daq.exchange.errors import ExchangeError
 from daq.exchange.unit_words import is_unit_row, name_and_unit, unit_word
 
 _SAMPLE_LINES = 400
-_LONGEST_LINE = 1_000_000
+LONGEST_LINE = 1_000_000
 _COMMENTS = ("#", "%", "//", "!")
-_BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_BOMS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),  # it begins with the next one
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+)
 _DIALECTS = (
     ("\t", "."),
     (";", "."),
@@ -92,6 +98,18 @@ def is_comment(line: str) -> bool:
     return not line.strip() or line.lstrip().startswith(_COMMENTS)
 
 
+def need_end(line: str, path: Path, number: int) -> None:
+    """Refuse a line that fills the memory before it ends.
+
+    Raises:
+        ExchangeError: it is as long as `LONGEST_LINE`, at which reading stopped.
+    """
+    if len(line) >= LONGEST_LINE:
+        raise ExchangeError(
+            f"{path}: line {number}: expected a row of numbers, this line has more than {LONGEST_LINE:,} characters"
+        )
+
+
 def sniff(path: Path) -> Dialect:
     """The dialect of a file by its first lines.
 
@@ -102,9 +120,8 @@ def sniff(path: Path) -> Dialect:
     with open(path, encoding=encoding, newline=None) as file:
         lines = []
         for _ in range(_SAMPLE_LINES):
-            line = file.readline(_LONGEST_LINE)
-            if len(line) >= _LONGEST_LINE:
-                raise ExchangeError(f"{path}: line {len(lines) + 1}: expected a line of text, this one has no end")
+            line = file.readline(LONGEST_LINE)
+            need_end(line, path, len(lines) + 1)
             if not line:
                 break
             lines.append(line.rstrip("\n"))

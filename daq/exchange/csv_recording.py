@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.exchange.columns import Column
-from daq.exchange.csv_dialect import Dialect, is_comment, sniff
+from daq.exchange.csv_dialect import LONGEST_LINE, Dialect, is_comment, need_end, sniff
 from daq.exchange.errors import ExchangeError
 
 _BLOCK_ROWS = 50_000
@@ -27,6 +27,7 @@ class CsvRecording:
         self._dialect = sniff(path)
         self.names = self._dialect.names
         self.units = self._dialect.units
+        self.others: Mapping[str, str] = {}
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
         """See Recording."""
@@ -46,7 +47,8 @@ class CsvRecording:
         numbers: list[int] = []
         rows: list[list[str]] = []
         with open(self.path, encoding=dialect.encoding, newline=None) as file:
-            for number, line in enumerate(file, 1):
+            for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), 1):
+                need_end(line, self.path, number)
                 if number < dialect.first_line or is_comment(line):
                     continue
                 cells = self._cells(dialect, line, number)

@@ -35,7 +35,7 @@ from daq.exchange.tables import (
     signal_tables,
 )
 from daq.log import Log, open_log
-from daq.signals import Run, load_run
+from daq.signals.run import Run, load_run
 
 Format = Literal["parquet", "csv", "mat", "hdf5"]
 _SUFFIXES: Mapping[str, Format] = {".parquet": "parquet", ".csv": "csv", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5"}
@@ -112,7 +112,7 @@ def export_log(
         format: None: what the name's ending says.
         channels: topics; none: every channel that holds samples. With `signals` x, y, angles, marks.
         from_s, to_s: samples with from_s ≤ t < to_s, s since the log's start.
-        signals: what `daq.signals.load_run` makes of the log, on one clock, in place of the channels.
+        signals: what `daq.signals.run.load_run` makes of the log, on one clock, in place of the channels.
         force: replace files of those names.
         progress: told the share done, 0 … 1.
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import Channel
+from daq.drivers.items import Batch, Event
 from daq.log.file import LogFile
-from daq.stream_items import Batch, Event
 
 _ROWS_PER_STRETCH = 8192
 

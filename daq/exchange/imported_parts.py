@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drivers.items import Event
 from daq.exchange import imported_channels as made
 from daq.exchange.errors import ExchangeError
 from daq.exchange.imported_log import Part
 from daq.exchange.readings import Readings, find_gaps, unwrapped
 from daq.exchange.recipe import Recipe
 from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions_of_marks
-from daq.stream_items import Event
 
 DEVICES = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "tacho": "encoder"}
 _LEAST_RELEASE_STD_S = 1e-4

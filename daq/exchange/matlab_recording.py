@@ -37,11 +37,12 @@ class MatRecording:
                 listed = whosmat(path, appendmat=False)
                 refuse_bomb(path, "", sum(_bytes(shape) for _, shape, _ in listed))
                 found = loadmat(path, appendmat=False, simplify_cells=True)
-        except ExchangeError:
+        except (ExchangeError, MemoryError):
             raise
         except Exception as fault:  # scipy raises a dozen kinds for damaged files
             raise _unreadable(path, fault) from fault
         self._columns: dict[str, NDArray[Any]] = {}
+        self.others: dict[str, str] = {}
         for name, value in found.items():
             if not name.startswith("__"):
                 self._collect(name, value)
@@ -55,8 +56,10 @@ class MatRecording:
         if isinstance(value, dict):
             for key, inner in value.items():
                 self._collect(f"{name}.{key}", inner)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "iufb":
-            self._columns |= _vectors(name, value)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "iufb" and (columns := _vectors(name, value)):
+            self._columns |= columns
+        else:
+            self.others[name] = _described(value)
 
 
 class Hdf5Recording:
@@ -65,9 +68,11 @@ class Hdf5Recording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.units: Mapping[str, str] = {}
+        self.others: dict[str, str] = {}
         self._places: dict[str, tuple[str, int | None]] = {}
         try:
             with h5py.File(path, "r") as file:
+                file.visititems_links(self._visit_link)
                 file.visititems(self._visit)  # goes along hard links alone, so it stays in this file
         except Exception as fault:  # h5py raises a dozen kinds, too
             raise _unreadable(path, fault) from fault
@@ -87,20 +92,36 @@ class Hdf5Recording:
                     dataset = datasets[place]
                     values = dataset[()] if index is None else dataset[index]
                     columns[name] = as_column(f"{self.path}: {name}", values.reshape(-1))
-        except ExchangeError:
+        except (ExchangeError, MemoryError):
             raise
         except Exception as fault:
             raise _unreadable(self.path, fault) from fault
         return columns
 
+    def _visit_link(self, place: str, link: Any) -> None:
+        if not isinstance(link, h5py.HardLink):
+            kind = "soft link, name what it points to" if isinstance(link, h5py.SoftLink) else "link to another file"
+            self.others[place.replace("/", ".")] = f"a {kind}"
+
     def _visit(self, place: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf" or place.startswith("#refs#"):
+        if not isinstance(item, h5py.Dataset) or place.startswith("#refs#"):
             return
         name, shape = place.replace("/", "."), item.shape
-        if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
+        if shape is None or item.dtype.kind not in "iuf":
+            self.others[name] = "without values" if shape is None else _described(item)
+        elif len(shape) == 1 or (len(shape) == 2 and 1 in shape):
             self._places[name] = (place, None)
         elif len(shape) == 2 and shape[0] <= _MOST_COLUMNS:  # MATLAB's columns are HDF5's rows
             self._places |= {f"{name}.{i + 1}": (place, i) for i in range(shape[0])}
+        else:
+            self.others[name] = _described(item)
+
+
+def _described(value: Any) -> str:
+    """What a variable is that is no column of numbers."""
+    if isinstance(value, np.ndarray | h5py.Dataset):
+        return f"an array of shape {value.shape} of {value.dtype}"
+    return f"of type {type(value).__name__}"
 
 
 def _vectors(name: str, value: NDArray[Any]) -> dict[str, NDArray[Any]]:

@@ -21,30 +21,42 @@ class ParquetRecording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.units: Mapping[str, str] = {}
+        self.others: Mapping[str, str] = {}
         try:
-            self.names = tuple(pq.read_schema(path).names)
+            self._schema = pq.read_schema(path)
         except (pa.ArrowException, OSError) as fault:
             raise _unreadable(path, fault) from fault
+        self.names = tuple(self._schema.names)
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
         """See Recording."""
         wanted = list(names)
+        for name in wanted:
+            self._need_numbers(name)
         try:
             with pq.ParquetFile(self.path) as file:
                 refuse_bomb(self.path, "", 8 * file.metadata.num_rows * len(wanted))
                 table = file.read(columns=wanted)
+        except MemoryError:
+            raise
         except (pa.ArrowException, OSError) as fault:
             raise _unreadable(self.path, fault) from fault
         return {name: self._column(name, table.column(name)) for name in wanted}
 
+    def _need_numbers(self, name: str) -> None:
+        """Asked before a byte of a column is read: texts and lists may be of any size."""
+        count = self.names.count(name)
+        if count > 1:
+            raise ExchangeError(f"{self.path}: expected one column {name!r}, got {count}; rename them")
+        kind = self._schema.field(name).type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
+            raise ExchangeError(
+                f"{self.path}: expected numbers in column {name!r}, got {kind}; times too must be numbers, say seconds"
+            )
+
     def _column(self, name: str, values: pa.ChunkedArray) -> Column:
         if pa.types.is_decimal(values.type):
             values = values.cast(pa.float64())
-        if not (pa.types.is_integer(values.type) or pa.types.is_floating(values.type)):
-            raise ExchangeError(
-                f"{self.path}: expected numbers in column {name!r}, got {values.type}; times too must be numbers, "
-                "say seconds"
-            )
         absent = np.asarray(values.is_null())
         return as_column(name, np.asarray(pc.fill_null(values, 0)), absent)
 

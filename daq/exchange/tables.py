@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daq.exchange.units import unit_of
 from daq.log import Log
 from daq.log.samples import Samples
-from daq.signals import Run
+from daq.signals.run import Run
 
 Columns = Mapping[str, NDArray[Any]]
 

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
+from daq.drivers.items import Batch, Event
 from daq.errors import LogError, RecordingError
 from daq.mcap.writer import BlockWriter, compile_writer
-from daq.stream_items import Batch, Event
 
 _WAITS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".csv": "text/csv", ".txt": "text/plain"}

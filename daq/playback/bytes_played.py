@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from daq.channels import RX
-from daq.protocols import slcan
+from daq.transports import slcan
 
 _LINE_ENDS = b"\r\x07"
 _TAIL_BYTES = 4096  # noise without an end of line is held back no longer than this

@@ -12,13 +12,8 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-from daq.errors import LogError
-from daq.laser_stream import DEFAULT_WORDS
-from daq.log import Log
-from daq.log.snapshot import identities_of, rig_of
-from daq.playback.bytes_played import BothWays, BytesFromDevice, OneWay, WholeBlocks
-from daq.protocols import cia402, optoncdt, rotorlink, slcan
-from daq.protocols.canopen_node import (
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import (
     NMT_RESET,
     NMT_RESET_COMMUNICATION,
     Adapter,
@@ -26,7 +21,15 @@ from daq.protocols.canopen_node import (
     SdoServer,
     drive_objects,
 )
-from daq.protocols.optoncdt_sensor import SensorCommands, info_lines, outputs_of
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
+from daq.drivers.optoncdt.stream import DEFAULT_WORDS
+from daq.drivers.rotorlink import wire as rotorlink
+from daq.errors import LogError
+from daq.log import Log
+from daq.log.snapshot import identities_of, rig_of
+from daq.playback.bytes_played import BothWays, BytesFromDevice, OneWay, WholeBlocks
+from daq.transports import slcan
 from rig_configs.schema import Drive, Laser
 
 _UNKNOWN = "unknown"

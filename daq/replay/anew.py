@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from daq.channels import CHANNELS, EVENTS_TOPIC, HEALTH_TOPIC
+from daq.drivers.contract import Pipeline
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import Batch, joined
 from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.log.file import LogFile
@@ -20,8 +23,6 @@ from daq.replay.calibration import Calibration
 from daq.replay.checking import Progress, share_of
 from daq.replay.compare import ChannelCheck, ChannelComparison
 from daq.replay.stream import decoded, pipelines_of
-from daq.stream_items import Batch, joined
-from daq.streams import Pipeline, make_pipelines
 from daq.version import software_version
 
 _TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this stand together, as in a recording

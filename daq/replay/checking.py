@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq.channels import CHANNELS, HEALTH_TOPIC
+from daq.drivers.items import Batch
 from daq.log import Log, open_log
 from daq.log.samples import Missing
 from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
 from daq.replay.stream import decoded, pipelines_of
-from daq.stream_items import Batch
 
 Progress = Callable[[float], None]
 _NEIGHBOURS_NS = 1_000_000_000  # samples are written this long after their bytes at the most, but for a stalled disk

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
+from daq.drivers.items import Batch, Event, joined
 from daq.log import Log
 from daq.replay.stored import StoredRows
-from daq.stream_items import Batch, Event, joined
 
 _SLICE = 65_536  # samples compared at once
 

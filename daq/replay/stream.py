@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from daq.drivers.contract import Pipeline
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import Batch, Event
 from daq.errors import DeviceError, LogError
 from daq.log import Log
 from daq.log.samples import RawChunk
 from daq.log.snapshot import identities_of, rig_of
-from daq.stream_items import Batch, Event
-from daq.streams import Pipeline, make_pipelines
 
 Decoded = tuple[str, RawChunk, list[Batch | Event]]
 """A device, bytes of one read or write, and what its pipeline made of them."""

@@ -15,7 +15,7 @@ import can
 import serial
 
 from daq.errors import LinkLost
-from daq.protocols import slcan
+from daq.transports import slcan
 
 _READ_BYTES = 65536  # into one buffer: room of this size made anew for every read tears holes into the heap
 _POLL_S = 0.1

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from daq.drivers.cia402.far_end import SimulatedDrive
+from daq.drivers.optoncdt.far_end import DeviceClock, SimulatedLaser
+from daq.drivers.rotorlink.far_end import Air, SimulatedNode
 from daq.transports.host_clock import HostClock
 from daq.transports.wires import Wire, make_wire
 from daq.virtual_rig.control import ControlServer
-from daq.virtual_rig.drive import SimulatedDrive
-from daq.virtual_rig.laser import DeviceClock, SimulatedLaser
 from daq.virtual_rig.motion import Motion
-from daq.virtual_rig.node import Air, SimulatedNode
 from rig_configs.errors import RigConfigError
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig, Virtual

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from daq.signals import Release, Run
+from daq.signals.run import Release, Run
 from dynamics.parameters import RotorParameters
 from identification.bench.fisher import bound
 from identification.bench.trials import Trial

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.estimate import Estimate
 from identification.joint.combine import JointEstimate, joint_estimate
 from identification.samples import correlation_inflation

@@ -37,8 +37,15 @@ def rounding_errors(curves_rad: np.ndarray, step_rad: float, jitter_rad: float, 
     """
     rng, draws = np.random.default_rng(seed), len(curves_rad)
     shifted = curves_rad + (step_rad * (rng.permutation(draws) + 0.5) / draws)[:, None]
-    noisy = shifted + jitter_rad * rng.standard_normal(shifted.shape) if jitter_rad else shifted
-    return np.round(noisy / step_rad) * step_rad - shifted
+    read = shifted / step_rad
+    if jitter_rad:
+        jitter = rng.standard_normal(shifted.shape)
+        jitter *= jitter_rad / step_rad
+        read += jitter
+    np.rint(read, out=read)
+    read *= step_rad
+    read -= shifted
+    return read
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline, PPoly, make_lsq_spline
 
-from daq.signals import Run
+from daq.signals.run import Run
 from dynamics.errors import OutsideDomain
 from dynamics.speed_history import SpeedHistory
 from identification.pendulums.decline import encoder_step

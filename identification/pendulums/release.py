@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering

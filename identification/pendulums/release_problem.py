@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from dynamics.errors import OutsideDomain
 from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum

@@ -91,7 +91,9 @@ def _rounding(longest: RunDown, fitted: RunDown, minimum: Minimum, draws: int) -
     spread = minimum.cost / max(1, len(fitted.time_s) - len(minimum.theta)) * longest.noise_rad**2
     jitter = float(np.sqrt(np.clip(spread - longest.step_rad**2 / 12, 0.0, longest.noise_rad**2)))
     angle, jacobian = run_down_angle(longest.time_s, minimum.theta)
-    moves = np.random.default_rng(2).multivariate_normal(np.zeros(len(minimum.theta)), minimum.covariance, draws)
+    none = np.zeros(len(minimum.theta))
+    # an inverse of squares: semidefinite but for rounding, which a direction without information makes large
+    moves = np.random.default_rng(2).multivariate_normal(none, minimum.covariance, draws, check_valid="ignore")
     curves = angle + moves @ jacobian[:, : len(minimum.theta)].T
     return rounding_errors(curves, longest.step_rad, jitter, 1) / longest.noise_rad
 

@@ -98,15 +98,17 @@ def fit_run_down(data: RunDown, start: np.ndarray, iterations: int = 30) -> Mini
     """
 
     def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        angle, jacobian = run_down_angle(data.time_s, theta)
-        return (angle - data.angle_rad) / data.noise_rad, jacobian[:, : len(theta)] / data.noise_rad
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a step too far: not finite, not taken
+            angle, jacobian = run_down_angle(data.time_s, theta)
+            return (angle - data.angle_rad) / data.noise_rad, jacobian[:, : len(theta)] / data.noise_rad
 
     if len(start) < WITH_FRICTION or start[3] < _STRAIGHT:
         return minimise(evaluate, start, iterations)
 
     def by_torque(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         residual, jacobian = evaluate(_from_torque(moved))
-        return residual, jacobian @ _torque_slope(moved)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return residual, jacobian @ _torque_slope(moved)
 
     found = minimise(by_torque, np.r_[start[:3], start[2] + np.log1p(start[3])], iterations)
     theta = _from_torque(found.theta)

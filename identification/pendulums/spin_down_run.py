@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate

@@ -99,14 +99,21 @@ class Readings:
         inside = np.repeat(keep, count)
         return Readings(self.time_s[inside], self.angle_rad[inside], self.averages.where(keep), self.step_rad)
 
-    def rounding(self, curves_rad: np.ndarray, seed: int) -> np.ndarray:
-        """Errors of the block averages that reading such curves makes, in their standard deviations.
+    def rounding(self, curve_rad: np.ndarray, moves: np.ndarray, slopes_rad: np.ndarray, seed: int) -> np.ndarray:
+        """Errors of the block averages that reading curves makes, in their standard deviations; (draws, blocks).
 
         Args:
-            curves_rad: at the blocks' mean times, shape (draws, blocks).
+            curve_rad: at the blocks' mean times, shape (blocks,).
+            moves: each draw's parameters less the curve's, shape (draws, p).
+            slopes_rad: derivatives of the curve by the parameters, shape (p, blocks).
         """
         blocks = self.averages
-        samples = CubicSpline(blocks.time_s, curves_rad, axis=1)(self.time_s)
+        if len(moves) > len(slopes_rad) + 1:  # the spline of a sum is the sum of the splines: of each slope once
+            each = CubicSpline(blocks.time_s, np.vstack([curve_rad, slopes_rad]), axis=1)(self.time_s)
+            samples = moves @ each[1:]
+            samples += each[0]
+        else:
+            samples = CubicSpline(blocks.time_s, curve_rad + moves @ slopes_rad, axis=1)(self.time_s)
         errors = rounding_errors(samples, self.step_rad, self._jitter(samples[0]), seed)
         first = np.r_[0, np.cumsum(blocks.count)[:-1]].astype(np.int64)
         return np.add.reduceat(errors, first, axis=1) / blocks.count * blocks.weight
@@ -211,9 +218,11 @@ class TransientProblem:
         weight = np.concatenate([p.averages.weight for p in parts])
         curve = np.concatenate([p.averages.value for p in parts]) + minimum.residual[: sum(sizes)] / weight
         moves = np.random.default_rng(3).standard_normal((draws, len(minimum.theta))) @ _root(minimum.covariance).T
-        curves = curve + moves @ minimum.jacobian[: sum(sizes)].T / weight
-        both = np.split(curves, [sizes[0]], axis=1)
-        return np.hstack([p.rounding(c, 4 + i) for i, (p, c) in enumerate(zip(parts, both, strict=True))])
+        slopes = minimum.jacobian[: sum(sizes)].T / weight
+        own = (slice(0, sizes[0]), slice(sizes[0], sum(sizes)))
+        return np.hstack(
+            [p.rounding(curve[s], moves, slopes[:, s], 4 + i) for i, (p, s) in enumerate(zip(parts, own, strict=True))]
+        )
 
     def covariance(
         self, minimum: Minimum, end_s: float, setting: Setting, wanted: Sequence[int] = (0, 1)

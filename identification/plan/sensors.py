@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.errors import NotIdentifiable
 from identification.samples import white_noise
 from rig_configs.schema import Rig

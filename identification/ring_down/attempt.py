@@ -7,7 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors, refuse_too_short, solve, width_for
+from identification.ring_down.decay import (
+    COARSE_S,
+    Decay,
+    Fitted,
+    Priors,
+    once_per_fit,
+    refuse_too_short,
+    solve,
+    width_for,
+)
 from identification.ring_down.disturbances import (
     SMALL,
     Other,
@@ -269,6 +278,7 @@ def theta_of(starts: Sequence[Start]) -> np.ndarray:
     return np.array([v for s in starts for v in (np.log(s.omega), s.zeta)])
 
 
+@once_per_fit
 def stretches(fitted: Fitted) -> np.ndarray:
     """By how much each parameter's std must be multiplied because residuals are larger than, or not, white noise."""
     residuals = [r for record in fitted.channel_residuals() for r in record]
@@ -277,6 +287,7 @@ def stretches(fitted: Fitted) -> np.ndarray:
     return spectral_stretch(residuals, np.split(influence, edges), fitted.solution.chi2_per_dof)
 
 
+@once_per_fit
 def known_columns(fitted: Fitted) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Per record the columns that the fit moves along and its residual."""
     known, residuals = [], []
@@ -286,6 +297,7 @@ def known_columns(fitted: Fitted) -> tuple[list[np.ndarray], list[np.ndarray]]:
     return known, residuals
 
 
+@once_per_fit
 def drift_criteria(fitted: Fitted) -> dict[int, float]:
     """BIC relative to the fit's own drift, by order of the drift; only orders from the fit's own on."""
     known, residuals = known_columns(fitted)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import wraps
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -14,6 +17,7 @@ from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, Deca
 from identification.ring_down.record import Channel
 from identification.samples import Averages
 
+_T = TypeVar("_T")
 COARSE_S = 1 / 250.0  # blocks for start values: 20 a cycle up to 12.5 Hz
 _LEAST_BLOCKS, _LEAST_CYCLES = 24, 1.5
 _MOST_ITERATIONS = 100  # along the valley of a close pair
@@ -85,9 +89,9 @@ class Decay:
         return replace(self, records=tuple((r[axis],) for r in self.records))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fitted:
-    """One solved model of a decay."""
+    """One solved model of a decay; equal to itself only."""
 
     decay: Decay
     model: DecayModel
@@ -176,6 +180,19 @@ class Fitted:
     def zetas(self) -> np.ndarray:
         """Damping ratios."""
         return self.theta[1 : 2 * self.model.modes : 2]
+
+
+def once_per_fit(judge: Callable[[Fitted], _T]) -> Callable[[Fitted], _T]:
+    """A judgement of fits that is asked for at several places, made once for each fit as long as that lives."""
+    made: WeakKeyDictionary[Fitted, _T] = WeakKeyDictionary()
+
+    @wraps(judge)
+    def remembered(fitted: Fitted) -> _T:
+        if fitted not in made:
+            made[fitted] = judge(fitted)
+        return made[fitted]
+
+    return remembered
 
 
 def solve(decay: Decay, model: DecayModel, starts: Sequence[np.ndarray], priors: Priors) -> Fitted:

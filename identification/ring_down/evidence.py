@@ -13,12 +13,12 @@ from identification.ring_down.attempt import stretches
 from identification.ring_down.decay import COARSE_S, Fitted
 from identification.ring_down.disturbances import is_disturbed, mode_size
 from identification.ring_down.record import Channel, sample_noise
+from identification.samples import usual_interval
 
 _CUBIC = 3
 _MARGIN = 20.0  # of χ²: e⁻¹⁰ beyond the price of the search
 HIGHEST_Hz = 0.4 / COARSE_S  # of Nyquist's 0.5 for the blocks that start values come from
 _LOUDEST_S = 1.0
-_STEPS = 20_000  # sampling intervals looked at
 _NEAR, _MOST = 0.2, 0.5  # of the peak's frequency; of the stretch's energy
 _WITHIN_A_PERIOD = 1 / (2 * np.pi)  # ζ of a mode that falls to 1/e within one
 _NO_SUSPENSION = 0.5
@@ -116,7 +116,7 @@ def _loudest_tone(channel: Channel) -> tuple[float, float]:
 
     Samples left out count as rest, which suffices to tell a tone from spikes and steps.
     """
-    step = float(np.median(np.diff(channel.time_s)[:: max(1, len(channel.time_s) // _STEPS)]))
+    step = usual_interval(channel.time_s)
     if step <= 0 or 0.5 / step < HIGHEST_Hz:
         return 0.0, 0.0
     size = max(16, min(len(channel.value_m), round(_LOUDEST_S / step)))
@@ -150,13 +150,13 @@ def _loudest(value: np.ndarray, keep: np.ndarray, size: int) -> tuple[int, float
 
 def coarse_remark(fitted: Fitted) -> list[str]:
     """A sentence when the noise had to be taken from the residuals, so that χ² can't tell a wrong model."""
+    cycle_s = 2 * np.pi / float(np.max(fitted.omegas))
     for record in fitted.decay.records:
         for channel in record:
-            if channel.noise < _COARSE * sample_noise(channel.value_m[channel.keep]):
-                per_cycle = 2 * np.pi / float(np.max(fitted.omegas)) / float(np.median(np.diff(channel.time_s)))
-                if per_cycle < _FEW:
-                    return [
-                        f"only {per_cycle:.2g} samples a cycle: the noise is taken from the residuals and χ² says "
-                        "nothing of the model; sample faster"
-                    ]
+            per_cycle = cycle_s / usual_interval(channel.time_s)
+            if per_cycle < _FEW and channel.noise < _COARSE * sample_noise(channel.value_m[channel.keep]):
+                return [
+                    f"only {per_cycle:.2g} samples a cycle: the noise is taken from the residuals and χ² says "
+                    "nothing of the model; sample faster"
+                ]
     return []

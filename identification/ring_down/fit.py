@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.clocks import clock_errors
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate

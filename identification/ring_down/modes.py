@@ -37,6 +37,7 @@ def averaged_decay(lam: complex, time_s: np.ndarray, spread_s2: np.ndarray) -> t
 
 _GAPPY = 0.9  # share of the blocks that hold samples
 _COVERED = 0.97
+_TOGETHER = 2**16  # numbers transformed at a time
 _FEW_CYCLES = 0.05  # decay over frequency: three cycles until e⁻¹
 
 # least frequency over decay: a gap in the first cycle is strong at low frequencies and hides what oscillates
@@ -82,19 +83,8 @@ def damped_periodogram(records: Sequence[Sequence[Averages]], lowest_Hz: float =
     n = round(longest / step) + 1
     grids = np.array([_on_grid(channel, zero, step, n) for channel, zero in channels])
     total = max(float(np.sum(grids**2)), 1e-300)
-    time = np.arange(n) * step
-    peaks = []
-    for decay in np.geomspace(0.2 / longest, min(0.05 / step, 60.0), 24):
-        used = min(n, int(12 / (decay * step)) + 8)  # beyond, the window is 1e-5
-        size = 1 << int(np.ceil(np.log2(max(2 * used, 512))))
-        frequency = np.arange(size // 2 + 1) / (size * step)
-        window = np.exp(-decay * time[:used])
-        power = np.sum(np.abs(np.fft.rfft(grids[:, :used] * window, size)) ** 2, axis=0) / np.sum(window**2)
-        power[frequency < lowest_Hz] = 0.0
-        for least in _OSCILLATES:
-            first = min(int(least * decay / (2 * np.pi) * size * step), len(power) - 1)
-            k = first + int(np.argmax(power[first:]))
-            peaks.append((float(power[k]), complex(-decay, 2 * np.pi * frequency[k])))
+    decays = np.geomspace(0.2 / longest, min(0.05 / step, 60.0), 24)
+    peaks = [peak for batch in _batches(decays, n, step, len(grids)) for peak in _peaks(grids, batch, step, lowest_Hz)]
     power, lam = max(peaks, key=lambda peak: peak[0])
     share = min(1.0, 2 * power / total)
     if -lam.real > _FEW_CYCLES * lam.imag and _covered(channels, -6 / lam.real, step) < _COVERED:
@@ -106,6 +96,45 @@ def damped_periodogram(records: Sequence[Sequence[Averages]], lowest_Hz: float =
         # a motion cut off at the rail leaves pieces around its zero crossings, whose harmonics are strong
         lam = _most_explained(channels, [complex(lam.real, lam.imag / k) for k in (1, 2, 3)])
     return Start.at(lam, share)
+
+
+def _batches(decays: np.ndarray, n: int, step: float, channels: int) -> list[tuple[int, list[tuple[float, int]]]]:
+    """Decay rates whose transforms have the same size, some at a time: that size, and each rate with its samples.
+
+    Two transforms made together are quicker than one after the other; many leave the processor's cache.
+    """
+    out: list[tuple[int, list[tuple[float, int]]]] = []
+    for decay in decays.tolist():
+        used = min(n, int(12 / (decay * step)) + 8)  # beyond, the window is 1e-5
+        size = 1 << int(np.ceil(np.log2(max(2 * used, 512))))
+        if out and out[-1][0] == size and (len(out[-1][1]) + 1) * channels * size <= _TOGETHER:
+            out[-1][1].append((decay, used))
+        else:
+            out.append((size, [(decay, used)]))
+    return out
+
+
+def _peaks(
+    grids: np.ndarray, batch: tuple[int, list[tuple[float, int]]], step: float, lowest_Hz: float
+) -> list[tuple[float, complex]]:
+    """The energy that each decay rate of a batch explains at best, and its λ, for each least frequency over decay."""
+    size, rates = batch
+    most, peaks = max(used for _, used in rates), []
+    time = np.arange(most) * step
+    windowed, energy = np.zeros((len(rates), len(grids), most)), []
+    for row, (decay, used) in zip(windowed, rates, strict=True):
+        window = np.exp(-decay * time[:used])
+        energy.append(float(window @ window))
+        np.multiply(grids[:, :used], window, out=row[:, :used])
+    lowest = int(np.ceil(lowest_Hz * size * step))
+    for spectrum, own, (decay, _) in zip(np.fft.rfft(windowed, size), energy, rates, strict=True):
+        power = np.sum(spectrum.real**2 + spectrum.imag**2, axis=0)
+        power[:lowest] = 0.0
+        for least in _OSCILLATES:
+            first = min(int(least * decay / (2 * np.pi) * size * step), len(power) - 1)
+            k = first + int(np.argmax(power[first:]))
+            peaks.append((float(power[k]) / own, complex(-decay, 2 * np.pi * k / (size * step))))
+    return peaks
 
 
 def _covered(channels: Sequence[tuple[Averages, float]], span_s: float, step: float) -> float:

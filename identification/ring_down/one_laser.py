@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.errors import NotIdentifiable
 from identification.ring_down.fit import fit_ring_down
 from identification.ring_down.result import RingDownFit

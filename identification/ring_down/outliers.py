@@ -14,10 +14,10 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import median_filter
 
-from identification.ring_down.decay import Fitted
+from identification.ring_down.decay import Fitted, once_per_fit
 from identification.ring_down.model import DELAYS
 from identification.ring_down.modes import rate
-from identification.ring_down.record import Channel, sample_noise, taylor_at_samples
+from identification.ring_down.record import Channel, farthest_from_taylor, sample_noise, taylor_at_samples
 
 _THRESHOLD = 4.5  # standard deviations; 7 of a million good samples are lost
 _SUSPECT = 5.5  # one sample in 26 million
@@ -71,6 +71,11 @@ def sample_residuals(
 
 def fitted_signal(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> np.ndarray:
     """The fitted signal of a sensor at any times, ascending, shape (n,); m. Before its begin the decay is continued."""
+    return taylor_at_samples(time_s, *_pieces(fitted, record, axis, time_s))
+
+
+def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres all over some times, shape (m,), s, and the fitted signal's derivatives of order 0 to 4 there, (5, m)."""
     model, own = fitted.model, fitted.model.records[record]
     step = 2 * np.pi / float(np.max(fitted.omegas)) / _CENTRES_PER_CYCLE
     centre = np.arange(time_s[0] + step / 2, time_s[-1] + step, step)
@@ -89,7 +94,7 @@ def fitted_signal(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) ->
     )
     derivatives[0] += drift(t)
     derivatives[1] += drift.deriv()(t)
-    return taylor_at_samples(time_s, centre, derivatives)
+    return centre, derivatives
 
 
 def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[list[tuple[Channel, ...]], int, bool]:
@@ -123,16 +128,21 @@ def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[
     return out, count, changed
 
 
+@once_per_fit
 def suspicious(fitted: Fitted) -> bool:
     """Whether any kept sample is farther from the model than noise goes, or the rail cuts samples off."""
     for r, channels in enumerate(fitted.decay.records):
         for axis, channel in enumerate(channels):
             first, last = np.searchsorted(channel.time_s, (fitted.decay.begins[r], fitted.decay.ends[r]))
-            residual, model = sample_residuals(fitted, r, axis, channel, first, last)
-            kept = channel.keep[first:last]
-            largest, lowest, highest = _extremes(residual, model, kept)
+            time, value, kept = (part[first:last] for part in (channel.time_s, channel.value_m, channel.keep))
+            pieces = _pieces(fitted, r, axis, time)
+            largest, lowest, highest = farthest_from_taylor(time, value, kept, *pieces)
             low, high = _clear_of_rail(channel)
-            if largest > _SUSPECT * _scale(residual, kept) or not (low < lowest and highest < high):
+            if not (low < lowest and highest < high):
+                return True
+            some = slice(None, None, _every(time))
+            residual = value[some] - taylor_at_samples(time[some], *pieces)
+            if _scatter_below(residual, kept[some], largest / _SUSPECT):
                 return True
     return False
 
@@ -149,19 +159,18 @@ def _clear_of_rail(channel: Channel) -> tuple[float, float]:
     return channel.rail_m[0] + margin, channel.rail_m[1] - margin
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _extremes(residual: np.ndarray, model: np.ndarray, kept: np.ndarray) -> tuple[float, float, float]:
-    """Of kept samples the largest residual, the model's lowest and its highest value."""
-    largest, lowest, highest = 0.0, np.inf, -np.inf
-    for i in range(len(residual)):
-        if kept[i]:
-            largest = max(largest, abs(residual[i]))
-            lowest, highest = min(lowest, model[i]), max(highest, model[i])
-    return largest, lowest, highest
+def _scatter_below(residual: np.ndarray, kept: np.ndarray, limit: float) -> bool:
+    """Whether `_scale` is below a limit: counting tells without a median, unless the limit is next to the median."""
+    below, count = int(np.count_nonzero(kept & (np.abs(residual) < limit / _NORMAL))), int(np.count_nonzero(kept))
+    return 2 * below > count if abs(2 * below - count) > 1 else _scale(residual, kept) < limit
+
+
+def _every(samples: np.ndarray) -> int:
+    return max(1, len(samples) // 40_000)
 
 
 def _scale(residual: np.ndarray, kept: np.ndarray) -> float:
-    step = max(1, len(residual) // 40_000)
+    step = _every(residual)
     values = np.abs(residual[::step][kept[::step]])
     return max(_NORMAL * float(np.median(values)), 1e-300) if len(values) else np.inf
 

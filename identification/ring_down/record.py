@@ -15,7 +15,7 @@ from numba import njit
 from identification.colour import Colour
 from identification.errors import NotIdentifiable
 from identification.lines import Line
-from identification.samples import Averages, clipped, white_noise
+from identification.samples import Averages, clipped, white_noise, white_noises
 
 _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # noise is known to 1 % from so many
 _LEVEL_SAMPLES, _TOP_SHARES, _LEAST_VISITS = 20_000, (0.02, 0.005, 0.001), 3
@@ -122,8 +122,9 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
     timed = np.isfinite(time)
     if not timed.all():
         time, value = time[timed], value[timed]
-    if len(time) > 1 and np.any(np.diff(time) < 0):
-        at = int(np.argmax(np.diff(time) < 0))
+    backwards = time[1:] < time[:-1]
+    if backwards.any():
+        at = int(np.argmax(backwards))
         raise NotIdentifiable(f"time runs backwards after sample {at} ({time[at]:.6g} s); sort the recording by time")
     railed, stuck = clipped(value), stuck_samples(value)
     if stuck.any():  # a motion that decays fast is at the rail once only
@@ -280,7 +281,7 @@ def sample_noise(value: np.ndarray) -> float:
         return max(white_noise(value), 1e-12 * float(np.ptp(value)) + 1e-300)
     size = _NOISE_SAMPLES // _NOISE_CHUNKS
     starts = np.linspace(0, len(value) - size, _NOISE_CHUNKS).astype(int)
-    chunks = [white_noise(value[a : a + size]) for a in starts]
+    chunks = white_noises(value[starts[:, None] + np.arange(size)])
     return max(float(np.median(chunks)), 1e-12 * float(np.ptp(value)) + 1e-300)
 
 
@@ -294,20 +295,22 @@ def _average(
     count = np.empty(n, np.int64)
     blocks, label, base, m = -1, -1, 0.0, 0
     sum_t = sum_tt = sum_v = 0.0
-    zero = np.nan
+    zero, surely = np.nan, -np.inf  # until when a sample surely belongs to this block
     for i in range(n):
         if not keep[i]:
             continue
-        if np.isnan(zero):
-            zero = time[i]
-        # a sampling interval that divides the width must not straddle an edge by rounding
-        own = int(np.floor((time[i] - zero) / width + 1e-6))
-        if own != label:
-            if m > 0:
-                mean[blocks], level[blocks], count[blocks] = base + sum_t / m, sum_v / m, m
-                spread[blocks] = max(sum_tt / m - (sum_t / m) ** 2, 0.0)
-            blocks, label, base, m = blocks + 1, own, time[i], 0
-            sum_t = sum_tt = sum_v = 0.0
+        if time[i] >= surely or m == 0:
+            if np.isnan(zero):
+                zero = time[i]
+            # a sampling interval that divides the width must not straddle an edge by rounding
+            own = int(np.floor((time[i] - zero) / width + 1e-6))
+            if own != label:
+                if m > 0:
+                    mean[blocks], level[blocks], count[blocks] = base + sum_t / m, sum_v / m, m
+                    spread[blocks] = max(sum_tt / m - (sum_t / m) ** 2, 0.0)
+                blocks, label, base, m = blocks + 1, own, time[i], 0
+                sum_t = sum_tt = sum_v = 0.0
+                surely = zero + (own + 1 - 1e-5) * width
         local = time[i] - base
         sum_t += local
         sum_tt += local * local
@@ -337,11 +340,31 @@ def taylor_at_samples(time: np.ndarray, centre: np.ndarray, derivatives: np.ndar
         while time[i] >= until:  # the next centre is nearer
             j += 1
             until = 0.5 * (centre[j] + centre[j + 1]) if j < last else np.inf
-        u = time[i] - centre[j]
-        out[i] = derivatives[0, j] + u * (
-            derivatives[1, j] + u / 2 * (derivatives[2, j] + u / 3 * (derivatives[3, j] + u / 4 * derivatives[4, j]))
-        )
+        out[i] = _taylor(time[i] - centre[j], derivatives, j)
     return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def farthest_from_taylor(
+    time: np.ndarray, value: np.ndarray, kept: np.ndarray, centre: np.ndarray, derivatives: np.ndarray
+) -> tuple[float, float, float]:
+    """Of kept samples the largest distance from `taylor_at_samples`, and that function's lowest and highest value."""
+    largest, lowest, highest = 0.0, np.inf, -np.inf
+    j, last, until = -1, len(centre) - 1, -np.inf
+    for i in range(len(time)):
+        while time[i] >= until:
+            j += 1
+            until = 0.5 * (centre[j] + centre[j + 1]) if j < last else np.inf
+        if kept[i]:
+            model = _taylor(time[i] - centre[j], derivatives, j)
+            largest = max(largest, abs(value[i] - model))
+            lowest, highest = min(lowest, model), max(highest, model)
+    return largest, lowest, highest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _taylor(u: float, d: np.ndarray, j: int) -> float:
+    return d[0, j] + u * (d[1, j] + u * (0.5 * d[2, j] + u * (d[3, j] / 6 + u * d[4, j] / 24)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import median_filter
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification.clocks import rate_std_between
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable

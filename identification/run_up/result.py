@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from dynamics.parameters import RotorParameters
 from identification.clocks import clock_errors
 from identification.curve import Curve

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.signals import Run
+from daq.signals.run import Run
 from dynamics.integrate import locked_state
 from dynamics.parameters import RotorParameters
 from dynamics.speed_history import SpeedHistory

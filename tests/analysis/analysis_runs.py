@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.signals import Release, Run
+from daq.signals.run import Release, Run
 from dynamics import RotorParameters, Scene, SpeedHistory, simulate
 from dynamics.integrate import locked_state
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig

@@ -19,10 +19,10 @@ from analysis.plots import log_overview
 from analysis.plots.log_marks import Marks
 from analysis.plots.log_overview import COLUMNS, Trace, draw_log_overview
 from daq.channels import LASER_X, PENDULUMS, TACHO, Channel
+from daq.drivers.items import Batch, Event
 from daq.log import content as log_content
 from daq.log import open_log
 from daq.log.file import LogFile
-from daq.stream_items import Batch, Event
 from tests.daq.small_log import write_small_log
 
 T0 = 1_700_000_000_000_000_000

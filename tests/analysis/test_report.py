@@ -20,7 +20,7 @@ from analysis.report import (
     write_report,
 )
 from analysis.report.rounding import plain, with_std
-from daq.signals import Run
+from daq.signals.run import Run
 from rig_configs import load_rig
 
 HOSTILE = '<script>alert("$x^$ & 1")</script>'

@@ -10,7 +10,7 @@ from analysis_runs import Drawn, draw, point_run
 
 from analysis import NoStableState, predict_point, validate
 from analysis.validation import balanced_z, validate_point
-from daq.signals import Run
+from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig, load_rig
 
 SETTLED_S = {"A": 45.0, "B": 50.0, "C": 62.0, "D": 30.0, "E": 25.0}
@@ -224,3 +224,17 @@ def test_unknown_axis_angle_and_absent_parameters_still_give_numbers(
     assert all(map(math.isfinite, result.z_scores.values()))
     assert abs(result.z_scores["amplitude_y"]) < 4
     assert set(result.z_scores) == {"theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude"}
+
+
+def test_the_axis_angle_of_the_parameters_turns_the_prediction(rig: Rig, drawn: Drawn) -> None:
+    speed = rig.physics.speed_rad_s(rig.points["D"].speed_ratio)
+
+    def predicted(own: tuple[float, float] | None, given: tuple[float, float] | None = None) -> list[list[float]]:
+        known = dataclasses.replace(drawn.identified, axis_angle_deg=own)
+        found = predict_point(rig, known, speed, given)
+        return [list(found.values), list(np.diag(found.covariance))]
+
+    for angle in ((12.0, 0.5), (-7.0, 2.0)):
+        assert predicted(angle) == predicted(None, angle) != predicted(None)
+        assert predicted((40.0, 9.0), angle) == predicted(angle)  # what is given goes before what was found
+    assert predicted(None) == predicted(None, (0.0, 3.0)) == predicted(None, (math.nan, 1.0))

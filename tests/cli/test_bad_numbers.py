@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from cyclopts import App
 
-from cli.main import app, run
+from cli.main import commands as command_line
+from cli.main import run
 
 ABSENT = "/nowhere/absent"
 NEEDED = {  # what else a command needs to come as far as its numbers; nothing of it is there
@@ -41,7 +42,7 @@ def options(*kinds: str) -> list[tuple[tuple[str, ...], str]]:
     """Every option whose type speaks of one of the kinds."""
     return [
         (path, argument.name)
-        for path, command in commands(app)
+        for path, command in commands(command_line())
         for argument in command.assemble_argument_collection(parse_docstring=False)
         if any(kind in str(argument.hint) for kind in kinds) and argument.name.startswith("-")
     ]

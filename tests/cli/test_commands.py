@@ -148,7 +148,7 @@ def test_a_map_of_one_row_is_a_curve_and_bad_places_are_refused_first(
     assert "largest |multiplier| at K = 2" in figure.read_text(encoding="utf-8")
     for option, word in (
         (["-o", str(tmp_path / "a.csv")], ".npz"),
-        (["--plot", str(tmp_path / "no" / "a.svg")], "no dir"),
+        (["--plot", str(tmp_path / "no" / "a.svg")], "no folder"),
     ):
         code, _, err = said(capsys, "map", "virtual", *axes, "2:3:2", *option)
         assert code == 2
@@ -156,3 +156,20 @@ def test_a_map_of_one_row_is_a_curve_and_bad_places_are_refused_first(
     code, _, err = said(capsys, "map", "virtual", "--speed-ratio", "1:2:100000", "--stiffness-ratio", "1:2:100000")
     assert code == 2
     assert "at most" in err
+
+
+def test_every_command_has_its_line_in_the_overview(capsys: pytest.CaptureFixture[str]) -> None:
+    from cli.main import commands
+
+    assert run(["--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    listed, asked = commands(), commands({name for name in commands() if not name.startswith("-")})
+    for name in listed:
+        if not name.startswith("-"):
+            line = listed[name].help
+            assert line == asked[name].help.partition("\n")[0], (
+                f"{name}: its line is not what the command says of itself"
+            )
+            assert line in shown
+    assert run(["export", "--help"]) == 0
+    assert "several channels become" in capsys.readouterr().out  # the whole text, not only the line

@@ -98,7 +98,7 @@ def test_a_thread_that_dies_is_reported_and_changes_the_code(
 
 def test_the_command_itself_exits_70(tmp_path: Path) -> None:
     broken = tmp_path / "cli_broken.py"
-    broken.write_text("import sys\nimport cli.model\ncli.model._writable = 1\nfrom cli.entry import main\nmain()\n")
+    broken.write_text("import sys\nimport cli.model\ncli.model.need_place = 1\nfrom cli.entry import main\nmain()\n")
     done = subprocess.run(
         [sys.executable, str(broken), "predict", "virtual"], capture_output=True, text=True, check=False,
         env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])},

@@ -221,7 +221,7 @@ def test_a_log_in_words(said: Any, tmp_path: Path) -> None:
 
 
 def test_gaps_are_told_with_number_and_span(said: Any, tmp_path: Path) -> None:
-    from daq.stream_items import Event
+    from daq.drivers.items import Event
 
     with LogFile(tmp_path / "run.mcap", {}, {}, (), 10**18) as file:
         for second in range(3):

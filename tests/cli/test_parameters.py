@@ -160,9 +160,24 @@ def test_values_are_rounded_to_two_digits_of_their_uncertainty(
     assert rounded(value, std) == shown
 
 
-def test_a_place_that_is_not_there_is_refused_before_the_work(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["identify", "no.mcap", "-o", "nowhere/p.toml"]) == 2
-    assert "rig identify: -o nowhere/p.toml: there is no folder nowhere" in " ".join(capsys.readouterr().err.split())
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (["identify", "no.mcap", "-o"], "rig identify: -o"),
+        (["validate", "virtual", "no.mcap", "--parameters", "no.toml", "--report"], "rig validate: --report"),
+        (["predict", "virtual", "--speed-ratio", "2", "--plot"], "rig predict: --plot"),
+        (["map", "virtual", "--speed-ratio", "1:2:3", "--stiffness-ratio", "1:2:3", "-o"], "rig map:"),
+        (["log", "no.mcap", "--plot"], "rig log: --plot"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: list[str], option: str
+) -> None:
+    for place, why in (("nowhere/p.svg", "there is no folder nowhere"), (str(tmp_path), "this is a folder")):
+        assert run([*command, place]) == 2
+        words = " ".join(capsys.readouterr().err.split())
+        assert f"{option} {place}" in words
+        assert why in words
 
 
 def test_a_log_is_not_taken_for_parameters(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

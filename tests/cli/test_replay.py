@@ -15,11 +15,11 @@ from cyclopts import App
 
 from cli import replay_view
 from cli.replay import replay
+from daq.drivers.items import Batch, Event
 from daq.errors import LogError
 from daq.log import open_log
 from daq.log.samples import Samples
 from daq.replay import check
-from daq.stream_items import Batch, Event
 from daq.transports import open_link
 from rig_configs.errors import RigFileError
 from tests.daq.replayed_log import IDENTITIES, write_log

@@ -10,9 +10,9 @@ import pytest
 from cli.main import run
 from cli.simulated import SimulatedOperator, VirtualRigProcess
 from cli.tracking import LiveTracking, compile_tracker, imbalance_std
+from daq.acquisition.session import Session
 from daq.errors import LinkLost
-from daq.procedure import Procedures
-from daq.session import Session
+from daq.guided_tests.procedure import Procedures
 from daq.transports import HostClock
 from identification.tracking.tracker import Tracker
 from rig_configs import IdentifiedParameters, load_rig

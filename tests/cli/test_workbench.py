@@ -7,8 +7,12 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
+import time
 
 import pytest
+
+from cli import workbench
 
 PARENT = """
     import os, time
@@ -37,3 +41,16 @@ def test_a_killed_command_leaves_no_worker(tmp_path) -> None:
         except subprocess.TimeoutExpired:
             os.kill(worker, signal.SIGTERM)
             pytest.fail("the worker outlived the command that started it")
+
+
+def test_a_command_that_is_interrupted_does_not_wait_for_its_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workbench, "_warm_up", os.getpid)
+    bench = workbench.Workbench()
+    bench._pool.submit(time.sleep, 3600)  # a fit that goes on for ever
+    worker = next(iter(bench._pool._processes.values()))
+    closing = threading.Thread(target=bench.close, daemon=True)
+    closing.start()
+    worker.join(20)
+    assert worker.exitcode is not None
+    closing.join(20)
+    assert not closing.is_alive()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 
-from daq.interlocks import Interlocks, Stop
-from daq.protocols import cia402, slcan
-from daq.stream_items import RX, Batch, Event
-from daq.streams import make_pipelines
+from daq.acquisition.interlocks import Interlocks, Stop
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import RX, Batch, Event
+from daq.transports import slcan
 from daq.virtual_rig.run import VirtualRig
 from rig_configs import load_rig
 

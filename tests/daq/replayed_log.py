@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import HEALTH_TOPIC
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import RX, TX, Batch, Event
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.rotorlink import wire as rotorlink
 from daq.log.file import LogFile
-from daq.protocols import cia402, optoncdt, rotorlink, slcan
-from daq.stream_items import RX, TX, Batch, Event
-from daq.streams import make_pipelines
+from daq.transports import slcan
 from rig_configs import load_rig
 
 START_NS = 1_700_000_000_000_000_000

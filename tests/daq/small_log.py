@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from daq.protocols import cia402, optoncdt, rotorlink, slcan
-from daq.recorder import Recorder
-from daq.stream_items import RX, Batch
-from daq.streams import make_pipelines
-from daq.transports import HostClock
+from daq.acquisition.recorder import Recorder
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import RX, Batch
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.rotorlink import wire as rotorlink
+from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
 

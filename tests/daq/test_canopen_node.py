@@ -10,8 +10,9 @@ from canopen.sdo.exceptions import SdoAbortedError
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.protocols import cia402, slcan
-from daq.protocols.canopen_node import Adapter, NmtState, SdoServer, drive_objects
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import Adapter, NmtState, SdoServer, drive_objects
+from daq.transports import slcan
 
 
 class Wire:

@@ -24,11 +24,11 @@ from daq.catalogue import Catalogue, Entry, Query, cache, facts, parse_instant, 
 from daq.catalogue.cache import NAME, Row, Stamp
 from daq.catalogue.query import Sort
 from daq.channels import TACHO
+from daq.drivers.items import Batch
 from daq.errors import LogError, RecordingError
 from daq.log.file import LogFile
 from daq.log.verdicts import SUFFIX, Verdict, digest_of, keep_verdict, verdict_of
 from daq.mcap.writer import BlockWriter
-from daq.stream_items import Batch
 
 T0 = 1_700_000_000_000_000_000
 LATER_NS = 10**10

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.protocols import cia402 as cia
+from daq.drivers.cia402 import wire as cia
 
 U16, I16 = st.integers(0, 2**16 - 1), st.integers(-(2**15), 2**15 - 1)
 

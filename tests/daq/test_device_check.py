@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.device_check import DriveSeen, LaserSeen, Look, NodeSeen, common_factor, device_checks, passed
-from daq.protocols import cia402, rotorlink
-from daq.rate_watch import Rate
-from daq.stream_items import Event
+from daq.acquisition.device_check import DriveSeen, LaserSeen, Look, NodeSeen, common_factor, device_checks, passed
+from daq.acquisition.rate_watch import Rate
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.items import Event
+from daq.drivers.rotorlink import wire as rotorlink
 from rig_configs import load_rig
 
 RIG = load_rig("virtual")

@@ -6,11 +6,12 @@ import struct
 
 import pytest
 
-from daq.drive import DriveControl
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import SdoServer, drive_objects
+from daq.drivers.cia402.control import DriveControl
+from daq.drivers.contract import RotorGuard
 from daq.errors import DeviceError, LinkLost
-from daq.protocols import cia402, slcan
-from daq.protocols.canopen_node import SdoServer, drive_objects
-from daq.transports import HostClock
+from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
 CONFIG = load_rig("virtual").devices.drive
@@ -29,8 +30,8 @@ class FarEnd:
         self.brakes = True
         self._lines, self._answers = slcan.LineDecoder(), slcan.LineDecoder()
         self._sdo = SdoServer(drive_objects(), {}, self._written)
-        self.control = DriveControl(CONFIG, self.send, HostClock(), speed=lambda: abs(self.rpm))
-        self.control._at_rest = lambda: self.rpm == 0
+        guard = RotorGuard(lambda rpm: None, lambda: self.rpm == 0, lambda: abs(self.rpm))
+        self.control = DriveControl(CONFIG, self.send, HostClock(), guard)
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == WATCH:
@@ -54,7 +55,7 @@ class FarEnd:
                 self.speak()
 
     def report(self, identifier: int, data: bytes) -> None:
-        self.control.notice(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
+        self.control.heed(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
 
     def speak(self) -> None:
         _, word = cia402.STATES[self.state]
@@ -72,8 +73,8 @@ class FarEnd:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drive._NO_SLOWER_S", 0.3)
-    monkeypatch.setattr("daq.drive._REPEAT_S", 0.02)
+    monkeypatch.setattr("daq.drivers.cia402.control._NO_SLOWER_S", 0.3)
+    monkeypatch.setattr("daq.drivers.cia402.control._REPEAT_S", 0.02)
 
 
 def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:

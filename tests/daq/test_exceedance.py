@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.exceedance import Exceedance
+from daq.acquisition.exceedance import Exceedance
 
 
 def tripped(values: np.ndarray, cuts: list[int]) -> bool:

@@ -18,12 +18,12 @@ import pytest
 from scipy.io import loadmat
 
 from daq.channels import LASER_X, LASER_Y, MOTOR, PENDULUMS, TACHO
+from daq.drivers.items import Batch, Event
 from daq.exchange import ExchangeError, export_log, mat_file, tables
 from daq.exchange.units import unit_of
 from daq.log import open_log
 from daq.log.file import LogFile
-from daq.signals import load_run
-from daq.stream_items import Batch, Event
+from daq.signals.run import load_run
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
 

@@ -9,15 +9,15 @@ import pytest
 
 from cli.main import run
 from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.acquisition.session import Session
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import SdoServer, drive_objects
 from daq.errors import DeviceError, ProcedureError
+from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.log import open_log
 from daq.log.outcome import not_reached_of
-from daq.procedure import Procedures, zero_counters
-from daq.protocols import cia402, slcan
-from daq.protocols.canopen_node import SdoServer, drive_objects
-from daq.session import Session
-from daq.signals import load_run
-from daq.transports import HostClock
+from daq.signals.run import load_run
+from daq.transports import HostClock, slcan
 from identification.identify import missing_warnings
 from rig_configs import load_rig
 from rig_configs.schema import Rig
@@ -129,7 +129,7 @@ class FaultyDrive:
     """A drive that stands in FAULT for a reason; its host's frames in, its answers out."""
 
     def __init__(self, reason: dict[tuple[int, int], tuple[int, str]]) -> None:
-        from daq.drive import DriveControl
+        from daq.drivers.cia402.control import DriveControl
 
         rig = load_rig("virtual")
         self.state, self.control = cia402.FAULT, 0
@@ -141,7 +141,7 @@ class FaultyDrive:
     def _hear(self, data: bytes) -> None:
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id == cia402.cob_sdo_request(5):
-                self.host.notice([slcan.CanFrame(cia402.cob_sdo_answer(5), self._sdo.answer(frame.data))])
+                self.host.heed([slcan.CanFrame(cia402.cob_sdo_answer(5), self._sdo.answer(frame.data))])
             elif frame.arbitration_id == cia402.cob_rpdo(1, 5):
                 word, before = cia402.unpack_rpdo1(frame.data)[0], self.control
                 self.control = word
@@ -155,7 +155,7 @@ class FaultyDrive:
 
     def _report(self) -> None:
         word = cia402.STATES[self.state][1]
-        self.host.notice([slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
+        self.host.heed([slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from daq.exchange.recordings import open_recording
 from daq.exchange.rotor_phase import revolutions_of_marks
 from daq.log import open_log
 from daq.log.losses import losses_of
-from daq.signals import Run, load_run
+from daq.signals.run import Run, load_run
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
 

@@ -16,6 +16,7 @@ import pytest
 from scipy.io import savemat
 
 from daq.exchange import ExchangeError
+from daq.exchange.columns import pick
 from daq.exchange.matlab_recording import Hdf5Recording, MatRecording
 from daq.exchange.recordings import open_recording
 
@@ -113,13 +114,56 @@ def test_a_mat_bomb_is_refused(tmp_path: Path, inside: str) -> None:
     path = tmp_path / "run.mat"
     if inside == "numbers":  # 400 MB of zeros, in a cell where no list of variables shows them
         packer = zlib.compressobj(1)
-        head = struct.pack("<II", 14, 400 * 2**20)
+        head = struct.pack("<IIII", 14, 400 * 2**20 + 8, 9, 400 * 2**20)
         packed = packer.compress(head) + b"".join(packer.compress(bytes(2**20)) for _ in range(400)) + packer.flush()
     else:
         packed = zlib.compress(mat_matrix(2**30, mat_element(9, bytes(64))))
     path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + mat_element(15, packed))
     with pytest.raises(ExchangeError, match="no recording shrinks to" if inside == "numbers" else "expected"):
         MatRecording(path)
+
+
+def cells_in_cells(depth: int) -> bytes:
+    """A MAT file's element: a cell in a cell in a cell …, `depth` of them."""
+    head = mat_element(6, struct.pack("<II", 1, 0)) + mat_element(5, struct.pack("<ii", 1, 1)) + mat_element(1, b"")
+    heads, size = [], 0
+    for _ in range(depth):
+        heads.append(struct.pack("<II", 14, len(head) + size) + head)
+        size += 8 + len(head)
+    return b"".join(reversed(heads))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_what_would_end_the_process_is_not_given_to_the_reader(tmp_path: Path, packed: bool) -> None:
+    path = tmp_path / "run.mat"
+
+    def write(element: bytes) -> None:
+        content = mat_element(15, zlib.compress(element)) if packed else element
+        path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + content)
+
+    write(cells_in_cells(200_000))  # scipy calls itself for each: a segmentation fault
+    with pytest.raises(ExchangeError, match="cells or structs in each other"):
+        MatRecording(path)
+    text = mat_element(6, struct.pack("<II", 4, 0)) + mat_element(5, struct.pack("<ii", 1, 3)) + mat_element(1, b"x")
+    write(mat_element(14, text + mat_element(255, b"abc")))  # scipy looks the type up beyond its table: another
+    with pytest.raises(ExchangeError, match=r"damaged\?"):
+        MatRecording(path)
+    inner = mat_matrix(2**30, mat_element(9, bytes(64)))  # a claim that no list of variables shows
+    cell = mat_element(6, struct.pack("<II", 1, 0)) + mat_element(5, struct.pack("<ii", 1, 1)) + mat_element(1, b"x")
+    write(mat_element(14, cell + inner))
+    with pytest.raises(ExchangeError, match="at most 4 GB of numbers"):
+        MatRecording(path)
+
+
+def test_cells_and_structs_within_reason_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    x = np.arange(30.0)
+    cells = np.array([[x, "text"], [np.empty(0), {"deep": [{"x": x}, "end"]}]], dtype=object)
+    for packed in (False, True):
+        savemat(path, {"data": {"x": x, "cells": cells, "z": x + 1j}, "name": "text"}, do_compression=packed)
+        found = MatRecording(path)
+        assert np.array_equal(found.read(["data.x"])["data.x"].values, x)
+        assert found.others["data.z"].endswith("complex128")
 
 
 def test_compressed_recordings_are_read_as_before(tmp_path: Path) -> None:
@@ -136,6 +180,42 @@ def test_a_parquet_bomb_is_refused(tmp_path: Path) -> None:
         for _ in range(10):
             writer.write_table(pa.table({"x": column.dictionary_decode()}))
     refused(path, "x", "no recording shrinks to")
+
+
+def test_only_columns_of_numbers_are_read_from_parquet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.parquet"
+    columns = [pa.array([[0.0] * 5]), pa.array(["a"]), pa.array([1.0]), pa.array([2.0])]
+    pq.write_table(pa.Table.from_arrays(columns, ["list", "text", "x", "x"]), path)
+    monkeypatch.setattr(pq, "ParquetFile", lambda _: pytest.fail("a column that may be of any size is read"))
+    refused(path, "list", "expected numbers in column 'list', got list")
+    refused(path, "text", "expected numbers in column 'text', got string")
+    refused(path, "x", "expected one column 'x', got 2")
+
+
+def test_a_line_without_an_end_is_not_read_whole(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,x\n" + "0.5,1\n" * 1000 + "1" * 3_000_000)
+    refused(path, "x", "line 1002: expected a row of numbers, this line has more than 1,000,000 characters")
+
+
+def test_what_is_no_column_is_said_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["x"] = np.arange(50.0)
+        file["z"] = np.arange(5) + 1j
+        file["stamp"] = ["2026-01-01"]
+        file["cube"] = np.zeros((2, 2, 2))
+        file.create_dataset("none", data=h5py.Empty("f8"))
+        file["soft"] = h5py.SoftLink("/x")
+        file["out"] = h5py.ExternalLink("other.h5", "/x")
+    found = open_recording(path)
+    assert found.names == ("x",)
+    for name, words in {
+        "z": "of complex128", "stamp": "of object", "cube": r"of shape \(2, 2, 2\)", "none": "without values",
+        "soft": "a soft link", "out": "a link to another file",
+    }.items():  # fmt: skip
+        with pytest.raises(ExchangeError, match=f"--x: expected a column of numbers, '{name}' is .*{words}"):
+            pick(found, name, "--x")
 
 
 def test_parquet_columns_in_another_file_are_not_fetched(tmp_path: Path) -> None:

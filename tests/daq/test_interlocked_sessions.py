@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.acquisition.session import Session
+from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError, ProcedureError
+from daq.guided_tests.procedure import Procedures
 from daq.log import open_log
 from daq.log.losses import losses_of
-from daq.procedure import Procedures
-from daq.protocols import cia402
 from daq.replay import check
-from daq.session import Session
 from daq.transports import HostClock
 from rig_configs import load_rig
 from rig_configs.schema import Rig
@@ -152,7 +152,7 @@ def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig
 def test_a_rotor_that_still_turns_at_the_end_is_said(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daq.drive._RUN_DOWN_S", 1.0)
+    monkeypatch.setattr("daq.drivers.cia402.control._RUN_DOWN_S", 1.0)
     said: list[str] = []
     still = "the rotor still turns"
     with pytest.raises(DeviceError, match=still), Session(rig, HostClock(TIME_SCALE), say=said.append) as session:  # noqa: PT012
@@ -226,3 +226,31 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
     assert any(direction == 1 and quick in data for direction, _, data in written)
     assert [ns for _, ns, _ in written] == sorted(ns for _, ns, _ in written)  # rx and tx as they were
     assert [row.topic for row in check(path) if row.difference] == []
+
+
+def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
+    far_end: VirtualRigProcess, rig: Rig, tmp_path: Path
+) -> None:
+    class Breaks(SimulatedOperator):
+        """Whoever flicks the pendulums hits B's encoder, too."""
+
+        def flick(self) -> None:
+            super().flick()
+            far_end.line.ask("fail", device="encoder", what="flags", value=2)
+
+    try:
+        with (
+            pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was stopped"),
+            Session(rig, HostClock(TIME_SCALE)) as session,
+        ):
+            Procedures(session, Breaks(far_end.line), tmp_path, quiet).spin_down()
+        assert "fault of encoder B" in str(summary_of(only_log(tmp_path))["ended"])
+        far_end.line.ask("fail", device="encoder", what="flags", value=1)
+        with Session(rig, HostClock(TIME_SCALE)) as session:
+            tests = Procedures(session, Breaks(far_end.line), tmp_path, quiet)
+            for test in (tests.spin_down, lambda: tests.point("A", 15.0), lambda: tests.run_up(600.0, 10.0)):
+                with pytest.raises(ProcedureError, match=r"fault of encoder A: .*Nothing was turned"):
+                    test()
+        assert len(list(tmp_path.glob("*.mcap*"))) == 1
+    finally:
+        far_end.line.ask("fail", device="encoder", what="flags", value=0)

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import channels
-from daq.channel_watch import ChannelWatch
-from daq.interlocks import Interlocks, Share, Stop
-from daq.rotor_watch import RotorWatch
-from daq.stream_items import Batch
+from daq.acquisition.channel_watch import ChannelWatch
+from daq.acquisition.interlocks import Interlocks, Share, Stop
+from daq.acquisition.rotor_watch import RotorWatch
+from daq.drivers.items import Batch
 from rig_configs import load_rig
 from tests.daq.far_ends import Bench
 
@@ -40,6 +40,8 @@ FAILURES = [
     ("laser_x", "code", 262076, 0.5, r"laser/x: no valid sample .*code 262076"),
     ("laser_y", "code", 262075, 0.5, "laser/y: no valid sample"),
     ("laser_y", "code", 262080, 0.5, "laser/y: no valid sample"),
+    ("laser_x", "code", 33_000, 0.8, r"laser/x: reads .* without any change for 0\.. s"),
+    ("laser_y", "code", 32_760, 0.8, "laser/y: reads .* the sensor hangs"),
     ("encoder", "flags", 1, 0.4, "pendulums: the node reports a fault of encoder A"),
     ("encoder", "flags", 2, 0.4, "fault of encoder B"),
     ("encoder", "marks lost", 1, 3.0, "tacho: no index mark for"),
@@ -98,6 +100,24 @@ def test_a_rig_that_is_silent_as_a_whole_stops_the_rotor() -> None:
         bench.turn(600)
         bench.muted |= set(bench.pipelines)
         assert bench.pass_time(5.0, until_stop=True) <= 3.0
+
+
+def test_standing_still_together_is_no_fault() -> None:
+    """A balanced rotor under noise-free sensors."""
+    with Bench() as bench:
+        bench.turn(600)
+        bench.fails("laser_x", "code", 33_000)
+        bench.fails("laser_y", "code", 33_000)
+        bench.pass_time(3.0)
+        assert bench.stops == []
+
+
+@pytest.mark.parametrize("rpm", [60, 300, 900])
+def test_without_any_noise_a_turning_rotor_is_not_stuck(rpm: int) -> None:
+    with Bench("virtual.sensors.laser_noise_m=0", "virtual.sensors.encoder_noise_counts=0") as bench:
+        bench.turn(rpm)
+        bench.pass_time(2.0)
+        assert bench.stops == []
 
 
 def test_a_flash_of_light_is_no_blindness() -> None:

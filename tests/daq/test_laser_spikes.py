@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.laser_spikes import LOOK_AHEAD, SpikeWatch, suspects
-from daq.laser_stream import LaserPipeline
-from daq.protocols import optoncdt
-from daq.stream_items import RX, Batch, Event
+from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.spikes import LOOK_AHEAD, SpikeWatch, suspects
+from daq.drivers.optoncdt.stream import LaserPipeline
 from rig_configs import load_rig
 
 STEP_M = 0.025 * 1.02 / optoncdt.CODE_MAX
@@ -141,7 +141,7 @@ def test_identification_sees_no_marked_sample_and_the_log_keeps_it(tmp_path: Pat
     from daq.log import open_log
     from daq.log.file import LogFile
     from daq.log.losses import losses_of
-    from daq.signals import load_run
+    from daq.signals.run import load_run
 
     rig = load_rig("virtual")
     codes = np.rint(MIDDLE + 900 * np.sin(np.arange(6000) / 40)).astype(np.int64)

@@ -7,11 +7,11 @@ from contextlib import contextmanager
 
 import pytest
 
+from daq.acquisition.session import Session
+from daq.drivers.devices import make_pipelines
 from daq.errors import LinkLost
 from daq.log import open_log
 from daq.replay import check
-from daq.session import Session
-from daq.streams import make_pipelines
 from daq.transports import HostClock
 from daq.transports.wires import make_wire
 from rig_configs import load_rig

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.lock_positions import battery_low, flagged, lock_positions, lock_tolerance_deg, misplaced
-from daq.protocols import rotorlink
+from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, lock_tolerance_deg, misplaced
+from daq.drivers.rotorlink import wire as rotorlink
 
 A, B = rotorlink.FLAG_LOCK_A_CLOSED, rotorlink.FLAG_LOCK_B_CLOSED
 ZERO_STD_DEG = 0.05

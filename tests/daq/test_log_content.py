@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.channels import HEALTH_TOPIC, LASER_X, RX, TX
+from daq.drivers.items import Batch, Event
 from daq.log import Log, open_log
 from daq.log import content as log_content
 from daq.log.content import (
@@ -23,7 +24,6 @@ from daq.log.content import (
     stretches,
 )
 from daq.log.file import LogFile
-from daq.stream_items import Batch, Event
 
 T0 = 1_700_000_000_000_000_000
 S = 10**9

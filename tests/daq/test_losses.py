@@ -4,12 +4,12 @@ import json
 
 import pytest
 
+from daq.drivers.items import Event
 from daq.errors import LogError
 from daq.log import open_log
 from daq.log.content import event_content
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
-from daq.stream_items import Event
 
 START = 1_700_000_000_000_000_000
 

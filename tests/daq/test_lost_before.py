@@ -12,6 +12,8 @@ from cyclopts import App
 from benchmarks.damaged_logs import chunk_spans, make_shape
 from cli.logs import log as log_command
 from daq.catalogue import Catalogue
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import RX, Batch
 from daq.log import lost_before as module
 from daq.log import open_log, opened, recover
 from daq.log.file import LogFile
@@ -19,9 +21,7 @@ from daq.log.losses import losses_of
 from daq.log.lost_before import read_lost, tell_lost
 from daq.log.samples import Missing
 from daq.replay.checking import check_log
-from daq.signals import load_run
-from daq.stream_items import RX, Batch
-from daq.streams import make_pipelines
+from daq.signals.run import load_run
 from identification.identify import missing_warnings
 from rig_configs import load_rig
 from tests.daq.small_log import device_bytes

@@ -8,8 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from daq.drivers.optoncdt import wire as nc
 from daq.errors import DeviceError
-from daq.protocols import optoncdt as nc
 
 WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 BLOCKS = arrays(np.uint32, st.tuples(st.integers(0, 30), st.just(4)), elements=st.integers(0, 2**18 - 1))

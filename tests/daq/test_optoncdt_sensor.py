@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.protocols import optoncdt
-from daq.protocols.optoncdt_sensor import SensorCommands, info_lines, outputs_of
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
 
 INFO = optoncdt.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
 

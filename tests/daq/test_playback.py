@@ -15,17 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.channels import CHANNELS
-from daq.drive_stream import DrivePipeline
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import RX, TX, Batch
 from daq.errors import LinkLost, LogError
 from daq.log import Log, open_log
 from daq.log.file import LogFile
 from daq.log.samples import RawChunk
 from daq.playback import BACKLOG_BYTES, LinkOutlet, Outlet, Playback, PlayedDevice, open_outlets, played_devices
 from daq.playback.bytes_played import BothWays
-from daq.protocols import cia402, slcan
-from daq.stream_items import RX, TX, Batch
-from daq.streams import make_pipelines
-from daq.transports import HostClock, Link, open_link
+from daq.transports import HostClock, Link, open_link, slcan
 from daq.transports.wires import PtyWire, TcpWire
 from rig_configs import load_rig
 from tests.daq.replayed_log import IDENTITIES, START_NS, write_log

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import canopen
@@ -13,16 +13,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq import lasers
-from daq.drive import DriveControl
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.control import DriveControl
+from daq.drivers.items import RX, TX
+from daq.drivers.optoncdt import dialogue as lasers
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.rotorlink import wire as rotorlink
 from daq.errors import DeviceError, LogError
 from daq.log import Log, open_log
 from daq.playback import PlayedDevice, played_devices
 from daq.playback.bytes_played import WholeBlocks
 from daq.playback.devices import PlayedDrive, PlayedLaser, PlayedNode
-from daq.protocols import cia402, optoncdt, rotorlink, slcan
-from daq.stream_items import RX, TX
-from daq.transports import HostClock
+from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 from tests.daq.replayed_log import IDENTITIES, write_log
 
@@ -42,26 +44,23 @@ def blocks(count: int, words: int = 4) -> bytes:
     return optoncdt.encode_block(rng.integers(0, 2**18, (count, words), dtype=np.uint32))
 
 
-class Line:
-    """What came back on a device's line."""
+class Asking:
+    """A host's way to a device and back, through the decoder that reads it."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: PlayedDevice) -> None:
         self.replies: queue.Queue[str] = queue.Queue()
         self.bytes_in = 0
+        self._device = device
+        self._decoder = optoncdt.StreamDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))
 
+    def send(self, data: bytes) -> None:
+        answer = self._device.hear(data)
+        self.bytes_in += len(answer)
+        for text in self._decoder.feed(answer).text:
+            self.replies.put(text)
 
-def asking(device: PlayedDevice) -> tuple[Callable[[bytes], None], Line]:
-    """A host's way to a device and back, through the decoder that reads it."""
-    line = Line()
-    decoder = optoncdt.StreamDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))
-
-    def send(data: bytes) -> None:
-        answer = device.hear(data)
-        line.bytes_in += len(answer)
-        for text in decoder.feed(answer).text:
-            line.replies.put(text)
-
-    return send, line
+    def begin_anew(self) -> None:
+        pass
 
 
 # --- a sensor ----------------------------------------------------------------------------------------------------
@@ -110,9 +109,9 @@ def test_bytes_that_are_no_blocks_are_not_held_back_for_ever() -> None:
 
 def test_our_own_set_up_finds_the_sensor_of_the_log() -> None:
     laser = PlayedLaser(IDENTITY, LASER)
-    send, line = asking(laser)
+    talk = Asking(laser)
     assert not laser.sending
-    assert lasers.configure("laser_x", LASER, send, line, lambda: None) == IDENTITY
+    assert lasers.configure("laser_x", LASER, talk) == IDENTITY
     assert laser.sending
     assert laser.commands == 9
     assert laser.unfollowed == 0
@@ -125,17 +124,17 @@ def test_a_corrected_range_is_not_what_the_sensor_says() -> None:
 
 def test_of_a_sensor_that_was_never_asked_the_rig_file_tells() -> None:
     laser = PlayedLaser({}, LASER)
-    send, line = asking(laser)
-    identity = lasers.configure("laser_x", LASER, send, line, lambda: None)
+    talk = Asking(laser)
+    identity = lasers.configure("laser_x", LASER, talk)
     assert identity == {"name": "unknown", "serial": "unknown", "version": "unknown", "range_m": LASER.range_m,
                         "words": list(optoncdt.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP"))}  # fmt: skip
 
 
 def test_a_log_has_no_other_rate() -> None:
     slow = LASER.model_copy(update={"rate_Hz": 1000})
-    send, line = asking(PlayedLaser(IDENTITY, slow))
+    talk = Asking(PlayedLaser(IDENTITY, slow))
     with pytest.raises(DeviceError, match="Rate 4 kHz not possible, only 1"):
-        lasers.configure("laser_x", LASER, send, line, lambda: None)
+        lasers.configure("laser_x", LASER, talk)
 
 
 def test_it_sends_from_when_it_is_told_until_it_is_told_and_resets_no_counter() -> None:
@@ -193,7 +192,7 @@ class Bus:
         self.bring(self.drive.hear(data))
 
     def bring(self, data: bytes) -> None:
-        self.control.notice(self._lines.feed(data).frames)
+        self.control.heed(self._lines.feed(data).frames)
 
 
 def report(status: int, rpm: int) -> bytes:

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from daq.drivers.items import RX
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.rotorlink import wire as rotorlink
 from daq.errors import DeviceError, LinkLost
 from daq.log import Log, open_log
 from daq.playback import Playback, Played, played_devices
-from daq.protocols import optoncdt, rotorlink, slcan
-from daq.stream_items import RX
+from daq.transports import slcan
 from tests.daq.replayed_log import write_log
 from tests.daq.test_replay import FakeClock
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import channels
-from daq.protocols import optoncdt
-from daq.rate_watch import RateWatches
-from daq.stream_items import Batch, Event
+from daq.acquisition.rate_watch import RateWatches
+from daq.drivers.items import Batch, Event
+from daq.drivers.optoncdt import wire as optoncdt
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices

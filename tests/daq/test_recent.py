@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daq.acquisition.recent import Recent
 from daq.channels import TACHO
-from daq.recent import Recent
-from daq.stream_items import Batch
+from daq.drivers.items import Batch
 
 STEP_NS = 1_000_000
 

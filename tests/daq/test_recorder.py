@@ -12,13 +12,13 @@ from collections import namedtuple
 import numpy as np
 import pytest
 
-from daq import recorder as recorder_module
+from daq.acquisition import recorder as recorder_module
+from daq.acquisition.recorder import Recorder
 from daq.channels import LASER_X
+from daq.drivers.items import RX, Batch, Event
 from daq.errors import LogError, RecordingError
 from daq.log import open_log
 from daq.log.file import LogFile
-from daq.recorder import Recorder
-from daq.stream_items import RX, Batch, Event
 from daq.transports import HostClock
 
 START = 1_700_000_000_000_000_000

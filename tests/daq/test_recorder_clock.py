@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq.exchange import import_recording, make_recipe
 from daq.log.file import LogFile
-from daq.signals import Run, load_run
+from daq.signals.run import Run, load_run
 from identification.clocks import clock_errors, rate_std_between
 from identification.identify import Identification, identify
 from rig_configs import load_rig

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from daq.channels import TACHO
+from daq.drivers.items import Batch, Event
 from daq.errors import LogError
 from daq.log import open_log
 from daq.log.file import LogFile
@@ -20,8 +21,7 @@ from daq.replay import check, compare, paced, stored
 from daq.replay.anew import decode_anew
 from daq.replay.calibration import Calibration
 from daq.replay.pace import Pace
-from daq.signals import load_run
-from daq.stream_items import Batch, Event
+from daq.signals.run import load_run
 from rig_configs.errors import RigFileError
 from tests.daq.replayed_log import START_NS, STEP_NS, Falsify, write_log
 from tests.daq.small_log import write_small_log

@@ -8,7 +8,7 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.protocols import rotorlink as rl
+from daq.drivers.rotorlink import wire as rl
 
 U8, U16, U32 = st.integers(0, 255), st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
 I8, I16 = st.integers(-128, 127), st.integers(-(2**15), 2**15 - 1)

@@ -9,13 +9,13 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from daq import lasers
+from daq.acquisition.reader import DeviceReader, OpenDevice
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import RX, Event
+from daq.drivers.optoncdt import dialogue as lasers
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.errors import DeviceError
-from daq.protocols import optoncdt
-from daq.protocols.optoncdt_sensor import SensorCommands, info_lines
-from daq.reader import DeviceReader
-from daq.stream_items import RX, Event
-from daq.streams import make_pipelines
 from daq.transports import HostClock, open_link
 from daq.transports.wires import TcpWire
 from rig_configs import load_rig
@@ -105,7 +105,7 @@ def test_a_stream_left_running_is_run_dry_before_the_new_one_begins() -> None:
                 device.pipeline = make_pipelines(rig.devices, {})["laser_x"]
                 samples.clear()
 
-        identity = lasers.configure("laser_x", rig.devices.laser_x, device.link.write, device, forget)
+        identity = lasers.configure("laser_x", rig.devices.laser_x, OpenDevice(device, forget))
         assert identity["serial"] == "14200001"
         wait_for(lambda: sum(samples) > 400)
         assert [e.text for e in events if e.kind in ("restart", "damage", "gap")] == []
@@ -117,4 +117,4 @@ def test_a_sensor_that_will_not_be_silent_is_said_with_what_to_look_at(monkeypat
     with line_to(LeftStreaming(deaf=True)) as (device, _, samples):
         wait_for(lambda: sum(samples) > 100)
         with pytest.raises(DeviceError, match=r"told OUTPUT NONE 3 times, it goes on sending\. Does its line carry"):
-            lasers.configure("laser_x", load_rig("virtual").devices.laser_x, device.link.write, device, lambda: None)
+            lasers.configure("laser_x", load_rig("virtual").devices.laser_x, OpenDevice(device, lambda: None))

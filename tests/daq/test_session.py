@@ -14,13 +14,13 @@ from mcap.reader import make_reader
 
 from cli.demo import _radio_check
 from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.acquisition.recorder import Recorder
+from daq.acquisition.session import Session
+from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError, LinkLost, LogError, ProcedureError
+from daq.guided_tests.procedure import Procedures
 from daq.log import open_log
-from daq.procedure import Procedures
-from daq.protocols import cia402
-from daq.recorder import Recorder
 from daq.replay import check
-from daq.session import Session
 from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
 from rig_configs import load_rig
@@ -117,7 +117,7 @@ def test_a_pulled_cable_is_reported_and_stops_the_rotor(virtual_rig: VirtualRigP
 _RECORD_SPINNING = """
 import sys, time
 from pathlib import Path
-from daq.session import Session
+from daq.acquisition.session import Session
 from daq.transports import HostClock
 from rig_configs import load_rig
 rig = load_rig("virtual", settings=sys.argv[3:])

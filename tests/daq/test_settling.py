@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from daq.settling import Settling, locked_settled, settled
+from daq.signals.settling import Settling, locked_settled, settled
 
 STEP = 2 * np.pi / 4096
 SPEED = 49.0

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from daq.drivers.items import Batch, Event
 from daq.errors import ChannelMissing, LogError
 from daq.exchange.imported_channels import DISPLACEMENT_Y, PENDULUM_ANGLES, ROTOR_MARK, ROTOR_PHASE
 from daq.log.file import LogFile
-from daq.signals import load_run
-from daq.stream_items import Batch, Event
+from daq.signals.run import load_run
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.protocols.slcan import BEL, CanFrame, Decoded, LineDecoder, encode
+from daq.transports.slcan import BEL, CanFrame, Decoded, LineDecoder, encode
 
 FRAMES = st.one_of(
     st.builds(CanFrame, st.integers(0, 0x7FF), st.binary(max_size=8)),

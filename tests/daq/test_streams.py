@@ -10,12 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import channels
-from daq.drive_stream import DrivePipeline
-from daq.laser_stream import LaserPipeline
-from daq.node_stream import NodePipeline
-from daq.protocols import cia402, optoncdt, rotorlink, slcan
-from daq.stream_items import RX, Batch, Event
-from daq.streams import make_pipelines
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.stream import LaserPipeline
+from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.stream import NodePipeline
+from daq.transports import slcan
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices

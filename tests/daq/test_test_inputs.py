@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from daq import test_inputs
+from daq.guided_tests import test_inputs
 from rig_configs import load_rig
 
 RIG = load_rig("virtual")

@@ -13,8 +13,7 @@ import can
 import pytest
 
 from daq.errors import LinkLost
-from daq.protocols import slcan
-from daq.transports import HostClock, Link, open_link
+from daq.transports import HostClock, Link, open_link, slcan
 from daq.transports.wires import PtyWire, TcpWire
 
 FRAME = slcan.encode(slcan.CanFrame(0x185, b"\x37\x02\x10\x00"))

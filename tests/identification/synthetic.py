@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from daq.signals import Release, Run
+from daq.signals.run import Release, Run
 from dynamics.integrate import integrate, locked_state
 from dynamics.parameters import RotorParameters
 from dynamics.speed_history import SpeedHistory

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic import Campaign
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification import FitFailed, NotIdentifiable, fit_release, fit_spin_down_run
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic import Campaign
 
-from daq.signals import Run
+from daq.signals.run import Run
 from identification import Estimate, identify
 from identification.physical import keep_physical, physical_parameters, run_up_sides
 from identification.run_up.fit import fit_run_up_run

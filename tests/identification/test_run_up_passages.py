@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
-from daq.signals import Run
+from daq.signals.run import Run
 from dynamics.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, RunUpFit, fit_run_up, fit_run_up_run
 from identification.run_up import fit as run_up_fit

@@ -198,3 +198,10 @@ def test_what_is_no_file_is_refused_without_waiting_for_it(tmp_path: Path, targe
     for read in (load_rig, IdentifiedParameters.load):
         with pytest.raises((RigFileError, ParametersFileError), match="not a file"):
             read(tmp_path / "named.toml")
+
+
+@pytest.mark.parametrize("text", ["1e-400", "-0.3e-999", "*１.05", "+５%"])
+def test_a_number_that_is_not_what_it_looks_like_is_refused(text: str) -> None:
+    with pytest.raises(RigFileError, match=r"imbalance\.mass_kg"):
+        load_rig("virtual", settings=[f"imbalance.mass_kg={text}"])
+    assert load_rig("virtual", settings=["imbalance.mass_kg=0.00e-400"]).physics.imbalance_mass_kg == 0

@@ -1,0 +1,1 @@
+"""An open rig: readers, recorder, and what watches its channels while they run."""

@@ -1,0 +1,340 @@
+# pyright: strict
+"""What must stop the rotor, and what a log must be told about its channels; pure decisions, fed by the session.
+
+While the rotor turns, or may turn, every channel that guards it is due, whatever the test is: both lasers with valid
+samples, pendulum angles with sound encoders, index marks as often as the drive turns, the drive's own word. At rest
+only what a test declared is due. A channel's name and its fields are known here; who made its device is not: a sample
+is invalid when its displacement is NaN, an encoder is faulty when the sample's flags say so.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.acquisition.channel_watch import HOST, ChannelWatch
+from daq.acquisition.exceedance import Exceedance
+from daq.acquisition.rotor_watch import AT_REST_RPM, RotorWatch
+from daq.acquisition.stuck_watch import StuckWatch
+from daq.drivers.items import Batch, Event
+from rig_configs.schema import Limits
+
+LASERS: tuple[str, ...] = ("laser/x", "laser/y")
+GUARDS = (*LASERS, "pendulums", "tacho", "motor")
+"""Channels that are due while the rotor turns."""
+_DEADLINE_S = {"laser/x": 0.3, "laser/y": 0.3, "pendulums": 1.0, "motor": 0.3}  # rig time, while the rotor turns …
+_AT_REST_S = 2.0  # … and at rest, for a channel that a test needs
+_HOST_S = 0.3  # wall time that the host's threads may add
+_BLIND_S = 0.25  # of samples, more than half of them invalid; a flash is shorter
+_GONE_SAMPLES = 5  # invalid ones in a row after a large displacement
+_LARGE = 0.7  # of the amplitude limit
+_FAULTY_S = 0.1  # of samples, more than half of them with a fault flag
+_FAULTS = {1: "encoder A", 2: "encoder B"}  # flags of a pendulum sample
+_DEVICES = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "tacho": "encoder", "motor": "drive"}
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The run has to end, the rotor to stop.
+
+    Attributes:
+        cause: "device" when a device failed, "procedure" when the run went where it must not.
+    """
+
+    cause: Literal["device", "procedure"]
+    text: str
+
+
+class Share:
+    """Which share of a channel's newest samples is bad, over a stretch of the samples' own time.
+
+    Args:
+        stretch_s: how long.
+    """
+
+    def __init__(self, stretch_s: float) -> None:
+        self._stretch_ns = int(stretch_s * 1e9)
+        self._reads: deque[tuple[int, int, int, int]] = deque()  # first and last time, samples, bad ones
+        self._samples = self._bad = 0
+        self.in_a_row = 0
+        """Bad samples since the last good one."""
+
+    def add(self, first_ns: int, last_ns: int, bad: NDArray[np.bool_]) -> None:
+        """Samples of one read, shape (n,)."""
+        count = int(np.count_nonzero(bad))
+        last = len(bad) - 1 - int(np.flatnonzero(~bad)[-1]) if 0 < count < len(bad) else count
+        self.note(first_ns, last_ns, len(bad), count, last)
+
+    def note(self, first_ns: int, last_ns: int, samples: int, bad: int, bad_last: int) -> None:
+        """Samples of one read, counted: how many, how many of them bad, and how many bad ones behind every good one."""
+        self.in_a_row = self.in_a_row + bad if bad == samples else bad_last
+        self._reads.append((first_ns, last_ns, samples, bad))
+        self._samples += samples
+        self._bad += bad
+        while self._reads[0][1] < last_ns - self._stretch_ns:
+            _, _, samples, gone = self._reads.popleft()
+            self._samples -= samples
+            self._bad -= gone
+
+    @property
+    def mostly_bad(self) -> bool:
+        """Whether more than half are bad, over the whole stretch."""
+        if 2 * self._bad <= self._samples:
+            return False
+        return bool(self._reads) and self._reads[-1][1] - self._reads[0][0] >= 0.8 * self._stretch_ns
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._reads.clear()
+        self._samples = self._bad = self.in_a_row = 0
+
+
+class Interlocks:
+    """Watches every channel of a rig; several threads may feed it.
+
+    Args:
+        limits: of the rig file.
+        patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
+        driving: whether this session may turn the rotor; one that only listens stops nothing.
+    """
+
+    def __init__(self, limits: Limits, patience: Callable[[float], float], *, driving: bool) -> None:
+        self._limits, self._driving = limits, driving
+        self._rest_s = _AT_REST_S + patience(_HOST_S)
+        late_s = patience(_HOST_S)
+        deadlines = {t: (_DEVICES[t], (s if driving else _AT_REST_S) + late_s) for t, s in _DEADLINE_S.items()}
+        self._node_s = deadlines["pendulums"][1]
+        self.channels = ChannelWatch({**deadlines, "tacho": (_DEVICES["tacho"], float("inf"))}, patience)
+        self.rotor = RotorWatch(limits.speed_rpm, patience)
+        self._sight = {topic: Share(_BLIND_S) for topic in LASERS}
+        self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in LASERS}
+        self._stuck = StuckWatch(LASERS)
+        self._seen_m = dict.fromkeys(LASERS, 0.0)
+        self._code = dict.fromkeys(LASERS, 0)
+        self._blind = dict.fromkeys(LASERS, False)
+        self._sound = {bit: Share(_FAULTY_S) for bit in _FAULTS}
+        self._faulty = dict.fromkeys(_FAULTS, False)
+        self._faulty_samples = 0
+        self._needed: frozenset[str] = frozenset()
+        self._ours = False  # the rotor was told to turn, and has not been seen at rest since
+        self._lock = threading.RLock()
+
+    # --- what happens ------------------------------------------------------------------------------------------
+
+    def begin(self, now_ns: int) -> None:
+        """A log begins."""
+        with self._lock:
+            self.channels.begin(now_ns, expected=self._driving)
+            self._faulty_samples = 0
+            for share in (*self._sight.values(), *self._sound.values()):
+                share.clear()
+            self._blind = dict.fromkeys(LASERS, False)
+            self._faulty = dict.fromkeys(_FAULTS, False)
+
+    def end(self, now_ns: int) -> list[Event]:
+        """The log ends; returns what else belongs into it."""
+        with self._lock:
+            return self.channels.end(now_ns)
+
+    def need(self, topics: Iterable[str]) -> None:
+        """Channels that the running test lives on, at rest too."""
+        with self._lock:
+            self._needed = frozenset(topics)
+
+    def told(self, rpm: float) -> None:
+        """The drive is told a speed."""
+        with self._lock:
+            self._ours = self._ours or rpm != 0
+            self.rotor.told(rpm)
+
+    def feed(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
+        """Samples came; returns what the log must hold and what must stop the rotor."""
+        with self._lock:
+            topic = batch.channel.topic
+            back = self.channels.heard(topic, host_ns)
+            out: list[Event | Stop] = [] if back is None else [back]
+            if topic in LASERS:
+                out += self._look(topic, batch, host_ns)
+            elif topic == "pendulums":
+                out += self._pendulums(batch, host_ns)
+            elif topic == "tacho":
+                node_ns = batch.columns["node_time_us"].astype(np.int64) * 1000
+                marks = batch.columns["revolutions"]
+                out += self._wrong(self.rotor.marks_came(host_ns, batch.time_ns, node_ns, marks))
+            elif topic == "motor":
+                out += self._wrong(self.rotor.drive_said(host_ns, batch.columns["speed_rpm"]))
+            return out
+
+    def happened(self, event: Event) -> list[Stop]:
+        """An event of a device; returns what must stop the rotor."""
+        with self._lock:
+            if event.kind in ("fault", "restart"):
+                if event.device == "drive":
+                    self.rotor.drive_unknown()
+                return [Stop("device", f"{event.device}: {event.text}")]
+            if event.kind == "network" and event.facts.get("operational") is False:
+                self.rotor.drive_unknown()
+                return [Stop("device", f"{event.device}: {event.text}")]
+            if event.kind == "lock" and event.facts.get("state") == "fault":
+                text = f"{event.device}: {event.text}: the lock did not do as told. Look at its mechanism"
+                return [Stop("device", text)]
+            return []
+
+    def tick(self, now_ns: int) -> list[Event | Stop]:
+        """Time passes; returns what the log must hold and what must stop the rotor."""
+        with self._lock:
+            if self.rotor.at_rest(now_ns) and not self.rotor.target_rpm:
+                self._ours = False
+            turning = self.turning(now_ns)
+            out: list[Event | Stop] = [*self.channels.tick(now_ns)]
+            if turning and (why := self.rotor.unseen(now_ns)) is not None:
+                out += self.channels.miss("tacho", now_ns, why.removeprefix("tacho: "))
+                if not self._node_late(now_ns):  # else it is not the index sensor, and soon said
+                    out.append(Stop("device", why))
+            elif not turning:
+                out += self.channels.excuse("tacho", now_ns)
+                self.rotor.turns_begin()
+            if not self._driving:
+                return [item for item in out if isinstance(item, Event)]
+            out += [Stop("device", text) for text in self._silent(now_ns, turning)]
+            if turning:
+                out += [Stop("device", text) for text in self._unguarded()]
+            elif "pendulums" in self._needed:
+                out += [Stop("device", text) for text in self._unsound()]
+            return out
+
+    # --- what is known -----------------------------------------------------------------------------------------
+
+    def turning(self, now_ns: int) -> bool:
+        """Whether the rotor turns, or nobody can say that it does not; one turned by hand at a standing drive is not
+        the interlocks' business."""
+        with self._lock:
+            by_hand = not self._ours and abs(self.rotor.word_rpm(now_ns)) <= AT_REST_RPM
+            return not by_hand and self.rotor.at_rest(now_ns) is not True
+
+    def at_rest(self, now_ns: int) -> bool | None:
+        """See RotorWatch."""
+        with self._lock:
+            return self.rotor.at_rest(now_ns)
+
+    def speed_rpm(self, now_ns: int) -> float:
+        """See RotorWatch."""
+        with self._lock:
+            return self.rotor.speed_rpm(now_ns)
+
+    def rotor_words(self, now_ns: int) -> str:
+        """See RotorWatch."""
+        with self._lock:
+            return self.rotor.words(now_ns)
+
+    def obstacles(self, now_ns: int) -> list[str]:
+        """Why the rotor must not be turned now; empty when all that guards it is there."""
+        with self._lock:
+            return [*self._silent(now_ns, turning=True), *self._unguarded()]
+
+    def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
+        """By device: silences of this log so far in ms, and pendulum samples with a faulty encoder."""
+        with self._lock:
+            out = self.channels.losses(now_ns)
+            if self._faulty_samples:
+                out.setdefault(_DEVICES["pendulums"], {})["faulty"] = self._faulty_samples
+            return out
+
+    # --- parts -------------------------------------------------------------------------------------------------
+
+    def _node_late(self, now_ns: int) -> bool:
+        return 2 * self.channels.silent_s("pendulums", now_ns) > self._node_s
+
+    def _silent(self, now_ns: int, turning: bool) -> list[str]:
+        due = set(_DEADLINE_S) if turning else self._needed & set(_DEADLINE_S)
+        least_s = 0.0 if turning else self._rest_s
+        return [
+            f"{topic}: silent for {self.channels.silent_s(topic, now_ns):.1f} s. Look at the device, its cable, its "
+            "power or battery, its radio"
+            for topic in _DEADLINE_S
+            if topic in due and self.channels.silent(topic) and self.channels.silent_s(topic, now_ns) >= least_s
+        ]
+
+    def _unguarded(self) -> list[str]:
+        return [self._blind_words(topic) for topic in LASERS if self._sight[topic].mostly_bad] + self._unsound()
+
+    def _unsound(self) -> list[str]:
+        return [
+            f"pendulums: the node reports a fault of {_FAULTS[bit]}. Look at the encoder and its cable on the rotor"
+            for bit, share in self._sound.items()
+            if share.mostly_bad
+        ]
+
+    def _blind_words(self, topic: str) -> str:
+        return (
+            f"{topic}: no valid sample in most of the last {_BLIND_S:g} s (code {self._code[topic]}): the guard of the "
+            "amplitude is blind. Look at the sensor's window, its target and what stands between"
+        )
+
+    def _look(self, topic: str, batch: Batch, host_ns: int) -> list[Event | Stop]:
+        """A laser: too far, blind, or stuck."""
+        samples, share, displacement = len(batch.time_ns), self._sight[topic], batch.columns["displacement_m"]
+        invalid, invalid_last, newest_m, beyond_m = self._exceedances[topic].look(displacement)
+        share.note(int(batch.time_ns[0]), int(batch.time_ns[-1]), samples, invalid, invalid_last)
+        if share.in_a_row:
+            self._code[topic] = int(batch.columns["code"][-1])
+        if invalid < samples:
+            self._seen_m[topic] = abs(newest_m)
+        blind, limit = share.mostly_bad, self._limits.amplitude_m
+        out: list[Event | Stop] = [*self._blindness(topic, blind)]
+        gone = share.in_a_row >= _GONE_SAMPLES and self._seen_m[topic] > _LARGE * limit
+        hangs = self._stuck.feed(topic, batch.time_ns, displacement)
+        if not (blind or gone or beyond_m is not None or hangs is not None) or not self._driving:
+            return out
+        if not self.turning(host_ns):
+            self._stuck.clear()
+            return out
+        if beyond_m is not None or gone:
+            seen = (
+                f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm"
+                if beyond_m is None
+                else f"{beyond_m * 1e3:.1f} mm"
+            )
+            out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm"))
+        elif blind or hangs is None:
+            out.append(Stop("device", self._blind_words(topic)))
+        else:
+            out.append(Stop("device", hangs))
+        return out
+
+    def _blindness(self, topic: str, blind: bool) -> list[Event]:
+        if blind == self._blind[topic]:
+            return []
+        self._blind[topic] = blind
+        facts = {"of": _DEVICES[topic], "channel": topic, "code": self._code[topic]}
+        words = f"no valid sample, code {self._code[topic]}" if blind else "valid samples again"
+        return [Event("blind", HOST, f"{topic}: {words}", facts)]
+
+    def _pendulums(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
+        """The pendulum angles: sound, or of a faulty encoder."""
+        self.rotor.node_heard(host_ns)
+        flags = batch.columns["flags"]
+        out: list[Event | Stop] = []
+        first_ns, last_ns = int(batch.time_ns[0]), int(batch.time_ns[-1])
+        faulty = int(np.count_nonzero(flags & sum(_FAULTS)))
+        self._faulty_samples += faulty
+        for bit, share in self._sound.items():
+            if faulty:
+                share.add(first_ns, last_ns, (flags & bit) != 0)
+            else:
+                share.note(first_ns, last_ns, len(flags), 0, 0)
+            if share.mostly_bad != self._faulty[bit]:
+                self._faulty[bit] = share.mostly_bad
+                words = "reports a fault" if share.mostly_bad else "is sound again"
+                facts = {"of": _DEVICES["pendulums"], "channel": "pendulums", "flag": bit}
+                out.append(Event("encoder", HOST, f"pendulums: {_FAULTS[bit]} {words}", facts))
+        return out
+
+    def _wrong(self, why: str | None) -> list[Stop]:
+        return [Stop("procedure", why)] if why is not None and self._driving else []

@@ -1,0 +1,173 @@
+"""One device being read: its link, its decoder, and the thread that takes what arrives."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import queue
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from daq.drivers.contract import Pipeline
+from daq.errors import LinkLost
+from daq.transports import HostClock, Link
+
+_NEXT_S = 0.005  # wall seconds to wait for the next arrival
+_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
+_LARGE_BYTES = 128 * 1024
+_WAIT_S = 0.1  # wall seconds between two looks whether to end
+
+Take = Callable[[Sequence[tuple[bytes, int]], bytes, int], None]
+"""Takes what went out, each with its host time in ns, then what arrived and when."""
+
+
+def keep_heap_whole() -> None:
+    """Keep holes out of this process's heap over a run of hours, where the C library is glibc.
+
+    Readers make arrays that the recorder's thread lets go of. With a heap for each thread, glibc's way, such memory
+    comes back in pieces that fit nothing any more; so there is one. And once a large array has been let go of, glibc
+    takes the next ones of that size from the heap too, where the first small thing that settles in the gap makes the
+    heap grow by another such array; so large arrays keep coming from the system and go back to it.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):  # another C library
+            mallopt = ctypes.CDLL(None).mallopt
+            mallopt(_M_ARENA_MAX, 1)
+            mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)  # naming one ends its being moved
+
+
+class DeviceReader:
+    """One link with its reader thread.
+
+    Args:
+        name: the device, as in the rig file.
+        pipeline: decodes its bytes; may be exchanged between two reads, under `lock`.
+        clock: stamps arrivals.
+        rest_s: rig time between two turns: what a wake-up costs counts, not the bytes.
+
+    Attributes:
+        lock: held while bytes, in either direction, go to log and pipeline: both see one order. Nothing that goes out
+            waits for it.
+        replies: text answers of the device.
+        heard_s: when bytes came last, `time.monotonic`.
+    """
+
+    def __init__(self, name: str, link: Link, pipeline: Pipeline, clock: HostClock, rest_s: float = 0.01) -> None:
+        self.name, self.link, self.pipeline = name, link, pipeline
+        self.lock = threading.Lock()
+        self.replies: queue.Queue[str] = queue.Queue()
+        self.bytes_in = 0
+        self.heard_s = time.monotonic()
+        self._clock = clock
+        self._writing, self._stamping = threading.Lock(), threading.Lock()
+        self._sent: list[tuple[bytes, int]] = []  # on their way into the log
+        self._rest_s = rest_s
+        self._ending = False
+        self._thread: threading.Thread | None = None
+
+    def send(self, data: bytes) -> None:
+        """Write bytes to the device at once, whatever log and decoders are busy with; the log gets them afterwards.
+
+        Raises:
+            LinkLost: the device is gone.
+        """
+        with self._writing:  # what goes out and what is kept of it have one order
+            with self._stamping:
+                self._sent.append((data, self._clock.now_ns()))
+            self.link.write(data)
+
+    def sent(self) -> list[tuple[bytes, int]]:
+        """What went out since the last call, each with its host time, ns; call it under `lock`."""
+        with self._stamping:
+            out, self._sent = self._sent, []
+            return out
+
+    def start(self, take: Take, fail: Callable[[Exception], None]) -> None:
+        """Begin to read.
+
+        Args:
+            take: called under `lock` with what went out since its last call, then the bytes that arrived (or none) and
+                the host time of the last one's arrival.
+            fail: called once when the device is gone, or with a decoder's bug: either must stop the rig.
+        """
+        self.heard_s = time.monotonic()
+        self._thread = threading.Thread(target=self._run, args=(take, fail), name=self.name, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and let go of the link."""
+        self._ending = True
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+        self.link.close()
+
+    def _run(self, take: Take, fail: Callable[[Exception], None]) -> None:
+        try:
+            self._read(take)
+        except Exception as error:
+            if not self._ending:
+                fail(error)
+
+    def _read(self, take: Take) -> None:
+        """Take bytes some fifty times a second, each turn stamped with the arrival of its last byte.
+
+        What came while the thread rested is not stamped as it is fetched, which would be late by an unknown part of
+        the rest: it waits for the next arrival, as long as that is near.
+        """
+        rested = b""
+        while not self._ending:
+            try:
+                data = self.link.read(_NEXT_S if rested else _WAIT_S)
+            except LinkLost:
+                if rested:  # its last bytes are bytes too
+                    self._arrived(rested, take)
+                raise
+            if rested or data or self._sent:
+                self._arrived(rested + data, take)
+                self._clock.sleep(self._rest_s)
+                rested = b""  # not twice, should the next line fail
+                rested = self.link.read(0.0)
+
+    def _arrived(self, data: bytes, take: Take) -> None:
+        host_ns = self._clock.now_ns()
+        with self.lock:
+            if data:
+                self.bytes_in += len(data)
+                self.heard_s = time.monotonic()
+            if not self._sent:  # nearly always
+                take((), data, host_ns)
+                return
+            sent = self.sent()
+            take([item for item in sent if item[1] <= host_ns], data, host_ns)
+            if later := [item for item in sent if item[1] > host_ns]:
+                take(later, b"", host_ns)
+
+
+@dataclass(frozen=True)
+class OpenDevice:
+    """A device being read, as its driver talks to it (see Talk).
+
+    Attributes:
+        reader: of the device.
+        begin_anew: gives the reader a fresh pipeline.
+    """
+
+    reader: DeviceReader
+    begin_anew: Callable[[], None]
+
+    @property
+    def replies(self) -> queue.Queue[str]:
+        """See Talk."""
+        return self.reader.replies
+
+    @property
+    def bytes_in(self) -> int:
+        """See Talk."""
+        return self.reader.bytes_in
+
+    def send(self, data: bytes) -> None:
+        """See Talk."""
+        self.reader.send(data)

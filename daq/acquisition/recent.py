@@ -1,0 +1,80 @@
+"""The last seconds of every channel, for whoever has to know now: procedures, interlocks, the terminal."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import channels
+from daq.drivers.items import Batch
+
+_FIRST_ROWS = 4096
+
+
+class Recent:
+    """The last seconds of every channel; several threads may add and look.
+
+    Rows stand one after the other in one table a channel, which is made once and then moved up from time to time: a
+    recording of hours must not leave a small array behind for every read.
+
+    Args:
+        keep_s: how far back, in the samples' own time.
+    """
+
+    def __init__(self, keep_s: float) -> None:
+        self._keep_ns = int(keep_s * 1e9)
+        self._tables = {topic: _Table(channel) for topic, channel in channels.CHANNELS.items()}
+        self._lock = threading.Lock()
+
+    def add(self, batch: Batch) -> None:
+        """Append one batch and forget what is too old."""
+        with self._lock:
+            self._tables[batch.channel.topic].add(batch, self._keep_ns)
+
+    def last(self, topic: str, fields: tuple[str, ...], since_ns: int = 0) -> tuple[NDArray[np.int64], list[Any]]:
+        """Times (ns) and columns of a channel since an instant; empty arrays when there is nothing."""
+        with self._lock:
+            rows = self._tables[topic].since(since_ns)
+            return rows["time_ns"].copy(), [rows[name].copy() for name in fields]
+
+    def clear(self) -> None:
+        """Forget everything (the clock maps begin anew with each log)."""
+        with self._lock:
+            for table in self._tables.values():
+                table.end = 0
+
+
+class _Table:
+    """Rows of one channel; those before `end` count."""
+
+    def __init__(self, channel: channels.Channel) -> None:
+        layout = [(name, channel.dtype[name]) for name in channel.names]
+        self._rows = np.empty(_FIRST_ROWS, [("time_ns", np.int64), *layout])
+        self._names = channel.names
+        self.end = 0
+
+    def add(self, batch: Batch, keep_ns: int) -> None:
+        count = len(batch.time_ns)
+        if self.end + count > len(self._rows):
+            self._make_room(count, int(batch.time_ns[-1]) - keep_ns)
+        new = self._rows[self.end : self.end + count]
+        new["time_ns"] = batch.time_ns
+        for name in self._names:
+            new[name] = batch.columns.get(name, 0)
+        self.end += count
+
+    def since(self, since_ns: int) -> NDArray[Any]:
+        """Rows since an instant: times of a channel ascend."""
+        rows = self._rows[: self.end]
+        return rows[np.searchsorted(rows["time_ns"], since_ns) :]
+
+    def _make_room(self, count: int, oldest_ns: int) -> None:
+        """Move up what is young enough; a larger table if that is still most of it."""
+        kept = self.since(oldest_ns)
+        needed = len(kept) + count
+        rows = self._rows if 4 * needed <= 3 * len(self._rows) else np.empty(2 * needed, self._rows.dtype)
+        rows[: len(kept)] = kept.copy()
+        self._rows, self.end = rows, len(kept)

@@ -1,0 +1,1 @@
+"""Motor drives with the CiA 402 profile on a CAN bus."""

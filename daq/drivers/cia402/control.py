@@ -1,0 +1,333 @@
+"""The host's side of the motor drive: canopen's SDO client and NMT over our own recorded link, and the heartbeat."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+
+import can
+import canopen
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
+from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.contract import Pipeline, RotorGuard
+from daq.errors import DeviceError
+from daq.transports import slcan
+from daq.transports.host_clock import HostClock
+from rig_configs.schema import Drive
+
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets is said by us, in our words
+
+_SETUP_WAIT_S = 0.3  # wall seconds to wait for an SDO answer
+_WORD_S = 0.5  # wall seconds after which the drive's word is too old
+_RUN_DOWN_S = 60.0  # rig seconds a rotor without torque may take
+_NO_SLOWER_S = 5.0  # wall seconds after which a rotor that grows no slower is given up
+_REPEAT_S, _SAY_EVERY_S = 0.25, 2.0  # wall seconds between two quick stops, between two words about the wait
+
+
+class _SendOnlyBus(can.BusABC):
+    """What canopen needs to send: frames leave as slcan text through the recorded link.
+
+    Received frames come to canopen from the link's reader thread (Network.notify), so there is no second reader.
+    """
+
+    def __init__(self, send: Callable[[bytes], None]) -> None:
+        super().__init__(channel="recorded link")
+        self._send_bytes = send
+        self._is_shutdown = True  # it owns no hardware: nothing to shut down, and no warning about it
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send one frame."""
+        frame = slcan.CanFrame(msg.arbitration_id, bytes(msg.data), msg.is_extended_id, msg.is_remote_frame)
+        self._send_bytes(slcan.encode(frame))
+
+
+class DriveControl:
+    """Commands the drive: set-up, speed, quick stop; keeps the host's heartbeat going.
+
+    Args:
+        config: the drive's table of the rig file.
+        send: writes bytes to the drive's link (and to the log).
+        clock: for time-outs, and for the age of the drive's word.
+        guard: what is asked before the rotor is turned; without it the drive's own word counts.
+
+    Attributes:
+        dropped_out: state it fell into by itself while it should have been running.
+        emergencies: error codes it has sent since it was set up, without those it has reset.
+    """
+
+    def __init__(
+        self,
+        config: Drive,
+        send: Callable[[bytes], None],
+        clock: HostClock,
+        guard: RotorGuard | None = None,
+    ) -> None:
+        self._config, self._send, self._clock = config, send, clock
+        self._guarded = guard or RotorGuard(
+            permit=lambda rpm: None,
+            at_rest=lambda: None if math.isnan(self.actual_rpm) else self.actual_rpm == 0,
+            speed_rpm=lambda: abs(self.actual_rpm),
+        )
+        self._network = canopen.Network(bus=_SendOnlyBus(send))
+        self._node = canopen.RemoteNode(config.node_id, canopen.ObjectDictionary())
+        self._node.sdo.RESPONSE_TIMEOUT = _SETUP_WAIT_S
+        self._network.add_node(self._node)
+        self._beating = threading.Event()
+        self._beat: threading.Thread | None = None
+        self._bus_open = self._watched = self._ordered = False
+        self._statusword: int | None = None
+        self._word_rpm = 0.0
+        self._word_ns = 0
+        self.dropped_out: str | None = None
+        self.was_reset = ""  # what enable found and reset, for whoever runs the rig
+        self.emergencies: list[int] = []
+        self._armed = False
+
+    def notice(self, pipeline: Pipeline) -> None:
+        """See SpeedSource."""
+        assert isinstance(pipeline, DrivePipeline)
+        self.heed(pipeline.frames)
+
+    def heed(self, frames: list[slcan.CanFrame]) -> None:
+        """Frames from the drive."""
+        node = self._config.node_id
+        for frame in frames:
+            identifier, data = frame.arbitration_id, frame.data
+            if identifier == cia402.cob_tpdo(1, node) and len(data) == 4:
+                self._statusword, rpm = cia402.unpack_tpdo1(data)
+                self._word_rpm, self._word_ns = float(rpm), self._clock.now_ns()
+                if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
+                    self.dropped_out = self.state
+            elif identifier == cia402.cob_sdo_answer(node) and len(data) == 8:
+                self._network.notify(identifier, bytearray(data), self._clock.now_s())
+            elif identifier == cia402.cob_emergency(node) and len(data) == 8:
+                code = cia402.unpack_emergency(data).error_code
+                self.emergencies = [*self.emergencies, code] if code else []
+            elif identifier == cia402.cob_heartbeat(node) and cia402.heartbeat(data) == cia402.Heartbeat.BOOT_UP:
+                self._statusword = None
+
+    @property
+    def actual_rpm(self) -> float:
+        """The drive's word on its speed, rpm; NaN when it has said nothing for so long that nobody knows."""
+        fresh = self._clock.now_ns() - self._word_ns <= self._clock.patience(_WORD_S) * 1e9
+        return self._word_rpm if fresh and self._statusword is not None else math.nan
+
+    @property
+    def state(self) -> str:
+        """The drive's CiA 402 state as last reported."""
+        return cia402.UNKNOWN if self._statusword is None else cia402.state(self._statusword)
+
+    @property
+    def enabled(self) -> bool:
+        """See SpeedSource."""
+        return self.state == cia402.OPERATION_ENABLED
+
+    def start(self) -> None:
+        """Open the bus, set the drive up, start the heartbeat, go operational.
+
+        Raises:
+            DeviceError: the drive does not answer or refuses a setting.
+        """
+        c = self._config
+        rate = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}[c.bitrate]
+        self._bus_open = True
+        self._send(b"\rC\r" + rate + b"\rO\r")
+        watchdog_ms = min(65535, round(self._clock.patience(c.heartbeat_timeout_ms)))
+        self._start_heartbeat()  # before it is watched: a drive may miss it from the moment it is told to
+        self._write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
+        self._write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
+        self._watched = True
+        self._write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
+        self.set_ramp(c.ramp_rpm_per_s)
+        self._network.send_message(0, bytes([NMT_START, c.node_id]))
+
+    def _write(self, index: int, sub: int, value: int, size: int) -> None:
+        for attempt in (1, 2, 3):
+            try:
+                self._node.sdo.download(index, sub, value.to_bytes(size, "little"))
+                return
+            except SdoCommunicationError as error:
+                if attempt == 3:
+                    raise DeviceError(
+                        f"drive: no answer to writing {index:04X}h sub {sub} after 3 tries ({error}). Is node "
+                        f"{self._config.node_id} powered, the bit rate right, the bus terminated?"
+                    ) from error
+            except SdoAbortedError as error:
+                raise DeviceError(f"drive: refused {value} at {index:04X}h sub {sub}: {error}") from error
+
+    def set_ramp(self, rpm_per_s: float) -> None:
+        """Ramp for speeding up and slowing down, rpm/s."""
+        seconds = 10  # resolution of 0.1 rpm/s
+        for index in (0x6048, 0x6049):
+            self._write(index, 1, max(1, round(rpm_per_s * seconds)), 4)
+            self._write(index, 2, seconds, 2)
+
+    def enable(self) -> None:
+        """Walk the state machine to OPERATION ENABLED with target speed 0.
+
+        A drive whose host was killed may stand in FAULT because the heartbeat stayed away: that one is reset. Any
+        other fault is its operator's to look into.
+
+        Raises:
+            DeviceError: it does not get there, or stands in a fault of its own.
+            RigError: whatever `permit` raises.
+        """
+        deadline = time.monotonic() + 3.0
+        self._armed, self.dropped_out = False, None
+        if self.state == cia402.FAULT:
+            self._reset_if_only_heartbeat()
+        while self.state != cia402.OPERATION_ENABLED:
+            self._guarded.permit(None)
+            word = cia402.towards_operation(self.state)
+            if word is not None:
+                self._pdo(word, 0)
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"drive: expected OPERATION ENABLED, it stays in {self.state}{self.why()}. "
+                    "Look at its display for a fault"
+                )
+            time.sleep(0.005)
+        self._armed = True
+
+    def fault_code(self) -> int | None:
+        """Why the drive stands in FAULT, by its own word; None when it tells nothing.
+
+        603Fh, where it has none 1003h, and where it has neither the register 1001h, when only the line is at fault.
+        """
+        for index, sub in ((cia402.ERROR_CODE, 0), (cia402.PREDEFINED_ERROR_FIELD, 1)):
+            try:
+                code = int.from_bytes(self._node.sdo.upload(index, sub)[:2], "little")
+            except (SdoAbortedError, SdoCommunicationError):
+                continue
+            if code:
+                return code
+        with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
+            if self._node.sdo.upload(cia402.ERROR_REGISTER, 0)[0] & ~0x01 == cia402.REGISTER_COMMUNICATION:
+                return cia402.HEARTBEAT_ERROR
+        return None
+
+    def _reset_if_only_heartbeat(self) -> None:
+        code = self.fault_code()
+        if code != cia402.HEARTBEAT_ERROR:
+            said = "it does not tell why" if code is None else f"its error code is 0x{code:04X}"
+            raise DeviceError(
+                f"drive: it stands in FAULT, {said}. Look into its manual, mend the cause and reset it there"
+            )
+        self.was_reset = "the drive stood in FAULT because a host's heartbeat had stayed away (0x8130); it was reset"
+        self._pdo(cia402.DISABLE_VOLTAGE, 0)  # a reset is the bit's rising edge
+        self._pdo(cia402.FAULT_RESET, 0)
+
+    def set_speed(self, rpm: float) -> None:
+        """Ramp to a speed (whole rpm on this drive's wire).
+
+        Raises:
+            RigError: whatever `permit` raises.
+        """
+        self._guarded.permit(rpm)
+        self._pdo(cia402.ENABLE_OPERATION, round(rpm))
+
+    def disable(self) -> None:
+        """Take the torque away; the rotor must be at rest."""
+        self._armed = False
+        self._pdo(cia402.SHUTDOWN, 0)
+
+    def quick_stop(self) -> None:
+        """Stop as fast as the drive can."""
+        self._armed = False
+        self._pdo(cia402.QUICK_STOP, 0)
+
+    def why(self) -> str:
+        """The emergencies that stand, in words for a message: code and meaning; empty without one."""
+        return "".join(f"; emergency {cia402.emergency_words(code)}" for code in dict.fromkeys(self.emergencies))
+
+    def _pdo(self, control: int, rpm: int) -> None:
+        self._ordered = True
+        self._network.send_message(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
+
+    def _start_heartbeat(self) -> None:
+        self._beating.set()
+        period = self._config.heartbeat_ms * 1e-3
+
+        identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])
+        self._network.send_message(identifier, operational)
+
+        def beat() -> None:
+            while self._beating.is_set():
+                self._network.send_message(identifier, operational)
+                time.sleep(period)
+
+        self._beat = threading.Thread(target=self._guard(beat), name="heartbeat", daemon=True)
+        self._beat.start()
+
+    def _guard(self, beat: Callable[[], None]) -> Callable[[], None]:
+        def run() -> None:
+            try:
+                beat()
+            except Exception:  # the link is gone: its reader reports it; a silent heartbeat stops the drive
+                self._beating.clear()
+
+        return run
+
+    def stop(self, told: Callable[[str], None] = lambda text: None) -> bool:
+        """Stop the rotor, then let go of the drive; whether the rotor is known to stand.
+
+        Torque is taken away only at rest: a rotor left to run down would pass its resonances slowly. The drive's
+        watch over our heartbeat is ended only then too: as long as rest is not confirmed it stays, and stops the
+        rotor by itself when the heartbeat ends, however this process ends.
+
+        Args:
+            told: called with what is being waited for.
+        """
+        rest = self._beat is None
+        try:
+            rest = rest or self._rest(told)
+            if rest and self._watched:
+                with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
+                    self._write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
+                self._watched = False
+        finally:
+            self._let_go(rest)
+        return rest
+
+    def _let_go(self, rest: bool) -> None:
+        """End the heartbeat, the node's operation and the adapter's; of a rotor that may turn nothing is taken away."""
+        if self._beat is not None:
+            self._beating.clear()
+            self._beat.join(timeout=2.0)
+            self._beat = None
+            if rest:
+                self._pdo(cia402.DISABLE_VOLTAGE, 0)
+                self._network.send_message(0, bytes([NMT_PRE_OPERATIONAL, self._config.node_id]))
+        if self._bus_open:
+            self._bus_open = False
+            self._send(b"C\r")
+
+    def _rest(self, told: Callable[[str], None]) -> bool:
+        """Quick stop, and wait until the rotor stands: as long as it grows slower, or runs down by itself."""
+        never_turned = not self._word_ns and not self._ordered  # it never said a word, nor was it told one
+        if never_turned or (self._guarded.at_rest() and self.state != cia402.OPERATION_ENABLED):
+            return True
+        begun = slower = said = time.monotonic()
+        next_stop, least = begun, math.inf
+        while not (rest := self._guarded.at_rest()):
+            now, speed = time.monotonic(), self._guarded.speed_rpm()
+            if not speed > least - 1.0:  # also where nobody tells it: index marks alone decide then
+                slower, least = now, speed
+            too_long = now - begun > self._clock.wall(_RUN_DOWN_S) or now - slower > _NO_SLOWER_S
+            if too_long or (rest is None and now - begun > _NO_SLOWER_S):
+                return False
+            if now >= next_stop:
+                self.quick_stop()  # again: one frame may be lost
+                next_stop = now + _REPEAT_S
+            if now - said > _SAY_EVERY_S:
+                told("waiting for the rotor to stop" + ("" if math.isnan(speed) else f", {speed:.0f} rpm"))
+                said = now
+            time.sleep(0.01)
+        return True

@@ -1,0 +1,213 @@
+"""A simulated CiA 402 drive behind an slcan adapter: SDO server, PDOs, heartbeats both ways, quick stop."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import (
+    NMT_RESET,
+    NMT_RESET_COMMUNICATION,
+    NMT_STOP,
+    Adapter,
+    NmtState,
+    SdoServer,
+    drive_objects,
+)
+from daq.transports import slcan
+from daq.virtual_rig.motion import Motion
+from rig_configs.schema import Drive
+
+_LATE_S = 0.05  # what a stalled simulation leaves out, a real drive would have sent
+_QUICK_STOP_RPM_S = 4000.0
+_COAST_RPM_S = 30.0  # bearings and windage, when there is no torque
+_RAD_S = math.pi / 30
+_STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
+_HEARTBEAT_ERROR = 0x8130
+
+
+class SimulatedDrive:
+    """Turns the rotor as the wire says; stops it by itself when the host's heartbeat stays away.
+
+    Args:
+        report_s: period of its speed report.
+    """
+
+    def __init__(self, config: Drive, motion: Motion, report_s: float) -> None:
+        self._config, self._motion, self._node, self._report_s = config, motion, config.node_id, report_s
+        self.frames_sent = 0
+        self.emergencies: list[int] = []
+        self._reports = True
+        self._reported_share = 1.0
+        self._adapter = Adapter()
+        self._nmt = NmtState(self._node)
+        self.state = cia402.SWITCH_ON_DISABLED
+        self._target_rpm = 0
+        self._heard_s: float | None = None  # last host heartbeat; None until the first
+        self._tpdo_due = self._heartbeat_due = 0.0
+        makers = {
+            (0x1018, 1): (0x0000_0A11, "<I"),
+            (0x1018, 4): (24601, "<I"),
+            (0x6085, 0): (int(_QUICK_STOP_RPM_S), "<I"),
+        }
+        self._objects = drive_objects() | makers
+        measured = {
+            (cia402.STATUSWORD, 0): lambda: struct.pack("<H", _STATUS[self.state]),
+            (cia402.ACTUAL_VELOCITY, 0): lambda: struct.pack("<h", self._reported_rpm),
+            (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", self._objects[cia402.MODE_OF_OPERATION, 0][0]),
+        }
+        self._sdo = SdoServer(self._objects, measured, self._written)
+        self._out: list[slcan.CanFrame] = []
+
+    def fail(self, what: str, value: float) -> None:
+        """Something goes wrong: see `VirtualRig` for what there is.
+
+        Raises:
+            ValueError: no such fault.
+        """
+        match what:
+            case "emergency":
+                self._emergency(int(value))
+            case "fault":  # no torque: the rotor runs down by itself
+                self.state = cia402.FAULT
+                self._emergency(int(value))
+            case "restart":
+                self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0, None
+                self._objects[cia402.CONSUMER_HEARTBEAT, 1] = (0, "<I")
+                self._nmt.state = cia402.Heartbeat.PRE_OPERATIONAL
+                self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP])))
+            case "network":
+                self._nmt.state = cia402.Heartbeat(int(value))
+            case "silent reports":
+                self._reports = not value
+            case "reported share":
+                self._reported_share = value
+            case "speed":  # it runs away
+                self._target_rpm = int(value)
+            case other:
+                raise ValueError(f"a drive knows no fault {other!r}")
+
+    def _emergency(self, code: int) -> None:
+        self.emergencies.append(code)
+        data = cia402.pack_emergency(cia402.Emergency(code, 0x11 if code else 0, bytes(5)))
+        self._out.append(slcan.CanFrame(cia402.cob_emergency(self._node), data))
+
+    @property
+    def watchdog_ms(self) -> int:
+        """How long the host's heartbeat may stay away (1016h); 0 when it is not watched."""
+        return self._objects[cia402.CONSUMER_HEARTBEAT, 1][0] & 0xFFFF
+
+    @property
+    def _reported_rpm(self) -> int:
+        return round(self.speed_rpm * self._reported_share)
+
+    @property
+    def speed_rpm(self) -> float:
+        """True speed."""
+        return self._motion.speed_rad_s / _RAD_S
+
+    def receive(self, data: bytes, now_s: float) -> bytes:
+        """Take slcan text from the host; returns the adapter's answers."""
+        frames, answers = self._adapter.receive(data)
+        for frame in frames:
+            self._frame(frame, now_s)
+        return answers + self._take()
+
+    def _take(self) -> bytes:
+        frames, self._out = self._out, []
+        if not self._adapter.open:
+            return b""
+        self.frames_sent += len(frames)
+        return b"".join(slcan.encode(f) for f in frames)
+
+    def _frame(self, frame: slcan.CanFrame, now_s: float) -> None:
+        identifier, data = frame.arbitration_id, frame.data
+        if (command := self._nmt.heed(frame)) is not None:
+            self._react(command)
+        elif identifier == cia402.cob_sdo_request(self._node) and len(data) == 8:
+            self._out.append(slcan.CanFrame(cia402.cob_sdo_answer(self._node), self._sdo.answer(data)))
+        elif identifier == cia402.cob_rpdo(1, self._node) and len(data) == 4:
+            if self._nmt.state == cia402.Heartbeat.OPERATIONAL:
+                control, target = cia402.unpack_rpdo1(data)
+                self._target_rpm = target
+                self._control(control)
+        elif identifier == cia402.cob_heartbeat(self._objects[0x1016, 1][0] >> 16 & 0x7F):
+            self._heard_s = now_s
+
+    def _react(self, command: int) -> None:
+        resets = (NMT_RESET, NMT_RESET_COMMUNICATION)
+        if command in (NMT_STOP, *resets) and self.state == cia402.OPERATION_ENABLED:
+            self._quick_stop()
+        if command in resets:
+            self._heard_s = None
+            self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), b"\x00"))
+
+    def _written(self, index: int, sub: int, value: int) -> None:
+        if (index, sub) == (cia402.CONTROLWORD, 0):
+            self._control(value)
+        if (index, sub) == (cia402.TARGET_VELOCITY, 0):
+            self._target_rpm = value
+        if (index, sub) == (cia402.CONSUMER_HEARTBEAT, 1):
+            self._heard_s = None  # watched from the next heartbeat on (CiA 301)
+
+    def _control(self, word: int) -> None:
+        s = self.state
+        if word & 0x82 == 0x00:
+            self.state = cia402.SWITCH_ON_DISABLED if s != cia402.FAULT else s
+        elif word & 0x86 == 0x02:
+            if s == cia402.OPERATION_ENABLED:
+                self._quick_stop()
+        elif word & 0x80:
+            self.state = cia402.SWITCH_ON_DISABLED if s == cia402.FAULT else s
+        elif s == cia402.SWITCH_ON_DISABLED and word & 0x87 == 0x06:
+            self.state = cia402.READY
+        elif s == cia402.READY and word & 0x87 == 0x07:
+            self.state = cia402.SWITCHED_ON
+        elif s in (cia402.READY, cia402.SWITCHED_ON) and word & 0x8F == 0x0F:
+            self.state = cia402.OPERATION_ENABLED
+        elif s in (cia402.OPERATION_ENABLED, cia402.SWITCHED_ON) and word & 0x87 == 0x06:
+            self.state = cia402.READY
+
+    def _quick_stop(self) -> None:
+        self.state = cia402.QUICK_STOP_ACTIVE
+
+    def step(self, now_s: float) -> bytes:
+        """Drive logic up to now: watchdog, ramps, cyclic frames."""
+        self._watch(now_s)
+        enabled = self.state == cia402.OPERATION_ENABLED
+        in_mode = self._objects[0x6060, 0][0] == cia402.MODE_VELOCITY
+        target = self._target_rpm if enabled and in_mode else 0
+        sub = 0x6048 if abs(target) * _RAD_S >= abs(self._motion.speed_rad_s) else 0x6049
+        change, seconds = self._objects[sub, 1][0], self._objects[sub, 2][0]
+        stopping = self.state == cia402.QUICK_STOP_ACTIVE
+        ramp = change / max(1, seconds) if enabled else _QUICK_STOP_RPM_S if stopping else _COAST_RPM_S
+        self._motion.target_rad_s = target * _RAD_S
+        self._motion.ramp_rad_s2 = ramp * _RAD_S
+        self._motion.braking = stopping
+        if self.state == cia402.QUICK_STOP_ACTIVE and abs(self._motion.speed_rad_s) < 0.01:
+            self.state = cia402.SWITCH_ON_DISABLED
+        self._cyclic(now_s)
+        return self._take()
+
+    def _watch(self, now_s: float) -> None:
+        limit_ms = self.watchdog_ms
+        if not limit_ms or self._heard_s is None or now_s - self._heard_s <= limit_ms * 1e-3:
+            return
+        self._heard_s = None
+        if self.state == cia402.OPERATION_ENABLED:
+            self._quick_stop()
+        self._emergency(_HEARTBEAT_ERROR)
+
+    def _cyclic(self, now_s: float) -> None:
+        every = self._objects[0x1017, 0][0] * 1e-3
+        if every and now_s >= self._heartbeat_due:
+            self._heartbeat_due = max(self._heartbeat_due + every, now_s - every)
+            self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([self._nmt.state])))
+        if self._nmt.state != cia402.Heartbeat.OPERATIONAL or not self._reports:
+            self._tpdo_due = now_s
+            return
+        while now_s >= self._tpdo_due:
+            self._tpdo_due = max(self._tpdo_due + self._report_s, now_s - _LATE_S)
+            data = cia402.pack_tpdo1(_STATUS[self.state], self._reported_rpm)
+            self._out.append(slcan.CanFrame(cia402.cob_tpdo(1, self._node), data))

@@ -1,0 +1,99 @@
+"""slcan text to the drive's speed word, its state and its emergencies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import channels
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.items import TX, Batch, Event
+from daq.transports import slcan
+from rig_configs.schema import Drive
+
+
+class DrivePipeline:
+    """slcan text to the drive's speed word, its state and its emergencies. A drive has no clock: host time counts.
+
+    The target speed is the host's own: it is in what the host sends, or, for one who only listens to the bus, among
+    the frames that arrive. Frame by frame in their order, so that both see the same.
+    """
+
+    def __init__(self, device: str, config: Drive) -> None:
+        self.losses = {"damaged_lines": 0}
+        self.frames: list[slcan.CanFrame] = []  # what the last feed found, for the host's own CANopen client
+        self._device, self._node = device, config.node_id
+        self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder()
+        self._joined = False
+        self._target_rpm = 0.0
+        self._status: int | None = None
+        self._network: cia402.Heartbeat | None = None
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+        """See Pipeline."""
+        if direction == TX:
+            for frame in self._tx.feed(data).frames:
+                self._heed_target(frame)
+            self.frames = []
+            return []
+        found = self._rx.feed(data)
+        self.frames = found.frames
+        out: list[Batch | Event] = []
+        damaged = found.damaged if self._joined else max(0, found.damaged - 1)
+        self._joined = True
+        if damaged:
+            self.losses["damaged_lines"] += damaged
+            out.append(Event("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
+        rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
+        report, beat = cia402.cob_tpdo(1, self._node), cia402.cob_heartbeat(self._node)
+        for frame in found.frames:
+            if frame.arbitration_id == report:  # nearly all of them
+                if len(frame.data) == 4:
+                    rows.append((*cia402.unpack_tpdo1(frame.data), self._target_rpm))
+                continue
+            self._heed_target(frame)
+            if frame.arbitration_id == beat:
+                out += self._heartbeat(frame)
+            elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
+                emergency = cia402.unpack_emergency(frame.data)
+                facts = {"error_code": emergency.error_code, "register": emergency.error_register}
+                out.append(Event("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
+        if rows:
+            out += self._speed(rows, host_ns)
+        return out
+
+    def _heed_target(self, frame: slcan.CanFrame) -> None:
+        if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
+            self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
+
+    def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | Event]:
+        """A boot-up message, or a change of the drive's network state; only in operation does it report its speed."""
+        state = cia402.heartbeat(frame.data)
+        before, self._network = self._network, self._network if state is None else state
+        if state is None or state == before:
+            return []
+        if state == cia402.Heartbeat.BOOT_UP:
+            text = "the drive started again (boot-up message): its settings are gone, its speed is unknown"
+            return [Event("restart", self._device, text)]
+        operational = state == cia402.Heartbeat.OPERATIONAL
+        if operational and before is None:
+            return []  # as it should be
+        text = f"network state {state.name.replace('_', '-')}" + ("" if operational else ": it reports no speed")
+        return [Event("network", self._device, text, {"network_state": int(state), "operational": operational})]
+
+    def _speed(self, rows: list[tuple[int, int, float]], host_ns: int) -> list[Batch | Event]:
+        out: list[Batch | Event] = []
+        for word, _, _ in rows:
+            if word == self._status:
+                continue
+            if self._status is None or cia402.state(word) != cia402.state(self._status):
+                out.append(Event("drive", self._device, cia402.state(word), {"statusword": word}))
+            self._status = word
+        words, actual, target = zip(*rows, strict=True)
+        columns = {
+            "speed_rpm": np.array(actual, float),
+            "target_rpm": np.array(target),
+            "statusword": np.array(words, np.uint32),
+        }
+        time_ns = np.full(len(rows), host_ns, np.int64)
+        out.append(Batch(channels.MOTOR, time_ns, np.zeros(len(rows), np.uint32), columns))
+        return out

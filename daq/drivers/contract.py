@@ -1,0 +1,287 @@
+# pyright: strict
+"""What a driver brings, and all that anything above it may ask.
+
+A driver is one object, found by its name in the entry-point group `rig.drivers` (`daq.drivers.registry`). It holds no
+state of a device: what belongs to an open device is in its pipeline. Settings are the device's own table of the rig
+file.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from daq.channels import Channel
+from daq.drivers.items import Batch, Event
+from daq.transports.host_clock import HostClock
+
+
+@dataclass(frozen=True)
+class Line:
+    """What carries a device's bytes.
+
+    Attributes:
+        port: as `daq.transports.open_link` takes it.
+        baud: of a serial port.
+        bitrate: of the CAN bus behind an adapter, bit/s; None where there is none.
+    """
+
+    port: str
+    baud: int
+    bitrate: int | None = None
+
+
+@dataclass(frozen=True)
+class SampleClock:
+    """A channel whose samples bear the time of a clock in the device.
+
+    Attributes:
+        topic: of the channel.
+        rate_Hz: how many samples a second the device is set to.
+        tolerance_ppm: standard uncertainty of the clock's rate.
+        field, tick_ns: the channel's field that holds its time, and that field's unit.
+        count_wrap: where the sequence number of the samples wraps.
+    """
+
+    topic: str
+    rate_Hz: float
+    tolerance_ppm: float
+    field: str
+    tick_ns: int
+    count_wrap: int
+
+
+class Pipeline(Protocol):
+    """What turns one device's bytes into samples. It does no I/O and reads no clock.
+
+    Live recording and replay run the same object on the same bytes with the same host times, so that a log's raw
+    bytes decoded again give its decoded channels bit for bit.
+
+    Attributes:
+        losses: counted so far, by kind.
+    """
+
+    losses: dict[str, int]
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+        """Take one read (RX) or one write (TX) with the host time it happened."""
+        ...
+
+
+class Talk(Protocol):
+    """An open device while a driver talks to it."""
+
+    @property
+    def replies(self) -> queue.Queue[str]:
+        """Its answers, lines as the pipeline finds them."""
+        ...
+
+    @property
+    def bytes_in(self) -> int:
+        """How many bytes have come so far."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Write to it.
+
+        Raises:
+            LinkLost: it is gone.
+        """
+        ...
+
+    def begin_anew(self) -> None:
+        """Forget what was decoded so far: a fresh pipeline takes what comes from here on."""
+        ...
+
+
+class Driver(Protocol):
+    """One kind of device."""
+
+    @property
+    def name(self) -> str:
+        """As in a rig file's `driver = "…"`."""
+        ...
+
+    @property
+    def rest_s(self) -> float:
+        """How long its reader may rest between two looks at the line, rig s: short where the host's time counts."""
+        ...
+
+    def line(self, settings: Any) -> Line:
+        """What carries the bytes of a device with these settings."""
+        ...
+
+    def channels(self, settings: Any) -> tuple[Channel, ...]:
+        """Those that a healthy device fills all the time."""
+        ...
+
+    def clocks(self, settings: Any) -> tuple[SampleClock, ...]:
+        """Of its channels, those on a clock of its own."""
+        ...
+
+    def pipeline(self, device: str, settings: Any, identity: Mapping[str, Any]) -> Pipeline:
+        """A fresh one.
+
+        Args:
+            device: the device's name in the rig file.
+            identity: what the device said of itself when it was opened; empty where nobody asked.
+
+        Raises:
+            DeviceError: an identity that no such device can have.
+        """
+        ...
+
+    def words(self, event: Event) -> str:
+        """An emergency of a device, for its operator; empty when it is one that has passed."""
+        ...
+
+    def prepare(self) -> None:
+        """Load what takes long to load, before any byte waits for it."""
+        ...
+
+    def open(self, device: str, settings: Any, talk: Talk) -> dict[str, Any]:
+        """Ask who it is, set it up, start its stream.
+
+        Returns:
+            Its identity, plain words and numbers: all that its pipeline has to know beside the settings.
+
+        Raises:
+            DeviceError: no answer, a refusal, or a device that is not what the rig file says.
+        """
+        ...
+
+    def stop(self, talk: Talk) -> None:
+        """End its stream; it may be gone.
+
+        Raises:
+            LinkLost, DeviceError: it is.
+        """
+        ...
+
+
+# --- what a device can be asked to do --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RotorGuard:
+    """What a speed source asks before it turns the rotor, and while it stops it.
+
+    Attributes:
+        permit: called with each speed, rpm, before the device is told, with None before it is enabled; raises where the
+            rotor must not turn so.
+        at_rest: whether the rotor stands, by all that is known; None when nobody can tell.
+        speed_rpm: how fast it turns, by all that is known; NaN when nobody can tell.
+    """
+
+    permit: Callable[[float | None], None]
+    at_rest: Callable[[], bool | None]
+    speed_rpm: Callable[[], float]
+
+
+class SpeedSource(Protocol):
+    """An open device that turns the rotor."""
+
+    was_reset: str
+    """What `enable` found and reset, for whoever runs the rig; empty when nothing."""
+
+    @property
+    def actual_rpm(self) -> float:
+        """Its own word on its speed; NaN where that is too old to be one."""
+        ...
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it holds the rotor's speed, by its own newest word."""
+        ...
+
+    @property
+    def dropped_out(self) -> str | None:
+        """The state it fell into by itself while it should have been running."""
+        ...
+
+    def notice(self, pipeline: Pipeline) -> None:
+        """Its reader has just fed its pipeline."""
+        ...
+
+    @property
+    def state(self) -> str:
+        """Its state as it last told, in its own words."""
+        ...
+
+    def fault_code(self) -> int | None:
+        """Why it stands in a fault, asked anew; None when it does not tell."""
+        ...
+
+    def why(self) -> str:
+        """What it says of why it stopped, to stand behind a message; empty when nothing."""
+        ...
+
+    def start(self) -> None:
+        """Set it up, rotor at rest."""
+        ...
+
+    def enable(self) -> None:
+        """Hold speed 0."""
+        ...
+
+    def set_ramp(self, rpm_per_s: float) -> None:
+        """How fast it speeds up and slows down."""
+        ...
+
+    def set_speed(self, rpm: float) -> None:
+        """Ramp to a speed."""
+        ...
+
+    def disable(self) -> None:
+        """Let go of the rotor, which stands."""
+        ...
+
+    def quick_stop(self) -> None:
+        """Stop as fast as it can."""
+        ...
+
+    def stop(self, told: Callable[[str], None] = ...) -> bool:
+        """Stop the rotor, then let go of the device; whether the rotor is known to stand."""
+        ...
+
+
+class PendulumLocks(Protocol):
+    """An open device that locks and releases the pendulums."""
+
+    def command(self, action: str, check: Callable[[], None]) -> None:
+        """Have it do something, until it says that it does.
+
+        Args:
+            action: "lock both", "release both", "lock A", …, or "zero": take the angles now for those of closed locks.
+            check: called while it waits; raises to give up.
+
+        Raises:
+            DeviceError: refused, or no answer.
+        """
+        ...
+
+    def heard(self, event: Event) -> None:
+        """An acknowledgement came."""
+        ...
+
+
+@runtime_checkable
+class TurnsRotor(Protocol):
+    """A driver of devices that turn the rotor."""
+
+    def speed_source(
+        self, settings: Any, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
+    ) -> SpeedSource:
+        """The command of an open device."""
+        ...
+
+
+@runtime_checkable
+class MovesLocks(Protocol):
+    """A driver of devices that lock and release the pendulums."""
+
+    def locks(self, settings: Any, send: Callable[[bytes], None]) -> PendulumLocks:
+        """The command of an open device."""
+        ...

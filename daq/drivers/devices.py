@@ -1,0 +1,62 @@
+# pyright: strict
+"""The devices of a rig file, each with its driver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from daq.channels import Channel
+from daq.drivers.contract import Driver, Line, Pipeline, SampleClock
+from daq.drivers.registry import driver
+from rig_configs.schema import Devices, Table
+
+
+@dataclass(frozen=True)
+class Device:
+    """One device of a rig: its name and settings in the rig file, and the driver these ask for."""
+
+    name: str
+    settings: Table
+    driver: Driver
+
+    @property
+    def line(self) -> Line:
+        """See Driver."""
+        return self.driver.line(self.settings)
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """See Driver."""
+        return self.driver.channels(self.settings)
+
+    @property
+    def clocks(self) -> tuple[SampleClock, ...]:
+        """See Driver."""
+        return self.driver.clocks(self.settings)
+
+    def pipeline(self, identity: Mapping[str, Any]) -> Pipeline:
+        """See Driver."""
+        return self.driver.pipeline(self.name, self.settings, identity)
+
+
+def devices_of(devices: Devices) -> dict[str, Device]:
+    """All devices of a rig file, by name, in the file's order of the schema.
+
+    Raises:
+        DeviceError: a driver is not installed.
+    """
+    return {name: Device(name, settings, driver(settings.driver)) for name, settings in devices}
+
+
+def make_pipelines(devices: Devices, identities: Mapping[str, Mapping[str, Any]]) -> dict[str, Pipeline]:
+    """Fresh pipelines for all devices of a rig.
+
+    Args:
+        identities: what each device said of itself when it was opened ("words" of a laser, for instance).
+
+    Raises:
+        DeviceError: an identity that no such device can have.
+    """
+    return {name: device.pipeline(identities.get(name, {})) for name, device in devices_of(devices).items()}

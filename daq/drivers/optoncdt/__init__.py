@@ -1,0 +1,1 @@
+"""Micro-Epsilon optoNCDT displacement sensors on a serial line."""

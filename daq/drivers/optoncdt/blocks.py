@@ -1,0 +1,124 @@
+# pyright: reportMissingParameterType=false
+"""The undamaged part of a laser's stream in one compiled pass, and what its distance words mean in another.
+
+Nearly all of a stream is whole blocks, each the one after its predecessor. They need no state machine: one loop takes
+the words apart, checks that counter and timestamp go on by one sample, and stops at the first byte that is anything
+else. What it leaves is for the full decoder, which gives the same samples for the same bytes.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.spikes import compile_watch
+
+_COUNTER_WRAP, _TIMESTAMP_WRAP = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
+_CODE_MAX = optoncdt.CODE_MAX
+
+
+class CleanBlocks(NamedTuple):
+    """Whole blocks from the beginning of some bytes.
+
+    Attributes:
+        code, counter: raw words, integers (n,).
+        ticks: timestamps, wrapped, int64 (n,).
+    """
+
+    code: NDArray[np.integer]
+    counter: NDArray[np.integer]
+    ticks: NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True)
+def _take(data, places, last_counter, last_tick, nominal_ticks, code, counter, ticks):  # pragma: no cover - compiled
+    """Fill the columns; returns how many blocks were clean and continued one another."""
+    words, at_distance, at_counter, at_low, at_high = places
+    for block in range(len(code)):
+        low = high = np.int64(0)
+        count = np.int64(0)
+        for word in range(words):
+            at = 3 * (block * words + word)
+            first, second, third = np.int64(data[at]), np.int64(data[at + 1]), np.int64(data[at + 2])
+            if first >> 6 != 0 or second >> 6 != 1 or third >> 6 != (2 if word == 0 else 3):
+                return block
+            value = first & 0x3F | (second & 0x3F) << 6 | (third & 0x3F) << 12
+            if word == at_distance:
+                code[block] = value
+            elif word == at_counter:
+                count = value
+            elif word == at_low:
+                low = value & 0xFFFF
+            elif word == at_high:
+                high = value & 0xFFFF
+        tick = low | high << 16
+        passed = (tick - last_tick) % _TIMESTAMP_WRAP
+        if (count - last_counter) % _COUNTER_WRAP != 1 or abs(passed - nominal_ticks) > 1.0:
+            return block
+        counter[block] = count
+        ticks[block] = tick
+        last_counter, last_tick = count, tick
+    return len(code)
+
+
+def take_clean_blocks(
+    data: bytes, places: optoncdt.Places, last_counter: int, last_tick: int, nominal_ticks: float
+) -> CleanBlocks:
+    """Blocks at the beginning of `data` that are whole, undamaged, and each the one after its predecessor.
+
+    Args:
+        data: bytes that begin at a block's beginning.
+        places: of the words in a block.
+        last_counter, last_tick: of the block before, as they were on the line.
+        nominal_ticks: between two blocks.
+    """
+    most = len(data) // (3 * places.words)
+    columns: list[NDArray[Any]] = [np.empty(most, np.uint32), np.empty(most, np.uint32), np.empty(most, np.int64)]
+    view = np.frombuffer(data, np.uint8)
+    taken = _take(view, tuple(places), last_counter, last_tick, float(nominal_ticks), *columns)
+    return CleanBlocks(*(column[:taken] for column in columns))
+
+
+@njit(cache=True, nogil=True)
+def _measure(code, range_m, to_disk, displacement):  # pragma: no cover - compiled
+    """Fill in displacements, by the operations of `optoncdt.metres` in their order; returns how many are none."""
+    invalid = 0
+    for i in range(len(code)):
+        if code[i] <= _CODE_MAX:
+            metres = (102.0 / _CODE_MAX * code[i] - 1.0) * range_m / 100.0
+            displacement[i] = (metres - 0.5 * range_m) * to_disk
+        else:
+            displacement[i] = np.nan
+            invalid += 1
+    return invalid
+
+
+def measure(code: NDArray[np.uint32], range_m: float, to_disk: float) -> tuple[NDArray[np.float64], int]:
+    """Displacement of the disk, and how many words are no reading.
+
+    Args:
+        code: distance words, shape (n,).
+        range_m: measuring range of the sensor, m; displacement 0 is its middle.
+        to_disk: displacement of the disk over displacement at the sensor.
+
+    Returns:
+        m, shape (n,), NaN for an error code; the number of those.
+    """
+    displacement = np.empty(len(code))
+    return displacement, int(_measure(code, range_m, to_disk, displacement))
+
+
+def compile_loop() -> None:
+    """Load what is compiled, or compile it, before any byte waits for it."""
+    take_clean_blocks(bytes(12), optoncdt.Places(4, 0, 1, 2, 3), 0, 0, 25.0)
+    measure(np.zeros(1, np.uint32), 1.0, 1.0)
+    compile_watch()
+
+
+def may_begin_block(data: bytes) -> bool:
+    """Whether bytes can be the beginning of a block: low, middle, high, and the first value's high a first one."""
+    return all(byte >> 6 == (0, 1, 2 if at == 2 else 3)[at % 3] for at, byte in enumerate(data))

@@ -1,0 +1,151 @@
+"""The sensor's end of the optoNCDT command line: ASCII commands in, answers out.
+
+For whatever stands in for a sensor: one that is simulated, one whose stream comes from a log. A command is a line; the
+answer is its lines, an error ``E200 …``, or with the echo on the command itself and ``ok``; behind it stands the
+prompt. It may stand between two blocks of the stream, never inside one. Source: ILD1420 manual, ASCII commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from daq.drivers.optoncdt import wire as optoncdt
+
+RATES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
+OUTPUTS = ("COUNTER", "TIMESTAMP")
+"""What may follow the distance in a block, in stream order."""
+
+_LINE_LIMIT = 256  # bytes; the longest command is well under 100
+
+
+def _nothing() -> None:
+    return
+
+
+class SensorCommands:
+    """What a sensor was told, and what it answers.
+
+    Attributes:
+        streaming: whether it was told to send measurements.
+        rate_Hz: measuring rate.
+        outputs: what follows the distance in a block.
+
+    Args:
+        info: lines of the answer to GETINFO, see `info_lines`.
+        rate_Hz: at the beginning.
+        outputs: what can follow the distance in a block, in stream order.
+        fixed: the stream is what it is: another rate, or a stream without one of the outputs, is refused.
+        rate_set: called when a rate was commanded.
+        counter_reset: called when the measurement counter is to begin anew.
+    """
+
+    def __init__(
+        self,
+        info: Sequence[str],
+        rate_Hz: float,
+        outputs: Sequence[str] = OUTPUTS,
+        *,
+        fixed: bool = False,
+        rate_set: Callable[[], None] = _nothing,
+        counter_reset: Callable[[], None] = _nothing,
+    ) -> None:
+        self.streaming = False
+        self.rate_Hz = rate_Hz
+        self.outputs: tuple[str, ...] = tuple(outputs) if fixed else ()
+        self._info, self._possible, self._fixed = list(info), tuple(outputs), fixed
+        self._rates = (rate_Hz,) if fixed else RATES_HZ
+        self._rate_set, self._counter_reset = rate_set, counter_reset
+        self._echo = True
+        self._line = bytearray()
+        self._commands: dict[str, Callable[[list[str]], list[str]]] = {
+            "ECHO": self._set_echo,
+            "GETINFO": lambda _: self._info,
+            "OUTPUT": self._output,
+            "OUTADD_RS422": self._outadd,
+            "GETOUTINFO_RS422": lambda _: [" ".join(("GETOUTINFO_RS422", optoncdt.DISTANCE, *self.outputs))],
+            "MEASRATE": self._measrate,
+            "OUTHOLD": lambda _: [],
+            "RESETCNT": self._reset,
+        }
+
+    def receive(self, data: bytes) -> bytes:
+        """Take command bytes, cut anywhere; returns the answers to the commands they complete."""
+        *lines, rest = (bytes(self._line) + data).split(b"\n")
+        self._line = bytearray(rest[-_LINE_LIMIT:])
+        return b"".join(self._answer(line.decode("ascii", "replace").strip()) for line in lines)
+
+    def _answer(self, line: str) -> bytes:
+        name, *args = line.replace("(", " ").replace(")", " ").split() or [""]
+        if not name:
+            return optoncdt.PROMPT.encode()
+        command = self._commands.get(name.upper())
+        if command is None:
+            lines = [f"E200 Unknown command {name}"]
+        else:
+            try:
+                lines = command([a.upper() for a in args])
+                if self._echo and not lines:
+                    lines = [f"{line} ok"]
+            except ValueError as refusal:
+                lines = [f"E210 {refusal}"]
+        text = "".join(f"{each}\r\n" for each in lines) + optoncdt.PROMPT
+        return text.encode("ascii", "replace")
+
+    def _set_echo(self, args: list[str]) -> list[str]:
+        self._echo = args[:1] != ["OFF"]
+        return []
+
+    def _output(self, args: list[str]) -> list[str]:
+        if not args:
+            return [f"OUTPUT {'RS422' if self.streaming else 'NONE'}"]
+        if args == ["RS422"] and self._fixed and self.outputs != self._possible:
+            raise ValueError(f"Output not possible without {' '.join(self._possible)}")
+        self.streaming = args == ["RS422"]
+        return []
+
+    def _outadd(self, args: list[str]) -> list[str]:
+        unknown = set(args) - {"NONE", *self._possible}
+        if unknown:
+            raise ValueError(f"Unknown output {sorted(unknown)}")
+        self.outputs = tuple(name for name in self._possible if name in args)
+        return []
+
+    def _measrate(self, args: list[str]) -> list[str]:
+        if not args:
+            return [f"MEASRATE {self.rate_Hz / 1000:g}"]
+        possible = {f"{rate / 1000:g}": rate for rate in self._rates}
+        if args[0] not in possible:
+            raise ValueError(f"Rate {args[0]} kHz not possible, only {' '.join(possible)}")
+        self.rate_Hz = possible[args[0]]
+        self._rate_set()
+        return []
+
+    def _reset(self, args: list[str]) -> list[str]:
+        if not args or "MEASCNT" in args:
+            self._counter_reset()
+        return []
+
+
+def info_lines(info: optoncdt.Info) -> list[str]:
+    """The answer to GETINFO that `optoncdt.parse_info` reads as the same."""
+    millimetres = f"{info['range_m'] * 1e3:.2f}"
+    if float(millimetres) / 1000.0 != info["range_m"]:
+        millimetres = f"{info['range_m'] * 1e3:.12f}"
+    return [
+        f"Name: {_text(info['name'])}",
+        f"Serial: {_text(info['serial'])}",
+        f"Measuring range: {millimetres}mm",
+        f"Version: {_text(info['version'])}",
+    ]
+
+
+def outputs_of(words: Sequence[str]) -> tuple[str, ...]:
+    """The outputs behind the distance that give a stream of these words; the inverse of `optoncdt.parse_outinfo`."""
+    return tuple(
+        "TIMESTAMP" if word == optoncdt.TIMESTAMP_LO else word for word in words[1:] if word != optoncdt.TIMESTAMP_HI
+    )
+
+
+def _text(value: str) -> str:
+    """One line of a sensor's own alphabet."""
+    return "".join(letter if " " <= letter <= "~" else "?" for letter in value)

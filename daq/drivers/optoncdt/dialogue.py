@@ -1,0 +1,98 @@
+"""Setting up an optoNCDT sensor: the commands of its manual, in order, with the answers checked."""
+
+from __future__ import annotations
+
+import queue
+import time
+from typing import Any
+
+from daq.drivers.contract import Talk
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.errors import DeviceError
+from rig_configs.schema import Laser
+
+_ANSWER_S = 1.0  # wall seconds
+_QUIET_S = 0.1
+_STOP_TRIES = 3
+
+
+def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
+    """Stop the stream, wait until the line is quiet, ask who it is, choose the output words, start the stream.
+
+    A host that was killed leaves its sensor streaming. What still comes of that stream belongs to no recording of
+    ours, and its counter and timestamp need not go on in ours: it is let run dry before anything is asked or chosen.
+
+    Returns:
+        Identity: name, serial, version, range_m, words.
+    Raises:
+        DeviceError: no answer, a refusal, or a sensor that is not what the rig file says.
+    """
+
+    replies, send = talk.replies, talk.send
+
+    def command(text: str) -> list[str]:
+        while not replies.empty():
+            replies.get_nowait()
+        send(text.encode("ascii") + b"\n")
+        lines: list[str] = []
+        deadline = time.monotonic() + _ANSWER_S
+        while time.monotonic() < deadline:
+            try:
+                text_line = replies.get(timeout=max(0.01, deadline - time.monotonic()))
+            except queue.Empty:
+                break
+            if text_line == optoncdt.PROMPT:
+                bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)
+                if bad:
+                    raise DeviceError(f"{device}: {text!r} refused: {bad}. Check rate and output words in the rig file")
+                return lines
+            lines.append(text_line)
+        raise DeviceError(
+            f"{device} on {config.port}: no answer to {text!r} within {_ANSWER_S:g} s (got {lines}). "
+            f"Is the baud rate {config.baud} and the sensor powered?"
+        )
+
+    _run_dry(device, config, talk)
+    talk.begin_anew()
+    command("OUTPUT NONE")  # while it streamed, its answer may have drowned
+    command("ECHO ON")
+    info = optoncdt.parse_info(command("GETINFO"))
+    if abs(info["range_m"] - config.range_m) > 1e-6:
+        raise DeviceError(
+            f"{device}: rig file says range {config.range_m * 1e3:g} mm, the sensor {info['range_m'] * 1e3:g} mm "
+            f"(serial {info['serial']}). Correct devices.{device}.range_m or plug in the right sensor"
+        )
+    command("OUTHOLD NONE")
+    command(f"MEASRATE {config.rate_Hz / 1000:g}")
+    command("OUTADD_RS422 COUNTER TIMESTAMP")
+    answer = next((x for x in command("GETOUTINFO_RS422") if x.upper().startswith("GETOUTINFO_RS422 ")), "")
+    words = optoncdt.parse_outinfo(answer)
+    if optoncdt.places_of(words) is None:
+        raise DeviceError(
+            f"{device}: expected distance, counter and timestamp among its output words, got {' '.join(words)}: "
+            "does its firmware know OUTADD_RS422 COUNTER TIMESTAMP?"
+        )
+    command("OUTPUT RS422")
+    return {**info, "words": list(words)}
+
+
+def _run_dry(device: str, config: Laser, talk: Talk) -> None:
+    """Tell the sensor to be silent, and wait until nothing has come for a while.
+
+    Raises:
+        DeviceError: it goes on sending.
+    """
+    for _ in range(_STOP_TRIES):
+        talk.send(b"OUTPUT NONE\n")
+        deadline = time.monotonic() + _ANSWER_S
+        seen, since = talk.bytes_in, time.monotonic()
+        while time.monotonic() < deadline:
+            time.sleep(_QUIET_S / 10)
+            if talk.bytes_in != seen:
+                seen, since = talk.bytes_in, time.monotonic()
+            elif time.monotonic() - since > _QUIET_S:
+                return
+    raise DeviceError(
+        f"{device} on {config.port}: told OUTPUT NONE {_STOP_TRIES} times, it goes on sending. Does its line carry our "
+        "words too (both wire pairs of RS422), and is no other program or master commanding it? Switch it off and on"
+    )

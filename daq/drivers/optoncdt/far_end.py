@@ -1,0 +1,114 @@
+"""A simulated optoNCDT sensor: answers ASCII commands, streams binary blocks on its own clock."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.commands import SensorCommands, info_lines
+from daq.virtual_rig.motion import Trajectory
+from rig_configs.schema import Laser
+
+_ERROR_BEFORE, _ERROR_BEHIND, _ERROR_BAUD = 262077, 262078, 262075
+
+
+class DeviceClock:
+    """A clock with its own offset and rate: device = offset + (1 + drift) · rig time, s."""
+
+    def __init__(self, offset_s: float, drift: float) -> None:
+        self.offset_s, self.drift = offset_s, drift
+
+    def device_s(self, time_s: NDArray[np.floating] | float) -> NDArray[np.floating] | float:
+        """What the device's clock shows at a rig time."""
+        return self.offset_s + (1 + self.drift) * time_s
+
+    def rig_s(self, device_s: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Rig time at which the device's clock shows a value."""
+        return (device_s - self.offset_s) / (1 + self.drift)
+
+
+class SimulatedLaser:
+    """One sensor on its serial line.
+
+    Attributes:
+        fault_code: a distance word it gives in place of what it sees (262076: no peak); None when it is sound.
+
+    Args:
+        config: its table of the rig file.
+        look: shape (2,), what it sees of x and y (axis angle and gain in it), dimensionless.
+        offset_m: reading at rest against mid-range.
+        noise_m: standard deviation of one sample.
+    """
+
+    def __init__(
+        self,
+        config: Laser,
+        look: NDArray[np.floating],
+        offset_m: float,
+        noise_m: float,
+        clock: DeviceClock,
+        rng: np.random.Generator,
+        serial: str,
+    ) -> None:
+        self._config, self._look, self._offset, self._noise = config, look, offset_m, noise_m
+        self._clock, self._rng = clock, rng
+        self.fault_code: int | None = None
+        self._next = 0  # number of the next sample on the device's clock
+        self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
+        info = optoncdt.Info(name="ILD1420", serial=serial, range_m=config.range_m, version="001.019")
+        self._commands = SensorCommands(
+            [*info_lines(info), "Option: 000", "Article: 4120232"],
+            float(config.rate_Hz),
+            rate_set=self._begin_anew,
+            counter_reset=self._reset_counter,
+        )
+
+    def receive(self, data: bytes) -> bytes:
+        """Take command bytes; returns the answers."""
+        return self._commands.receive(data)
+
+    def _begin_anew(self) -> None:
+        self._next = 0
+
+    def _reset_counter(self) -> None:
+        self._counter = 0
+
+    def sample(self, motion: Trajectory) -> bytes:
+        """The stream's bytes for the samples that fall into a stretch of motion."""
+        period = 1.0 / self._commands.rate_Hz
+        last = int(np.floor(float(self._clock.device_s(motion.time_s[-1])) / period))
+        if self._next == 0:  # first call: start counting now
+            self._next = int(np.floor(float(self._clock.device_s(motion.time_s[0])) / period)) + 1
+        numbers = np.arange(self._next, last + 1)
+        self._next = max(self._next, last + 1)
+        if not len(numbers):
+            return b""
+        counter = (self._counter + np.arange(len(numbers))) % optoncdt.COUNTER_WRAP
+        self._counter = int(counter[-1] + 1) % optoncdt.COUNTER_WRAP
+        device_s = numbers * period
+        times = np.clip(self._clock.rig_s(device_s), motion.time_s[0], motion.time_s[-1])
+        seen = self._look[0] * motion.at(times, 0, 4) + self._look[1] * motion.at(times, 1, 5)
+        seen = seen + self._offset + self._noise * self._rng.standard_normal(len(numbers))
+        if not self._commands.streaming:
+            return b""
+        return optoncdt.encode_block(self._words(seen, counter, device_s))
+
+    def _words(
+        self, seen: NDArray[np.floating], counter: NDArray[np.int_], device_s: NDArray[np.floating]
+    ) -> NDArray[np.uint32]:
+        half = 0.5 * self._config.range_m
+        codes = optoncdt.code(np.clip(seen, -half, half) + half, self._config.range_m).astype(np.int64)
+        codes[seen > half] = _ERROR_BEHIND
+        codes[seen < -half] = _ERROR_BEFORE
+        if self.fault_code is not None:
+            codes[:] = self.fault_code
+        ticks = np.rint(device_s / optoncdt.TICK_S).astype(np.int64) % optoncdt.TIMESTAMP_WRAP
+        columns = [codes]
+        if "COUNTER" in self._commands.outputs:
+            columns.append(counter)
+        if "TIMESTAMP" in self._commands.outputs:
+            columns += [ticks & 0xFFFF, ticks >> 16]
+        if len(columns) * 30 * self._commands.rate_Hz > self._config.baud:
+            columns[0] = np.full_like(codes, _ERROR_BAUD)
+        return np.column_stack(columns).astype(np.uint32)

@@ -1,0 +1,1 @@
+"""The RotorLink node on the rotor: pendulum encoders, index marks and locks behind a radio dongle."""

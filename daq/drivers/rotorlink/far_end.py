@@ -1,0 +1,280 @@
+"""The simulated on-rotor encoder node, the air between it and its dongle, and the dongle."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drivers.optoncdt.far_end import DeviceClock
+from daq.drivers.rotorlink import wire as rotorlink
+from daq.virtual_rig.motion import Motion, Trajectory
+from rig_configs.schema import EncoderNode, Radio
+
+_NODE, _SAMPLES = 1, 20
+_MECHANISM_S = 0.05  # time from a release command to the open lock
+_TURNING_RAD_S = 0.5  # locking is refused above this speed
+
+
+class Air:
+    """Frames on the radio: lost in bursts, delayed with jitter, in order. Every loss is remembered."""
+
+    def __init__(self, config: Radio, rng: np.random.Generator) -> None:
+        self._config, self._rng = config, rng
+        self._bad = False
+        self._flying: deque[tuple[float, int, bytes]] = deque()
+        self._busy_until = 0.0
+        self.sent = 0
+        self.dropped: list[int] = []  # numbers (from 0) of node frames that were lost
+        self.last_delivered = -1
+
+    def _lost(self) -> bool:
+        change = self._config.burst_stop if self._bad else self._config.burst_start
+        if self._rng.random() < change:
+            self._bad = not self._bad
+        return self._bad and self._rng.random() < self._config.loss_in_burst
+
+    def uplink(self, time_s: float, payload: bytes) -> None:
+        """A node frame goes on air."""
+        number, self.sent = self.sent, self.sent + 1
+        if self._lost():
+            self.dropped.append(number)
+            return
+        arrival = time_s + self._config.delay_s + self._config.jitter_s * float(self._rng.exponential())
+        self._busy_until = max(self._busy_until, arrival)
+        self._flying.append((self._busy_until, number, payload))
+
+    def downlink(self) -> bool:
+        """Whether a host frame reaches the node."""
+        return not self._lost()
+
+    def landed(self, now_s: float) -> list[tuple[float, bytes]]:
+        """Frames that have reached the dongle, with their arrival times."""
+        out: list[tuple[float, bytes]] = []
+        while self._flying and self._flying[0][0] <= now_s:
+            arrival, number, payload = self._flying.popleft()
+            self.last_delivered = number
+            out.append((arrival, payload))
+        return out
+
+
+class SimulatedNode:
+    """Node, air and dongle behind one serial line.
+
+    Attributes:
+        dead: the node sends nothing any more; its dongle goes on.
+        fault_flags: encoder faults it reports (bit 0 A, bit 1 B).
+        marks_lost: its index sensor sees nothing.
+        locks_stuck: a lock that is told to move reports a fault.
+
+    Args:
+        config: its table of the rig file.
+        zero_error_rad: shape (2,), what each encoder reads too much.
+        noise_counts: jitter before quantisation, counts.
+        play_rad: largest offset of a closed lock.
+    """
+
+    def __init__(
+        self,
+        config: EncoderNode,
+        motion: Motion,
+        zero_error_rad: NDArray[np.floating],
+        noise_counts: float,
+        play_rad: float,
+        clock: DeviceClock,
+        air: Air,
+        rng: np.random.Generator,
+    ) -> None:
+        self._config, self._motion, self._zero, self._noise = config, motion, zero_error_rad, noise_counts
+        self._play, self._clock, self.air, self._rng = play_rad, clock, air, rng
+        self.dead = self.marks_lost = self.locks_stuck = False
+        self.fault_flags = 0
+        self._period = 1.0 / config.rate_Hz
+        self._next = 0
+        self._index = 0
+        self._pending: list[NDArray[np.int32]] = []
+        self._pending_first_s = 0.0
+        self._seq = 0
+        self._dongle_seq = 0
+        self._status_due = self._dongle_due = 0.0
+        self._run = bytearray()
+        self._acted: deque[tuple[int, bytes]] = deque(maxlen=32)
+        self._due: list[tuple[float, int, Callable[[], None], int]] = []  # lock mechanism at work
+        self._closing: dict[int, int] = {}
+        self._offset_counts = np.zeros(2)
+        self._closed = [True, True]
+
+    def _us(self, time_s: float) -> int:
+        return int(float(self._clock.device_s(time_s)) * 1e6) % 2**32
+
+    def _send(self, time_s: float, build: Callable[[int], bytes]) -> None:
+        if self.dead:
+            return
+        payload = build(self._seq)
+        self._seq = (self._seq + 1) & 0xFFFF
+        self.air.uplink(time_s, payload)
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Take bytes the host sent to the dongle."""
+        for run in data.split(b"\x00")[:-1] if not self._run else (bytes(self._run) + data).split(b"\x00")[:-1]:
+            decoded = rotorlink.FrameDecoder().feed(run + b"\x00")
+            for frame in decoded.frames:
+                if self.air.downlink():
+                    self._host_frame(frame, now_s + self.air._config.delay_s)
+        tail = (bytes(self._run) + data).split(b"\x00")[-1]
+        self._run = bytearray(tail[-300:])
+
+    def _host_frame(self, frame: rotorlink.Frame, now_s: float) -> None:
+        if isinstance(frame, rotorlink.Ping):
+            us = self._us(now_s)
+            self._send(now_s, lambda seq: rotorlink.Pong(_NODE, seq, us, us + 40, frame.seq).pack())
+        elif isinstance(frame, rotorlink.Command):
+            known = next((result for seq, result in self._acted if seq == frame.seq), None)
+            result = self._command(frame, now_s) if known is None else known[0]
+            if known is None:
+                self._acted.append((frame.seq, bytes([result])))
+            self._send(now_s, lambda seq: rotorlink.Acknowledge(_NODE, seq, frame.seq, result).pack())
+
+    def _command(self, frame: rotorlink.Command, now_s: float) -> int:
+        """Act on a command; returns the result code of its acknowledge."""
+        names = {v: k for k, v in rotorlink.ACTIONS.items()}
+        action = names.get(frame.action)
+        if action is None:
+            return 2
+        if action == "zero":
+            # zero is A's locked position, for both: B's own is half a revolution away
+            at_locks = np.array([0.0, self._config.counts_per_revolution / 2])
+            self._offset_counts = self._counts_exact() - at_locks
+            return 0
+        verb, which = action.split()
+        pendulums = {"A": [0], "B": [1], "both": [0, 1]}[which]
+        if verb == "lock" and abs(self._motion.speed_rad_s) > _TURNING_RAD_S:
+            return 1
+        wanted = verb == "lock"
+        pendulums = [i for i in pendulums if self._closed[i] != wanted]
+        if not pendulums:
+            return 4
+        if self.locks_stuck:
+            for i in pendulums:
+                self._lock_event(now_s, i, 3, frame.seq)
+            return 0
+        for i in pendulums:
+            if wanted:
+                self._motion.lock(i, float(self._rng.uniform(-self._play, self._play)))
+                self._closing[i] = frame.seq
+                self._lock_event(now_s, i, 2, frame.seq)
+            else:
+                self._due.append((now_s + _MECHANISM_S, i, lambda i=i: self._motion.release(i), frame.seq))
+        return 0
+
+    def _lock_event(self, time_s: float, pendulum: int, state: int, command: int) -> None:
+        us = self._us(time_s)
+        self._send(time_s, lambda seq: rotorlink.LockEvent(_NODE, seq, us, pendulum, state, command).pack())
+
+    def mechanisms(self, now_s: float) -> None:
+        """Let lock mechanisms finish; called before each stretch of motion, at its start."""
+        for entry in [e for e in self._due if e[0] <= now_s]:
+            self._due.remove(entry)
+            _, pendulum, act, command = entry
+            act()
+            self._closed[pendulum] = False
+            self._lock_event(now_s, pendulum, 1, command)
+        for pendulum in [i for i in self._closing if self._motion.locked_in(i)]:
+            self._closed[pendulum] = True
+            self._lock_event(now_s, pendulum, 0, self._closing.pop(pendulum))
+
+    def _counts_exact(self) -> NDArray[np.floating]:
+        return (self._motion.angles_rad + self._zero) * self._config.counts_per_revolution / (2 * math.pi)
+
+    def sample(self, motion: Trajectory) -> None:
+        """Put the frames of a stretch of motion on air, in order of time."""
+        queue: list[tuple[float, Callable[[], None]]] = []
+        queue += self._index_marks(motion)
+        queue += self._blocks(motion)
+        end = float(motion.time_s[-1])
+        if end >= self._status_due:
+            self._status_due = end + 1.0
+            queue.append((end, lambda: self._status(end)))
+        for _, act in sorted(queue, key=lambda q: q[0]):
+            act()
+
+    def _status(self, now_s: float) -> None:
+        per_turn = self._config.counts_per_revolution
+        sent, us = self.air.sent, self._us(now_s)
+        self._send(now_s, lambda seq: rotorlink.Status(_NODE, seq, us, 3712, 315, sent, 0, 1, 4, per_turn).pack())
+
+    def _index_marks(self, motion: Trajectory) -> list[tuple[float, Callable[[], None]]]:
+        index = math.radians(self._config.index_angle_deg)
+        turns = np.floor((motion.rows[:, 8] - index) / (2 * math.pi))
+        out: list[tuple[float, Callable[[], None]]] = []
+        for i in np.flatnonzero(np.diff(turns) > 0):
+            phase = 2 * math.pi * turns[i + 1] + index
+            a, b = motion.rows[i, 8], motion.rows[i + 1, 8]
+            wa, wb = motion.rows[i, 9], motion.rows[i + 1, 9]
+            step = motion.time_s[i + 1] - motion.time_s[i]
+            u = (phase - a) / (b - a)
+            for _ in range(3):  # ψ within a grid step is a parabola to the accuracy that matters
+                slope = (wa + (wb - wa) * u) * step
+                u -= (a + (wa + 0.5 * (wb - wa) * u) * u * step - phase) / slope
+            t = float(motion.time_s[i] + min(max(u, 0.0), 1.0) * step)
+            out.append((t, lambda t=t, n=int(turns[i + 1]): self._mark(t, n)))
+        return out
+
+    def _mark(self, time_s: float, revolutions: int) -> None:
+        if self.marks_lost:
+            return
+        us = self._us(time_s)
+        self._send(time_s, lambda seq: rotorlink.IndexMark(_NODE, seq, us, revolutions % 2**32).pack())
+
+    def _blocks(self, motion: Trajectory) -> list[tuple[float, Callable[[], None]]]:
+        if self._next == 0:
+            self._next = math.floor(float(self._clock.device_s(motion.time_s[0])) / self._period) + 1
+        last = math.floor(float(self._clock.device_s(motion.time_s[-1])) / self._period)
+        numbers = np.arange(self._next, last + 1)
+        self._next = max(self._next, last + 1)
+        if not len(numbers):
+            return []
+        times = np.clip(self._clock.rig_s(numbers * self._period), motion.time_s[0], motion.time_s[-1])
+        angles = np.column_stack([motion.at(times, 2, 6), motion.at(times, 3, 7)]) + self._zero
+        exact = angles * self._config.counts_per_revolution / (2 * math.pi) - self._offset_counts
+        exact += self._noise * self._rng.standard_normal(exact.shape)
+        counts = np.floor(exact + 0.5).astype(np.int64).astype(np.int32)
+        out: list[tuple[float, Callable[[], None]]] = []
+        for k in range(len(numbers)):
+            if not self._pending:
+                self._pending_first_s = float(numbers[k] * self._period)
+            self._pending.append(counts[k])
+            if len(self._pending) == _SAMPLES:
+                block, first = np.array(self._pending), self._pending_first_s
+                self._pending = []
+                out.append((float(times[k]), lambda b=block, f=first, t=float(times[k]): self._block(t, f, b)))
+        return out
+
+    def _block(self, time_s: float, first_s: float, counts: NDArray[np.int32]) -> None:
+        flags = (32 if self._closed[0] else 0) | (64 if self._closed[1] else 0) | self.fault_flags
+        index, self._index = self._index, self._index + len(counts)
+        us, period = round(first_s * 1e6) % 2**32, round(self._period * 1e6)
+        self._send(
+            time_s,
+            lambda seq: rotorlink.EncoderBlock(_NODE, seq, index % 2**32, us, period, flags, counts).pack(),
+        )
+
+    def dongle(self, now_s: float) -> bytes:
+        """Bytes the dongle gives the host: node frames that landed, each wrapped, and its own status."""
+        out = b""
+        for arrival, payload in self.air.landed(now_s):
+            frame = rotorlink.Wrapped(
+                _NODE, self._dongle_seq, int(arrival * 1e6) % 2**32, -58, rotorlink.parse_node(payload)
+            )
+            self._dongle_seq = (self._dongle_seq + 1) & 0xFFFF
+            out += rotorlink.wire(frame.pack())
+        if now_s >= self._dongle_due:
+            self._dongle_due = now_s + 1.0
+            received = self.air.sent - len(self.air.dropped)
+            status = rotorlink.DongleStatus(_NODE, self._dongle_seq, int(now_s * 1e6) % 2**32, received, 0, -58)
+            self._dongle_seq = (self._dongle_seq + 1) & 0xFFFF
+            out += rotorlink.wire(status.pack())
+        return out

@@ -1,0 +1,54 @@
+# pyright: strict
+"""The host's commands to a RotorLink node: repeated until they are acknowledged."""
+
+from __future__ import annotations
+
+import queue
+import secrets
+import time
+from collections.abc import Callable
+
+from daq.drivers.items import Event
+from daq.drivers.rotorlink import wire
+from daq.errors import DeviceError
+
+_NODE = 1
+_TRIES, _TRY_S, _LOOK_S = 20, 0.15, 0.02  # wall seconds
+_ACCEPTED, _ALREADY = 0, 4
+
+
+class NodeLocks:
+    """See PendulumLocks.
+
+    Args:
+        send: writes bytes to the node's dongle.
+    """
+
+    def __init__(self, send: Callable[[bytes], None]) -> None:
+        self._send = send
+        self._acknowledges: queue.Queue[Event] = queue.Queue()
+        # The node remembers the seq of past commands, also those of an earlier session, and acts once on each.
+        self._seq = secrets.randbelow(0x8000)
+
+    def heard(self, event: Event) -> None:
+        """See PendulumLocks."""
+        self._acknowledges.put(event)
+
+    def command(self, action: str, check: Callable[[], None]) -> None:
+        """See PendulumLocks; a lost frame is repeated with its seq."""
+        self._seq = (self._seq + 1) & 0x7FFF
+        frame = wire.wire(wire.Command(_NODE, self._seq, wire.ACTIONS[action]).pack())
+        for _ in range(_TRIES):
+            self._send(frame)
+            deadline = time.monotonic() + _TRY_S
+            while time.monotonic() < deadline:
+                check()
+                try:
+                    event = self._acknowledges.get(timeout=_LOOK_S)
+                except queue.Empty:
+                    continue
+                if event.facts["command_seq"] == self._seq:
+                    if event.facts["result"] in (_ACCEPTED, _ALREADY):
+                        return
+                    raise DeviceError(f"encoder node: {action!r} refused: {event.text}")
+        raise DeviceError(f"encoder node: {action!r} was not acknowledged after {_TRIES} tries. Is the radio in reach?")

@@ -1,0 +1,1 @@
+"""Tests that lead an operator from locked pendulums to a finished log."""

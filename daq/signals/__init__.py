@@ -1,0 +1,1 @@
+"""A log as signals on one clock, and when they have settled."""

@@ -1,0 +1,346 @@
+"""One run's signals on one clock: what identification and analysis work on.
+
+Every device stamps its samples with its own clock. `load_run` fits one straight line per device over the whole log
+(device time → host time, see daq.clock) and gives every signal in seconds since the run's start on the common
+clock, with the uncertainty of each device's clock rate. Channels without a device's clock (of recordings made
+elsewhere) are on the common clock already. Gaps stay gaps: nothing is filled in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.clock import ClockLine, fit_line
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.spikes import suspects
+from daq.errors import LogError
+from daq.log import Log, open_log
+from daq.log.losses import losses_of
+from daq.log.outcome import not_reached_of
+from daq.log.samples import Samples
+from daq.log.snapshot import identities_of, rig_of
+
+ASSUMED_TOLERANCE_PPM = 50.0
+"""Standard uncertainty of the rate of a clock of which nothing is said: an ordinary quartz over a laboratory's year."""
+
+
+@dataclass(frozen=True)
+class Release:
+    """A pendulum let go during the run.
+
+    Attributes:
+        pendulum: 0 is A, 1 is B.
+        time_s: since the run's start.
+        time_std_s: its standard uncertainty; large when the node's own message was lost and the encoder blocks'
+            lock flags had to tell.
+    """
+
+    pendulum: int
+    time_s: float
+    time_std_s: float = 1e-4
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recorded test. A channel the log does not have is empty.
+
+    Attributes:
+        test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down" or "point-NAME".
+        source: the log's path, for messages.
+        start_s: the run's start in seconds since 1970; every other time counts from it.
+        x_time_s, x_m: laser x, shape (n,), disk-centre displacement; NaN where the sensor said "invalid"
+            and where the line's damage shows (`daq.drivers.optoncdt.spikes`).
+        y_time_s, y_m: laser y, its own samples, shape (m,).
+        angle_time_s, angle_rad: pendulum angles θ3, θ4 relative to the rotor, shapes (k,), (k, 2), unwrapped; all
+            NaN for a pendulum that was not recorded.
+        mark_time_s, mark_phase_rad: tachometer marks and ψ at each (unwrapped, ψ = 0: imbalance along +x).
+        releases: pendulums let go during the run.
+        angle_step_rad: quantisation of the angles, rad.
+        clock_rate_std: relative standard uncertainty of each device's rate ("laser_x", "laser_y", "encoder").
+        clocks: which clock stamped each device's samples, where that is not the device's own: a recording made
+            elsewhere has its recorder's for all. What shares a clock shares its error.
+        losses: counted losses by "device.kind"; "log.missing_messages" are those the file itself lacks.
+        metadata: the log's own facts (rig, point, software version, digest …); "missing" lists what the file lacks,
+            sentences.
+        phase_time_s, phase_rad: ψ between the marks too, shape (l,), where a recording has it.
+        phase_absolute: whether ψ = 0 is where the imbalance points along +x; False where a speed was integrated, which
+            leaves one unknown angle between ψ and the laboratory.
+    """
+
+    test: str
+    source: str
+    start_s: float
+    x_time_s: np.ndarray
+    x_m: np.ndarray
+    y_time_s: np.ndarray
+    y_m: np.ndarray
+    angle_time_s: np.ndarray
+    angle_rad: np.ndarray
+    mark_time_s: np.ndarray
+    mark_phase_rad: np.ndarray
+    releases: tuple[Release, ...] = ()
+    angle_step_rad: float = 2 * np.pi / 4096
+    clock_rate_std: Mapping[str, float] = field(default_factory=dict)
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    losses: Mapping[str, int] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    phase_time_s: np.ndarray = field(default_factory=lambda: np.empty(0))
+    phase_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
+    phase_absolute: bool = True
+
+
+def load_run(path: str | Path) -> Run:
+    """Read one log into signals on the common clock.
+
+    Raises:
+        LogError: not a readable log, one without samples or without its rig file, or one in which a device restarted.
+    """
+    with open_log(path) as log:
+        devices = rig_of(log).devices
+        _refuse_restarts(log)
+        start_s = _start(log)
+        run = log.metadata.get("run", {})
+        shared = _shared_clock(log, run) if _is_stamped_elsewhere(log) else _NO_DEVICE
+        x, x_line = _laser(log, "laser/x", devices.laser_x.clock_tolerance_ppm, start_s, shared)
+        y, y_line = _laser(log, "laser/y", devices.laser_y.clock_tolerance_ppm, start_s, shared)
+        line = _node_line(log, devices.encoder.clock_tolerance_ppm, start_s, shared)
+        lines = {"laser_x": x_line, "laser_y": y_line, "encoder": line}
+        angle_time_s, angle_rad = _angles(log, line, start_s)
+        mark_time_s, mark_phase_rad = _marks(log, line, math.radians(devices.encoder.index_angle_deg), start_s)
+        phase_time_s, phase_rad = _phase(log, line, start_s)
+        return Run(
+            test=run.get("test", "unknown"),
+            source=str(path),
+            start_s=start_s,
+            x_time_s=x[0],
+            x_m=x[1],
+            y_time_s=y[0],
+            y_m=y[1],
+            angle_time_s=angle_time_s,
+            angle_rad=angle_rad,
+            mark_time_s=mark_time_s,
+            mark_phase_rad=mark_phase_rad,
+            phase_time_s=phase_time_s,
+            phase_rad=phase_rad,
+            phase_absolute=run.get("phase_reference") != "none",
+            releases=_releases(log, line, start_s),
+            angle_step_rad=2 * np.pi / devices.encoder.counts_per_revolution,
+            clock_rate_std={name: line.rate_std for name, line in lines.items()},
+            clocks={name: _recorder(run) for name, line in lines.items() if line is shared is not _NO_DEVICE},
+            losses=losses_of(log).flat,
+            metadata={
+                **run,
+                "identities": identities_of(log),
+                "complete": log.complete,
+                "missing": [str(place) for place in log.missing],
+                "not_reached": not_reached_of(log),
+            },
+        )
+
+
+_CHANNELS = ("laser/x", "laser/y", "pendulums", "tacho")
+_LOCK_FLAGS = (0x20, 0x40)
+_NO_DEVICE = ClockLine(0.0, 0.0, 0.0, 0.0)
+
+
+def _refuse_restarts(log: Log) -> None:
+    restarted = sorted({e["device"] for e in log.events if e["kind"] == "restart"})
+    if restarted:
+        raise LogError(
+            f"{log.path}: {', '.join(restarted)} restarted during this log, so its clock does not run through. "
+            "Repeat the test; the samples themselves can be read with open_log"
+        )
+
+
+def _samples(log: Log, topic: str) -> Samples | None:
+    """Samples of a channel; None when the log has none."""
+    if topic not in log:
+        return None
+    samples = log[topic]
+    return samples if len(samples) else None
+
+
+def _start(log: Log) -> float:
+    """The earliest sample, whole seconds since 1970."""
+    found = [samples.log_time_ns[0] for samples in (_samples(log, topic) for topic in _CHANNELS) if samples is not None]
+    if not found:
+        raise LogError(f"{log.path}: expected samples in {', '.join(_CHANNELS)}, the log has {list(log) or 'none'}")
+    return math.floor(min(found) * 1e-9)
+
+
+def _is_stamped_elsewhere(log: Log) -> bool:
+    """Whether any channel is on the common clock already: it has samples, but no device's clock in them."""
+    there = [samples for samples in (_samples(log, topic) for topic in _CHANNELS) if samples is not None]
+    return any(not {"device_ticks", "node_time_us"} & set(samples.columns) for samples in there)
+
+
+def _shared_clock(log: Log, run: Mapping[str, str]) -> ClockLine:
+    """The line of channels that are on the common clock already: its rate is as good as the log says.
+
+    A log that does not say, or says 0 without saying that this was stated (imported before that was asked for), has
+    no exact clock: it has one that nothing is known of.
+    """
+    text = run.get("clock_tolerance_ppm", "0")
+    try:
+        tolerance = float(text)
+    except ValueError as fault:
+        raise LogError(f"{log.path}: expected a number as clock_tolerance_ppm, got {text!r}") from fault
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        raise LogError(f"{log.path}: expected a number of at least 0 as clock_tolerance_ppm, got {text!r}")
+    if tolerance == 0 and run.get("clock_tolerance_from") != "stated":
+        tolerance = ASSUMED_TOLERANCE_PPM
+    return ClockLine(0.0, 0.0, 1e-6 * tolerance, 0.0)
+
+
+def _recorder(run: Mapping[str, str]) -> str:
+    """The clock of a recording made elsewhere: recordings that do not name their recorder count as one recorder's."""
+    name = run.get("recorder", "")
+    return f"recorder {name}" if name else "recorder"
+
+
+def _line(device_s: NDArray[np.floating], log_ns: NDArray[np.int64], start_s: float, tolerance_ppm: float) -> ClockLine:
+    """Clock line through the last sample of every read."""
+    last = np.flatnonzero(np.diff(log_ns, append=log_ns[-1] + 1))
+    return fit_line(device_s[last], _since(log_ns[last], start_s), tolerance_ppm)
+
+
+def _since(time_ns: NDArray[np.int64], start_s: float) -> NDArray[np.floating]:
+    """Times on the common clock in s since the run's start."""
+    return (time_ns - int(start_s) * 1_000_000_000) * 1e-9
+
+
+def _laser(
+    log: Log, topic: str, tolerance_ppm: float, start_s: float, shared: ClockLine
+) -> tuple[tuple[NDArray[np.floating], NDArray[np.floating]], ClockLine]:
+    """Times and displacements of a laser, and the line that made the times."""
+    samples = _samples(log, topic)
+    if samples is None:
+        return (np.empty(0), np.empty(0)), shared
+    displacement = samples.displacement_m
+    if "flags" in samples:  # not in an earlier version's logs
+        displacement = np.where(suspects(samples.flags), np.nan, displacement)
+    if "device_ticks" not in samples.columns:
+        return (_since(samples.time_ns, start_s), displacement), shared
+    device_s = samples.device_ticks * optoncdt.TICK_S
+    line = _line(device_s, samples.log_time_ns, start_s, tolerance_ppm)
+    return (line.host_s(device_s), displacement), line
+
+
+def _node_line(log: Log, tolerance_ppm: float, start_s: float, shared: ClockLine) -> ClockLine:
+    """The on-rotor node's clock, from its angles or, where there are none, from its marks."""
+    for topic in ("pendulums", "tacho"):
+        samples = _samples(log, topic)
+        if samples is not None and "node_time_us" in samples.columns:
+            return _line(samples.node_time_us * 1e-6, samples.log_time_ns, start_s, tolerance_ppm)
+    return shared
+
+
+def _node_s(samples: Samples, line: ClockLine, start_s: float) -> NDArray[np.floating]:
+    """Times of the node's samples: by its own clock, or by the common one where they have none."""
+    if "node_time_us" in samples.columns:
+        return line.host_s(samples.node_time_us * 1e-6)
+    return _since(samples.time_ns, start_s)
+
+
+def _angles(log: Log, line: ClockLine, start_s: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Times and both angles; without the instants at which one of two recorded pendulums has no reading."""
+    samples = _samples(log, "pendulums")
+    if samples is None:
+        return np.empty(0), np.empty((0, 2))
+    angles = np.column_stack([samples.theta3_rad, samples.theta4_rad])
+    there = np.isfinite(angles)
+    whole = there[:, there.any(axis=0)].all(axis=1)
+    return _node_s(samples, line, start_s)[whole], angles[whole]
+
+
+def _marks(
+    log: Log, line: ClockLine, index_rad: float, start_s: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Times and phases of the index marks; where the log has the phase itself, of its whole turns."""
+    samples = _samples(log, "tacho")
+    if samples is None:
+        return np.empty(0), np.empty(0)
+    times = _node_s(samples, line, start_s)
+    if "phase_rad" in samples.columns:
+        return _whole_turns(times, samples.phase_rad)
+    return times, 2 * np.pi * samples.revolutions.astype(float) + index_rad
+
+
+def _phase(log: Log, line: ClockLine, start_s: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Times and values of the rotor's phase, where the log has it in every row."""
+    samples = _samples(log, "tacho")
+    if samples is None or "phase_rad" not in samples.columns:
+        return np.empty(0), np.empty(0)
+    good = np.isfinite(samples.phase_rad)
+    return _node_s(samples, line, start_s)[good], samples.phase_rad[good]
+
+
+def _whole_turns(
+    time_s: NDArray[np.floating], phase_rad: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Where a phase first passes each whole turn, on the straight line between two samples."""
+    good = np.isfinite(phase_rad)
+    turns = phase_rad[good] / (2 * np.pi)
+    highest = np.maximum.accumulate(turns)
+    rising = np.flatnonzero(np.diff(highest, prepend=-np.inf) > 0)
+    time_s, turns = time_s[good][rising], turns[rising]
+    if len(turns) < 2:
+        return np.empty(0), np.empty(0)
+    whole = np.arange(math.ceil(turns[0]), math.floor(turns[-1]) + 1)
+    return np.interp(whole, turns, time_s), 2 * np.pi * whole
+
+
+def _releases(log: Log, line: ClockLine, start_s: float) -> tuple[Release, ...]:
+    """Releases by the node's own message; where the radio lost it, by the lock flags of the encoder blocks.
+
+    One command lets both go at once: when the flags change in the same block, a message about one tells both.
+    """
+    told = {
+        int(e["pendulum"]): _told_release(e, line, start_s)
+        for e in log.events
+        if e["kind"] == "lock" and e["state"] == "released"
+    }
+    seen = _seen_releases(log, line)
+    releases: list[Release] = []
+    for pendulum in sorted(set(told) | set(seen)):
+        other = 1 - pendulum
+        if pendulum in told:
+            releases.append(told[pendulum])
+        elif other in told and seen.get(other) == seen[pendulum]:
+            releases.append(Release(pendulum, told[other].time_s))
+        else:
+            releases.append(Release(pendulum, *seen[pendulum]))
+    return tuple(releases)
+
+
+def _told_release(event: Mapping[str, Any], line: ClockLine, start_s: float) -> Release:
+    """A release as the node, or whoever imported the recording, told it."""
+    if "node_time_us" in event:
+        return Release(int(event["pendulum"]), float(line.host_s(np.array([event["node_time_us"] * 1e-6]))[0]))
+    time_s = float(_since(np.array([event["time_ns"]], np.int64), start_s)[0])
+    return Release(int(event["pendulum"]), time_s, float(event.get("time_std_s", Release.time_std_s)))
+
+
+def _seen_releases(log: Log, line: ClockLine) -> dict[int, tuple[float, float]]:
+    """Time and its standard uncertainty by pendulum, as the encoder blocks' lock flags show it."""
+    samples = _samples(log, "pendulums")
+    if samples is None or "flags" not in samples.columns:
+        return {}
+    seen: dict[int, tuple[float, float]] = {}
+    for pendulum, flag in enumerate(_LOCK_FLAGS):
+        closed = (samples.flags & flag) != 0
+        opened = np.flatnonzero(closed[:-1] & ~closed[1:])
+        if len(opened):
+            i = int(opened[-1])
+            before, after = line.host_s(samples.node_time_us[i : i + 2] * 1e-6)
+            # flags are a block's state when it is sent: the lock opened within the block before `after`, or in a gap
+            end = after + (samples.node_time_us[min(i + 20, len(samples) - 1)] - samples.node_time_us[i + 1]) * 1e-6
+            seen[pendulum] = (0.5 * (before + end), (end - before) / math.sqrt(12))
+    return seen

@@ -1,0 +1,241 @@
+"""Has the rig settled? One decision, asked by the guided test while it records and by the analysis of the log.
+
+Judged on means over whole revolutions in consecutive windows, so that the wobble of a periodic orbit does not matter
+(daq.signals.window_means), and on a bound of what is still to come (daq.signals.approach): settled means that the
+bound, with the encoders' quantisation and the noise in it, is below the tolerance. A drift that does not shrink has
+no bound: a creeping pendulum, or one that leaves an unstable balance, where the drift is tiny for many seconds and
+grows. In doubt it is not settled, and the test records on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.signals.approach import Approach, bound
+from daq.signals.window_means import WindowMeans, amplitude_means, angle_means, whole_revolutions
+
+_SAME_GAP = math.radians(5.0)  # pendulums this close to their gap at release may still stand on a saddle
+_MOST_WINDOWS = 30
+# Of a tolerance: the width of a mean is not taken smaller. Angles show an unstable balance being left, by little at
+# first; amplitudes need only be steady, and may wander with temperature and speed for ever.
+_UNSEEN_ANGLE, _UNSEEN_AMPLITUDE = 1 / 50, 1 / 10
+_FAR = 20  # of a tolerance: a change over two windows that makes a look at older ones needless
+
+
+@dataclass(frozen=True)
+class Settling:
+    """The answer, with what it rests on.
+
+    Attributes:
+        settled: nothing still to come that matters.
+        slipping: a pendulum turns steadily relative to the rotor.
+        why: one sentence.
+        drift_rad: change of the mean angles over the last window, the larger pendulum's, rad (nan: no angles).
+        remaining_rad: bound on the angles' change still to come after the last window, rad; inf for a drift that does
+            not shrink.
+        mean_off_rad: bound on how far the angles' mean over the last `average_s` is from where they will end, rad.
+        drift_m, remaining_m, mean_off_m: the same for the order-1 amplitudes of x and y, m.
+        span_s: how far back the windows reach, s.
+        more_s: about how much longer it will take until all is settled, s; inf where no end is in sight.
+    """
+
+    settled: bool
+    slipping: bool
+    why: str
+    drift_rad: float
+    remaining_rad: float
+    drift_m: float
+    remaining_m: float
+    span_s: float
+    mean_off_rad: float = math.nan
+    mean_off_m: float = math.nan
+    more_s: float = math.inf
+
+
+def settled(
+    time_s: np.ndarray,
+    angles_rad: np.ndarray,
+    mark_time_s: np.ndarray,
+    mark_phase_rad: np.ndarray,
+    x_time_s: np.ndarray,
+    x_m: np.ndarray,
+    y_time_s: np.ndarray,
+    y_m: np.ndarray,
+    *,
+    angle_tolerance_rad: float = math.radians(0.1),
+    amplitude_tolerance_m: float = 3e-6,
+    window_s: float = 1.0,
+    windows: int = 9,
+    release_time_s: float | None = None,
+    linger_s: float = 30.0,
+    angle_step_rad: float | None = None,
+    average_s: float = 2.0,
+) -> Settling:
+    """Whether released pendulums and the orbit have reached their steady state at the end of the signals.
+
+    Args:
+        time_s, angles_rad: encoder samples, shapes (k,), (k, 2), rad, unwrapped.
+        mark_time_s, mark_phase_rad: tachometer marks and ψ there (rad, unwrapped), shape (n,).
+        x_time_s, x_m, y_time_s, y_m: lasers, each with its own times; NaN where invalid.
+        angle_tolerance_rad, amplitude_tolerance_m: how much may still be to come.
+        window_s, windows: least length of a window (rounded up to whole revolutions) and the least number of them; up
+            to 30 since the release are looked at.
+        release_time_s: when the pendulums were let go; None when not known.
+        linger_s: a pendulum pair that still has the gap it was released with is not called settled earlier than
+            this after release: from an unstable balance it leaves exponentially, unseen at first.
+        angle_step_rad: of the encoders' code; None: the smallest change in the samples.
+        average_s: the stretch before the last mark whose mean's distance from the end is wanted.
+    Returns:
+        Settling; `settled` is False, with the reason, when the signals are too short or too sparse.
+    Source: docs/theory/steady_states.md.
+    """
+    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MOST_WINDOWS)
+    if release_time_s is not None:
+        edges = edges[edges >= release_time_s]
+    if len(edges) <= windows:
+        return _unknown(f"fewer than {windows} windows of {window_s:g} s since release")
+    if _change(time_s, angles_rad, edges[-4:]) > _FAR * angle_tolerance_rad:
+        edges = edges[-windows - 1 :]
+    angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, angle_step_rad, windows)
+    orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
+    if angles is None or orbit is None:
+        missing = "pendulum angles" if angles is None else "displacements"
+        return _unknown(f"too many samples of the {missing} are missing")
+    slip = _slipping(angles.means[-windows:])
+    turning = _worst(angles, angle_tolerance_rad, _UNSEEN_ANGLE, average_s)
+    whirling = _worst(orbit, amplitude_tolerance_m, _UNSEEN_AMPLITUDE, average_s)
+    found = _settling(angles, orbit, turning, whirling)
+    held = release_time_s is not None and _still_as_released(
+        time_s, angles_rad, angles.means[-1], edges[-1], release_time_s, linger_s
+    )
+    reasons = [
+        _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
+        slip,
+        "pendulums still stand as released; they may be on an unstable balance" if held else "",
+        _reason("pendulum angles", found.drift_rad, turning, angle_tolerance_rad, 180 / math.pi, "°"),
+        _reason("amplitudes", found.drift_m, whirling, amplitude_tolerance_m, 1e6, " µm"),
+    ]
+    lasting = max(_more(turning, angle_tolerance_rad), _more(whirling, amplitude_tolerance_m))
+    return _said(found, reasons, "angles and amplitudes are steady", math.inf if slip else lasting, bool(slip))
+
+
+def locked_settled(
+    mark_time_s: np.ndarray,
+    mark_phase_rad: np.ndarray,
+    x_time_s: np.ndarray,
+    x_m: np.ndarray,
+    y_time_s: np.ndarray,
+    y_m: np.ndarray,
+    *,
+    amplitude_tolerance_m: float = 5e-6,
+    window_s: float = 1.0,
+    windows: int = 9,
+) -> Settling:
+    """Whether the locked orbit is steady, before the pendulums are released; arguments as in `settled`."""
+    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MOST_WINDOWS)
+    if len(edges) <= windows:
+        return _unknown(f"fewer than {windows} windows of {window_s:g} s at speed")
+    orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
+    if orbit is None:
+        return _unknown("too many samples of the displacements are missing")
+    whirling = _worst(orbit, amplitude_tolerance_m, _UNSEEN_AMPLITUDE, window_s)
+    found = _settling(None, orbit, Approach(math.nan, math.nan, 0.0, 0.0), whirling)
+    reasons = [
+        _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
+        _reason("amplitudes", found.drift_m, whirling, amplitude_tolerance_m, 1e6, " µm"),
+    ]
+    return _said(found, reasons, "amplitudes are steady", _more(whirling, amplitude_tolerance_m), slipping=False)
+
+
+def _unknown(why: str) -> Settling:
+    return Settling(False, False, why, math.nan, math.inf, math.nan, math.inf, 0.0)
+
+
+def _worst(seen: WindowMeans, tolerance: float, unseen: float, average_s: float) -> Approach:
+    """The larger of the two quantities' bounds."""
+    both = [
+        bound(seen.edges_s, column, max(float(width), unseen * tolerance), average_s, _FAR * tolerance)
+        for column, width in zip(seen.means.T, seen.width, strict=True)
+    ]
+    worst = max(both, key=lambda a: a.remaining)
+    return replace(worst, mean_off=max(a.mean_off for a in both))
+
+
+def _settling(angles: WindowMeans | None, orbit: WindowMeans, turning: Approach, whirling: Approach) -> Settling:
+    """The numbers of an answer that is still to be given."""
+    drift = math.nan if angles is None else float(np.abs(angles.means[-1] - angles.means[-2]).max())
+    return Settling(
+        False, False, "", drift, turning.remaining, float(np.abs(orbit.means[-1] - orbit.means[-2]).max()),
+        whirling.remaining, float(orbit.edges_s[-1, 1] - orbit.edges_s[0, 0]), turning.mean_off, whirling.mean_off,
+    )  # fmt: skip
+
+
+def _said(found: Settling, reasons: list[str], steady: str, more_s: float, slipping: bool) -> Settling:
+    """The answer: the first reason against, or that all is steady."""
+    why = next((reason for reason in reasons if reason), "")
+    return replace(found, settled=not why, slipping=slipping, why=why or steady, more_s=more_s if why else 0.0)
+
+
+def _more(approach: Approach, tolerance: float) -> float:
+    """How long an approach takes until less than the tolerance is to come, s."""
+    if approach.remaining <= tolerance:
+        return 0.0
+    rate = approach.rate_per_s
+    return math.log(approach.remaining / tolerance) / rate if rate > 0 else math.inf
+
+
+def _change(time: np.ndarray, angles: np.ndarray, edges: np.ndarray) -> float:
+    """Roughly how much the angles' means change over a few windows, the larger pendulum's; nan when too few came."""
+    parts = np.split(angles, np.searchsorted(time, edges))[1:-1]
+    means = np.array([part.mean(axis=0) for part in parts if len(part)])
+    return float(np.ptp(means, axis=0).max()) if len(means) == len(parts) else math.nan
+
+
+def _slipping(angles: np.ndarray) -> str:
+    """A sentence when a pendulum turns steadily relative to the rotor, otherwise empty."""
+    for name, column in zip("AB", angles.T, strict=True):
+        steps = np.diff(column)
+        half = len(steps) // 2
+        steady = abs(steps[-half:].mean()) > 0.5 * abs(steps[:half].mean())
+        if abs(column[-1] - column[0]) > np.pi and steady and (np.all(steps > 0) or np.all(steps < 0)):
+            turns = (column[-1] - column[0]) / (2 * np.pi)
+            return f"pendulum {name} slips: {turns:+.1f} turns relative to the rotor in the last windows"
+    return ""
+
+
+def _still_as_released(
+    time: np.ndarray, angles: np.ndarray, now: np.ndarray, end: float, release: float, linger: float
+) -> bool:
+    if end - release > linger:
+        return False
+    begin, last = np.searchsorted(time, release - 0.5, "right"), np.searchsorted(time, release)
+    before = angles[begin:last]
+    before = before[np.isfinite(before).all(axis=1)]
+    if not len(before):
+        return False
+    start = before.mean(axis=0)
+    change = (now[1] - now[0]) - (start[1] - start[0])
+    return abs((change + np.pi) % (2 * np.pi) - np.pi) < _SAME_GAP
+
+
+def _speed_change(mark_time: np.ndarray, mark_phase: np.ndarray, edges: np.ndarray) -> str:
+    """A sentence when the speed changes by more than 0.1 % over the windows, otherwise empty."""
+    speeds = np.diff(np.interp(edges, mark_time, mark_phase)) / np.diff(edges)
+    change = (speeds[-2:].mean() - speeds[:2].mean()) / speeds.mean()
+    return f"the speed still changes, by {100 * change:+.2f} % over the last windows" if abs(change) > 1e-3 else ""
+
+
+def _reason(what: str, drift: float, to_come: Approach, tolerance: float, factor: float, unit: str) -> str:
+    """A sentence when more than the tolerance may be still to come, otherwise empty."""
+    if math.isinf(to_come.remaining):
+        return f"{what} drift by {drift * factor:.2g}{unit} per window and the drift does not shrink"
+    if to_come.remaining > tolerance:
+        more = _more(to_come, tolerance)
+        return (
+            f"{what} may have {to_come.remaining * factor:.2g}{unit} to go, wanted below {tolerance * factor:.2g}{unit}"
+            + (f"; about {math.ceil(more)} s more" if math.isfinite(more) else "")
+        )
+    return ""

@@ -1,0 +1,108 @@
+"""A laser that measures at another rate than its rig file is read all the same, and told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from daq import channels
+from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.blocks import measure
+from daq.drivers.optoncdt.stream import LaserPipeline
+from rig_configs import load_rig
+
+LASER = load_rig("virtual").devices.laser_x
+START_NS = 1_700_000_000_000_000_000
+_SETTLING = 8  # rows in which a beat that nobody announced shows
+
+
+def stream(counters: np.ndarray, rate_Hz: float, tick0: int = 0) -> bytes:
+    """Blocks of these samples, made at this rate; the first sample of all is counter 0 at `tick0`."""
+    ticks = tick0 + np.rint(counters * (1e5 / rate_Hz)).astype(np.int64)
+    codes = optoncdt.code(np.full(len(counters), 0.0125), 0.025)
+    return optoncdt.encode_block(
+        np.column_stack([codes, counters % 2**18, ticks & 0xFFFF, ticks >> 16 & 0xFFFF]).astype(np.uint32)
+    )
+
+
+def read(pipeline: LaserPipeline, data: bytes, sizes: list[int], host_ns: int = START_NS) -> list[Batch | Event]:
+    out: list[Batch | Event] = []
+    at, k = 0, 0
+    while at < len(data):
+        size = sizes[k % len(sizes)]
+        out += pipeline.feed(RX, data[at : at + size], host_ns + k * 3_000_000)
+        at, k = at + size, k + 1
+    return out
+
+
+def laser() -> LaserPipeline:
+    return LaserPipeline("laser_x", LASER, channels.LASER_X, {})
+
+
+def ticks_of(items: list[Batch | Event]) -> np.ndarray:
+    return np.concatenate([i.columns["device_ticks"] for i in items if isinstance(i, Batch)]).astype(np.int64)
+
+
+@settings(max_examples=60)
+@example(3694.0, 0, [54], 0)
+@given(
+    st.floats(300.0, 10_000.0), st.integers(0, 2**20), st.lists(st.integers(1, 900), min_size=1, max_size=5),
+    st.integers(0, 400),
+)  # fmt: skip
+def test_at_any_rate_samples_and_losses_are_right(rate_Hz: float, tick0: int, sizes: list[int], lost: int) -> None:
+    counters = np.concatenate([np.arange(300), np.arange(300 + lost, 900 + lost)])
+    pipeline = laser()
+    items = read(pipeline, stream(counters, rate_Hz, tick0), sizes)
+    expected = tick0 + np.rint(counters * (1e5 / rate_Hz)).astype(np.int64)
+    found = ticks_of(items)
+    missed = np.setdiff1d(expected, found)
+    assert len(missed) == len(expected) - len(found) == pipeline.losses["damaged"] <= _SETTLING
+    assert set(missed.tolist()) <= set(expected[:_SETTLING].tolist())
+    assert lost <= pipeline.losses["samples"] <= lost + len(missed)
+    assert "restart" not in [e.kind for e in items if isinstance(e, Event)]
+    rates = [e.facts["rate_Hz"] for e in items if isinstance(e, Event) and e.kind == "rate"]
+    if abs(rate_Hz / 4000 - 1) > 0.005:
+        assert rates[-1] == pytest.approx(rate_Hz, rel=2e-3)
+        assert len(rates) <= 2
+    elif abs(rate_Hz / 4000 - 1) < 1e-4:
+        assert not rates
+
+
+@pytest.mark.parametrize("rate_Hz", [1000.0, 2000.0, 3597.0, 3656.0, 4090.0, 7911.0])
+def test_a_sensor_that_comes_back_at_another_rate_restarts_once_and_is_read_on(rate_Hz: float) -> None:
+    pipeline = laser()
+    before = read(pipeline, stream(np.arange(20_000, 22_000), 4000.0), [500])
+    after = read(pipeline, stream(np.arange(100, 1100), rate_Hz, tick0=7), [500], START_NS + 10**9)
+    assert len(ticks_of(before)) == 2000
+    assert len(ticks_of(after)) >= 1000 - _SETTLING
+    assert [e.kind for e in after if isinstance(e, Event)].count("restart") == 1
+    assert pipeline.losses["samples"] <= pipeline.losses["damaged"] <= _SETTLING
+    told = [e for e in after if isinstance(e, Event) and e.kind == "rate"]
+    assert told[0].facts["nominal_Hz"] == 4000
+    assert "the rig file says 4000" in told[0].text
+
+
+def test_a_rate_that_changes_while_the_sensor_measures_is_no_restart() -> None:
+    pipeline = laser()
+    read(pipeline, stream(np.arange(3000), 4000.0), [700])
+    ticks_then = 3000 * 25
+    # one after the other by the counter; from here on 50 ticks apart
+    changed = stream(np.arange(3000, 4000), 2000.0, tick0=ticks_then - 3000 * 50)
+    items = read(pipeline, changed, [700], START_NS + 10**9)
+    assert np.array_equal(ticks_of(items), ticks_then + 50 * np.arange(1000))
+    assert [e.kind for e in items if isinstance(e, Event)] == ["rate"]
+    assert not any(pipeline.losses.values())
+
+
+@given(st.lists(st.integers(0, optoncdt.CODE_MAX + 20), min_size=1), st.floats(1e-3, 0.5), st.floats(0.2, 5.0))
+def test_compiled_displacement_is_that_of_the_protocol_bit_by_bit(
+    codes: list[int], range_m: float, to_disk: float
+) -> None:
+    words = np.array(codes, np.uint32)
+    found, invalid = measure(words, range_m, to_disk)
+    expected = (optoncdt.metres(words, range_m) - 0.5 * range_m) * to_disk
+    assert found.tobytes() == expected.tobytes()
+    assert invalid == np.count_nonzero(words > optoncdt.CODE_MAX)
