@@ -4,9 +4,9 @@ Where readings are noise, a spline through every one of them pushes the pendulum
 uncertainty: a microsecond of stamping at 8 revolutions a second makes accelerations of 0.03 rad/s². The rotor's inertia
 keeps its speed smooth, so the phase is a cubic spline with as few pieces as the recording asks for.
 
-- Index marks: a spline with more pieces is taken where chance would explain the marks so much better once in a
-  thousand. Akaike's criterion takes one in %FP% of steady rotors for one that wobbles, which moved c by six standard
-  deviations of a release that creeps away from its lock.
+- Index marks: a spline with more pieces is taken where, of a thousand steady rotors, one would seem to ask for it by
+  chance. Akaike's criterion takes one in four of them for a wobble, which moved c by six standard deviations of a
+  release that creeps away from its lock.
 - An angle in every row is averaged over revolutions. Its noise is known: white, an encoder's or a file's steps
   (bounded and slow where the speed and the sampling beat, so that the last of it must not be fitted), or a walk where
   a noisy speed was integrated, whose increments are independent and not its values. The first spline whose residual
