@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline, PPoly, make_lsq_spline
-from scipy.special import fdtri  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import fdtri
 
 from daq.signals.run import Run
 from dynamics.errors import OutsideDomain
