@@ -95,27 +95,30 @@ def _linearised(y, omega, alpha, p, own, whole, g, d):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _bent(d, u, v, out):
-    """Second derivatives of S by time (4, 15) from ∂f/∂(y, p) in d (4, 15), S's angles u and rates v (4, 15)."""
+    """Second derivatives of S by time (4, c) from ∂f/∂(y, p) in d (4, c), S's angles u and rates v (4, c)."""
+    columns = d.shape[1]
     for i in range(4):
         row = out[i]
         a0, a1, a2, a3, a4, a5, a6, a7 = d[i, 0], d[i, 1], d[i, 2], d[i, 3], d[i, 4], d[i, 5], d[i, 6], d[i, 7]
-        for c in range(COLUMNS):
+        for c in range(columns):
             row[c] = (
                 a0 * u[0, c] + a1 * u[1, c] + a2 * u[2, c] + a3 * u[3, c]
                 + a4 * v[0, c] + a5 * v[1, c] + a6 * v[2, c] + a7 * v[3, c]
             )  # fmt: skip
-        for c in range(7):
-            row[8 + c] += d[i, 8 + c]
+        for c in range(8, columns):
+            row[c] += d[i, c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _follow(u, v, h, d, bent, rates, moved):
+def follow(u, v, h, d, bent, rates, moved):
     """One classical Runge–Kutta step of 2 h for S's angles u and rates v, in place.
 
     Args:
-        d: ∂f/∂(y, p) at its begin, middle and end, shape (3, 4, 15).
-        bent, rates, moved: scratch, shapes (4, 4, 15), (4, 4, 15), (4, 15).
+        u, v: shapes (4, c): by the start state (8 columns) and by parameters.
+        d: ∂f/∂(y, p) at its begin, middle and end, shape (3, 4, c).
+        bent, rates, moved: scratch, shapes (4, 4, c), (4, 4, c), (4, c).
     """
+    columns = u.shape[1]
     moved[:] = u
     rates[0] = v
     for stage in range(4):
@@ -124,11 +127,11 @@ def _follow(u, v, h, d, bent, rates, moved):
             break
         part = 2.0 * h if stage == 2 else h
         for r in range(4):
-            for c in range(COLUMNS):
+            for c in range(columns):
                 moved[r, c] = u[r, c] + part * rates[stage, r, c]
                 rates[stage + 1, r, c] = v[r, c] + part * bent[stage, r, c]
     for r in range(4):
-        for c in range(COLUMNS):
+        for c in range(columns):
             u[r, c] += h / 3.0 * (rates[0, r, c] + 2.0 * rates[1, r, c] + 2.0 * rates[2, r, c] + rates[3, r, c])
             v[r, c] += h / 3.0 * (bent[0, r, c] + 2.0 * bent[1, r, c] + 2.0 * bent[2, r, c] + bent[3, r, c])
 
@@ -177,7 +180,7 @@ def free_motion(start, start_s, times, step, knots, coefficients, p):
                 phase[0] = phase[2]
                 _accelerations(y, phase[0, 0], phase[0, 1], phase[0, 2], p, k[0], own, whole)
                 _linearised(y, phase[0, 1], phase[0, 2], p, own, whole, g, d[1 + half])
-            _follow(u, v, h, d, bent, rates, moved)
+            follow(u, v, h, d, bent, rates, moved)
             d[0] = d[2]
         t = times[i]
         states[i] = y
