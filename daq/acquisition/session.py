@@ -475,7 +475,10 @@ class Session:
 
     def losses(self) -> dict[str, dict[str, int]]:
         """Counted losses of every device since the recording began; a silence counts while it lasts."""
-        silences = self._interlocks.losses(self.clock.now_ns())
+        return self._losses(self.clock.now_ns())
+
+    def _losses(self, now_ns: int) -> dict[str, dict[str, int]]:
+        silences = self._interlocks.losses(now_ns)
         return {name: {**device.pipeline.losses, **silences.get(name, {})} for name, device in self._devices.items()}
 
     def start_recording(self, path: Path | ReservedName, metadata: Mapping[str, str]) -> None:
@@ -522,7 +525,7 @@ class Session:
         assert recorder is not None
         with self._between_reads():
             now_ns = self.clock.now_ns()
-            losses, wrong_rates = self.losses(), self.rates.summary()
+            losses, wrong_rates = self._losses(now_ns), self.rates.summary()  # a silence counts as its event says
             for event in self._interlocks.end(now_ns):
                 recorder.event(event, now_ns)
             self._recorder = None

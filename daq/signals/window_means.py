@@ -6,11 +6,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri  # pyright: ignore[reportMissingTypeStubs]
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,7 @@ _DEVIATIONS = 3.5  # of a mean's noise that its width holds
 _LEAST_CODES = 5  # samples on either side of the usual code, to know its noise
 _STANDS = 0.25  # of a step from window to window: slower than that a pendulum's codes show the noise
 _NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
+_NORMAL = NormalDist()  # scipy's would cost every `rig test` a tenth of a second of loading
 _DEFAULT_STEP_RAD = 2 * math.pi / 4096  # of a code that never changes
 
 
@@ -98,7 +99,9 @@ def code_noise(below: Array, above: Array, samples: NDArray[Any]) -> Array:
         samples: how many there were.
     """
     told = (np.minimum(below, above) * samples >= _LEAST_CODES) & (np.maximum(below, above) < 0.5)
-    return np.where(told, -1 / (ndtri(np.where(told, below, 0.1)) + ndtri(np.where(told, above, 0.1))), np.nan)
+    low, high = (np.where(told, share, 0.1).ravel() for share in (below, above))
+    quantiles = [_NORMAL.inv_cdf(a) + _NORMAL.inv_cdf(b) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+    return np.where(told, -1 / np.array(quantiles).reshape(told.shape), np.nan)
 
 
 def _usual(noise: Array) -> float:

@@ -202,6 +202,13 @@ class TcpWire(_Outbox):
             self._peer.close()
             self._peer = None
 
+    def _gone(self) -> None:
+        """The host has gone, as writing has shown; what it sent last waits in its socket."""
+        with contextlib.suppress(OSError):
+            while self._peer is not None and (data := self._peer.recv(65536)):
+                self._unread += data
+        self._hang_up()
+
     def descriptor(self) -> int | None:
         """See Wire."""
         self._accept()
@@ -232,7 +239,7 @@ class TcpWire(_Outbox):
         try:
             self._drain(self._peer.send)
         except OSError:
-            self._hang_up()
+            self._gone()
 
     def offer(self, data: bytes) -> int:
         """See Wire."""
@@ -243,7 +250,7 @@ class TcpWire(_Outbox):
         except BlockingIOError:
             return 0
         except OSError as error:
-            self._hang_up()
+            self._gone()
             raise LinkLost(f"{self.port}: lost while writing ({error})") from error
 
     def connected(self) -> bool:

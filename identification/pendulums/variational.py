@@ -1,8 +1,8 @@
 """The free motion together with its derivatives, in one pass.
 
 With the state y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) and ẏ = f(y, p) the derivatives S = ∂y/∂(y0, p) obey
-Ṡ = (∂f/∂y) S + ∂f/∂p. Their sines and cosines are the motion's own, so fifteen columns cost three times the motion and
-not fifteen times as finite differences do.
+Ṡ = (∂f/∂y) S + ∂f/∂p. Their sines and cosines are the motion's own and their steps longer, so fifteen columns cost as
+much as the motion and not fifteen times that as finite differences do.
 
 In the notation of dynamics.kernels: e' = −n, n' = e by the angle, and 𝐌(θ) q̈ = F(y) gives 𝐌 dq̈ = dF − d𝐌 q̈, where a
 pendulum's angle enters as S_i (turn e − φ̇² n) + m_i ((n·p̈) e + (e·p̈) n), m_i = S_i²/J_i, and its rate as
@@ -94,65 +94,95 @@ def _linearised(y, omega, alpha, p, own, whole, g, d):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _slopes(y, s, phase, p, f, ds, scratch):
-    """Rates f (8,) and ds (8, 15) of state and derivatives at one instant."""
-    own, whole, g, d = scratch
-    _accelerations(y, phase[0], phase[1], phase[2], p, f, own, whole)
-    _linearised(y, phase[1], phase[2], p, own, whole, g, d)
-    for c in range(COLUMNS):
-        ds[0, c], ds[1, c], ds[2, c], ds[3, c] = s[4, c], s[5, c], s[6, c], s[7, c]
+def _bent(d, u, v, out):
+    """Second derivatives of S by time (4, c) from ∂f/∂(y, p) in d (4, c), S's angles u and rates v (4, c)."""
+    columns = d.shape[1]
     for i in range(4):
-        row = ds[4 + i]
+        row = out[i]
         a0, a1, a2, a3, a4, a5, a6, a7 = d[i, 0], d[i, 1], d[i, 2], d[i, 3], d[i, 4], d[i, 5], d[i, 6], d[i, 7]
-        for c in range(COLUMNS):
+        for c in range(columns):
             row[c] = (
-                a0 * s[0, c] + a1 * s[1, c] + a2 * s[2, c] + a3 * s[3, c]
-                + a4 * s[4, c] + a5 * s[5, c] + a6 * s[6, c] + a7 * s[7, c]
+                a0 * u[0, c] + a1 * u[1, c] + a2 * u[2, c] + a3 * u[3, c]
+                + a4 * v[0, c] + a5 * v[1, c] + a6 * v[2, c] + a7 * v[3, c]
             )  # fmt: skip
-        for c in range(7):
-            row[8 + c] += d[i, 8 + c]
+        for c in range(8, columns):
+            row[c] += d[i, c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def follow(u, v, h, d, bent, rates, moved):
+    """One classical Runge–Kutta step of 2 h for S's angles u and rates v, in place.
+
+    Args:
+        u, v: shapes (4, c): by the start state (8 columns) and by parameters.
+        d: ∂f/∂(y, p) at its begin, middle and end, shape (3, 4, c).
+        bent, rates, moved: scratch, shapes (4, 4, c), (4, 4, c), (4, c).
+    """
+    columns = u.shape[1]
+    moved[:] = u
+    rates[0] = v
+    for stage in range(4):
+        _bent(d[(stage + 1) // 2], moved, rates[stage], bent[stage])
+        if stage == 3:
+            break
+        part = 2.0 * h if stage == 2 else h
+        for r in range(4):
+            for c in range(columns):
+                moved[r, c] = u[r, c] + part * rates[stage, r, c]
+                rates[stage + 1, r, c] = v[r, c] + part * bent[stage, r, c]
+    for r in range(4):
+        for c in range(columns):
+            u[r, c] += h / 3.0 * (rates[0, r, c] + 2.0 * rates[1, r, c] + 2.0 * rates[2, r, c] + rates[3, r, c])
+            v[r, c] += h / 3.0 * (bent[0, r, c] + 2.0 * bent[1, r, c] + 2.0 * bent[2, r, c] + bent[3, r, c])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def free_motion(start, start_s, times, step, knots, coefficients, p):
     """Both pendulums free from a state on, with derivatives, by classical Runge–Kutta steps.
 
+    The derivatives obey a linear equation whose coefficients the motion gives, so each of their steps spans two of the
+    motion's: they are then some hundred times less exact than it, and good to 2e-4.
+
     Args:
         start, start_s: state (8,) and its instant, not after times[0].
         times: shape (n,), ascending.
-        step: longest step, s.
+        step: longest step of the motion, s.
         knots, coefficients: SpeedHistory.
         p: packed parameters, without dry friction that could stick.
     Returns:
         States (n, 8) and derivatives (n, 8, 15) by the start state and PARAMETER_COLUMNS.
     """
     states, derivatives = np.empty((len(times), 8)), np.empty((len(times), 8, COLUMNS))
-    y, s = start.copy(), np.zeros((8, COLUMNS))
-    for i in range(8):
-        s[i, i] = 1.0
-    k, ks = np.empty((4, 8)), np.empty((4, 8, COLUMNS))
-    wy, ws = np.empty(8), np.empty((8, COLUMNS))
-    scratch, phase = (np.empty((2, 8)), np.empty(5), np.empty((2, COLUMNS)), np.empty((4, COLUMNS))), np.empty((3, 3))
+    y, u, v = start.copy(), np.zeros((4, COLUMNS)), np.zeros((4, COLUMNS))
+    for i in range(4):
+        u[i, i], v[i, 4 + i] = 1.0, 1.0
+    k, wy, phase = np.empty((4, 8)), np.empty(8), np.empty((3, 3))
+    own, whole, g, d = np.empty((2, 8)), np.empty(5), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
+    bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
     segment, t = phase_at(start_s, 0, knots, coefficients, phase[0]), start_s
+    _accelerations(y, phase[0, 0], phase[0, 1], phase[0, 2], p, k[0], own, whole)
+    _linearised(y, phase[0, 1], phase[0, 2], p, own, whole, g, d[0])
     for i in range(len(times)):
-        steps = int(np.ceil((times[i] - t) / step - 1e-9))
-        h = (times[i] - t) / max(1, steps)
-        for j in range(steps):
-            segment = phase_at(t + (j + 0.5) * h, segment, knots, coefficients, phase[1])
-            segment = phase_at(t + (j + 1) * h, segment, knots, coefficients, phase[2])
-            _slopes(y, s, phase[0], p, k[0], ks[0], scratch)
-            for stage in range(1, 4):
-                part = h if stage == 3 else 0.5 * h
+        pairs = int(np.ceil((times[i] - t) / (2.0 * step) - 1e-9))
+        h = (times[i] - t) / max(1, 2 * pairs)
+        for j in range(pairs):
+            for half in range(2):
+                begin = t + (2 * j + half) * h
+                segment = phase_at(begin + 0.5 * h, segment, knots, coefficients, phase[1])
+                segment = phase_at(begin + h, segment, knots, coefficients, phase[2])
+                for stage in range(1, 4):
+                    part, at = (h, 2) if stage == 3 else (0.5 * h, 1)
+                    for r in range(8):
+                        wy[r] = y[r] + part * k[stage - 1, r]
+                    _accelerations(wy, phase[at, 0], phase[at, 1], phase[at, 2], p, k[stage], own, whole)
                 for r in range(8):
-                    wy[r] = y[r] + part * k[stage - 1, r]
-                    for c in range(COLUMNS):
-                        ws[r, c] = s[r, c] + part * ks[stage - 1, r, c]
-                _slopes(wy, ws, phase[2] if stage == 3 else phase[1], p, k[stage], ks[stage], scratch)
-            for r in range(8):
-                y[r] += h / 6.0 * (k[0, r] + 2.0 * k[1, r] + 2.0 * k[2, r] + k[3, r])
-                for c in range(COLUMNS):
-                    s[r, c] += h / 6.0 * (ks[0, r, c] + 2.0 * ks[1, r, c] + 2.0 * ks[2, r, c] + ks[3, r, c])
-            phase[0] = phase[2]
+                    y[r] += h / 6.0 * (k[0, r] + 2.0 * k[1, r] + 2.0 * k[2, r] + k[3, r])
+                phase[0] = phase[2]
+                _accelerations(y, phase[0, 0], phase[0, 1], phase[0, 2], p, k[0], own, whole)
+                _linearised(y, phase[0, 1], phase[0, 2], p, own, whole, g, d[1 + half])
+            follow(u, v, h, d, bent, rates, moved)
+            d[0] = d[2]
         t = times[i]
-        states[i], derivatives[i] = y, s
+        states[i] = y
+        derivatives[i, :4], derivatives[i, 4:] = u, v
     return states, derivatives

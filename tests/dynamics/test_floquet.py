@@ -222,6 +222,7 @@ def test_against_heyoka() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-2, 1e-4, 1e-6, 1e-9]))
+@example(299, 1e-2)  # 14 and 28 steps agree by chance
 def test_the_bound_holds_in_random_draws(seed: int, accuracy: float) -> None:
     random = np.random.default_rng(seed)
     c = 10 ** random.uniform(-8, 1.7) * random.integers(0, 2)
