@@ -190,15 +190,15 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
     bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
     f, before, jump = np.empty(8), np.empty(8), np.empty(COLUMNS)
     last_y, last_f, waiting = np.empty(8), np.empty(8), 0.0  # the step that the derivatives have still to take, s
-    mode, held = np.zeros(2, np.int64), np.zeros(2)
+    mode, held, kept = np.zeros(2, np.int64), np.zeros(2), np.full(2, -np.inf)
     segment, t, switches = phase_at(start_s, 0, knots, coefficients, at), start_s, 0
     for i in range(2):
         mode[i] = 0 if abs(y[6 + i]) <= _ENOUGH else (1 if y[6 + i] > 0 else -1)
-    for i in range(2):
-        if mode[i] == 0:
-            needed, held[i] = _over(y, at, p, torque, mode, i, f, own, whole)
-            if held[i] > 0.0:
-                mode[i] = 1 if needed > 0 else -1
+    for _ in range(4):  # one that begins to slide changes the torque that holds the other
+        for i in range(2):
+            if abs(y[6 + i]) <= _ENOUGH:
+                needed, held[i] = _over(y, at, p, torque, mode, i, f, own, whole)
+                mode[i] = 0 if held[i] <= 0.0 else (1 if needed > 0 else -1)
     _rates(y, at, p, torque, mode, k[0], own, whole)
     _linearised(y, at, p, mode, own, whole, g, d[0])
     for row in range(n):
@@ -231,8 +231,6 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                 segment = _step(
                     y, t, share * h, segment, knots, coefficients, p, torque, mode, k, wy, phase, own, whole, out
                 )
-            # a slide that ends where it began, at a peak of the torque that just moves it: it sticks for a step
-            hardly = ends >= 0 and share * h <= _LEAST_SLIDE_S
             switching = ends >= 0 or loose >= 0
             if waiting > 0.0 and (switching or abs(waiting - h) > 1e-6 * h):  # the step before, by itself
                 segment = _half(
@@ -269,9 +267,16 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                 came = mode[ends]
                 y[6 + ends] = 0.0
                 needed, over = _over(y, at, p, torque, mode, ends, f, own, whole)
-                mode[ends] = 0 if over <= 0.0 or hardly else (1 if needed > 0 else -1)
-                if mode[ends] == came and torque[ends] + p[FA + ends] * at[1] * at[1] < 0.0:
-                    mode[ends] = -came  # a friction below zero: it goes on the way it went; else it has only touched
+                grips = torque[ends] + p[FA + ends] * at[1] * at[1] > 0.0
+                if (
+                    grips and share * h <= _LEAST_SLIDE_S
+                ):  # it ends where it began, at a peak of the torque that just moves it
+                    kept[ends] = t + 0.5 * h  # so it sticks for a step
+                mode[ends] = 0 if over <= 0.0 or t < kept[ends] else (1 if needed > 0 else -1)
+                if mode[ends] == came and not grips:
+                    mode[
+                        ends
+                    ] = -came  # without friction, or less, it goes on the way it went; else it has only touched
                 y[6 + ends] = mode[ends] * 2.0 * _ENOUGH
                 _rates(y, at, p, torque, mode, k[0], own, whole)
                 if before[6 + ends] != 0.0:
@@ -283,7 +288,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
             slides = False
             for i in range(2):
                 held[i] = 0.0
-                if mode[i] == 0 and not (hardly and i == ends):
+                if mode[i] == 0 and t >= kept[i]:
                     needed, held[i] = _over(y, at, p, torque, mode, i, f, own, whole)
                     if held[i] > 0.0:
                         if waiting > 0.0:  # the derivatives come up to here in the old mode first

@@ -8,6 +8,8 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from synthetic import Campaign
 
@@ -53,6 +55,19 @@ def test_without_friction_it_is_the_free_motion() -> None:
     assert dry == pytest.approx(smooth, abs=1e-6)
     scale = np.maximum(np.abs(by).max(axis=0), 1e-9)
     assert dry_by[:, :, :15] / scale == pytest.approx(by / scale, abs=1e-4)
+
+
+@given(st.floats(0, 6.3), st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1), st.sampled_from([20.0, 109.0]))
+def test_released_at_rest_without_friction_it_is_the_free_motion(
+    phase: float, a: float, x_rate: float, y_rate: float, speed: float
+) -> None:
+    """One that begins to slide changes the torque that holds the other, and may turn its sign."""
+    packed, time = nominal().truth.packed(), np.arange(0, 0.1, 0.004)
+    start = np.array([-4e-4, 6e-5, 2e-3 * a, np.pi + 1e-3, 0.1 * x_rate, 0.1 * y_rate, 0.0, 0.0])
+    history = SpeedHistory.constant(speed, phase)
+    given_to = (start, 0.0, time, 5e-4, history.knots_s, history.coefficients, packed)
+    smooth, dry = free_motion(*given_to)[0], frictional_motion(*given_to, np.zeros(2))[0]
+    assert dry[:, 2:4] == pytest.approx(smooth[:, 2:4], abs=1e-6)
 
 
 def test_friction_stops_a_pendulum_when_the_closed_form_says() -> None:
