@@ -203,7 +203,7 @@ def _with_friction(
         over = horizons[-1:] if found else horizons
         likely = [(m.theta, False) for m in found.values()] or starts[:1]
         minimum = _settled(Search(release.problem(shape), over, 1, effort, tell, _EARLY), likely, release)
-        if minimum is None and not found and len(starts) > 1:
+        if minimum is None and shape == shapes[0] and len(starts) > 1:
             own = _ahead(release, horizons, starts[1:], shape)
             minimum = _settled(Search(release.problem(shape), over, 1, effort, tell, _EARLY), own, release)
         if minimum is not None:
