@@ -22,7 +22,7 @@ from daq.replay import check
 from daq.transports import HostClock
 from rig_configs import load_rig
 from rig_configs.schema import Rig
-from tests.conftest import TIME_SCALE
+from tests.conftest import LATE_BEATS, TIME_SCALE
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="one rig for all, on ptys")
 
@@ -36,7 +36,7 @@ def far_end() -> Iterator[VirtualRigProcess]:
 
 @pytest.fixture
 def rig(far_end: VirtualRigProcess) -> Rig:
-    return load_rig("virtual", settings=far_end.port_settings())
+    return load_rig("virtual", settings=[*far_end.port_settings(), LATE_BEATS])
 
 
 def quiet(text: str, share: float | None) -> None:
@@ -148,6 +148,7 @@ def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig
     assert "0x3220, DC link under-voltage" in str(summary_of(tmp_path / "a.mcap")["ended"])
     assert far_end.line.ask("state")["speed_rpm"] < 0.5
     far_end.line.ask("fail", device="drive", what="restart")
+    wait_rig_time(far_end, 2.0)  # its boot-up is none of the next session's
 
 
 def test_a_rotor_that_still_turns_at_the_end_is_said(
