@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from cli.results import load_runs
+from cli.runs import load_runs
 from daq.exchange import import_recording, make_recipe
 from identification import IdentificationError, identify
 from rig_configs import load_rig

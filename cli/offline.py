@@ -29,13 +29,14 @@ def identify(
     """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml."""
     from cli import results  # noqa: PLC0415 (scipy and numba take seconds to import)
     from cli.parameters import limit_json  # noqa: PLC0415
+    from cli.runs import load_runs  # noqa: PLC0415
     from identification import identify as find  # noqa: PLC0415
     from identification.joint.limits import limits  # noqa: PLC0415
 
     _need(logs, "rig identify LOG…")
     need_place("rig identify: -o", output)
     loaded = load_rig(rig, settings=settings or [])
-    runs = results.load_runs(logs)
+    runs = load_runs(logs)
     found = find(runs, loaded, STDERR.print, setting=setting)
     parameters = results.with_version(found.parameters, settings or [])
     parameters.save(output)
@@ -69,11 +70,9 @@ def validate(
     With --set it answers a what-if: the settings lie over rig file and parameters, and no verdict is kept.
     """
     from analysis.prediction import known_axis_angle  # noqa: PLC0415
-    from analysis.report.campaign import Campaign, IdentificationResult  # noqa: PLC0415
-    from analysis.report.write import write_report  # noqa: PLC0415
     from analysis.validation import validate as compare  # noqa: PLC0415
-    from cli import results  # noqa: PLC0415
-    from identification.identify import missing_warnings  # noqa: PLC0415
+    from cli.runs import keep_verdicts, load_runs  # noqa: PLC0415
+    from daq.signals.completeness import missing_warnings  # noqa: PLC0415
 
     _need(logs, "rig validate RIG LOG…")
     need_place("rig validate: --report", report)
@@ -86,7 +85,7 @@ def validate(
     what_if = list(settings or [])
     if given is not None and known.axis_angle_deg is not None:
         what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
-    runs = results.load_runs(logs)
+    runs = load_runs(logs)
     found = compare(runs, loaded, known, given)
     warnings = missing_warnings(runs)
     if given is None and known.axis_angle_deg is None:
@@ -96,10 +95,13 @@ def validate(
             "again, or give --axis-angle-deg and --axis-angle-std-deg"
         )
     if not what_if:
-        warnings += results.keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
+        warnings += keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
     for warning in warnings:
         say(f"warning: {warning}")
     if report is not None:
+        from analysis.report.campaign import Campaign, IdentificationResult  # noqa: PLC0415 (matplotlib)
+        from analysis.report.write import write_report  # noqa: PLC0415
+
         identified = IdentificationResult(known, warnings=warnings)
         title = f"{'What if: validation' if what_if else 'Validation'} of {loaded.name}"
         campaign = Campaign(title, loaded, runs, identified, found, axis_angle_deg=given, what_if=what_if)

@@ -63,9 +63,10 @@ def _warm_up() -> None:
 
 def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
     from cli import results  # noqa: PLC0415
+    from cli.runs import load_runs  # noqa: PLC0415
     from identification import identify  # noqa: PLC0415
 
-    runs = results.load_runs(logs)
+    runs = load_runs(logs)
     found = identify(runs, rig, _tell)
     results.with_version(found.parameters).save(out)
     _found.update(runs=runs, before=found, joint=found)
@@ -74,10 +75,10 @@ def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
 
 def _refine(rig: Rig, log: Path) -> None:
     """Add one point's release to the joint estimate."""
-    from cli import results  # noqa: PLC0415
+    from cli.runs import load_runs  # noqa: PLC0415
     from identification import identify  # noqa: PLC0415
 
-    _found["runs"] += results.load_runs([log])
+    _found["runs"] += load_runs([log])
     _found["joint"] = identify(_found["runs"], rig, _tell, earlier=_found["joint"])
 
 
@@ -87,10 +88,12 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
     from analysis.report.write import write_report  # noqa: PLC0415
     from analysis.validation import validate  # noqa: PLC0415
     from cli import results  # noqa: PLC0415
+    from cli.report_forms import report_identification  # noqa: PLC0415
+    from cli.runs import keep_verdicts  # noqa: PLC0415
 
     runs, before, joint = _found["runs"], _found["before"], _found["joint"]
     validation = validate(runs, rig, before.parameters)
-    results.keep_verdicts(validation, runs, facts["validated_with"])
+    keep_verdicts(validation, runs, facts["validated_with"])
     results.with_version(joint.parameters).save(out)
     identities = runs[0].metadata.get("identities", {})
     devices = {name: {k: str(v) for k, v in identity.items()} for name, identity in identities.items()}
@@ -98,7 +101,7 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
         title=f"Campaign on {rig.name}",
         rig=rig,
         runs=runs,
-        identification=results.report_identification(joint),
+        identification=report_identification(joint),
         validation=validation,
         axis_angle_deg=before.parameters.axis_angle_deg,
         devices=devices,

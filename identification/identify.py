@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.signals.completeness import missing_warnings
 from daq.signals.run import Run
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
@@ -33,7 +34,6 @@ from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 
 Fit = RingDownFit | RunUpFit | TransientFit
-_MOST_TOLD = 5  # missing places of one log
 
 
 @dataclass(frozen=True)
@@ -169,20 +169,6 @@ def _once_each(runs: Sequence[Run], work: _Work) -> list[Run]:
             work.warnings.append(f"{Path(run.source).name}: the same recording as {first}; taken once")
         found.setdefault(digest, run)
     return list(found.values())
-
-
-def missing_warnings(runs: Sequence[Run]) -> list[str]:
-    """A sentence for each run whose log is not whole, or whose test did not reach its end."""
-    warnings: list[str] = []
-    for run in runs:
-        missing = run.metadata.get("missing") or ()
-        if missing:
-            more = [f"and {len(missing) - _MOST_TOLD} more"] if len(missing) > _MOST_TOLD else []
-            told = "; ".join([*missing[:_MOST_TOLD], *more])
-            warnings.append(f"{Path(run.source).name}: the log is not whole: {told}")
-        if missed := run.metadata.get("not_reached"):
-            warnings.append(f"{Path(run.source).name}: the test did not reach its end: {missed}")
-    return warnings
 
 
 def _take_over(runs: Sequence[Run], earlier: Identification | None, work: _Work) -> list[Run]:

@@ -7,7 +7,7 @@ minutes.
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import medfilt
+from scipy.ndimage import median_filter
 
 from identification.errors import NotIdentifiable
 from identification.pendulums.run_down import RunDown
@@ -89,7 +89,8 @@ def encoder_step(angle_rad: np.ndarray) -> float:
 
 def _on_track(angle: np.ndarray, limit: float) -> np.ndarray:
     """False for readings that stand apart from their neighbours: a monotonic motion is its own running median."""
-    return np.abs(angle - medfilt(angle, 5)) <= limit + np.abs(np.gradient(medfilt(angle, 5)))
+    usual = median_filter(angle, 5, mode="constant")
+    return np.abs(angle - usual) <= limit + np.abs(np.gradient(usual))
 
 
 def _stretch(t: np.ndarray, angle: np.ndarray, noise: float) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
@@ -174,7 +174,7 @@ def _friction(
 ) -> tuple[float, np.ndarray | None]:
     """Chance of this much friction without friction, and draws from the likelihood of whole steps where it was used."""
     share, spread = float(dry.theta[3]), float(np.sqrt(dry.covariance[3, 3]))
-    p = float(norm.sf(share / spread))
+    p = float(ndtr(-share / spread))
     whole = data.until(_WHOLE * np.exp(-viscous.theta[2]))
     if not data.step_rad or len(whole.time_s) > _SHORT[setting] or dry.inflation > 1.5:
         return p, None

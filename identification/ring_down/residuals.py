@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 _SMOOTH = 33  # periodogram ordinates averaged; the scatter of a level is 1/sqrt(33)
 _LAGS = 20
@@ -71,7 +71,7 @@ def whiteness(residuals: list[np.ndarray]) -> Whiteness:
         lags += count
         if len(rho) and abs(rho).max() > abs(largest):
             largest = float(rho[np.argmax(np.abs(rho))])
-    return Whiteness(float(chi2_distribution.sf(statistic, max(lags, 1))), largest)
+    return Whiteness(float(chdtrc(max(lags, 1), statistic)), largest)
 
 
 def gain_of(residual: np.ndarray, known: np.ndarray, extra: np.ndarray) -> float:

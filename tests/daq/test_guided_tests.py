@@ -16,9 +16,9 @@ from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.log import open_log
 from daq.log.outcome import not_reached_of
+from daq.signals.completeness import missing_warnings
 from daq.signals.run import load_run
 from daq.transports import HostClock, slcan
-from identification.identify import missing_warnings
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import TIME_SCALE

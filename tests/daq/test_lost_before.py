@@ -21,8 +21,8 @@ from daq.log.losses import losses_of
 from daq.log.lost_before import read_lost, tell_lost
 from daq.log.samples import Missing
 from daq.replay.checking import check_log
+from daq.signals.completeness import missing_warnings
 from daq.signals.run import load_run
-from identification.identify import missing_warnings
 from rig_configs import load_rig
 from tests.daq.small_log import device_bytes
 from tests.daq.test_catalogue import make_log
