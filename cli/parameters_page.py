@@ -12,8 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from cli.plan_page import percent
-from cli.words import local_time, printable, stdout_console
+from cli.words import local_time, percent, printable, stdout_console
 from identification.compare import Change, Comparison, short
 from identification.history import History
 from identification.joint.limits import Limit

@@ -6,7 +6,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from cli.words import length, stdout_console
+from cli.words import length, percent, stdout_console
 from identification.compare import short
 from identification.plan.experiment import Experiment
 from identification.plan.planning import MOST_RUNS, Answer, Plan
@@ -25,14 +25,6 @@ def print_plan(rig: str, found: Plan) -> None:
             console.print(Text(_cannot(answer), "bold red"), soft_wrap=True)
     for remark in found.remarks:
         console.print(Text(f"note: {remark}", "dim"), soft_wrap=True)
-
-
-def percent(share: float) -> str:
-    """A share as people read it: two digits, no exponent while that is short."""
-    value = 100 * share
-    if not value < float("inf"):
-        return "—"
-    return f"{value:.2g} %" if value >= 1e-4 or value == 0 else f"{value:.1e} %"
 
 
 def _sensors(found: Plan) -> str:

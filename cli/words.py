@@ -51,3 +51,11 @@ def size(count: int) -> str:
             break
         value /= 1000
     return f"{value:.0f} {unit}" if unit == "B" else f"{value:.1f} {unit}"
+
+
+def percent(share: float) -> str:
+    """A share as people read it: two digits, no exponent while that is short."""
+    value = 100 * share
+    if not value < float("inf"):
+        return "—"
+    return f"{value:.2g} %" if value >= 1e-4 or value == 0 else f"{value:.1e} %"
