@@ -91,7 +91,7 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
     x = _orders(run, run.x_time_s, run.x_m, start, end, "x")
     y = _orders(run, run.y_time_s, run.y_m, start, end, "y")
     noise_x, noise_y = (math.hypot(std[0], drift_m) for _, std in (x, y))
-    gain_x, gain_y = rig.devices.laser_x.gain_std, rig.devices.laser_y.gain_std
+    gain_x, gain_y = rig.roles.gain_stds
     amplitude_x = Interval(abs(x[0][0]), math.hypot(noise_x, gain_x * abs(x[0][0])))
     amplitude_y = Interval(abs(y[0][0]), math.hypot(noise_y, gain_y * abs(y[0][0])))
     return SteadyMeasurement(
@@ -212,7 +212,7 @@ def _speed(run: Run, start: float, end: float) -> Interval:
     slope, offset = np.polyfit(times - times[0], phases - phases[0], 1)
     rest = phases - phases[0] - offset - slope * (times - times[0])
     spread = float(np.std(rest) / (np.std(times) * math.sqrt(len(times))))
-    rate = run.clock_rate_std.get("encoder", 0.0) * slope
+    rate = run.clock_rate_std.get("phase", 0.0) * slope
     return Interval(float(slope), math.hypot(spread, rate))
 
 
@@ -226,7 +226,7 @@ def _angles(run: Run, rig: Rig, drift: float, start: float, end: float) -> tuple
     basis = np.stack([f(k * psi[whole]) for k in (1, 2) for f in (np.cos, np.sin)] + [np.ones(whole.sum())], axis=1)
     fit = np.linalg.lstsq(basis, angles[whole], rcond=None)[0]
     rest = angles[whole] - basis @ fit
-    zero = math.radians(rig.devices.encoder.zero_std_deg)
+    zero = math.radians(rig.roles.zero_std_deg)
     result = []
     for j in (0, 1):
         statistics = rest[:, j].std() / math.sqrt(len(rest))

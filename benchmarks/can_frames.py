@@ -35,7 +35,7 @@ Reads = list[tuple[int, list[slcan.CanFrame], bytes]]
 
 def drive_frames(count: int) -> list[slcan.CanFrame]:
     """Status and speed of a drive that holds its speed but for noise."""
-    node = load_rig("virtual").devices.drive.node_id
+    node = load_rig("virtual").devices["drive"].node_id
     speeds = np.rint(600 + 2 * np.random.default_rng(1).standard_normal(count)).astype(int)
     return [slcan.CanFrame(cia402.cob_tpdo(1, node), cia402.pack_tpdo1(0x0237, int(rpm))) for rpm in speeds]
 
@@ -92,7 +92,7 @@ def write_raw_and_decoded(path: Path, reads: Reads) -> None:
 
     def fill(writer: BlockWriter) -> None:
         raw, motor = _raw_channel(writer), _sample_channel(writer, channels.MOTOR)
-        pipeline = DrivePipeline("drive", load_rig("virtual").devices.drive)
+        pipeline = DrivePipeline("drive", load_rig("virtual").devices["drive"])
         for host_ns, _, text in reads:
             writer.add_message(raw, host_ns, host_ns, 0, channels.pack_raw(channels.RX, text))
             for item in pipeline.feed(RX, text, host_ns):

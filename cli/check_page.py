@@ -13,56 +13,55 @@ from rich.table import Table
 from rich.text import Text
 
 from cli.words import printable, stdout_console
-from daq.acquisition.device_check import Checks, DriveSeen, LaserSeen, Look, NodeSeen, passed
+from daq.acquisition.device_check import AnglesSeen, Checks, Look, SpeedSeen, passed
 from daq.acquisition.session import Session
-from daq.drivers.cia402 import wire as cia402
 from daq.drivers.items import Event
+from rig_configs.roles import PendulumAngles
 
 _LOCKED_S = 0.1  # how far back the pendulums' newest angles are looked at
-_STATUS_S = 3.0  # the node tells its state each second; wait for it so long, rig time
+_TOLD_S = 3.0  # a device that tells of itself does so each second; wait for it so long, rig time
 
 
 def look_at(session: Session, seconds: float) -> Look:
-    """Look at an open rig for so long, wall s; longer only for the node's own word, which comes each second."""
+    """Look at an open rig for so long, wall s; longer only for a device's word of itself, which comes each second."""
     events: list[Event] = []
     session.observers.append(events.append)
     before, started = session.losses(), session.clock.now_ns()
     time.sleep(seconds)
-    wait = session.clock.now_ns() + int(_STATUS_S * 1e9)
-    while session.node.status is None and session.clock.now_ns() < wait:
+    wait = session.clock.now_ns() + int(_TOLD_S * 1e9)
+    while not session.all_told() and session.clock.now_ns() < wait:
         session.clock.sleep(0.1)
     session.observers.remove(events.append)
-    _, (a, b) = session.recent.last("pendulums", ("theta3_rad", "theta4_rad"), started)
-    _, (flags,) = session.recent.last("pendulums", ("flags",), started)
-    newest = slice(-max(1, round(_LOCKED_S * session.rig.devices.encoder.rate_Hz)), None)
+    roles, plain = session.rig.roles, plain_rates(session, started)
+    speed = roles.speed and SpeedSeen(plain[roles.speed.topic], session.drive.actual_rpm)
     return Look(
         seconds=(session.clock.now_ns() - started) * 1e-9,
         rates=session.rates.rates(),
         losses={name: _more(lost, before[name]) for name, lost in session.losses().items()},
         events=events,
-        lasers={
-            f"laser_{axis}": LaserSeen(session.recent.last(f"laser/{axis}", ("displacement_m",), started)[1][0])
-            for axis in "xy"
+        displacement_m={
+            sensor.axis: session.recent.last(sensor.topic, ("displacement_m",), started)[1][0]
+            for sensor in roles.displacements
         },
-        node=NodeSeen(np.column_stack([a, b])[newest], flags, session.node.status, session.node.rssi_dBm),
-        drive=_drive(session, started),
-    )  # fmt: skip
+        angles=roles.angles and _angles(session, roles.angles, started),
+        speed=speed,
+        own=session.own_checks(events),
+    )
+
+
+def _angles(session: Session, role: PendulumAngles, started_ns: int) -> AnglesSeen:
+    _, (a, b, flags) = session.recent.last(role.topic, ("theta3_rad", "theta4_rad", "flags"), started_ns)
+    return AnglesSeen(np.column_stack([a, b])[-max(1, round(_LOCKED_S * role.rate_Hz)) :], flags)
 
 
 def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
     return {kind: count - before.get(kind, 0) for kind, count in now.items()}
 
 
-def _drive(session: Session, started_ns: int) -> DriveSeen:
-    drive = session.drive
-    code = drive.fault_code() if drive.state in (cia402.FAULT, cia402.FAULT_REACTION) else None
-    return DriveSeen(plain_rates(session, started_ns)["motor"], drive.state, drive.actual_rpm, code)
-
-
 def plain_rates(session: Session, started_ns: int) -> dict[str, float]:
     """Samples a second of every channel since an instant, lost ones not counted."""
     rates: dict[str, float] = {}
-    for topic in ("laser/x", "laser/y", "pendulums", "motor"):
+    for topic in session.topics:
         times, _ = session.recent.last(topic, (), started_ns)
         span = float(times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
         rates[topic] = (len(times) - 1) / span if span > 0 else math.nan

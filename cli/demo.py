@@ -145,7 +145,7 @@ def _campaign(
                 begin(f"point-{point}")
                 logs.append(record(identified, f"point-{point}"))
                 refinements.append(workbench.refine(plugged, logs[-1]))
-        radio = simulated.line.ask("radio")
+        radio = simulated.line.ask("state")
     progress.step("report")
     assert rig.virtual is not None
     facts = {

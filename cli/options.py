@@ -30,12 +30,15 @@ def rig_or_log(source: str, settings: Sequence[str]) -> tuple[Rig, dict[str, Any
         return load_rig(source, settings=settings), {}
     from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
     from daq.log.snapshot import identities_of, snapshot_of  # noqa: PLC0415
+    from daq.replay.stream import pipelines_with  # noqa: PLC0415
 
     with open_log(source) as log:
         raw, identities = snapshot_of(log), identities_of(log)
     for text in settings:
         apply_setting(raw, *parse_setting(text), source)
-    return validate(raw, source), identities
+    rig = validate(raw, source)
+    pipelines_with(rig, identities, source)  # says what cannot be, before a file is made
+    return rig, identities
 
 
 def what_if_words(settings: Sequence[str] | None, before: str = "") -> str:

@@ -93,4 +93,4 @@ class SimulatedOperator:
 
     def radio(self) -> dict[str, Any]:
         """What the radio dropped, as only an onlooker of a simulation can know."""
-        return self._line.ask("radio")
+        return self._line.ask("state")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from daq.acquisition.session import Session
-from daq.drivers.rotorlink.wire import FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED
+from daq.channels import LOCK_A_CLOSED, LOCK_B_CLOSED
 from dynamics import RotorParameters
 from identification.tracking.tracker import Sensors, Tracked, Tracker
 from rig_configs import IdentifiedParameters, overridden
@@ -44,13 +44,13 @@ class LiveTracking:
     """
 
     def __init__(self, session: Session, imbalance_std: float = Tracker.imbalance_std) -> None:
-        encoder = session.rig.devices.encoder
+        roles = session.rig.roles
         self._session = session
         self._tracker = Tracker(
-            session.rig.physics, Sensors(encoder_step_rad=2 * math.pi / encoder.counts_per_revolution),
+            session.rig.physics, Sensors(encoder_step_rad=roles.angles.step_rad) if roles.angles else Sensors(),
             released=(False, False), imbalance_std=imbalance_std,
         )  # fmt: skip
-        self._index_rad = math.radians(encoder.index_angle_deg)
+        self._index_rad = math.radians(roles.phase.index_angle_deg if roles.phase else 0.0)
         self._seen_ns = {"pendulums": 0, "tacho": 0}
         self._closed: list[bool | None] = [None, None]
         self._fault = ""
@@ -111,7 +111,7 @@ class LiveTracking:
         return time_ns, columns
 
     def _locks(self, time_ns: np.ndarray, flags: np.ndarray) -> None:
-        for pendulum, flag in enumerate((FLAG_LOCK_A_CLOSED, FLAG_LOCK_B_CLOSED)):
+        for pendulum, flag in enumerate((LOCK_A_CLOSED, LOCK_B_CLOSED)):
             closed = (flags & flag) != 0
             before = self._closed[pendulum]
             for i in np.flatnonzero(closed != np.r_[not closed[0] if before is None else before, closed[:-1]]):

@@ -18,14 +18,14 @@ from daq.signals.run import Run
 _UNKNOWN = 20e-6
 
 
-def clock_rate_std(rates: Mapping[str, float], device: str) -> float:
-    """Relative standard uncertainty of a device's rate; 20 ppm when the run does not say."""
-    return float(rates.get(device, _UNKNOWN))
+def clock_rate_std(rates: Mapping[str, float], signal: str) -> float:
+    """Relative standard uncertainty of the rate of a signal's clock; 20 ppm when the run does not say."""
+    return float(rates.get(signal, _UNKNOWN))
 
 
-def clock_of(run: Run, device: str) -> str:
-    """Which clock stamped a device's samples: its own, or the recorder's."""
-    return run.clocks.get(device, device)
+def clock_of(run: Run, signal: str) -> str:
+    """Which clock stamped a signal: its device's, or the recorder's."""
+    return run.clocks.get(signal, signal)
 
 
 def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
@@ -33,21 +33,22 @@ def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[st
 
     Args:
         run: whose clocks they are.
-        slopes: device → change of the estimate's values per relative change of that device's rate, shape (n,).
+        slopes: signal ("x", "y", "angles", "phase") → change of the estimate's values per relative change of the rate
+            of its clock, shape (n,).
     Returns:
         "clock NAME" → the values' shift for one standard deviation of that clock's rate, shape (n,).
     """
     shared: dict[str, NDArray[np.float64]] = {}
-    for device, slope in slopes.items():
-        label = f"clock {clock_of(run, device)}"
-        shift = slope * clock_rate_std(run.clock_rate_std, device)
+    for signal, slope in slopes.items():
+        label = f"clock {clock_of(run, signal)}"
+        shift = slope * clock_rate_std(run.clock_rate_std, signal)
         shared[label] = shared[label] + shift if label in shared else shift
     return shared
 
 
-def rate_std_between(run: Run, device: str, other: str) -> float:
-    """Relative standard uncertainty of one device's rate against another's; 0 where one clock stamped both."""
-    if device == other or (device in run.clocks and run.clocks[device] == run.clocks.get(other)):
+def rate_std_between(run: Run, signal: str, other: str) -> float:
+    """Relative standard uncertainty of one signal's clock against another's; 0 where one clock stamped both."""
+    if clock_of(run, signal) == clock_of(run, other):
         return 0.0
     rates = run.clock_rate_std
-    return math.hypot(clock_rate_std(rates, device), clock_rate_std(rates, other))
+    return math.hypot(clock_rate_std(rates, signal), clock_rate_std(rates, other))

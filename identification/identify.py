@@ -207,8 +207,7 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     if not len(run.angle_rad):
         work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
     fit = fit_run_up_run(run, setting=work.setting)
-    devices = work.rig.devices
-    gains = (devices.laser_x.gain_std, devices.laser_y.gain_std)
+    gains = work.rig.roles.gain_stds
     estimate = run_up_estimate(run, fit, work.rig.physics, gains)
     estimate, told = run_up_sides(run, fit, estimate, work.rig, gains)
     work.warnings += told
@@ -230,7 +229,7 @@ def _share_friction(work: _Work) -> None:
 
 
 def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
-    zero_std = np.radians(work.rig.devices.encoder.zero_std_deg)
+    zero_std = np.radians(work.rig.roles.zero_std_deg)
     name = Path(run.source).name
 
     def tell(what: str) -> None:
@@ -274,7 +273,7 @@ def _tells_directions_apart(fit: RingDownFit) -> bool:
 
 def _joined(runs: list[Run]) -> Run:
     """The first run under all runs' names, for the joint fit's provenance; the least certain clock counts."""
-    rates = {d: max(r.clock_rate_std.get(d, 20e-6) for r in runs) for d in ("laser_x", "laser_y", "encoder")}
+    rates = {d: max(r.clock_rate_std.get(d, 20e-6) for r in runs) for d in ("x", "y", "angles", "phase")}
     source = " + ".join(r.source for r in runs)
     return replace(runs[0], test="ring-down", source=source, clock_rate_std=rates)
 

@@ -118,8 +118,8 @@ def _opposite(run: Run, fit: RunUpFit) -> list[str]:
     if sides and all(sides.values()) and run.phase_absolute:
         return [
             f"{name}: the imbalance is seen half a turn from where ψ says: the index mark is half a turn off "
-            "(devices.encoder.index_angle_deg), or the lasers point the other way. k, ζ and S_P do not depend on it, "
-            "releases and points do; correct it before them"
+            "(index_angle_deg of the device that marks the rotor's phase), or the lasers point the other way. k, ζ and "
+            "S_P do not depend on it, releases and points do; correct it before them"
         ]
     return []
 

@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 
 from dynamics.errors import OutsideDomain
 from dynamics.parameters import imbalance_radius
+from rig_configs.drivers import settings_of
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
@@ -120,7 +121,7 @@ def validate(raw: dict[str, Any], source: str) -> Rig:
     try:
         return Rig.model_validate(raw)
     except ValidationError as error:
-        lines = [f"{source}: {_sentence(e)}" for e in error.errors()]
+        lines = [f"{source}: {_sentence(e, raw)}" for e in error.errors()]
         raise RigFileError("\n".join(lines)) from error
 
 
@@ -237,16 +238,16 @@ def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters, source: st
             _lay_imbalance(raw, value, source)
 
 
-def _sentence(error: ErrorDetails) -> str:
+def _sentence(error: ErrorDetails, raw: Mapping[str, Any]) -> str:
     """One fault in words: key, what was expected, what came, the nearest known name."""
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
-        near = _nearest(error["loc"])
+        near = _nearest(error["loc"], raw)
         hint = f"; did you mean {near}?" if near else ""
-        known = ", ".join(_names_at(error["loc"][:-1]))
+        known = ", ".join(_names_at(error["loc"][:-1], raw))
         return f"{key}: unknown key{hint} (units are part of a name). Known here: {known}"
     if error["type"] == "missing":
-        return f"{key}: missing; expected {_expectation(error['loc'])}"
+        return f"{key}: missing; expected {_expectation(error['loc'], raw)}"
     got = error.get("input")
     if isinstance(got, dict) and error["type"] == "value_error":  # of a whole table; its words tell what came
         return f"{key}{': ' if key else ''}{error['msg'].removeprefix('Value error, ')}"
@@ -261,8 +262,11 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 2 * _LONGEST_SHOWN else f"{text[: 2 * _LONGEST_SHOWN]}…"
 
 
-def _model_at(path: Sequence[str | int]) -> type[BaseModel] | None:
+def _model_at(path: Sequence[str | int], raw: Mapping[str, Any]) -> type[BaseModel] | None:
     model: type[BaseModel] | None = Rig
+    if len(path) > 1 and path[0] == "devices":
+        table = raw["devices"][path[1]]
+        return settings_of(table["driver"])  # a fault in it was found by these
     for part in path:
         field = model.model_fields.get(str(part)) if model else None
         if field is None:  # a key of a dict of tables, such as points.A
@@ -272,21 +276,21 @@ def _model_at(path: Sequence[str | int]) -> type[BaseModel] | None:
     return model
 
 
-def _names_at(path: Sequence[str | int]) -> list[str]:
-    model = _model_at(path)
+def _names_at(path: Sequence[str | int], raw: Mapping[str, Any]) -> list[str]:
+    model = _model_at(path, raw)
     return list(model.model_fields) if model else []
 
 
-def _nearest(path: Sequence[str | int]) -> str | None:
-    names = _names_at(path[:-1])
+def _nearest(path: Sequence[str | int], raw: Mapping[str, Any]) -> str | None:
+    names = _names_at(path[:-1], raw)
     wrong = str(path[-1])
     with_unit = [n for n in names if n.startswith(f"{wrong}_")]
     near = with_unit or difflib.get_close_matches(wrong, names, n=1, cutoff=0.5)
     return ".".join([*map(str, path[:-1]), near[0]]) if near else None
 
 
-def _expectation(path: Sequence[str | int]) -> str:
-    model = _model_at(path[:-1])
+def _expectation(path: Sequence[str | int], raw: Mapping[str, Any]) -> str:
+    model = _model_at(path[:-1], raw)
     field = model.model_fields.get(str(path[-1])) if model else None
     if field is None:
         return "a value"

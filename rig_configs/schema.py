@@ -7,23 +7,17 @@ are like and, under `virtual.truth`, where its true numbers differ from the file
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, model_validator
 
 from dynamics.parameters import Pendulum, RotorParameters
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, lt=1)]
-
-
-class Table(BaseModel):
-    """A table of the rig file: frozen, unknown keys refused; a number is a finite number, not true and not a text."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+from rig_configs.device import DeviceSettings
+from rig_configs.drivers import installed, settings_of
+from rig_configs.roles import Roles
+from rig_configs.table import Finite, NotNegative, Positive, Share, Table
 
 
 class Rotor(Table):
@@ -78,73 +72,22 @@ class Suspension(Table):
     gravity_m_per_s2: Annotated[float, Field(ge=0, le=30)] = 0.0
 
 
-class Laser(Table):
-    """An optoNCDT displacement sensor on its serial line.
-
-    lever_ratio is the sensor's displacement over the disk centre's (below 1 when it looks at the column under the
-    disk); gain_std is the relative standard uncertainty of calibration and lever together.
-    """
-
-    driver: Literal["optoncdt"]
-    port: str
-    axis: Literal["x", "y"]
-    baud: Annotated[int, Field(ge=9600, le=1_000_000)] = 921_600
-    rate_Hz: Literal[250, 500, 1000, 2000, 4000] = 4000
-    range_m: Positive = 0.025
-    lever_ratio: Positive = 1.0
-    gain_std: Annotated[float, Field(ge=0, le=0.1)] = 0.001
-    clock_tolerance_ppm: Positive = 30.0
+def _settings(value: object) -> object:
+    """A device's table as its driver's settings; faults bear the driver's own keys."""
+    if isinstance(value, DeviceSettings) or not isinstance(value, dict):
+        return value
+    table = cast("dict[str, object]", value)
+    name = table.get("driver")
+    if name is None:
+        raise ValueError(f"no driver; expected driver = one of {', '.join(installed())}")
+    if not isinstance(name, str):
+        raise ValueError(f"driver: expected one of {', '.join(installed())}, got {name!r}")
+    return settings_of(name).model_validate(table)
 
 
-class EncoderNode(Table):
-    """The on-rotor node: both pendulum encoders and the tachometer mark, behind a radio dongle.
-
-    index_angle_deg is ψ (imbalance direction from +x) when the index mark fires; zero_std_deg is the standard
-    uncertainty of each encoder's zero against the imbalance direction.
-    """
-
-    driver: Literal["rotorlink"]
-    port: str
-    baud: Annotated[int, Field(ge=230_400)] = 921_600
-    rate_Hz: Annotated[int, Field(ge=10, le=5000)] = 1000
-    counts_per_revolution: Annotated[int, Field(ge=64)] = 4096
-    index_angle_deg: Finite = 0.0
-    zero_std_deg: NotNegative = 0.05
-    clock_tolerance_ppm: Positive = 30.0
-
-
-class Drive(Table):
-    """The CiA 402 motor drive behind a CAN adapter."""
-
-    driver: Literal["cia402"]
-    port: str
-    bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
-    node_id: Annotated[int, Field(ge=1, le=127)] = 5
-    host_node_id: Annotated[int, Field(ge=1, le=127)] = 1
-    heartbeat_ms: Annotated[int, Field(ge=10, le=1000)] = 100
-    heartbeat_timeout_ms: Annotated[int, Field(ge=50, le=800)] = 500
-    ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
-
-    @model_validator(mode="after")
-    def _beats_before_timeout(self) -> Drive:
-        if self.heartbeat_timeout_ms < 2 * self.heartbeat_ms:
-            raise ValueError("heartbeat_timeout_ms must be at least twice heartbeat_ms, or one late beat stops the rig")
-        return self
-
-
-class Devices(Table):
-    """What is plugged in. All four are needed for the guided tests."""
-
-    laser_x: Laser
-    laser_y: Laser
-    encoder: EncoderNode
-    drive: Drive
-
-    @model_validator(mode="after")
-    def _axes(self) -> Devices:
-        if (self.laser_x.axis, self.laser_y.axis) != ("x", "y"):
-            raise ValueError('laser_x must look along axis "x" and laser_y along "y"')
-        return self
+AnyDevice = Annotated[SerializeAsAny[DeviceSettings], BeforeValidator(_settings)]
+DeviceName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]
+_OURS = ("host", "log")  # say in events that no device made them
 
 
 class Limits(Table):
@@ -256,7 +199,7 @@ class Rig(Table):
     imbalance: Imbalance
     pendulums: Pendulums
     suspension: Suspension
-    devices: Devices
+    devices: dict[DeviceName, AnyDevice]
     limits: Limits = Limits()
     points: dict[str, Point]
     virtual: Virtual | None = None
@@ -266,13 +209,25 @@ class Rig(Table):
         """The physical part as dynamics takes it."""
         return _physics(self.rotor, self.imbalance, self.pendulums, self.suspension)
 
+    @property
+    def roles(self) -> Roles:
+        """What its devices are to the rig: all that anything above a driver asks for."""
+        return Roles.of(role for name, device in self.devices.items() for role in device.roles(name))
+
+    @field_validator("devices", mode="after")
+    @classmethod
+    def _names_are_free(cls, devices: dict[str, AnyDevice]) -> dict[str, AnyDevice]:
+        if taken := [name for name in devices if name in _OURS]:
+            raise ValueError(f"{taken[0]!r} cannot be a device's name: events of the suite itself bear it")
+        return devices
+
     @model_validator(mode="after")
     def _sensors_see_the_limit(self) -> Rig:
-        for name, laser in (("laser_x", self.devices.laser_x), ("laser_y", self.devices.laser_y)):
-            seen = 0.5 * laser.range_m / laser.lever_ratio
-            if self.limits.amplitude_m >= seen:
+        for sensor in self.roles.displacements:
+            if self.limits.amplitude_m >= sensor.reach_m:
                 raise ValueError(
-                    f"limits.amplitude_m = {self.limits.amplitude_m:g} can never be seen: {name} reaches ± {seen:g} m"
+                    f"limits.amplitude_m = {self.limits.amplitude_m:g} can never be seen: {sensor.device} reaches "
+                    f"± {sensor.reach_m:g} m"
                 )
         return self
 
@@ -285,6 +240,11 @@ class Rig(Table):
     def snapshot_json(self) -> bytes:
         """The rig file as it goes into a log: all a reader of the log needs, nothing only a simulation knows."""
         return self.model_dump_json(exclude={"virtual"}).encode()
+
+    def roles_json(self) -> bytes:
+        """What its devices are to the rig, for a reader of a log who lacks a driver: by device, their roles."""
+        roles = {name: [role.model_dump() for role in device.roles(name)] for name, device in self.devices.items()}
+        return json.dumps(roles).encode()
 
     @property
     def true_physics(self) -> RotorParameters:

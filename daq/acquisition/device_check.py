@@ -8,80 +8,42 @@ show: rates come with how far they may be off, and a quantity that was not seen 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, lock_tolerance_deg, misplaced
+from daq.acquisition.lock_positions import flagged, lock_positions, lock_tolerance_deg, misplaced
 from daq.acquisition.rate_watch import Rate
-from daq.drivers.cia402 import wire as cia402
+from daq.drivers.checks import Check, Checks
 from daq.drivers.items import Event
-from daq.drivers.rotorlink import wire as rotorlink
-from rig_configs.schema import Drive, EncoderNode, Laser, Limits, Rig
+from rig_configs.roles import Displacement, PendulumAngles
+from rig_configs.schema import Limits, Rig
 
 _INVALID_SHARE = 0.01  # of a laser's samples at rest; a flash of light is none
-_RADIO_SHARE = 0.05  # of the node's frames; more, and angles are missing for long
+_RADIO_SHARE = 0.05  # of the samples that come by radio; more, and angles are missing for long
 _SPEED_REPORTS_HZ = 10.0  # least that tells of a drive's speed in time
-_WEAK_DBM = -90
 
 
 @dataclass(frozen=True)
-class Check:
-    """One thing looked at.
-
-    Attributes:
-        value: what was seen; None when nothing was.
-        expected: what the rig file says, or what a healthy device does; None where any value will do.
-        passed: the verdict.
-        note: what to know or to do.
-    """
-
-    value: Any
-    expected: Any
-    passed: bool
-    note: str = ""
-
-    def facts(self) -> dict[str, Any]:
-        """For JSON."""
-        note = {"note": self.note} if self.note else {}
-        return {"value": self.value, "expected": self.expected, "verdict": "pass" if self.passed else "fail", **note}
-
-
-Checks = dict[str, Check]
-
-
-@dataclass(frozen=True)
-class LaserSeen:
-    """A laser's samples of the look: displacement of the disk centre, m, NaN where invalid."""
-
-    displacement_m: NDArray[np.floating]
-
-
-@dataclass(frozen=True)
-class NodeSeen:
-    """The encoder node's samples of the look, its newest word of itself, and how strong its frames came in.
+class AnglesSeen:
+    """The pendulums' samples of the look.
 
     Attributes:
         theta_rad: newest angles, shape (n, 2).
-        flags: of all encoder blocks.
+        flags: of all samples.
     """
 
     theta_rad: NDArray[np.floating]
     flags: NDArray[np.integer]
-    status: rotorlink.Status | None
-    rssi_dBm: int | None
 
 
 @dataclass(frozen=True)
-class DriveSeen:
-    """The drive's reports of the look: how many a second, the newest state and speed, why it is in FAULT if it is."""
+class SpeedSeen:
+    """The speed source's reports of the look: how many a second, and the newest speed."""
 
     reports_Hz: float
-    state: str
     speed_rpm: float
-    fault_code: int | None = None
 
 
 @dataclass(frozen=True)
@@ -90,32 +52,44 @@ class Look:
 
     Attributes:
         seconds: how long was looked.
-        rates: of the channels with a device's clock.
+        rates: of the channels with a device's clock, by topic.
         losses: counted while looking, by device and kind.
         events: of all devices.
+        displacement_m: of the disk centre, by axis; NaN where invalid.
+        angles, speed: None where the rig has no such device.
+        own: what the devices' drivers looked at, by device.
     """
 
     seconds: float
     rates: Mapping[str, Rate | None]
     losses: Mapping[str, Mapping[str, int]]
     events: Sequence[Event]
-    lasers: Mapping[str, LaserSeen]
-    node: NodeSeen
-    drive: DriveSeen
+    displacement_m: Mapping[str, NDArray[np.floating]]
+    angles: AnglesSeen | None = None
+    speed: SpeedSeen | None = None
+    own: Mapping[str, Checks] = field(default_factory=dict[str, Checks])
 
 
 def device_checks(rig: Rig, look: Look) -> dict[str, Checks]:
     """Every check of every device, by the device's name in the rig file."""
-    d = rig.devices
-    out: dict[str, Checks] = {}
-    for name, config in (("laser_x", d.laser_x), ("laser_y", d.laser_y)):
-        rate = look.rates.get(f"laser/{config.axis}")
-        out[name] = _rate_checks(rate, config.rate_Hz) | _laser(config, rig.limits, look.lasers[name])
-    out["encoder"] = _rate_checks(look.rates.get("pendulums"), d.encoder.rate_Hz) | _node(d.encoder, look.node)
-    out["drive"] = _drive(d.drive, look.drive, [e for e in look.events if e.device == "drive"])
+    out: dict[str, Checks] = {name: {} for name in rig.devices}
+    roles = rig.roles
+    for sensor in roles.displacements:
+        out[sensor.device] |= _rate_checks(look.rates.get(sensor.topic), sensor.rate_Hz)
+        out[sensor.device] |= _displacement(sensor, rig.limits, look.displacement_m[sensor.axis])
+    if roles.angles is not None and look.angles is not None:
+        out[roles.angles.device] |= _rate_checks(look.rates.get(roles.angles.topic), roles.angles.rate_Hz)
+        out[roles.angles.device] |= _encoders(look.angles)
+    if roles.speed is not None and look.speed is not None:
+        out[roles.speed.device] |= _speed(look.speed)
+    for name, checks in look.own.items():
+        out[name] |= checks
+    if roles.angles is not None and roles.locks is not None and look.angles is not None:
+        out[roles.locks.device] |= _locks(roles.angles, look.angles)
     for name in out:
-        on_air = d.encoder.rate_Hz * look.seconds if name == "encoder" else 0.0
-        out[name] |= _losses(look.losses.get(name, {}), on_air)
+        lost = look.losses.get(name, {})
+        by_air = "radio_frames" in lost and roles.angles is not None
+        out[name] |= _losses(lost, roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0)
         out[name] |= _restarts([e for e in look.events if e.device == name])
     return out
 
@@ -145,8 +119,7 @@ def _rate_checks(rate: Rate | None, nominal_Hz: float) -> Checks:
     }
 
 
-def _laser(config: Laser, limits: Limits, seen: LaserSeen) -> Checks:
-    x = seen.displacement_m
+def _displacement(sensor: Displacement, limits: Limits, x: NDArray[np.floating]) -> Checks:
     if not len(x):
         return {"samples": Check(0, "some", False, "no sample came")}
     invalid = float(np.mean(np.isnan(x)))
@@ -155,8 +128,8 @@ def _laser(config: Laser, limits: Limits, seen: LaserSeen) -> Checks:
     out = {"invalid_samples": Check(f"{invalid:.1%}", f"at most {_INVALID_SHARE:.0%}", few, note)}
     if invalid == 1.0:
         return out
-    at_mm = float(np.nanmedian(x)) * config.lever_ratio * 1e3
-    room_mm = (0.5 * config.range_m - limits.amplitude_m * config.lever_ratio) * 1e3
+    at_mm = float(np.nanmedian(x)) * sensor.lever_ratio * 1e3
+    room_mm = (0.5 * sensor.range_m - limits.amplitude_m * sensor.lever_ratio) * 1e3
     ok = abs(at_mm) <= room_mm
     note = "" if ok else "move the sensor: from here limits.amplitude_m is out of its range"
     out["from_mid_range_mm"] = Check(round(at_mm, 3), f"within ± {room_mm:.3g}", ok, note)
@@ -164,37 +137,18 @@ def _laser(config: Laser, limits: Limits, seen: LaserSeen) -> Checks:
     return out
 
 
-def _node(config: EncoderNode, seen: NodeSeen) -> Checks:
+def _encoders(seen: AnglesSeen) -> Checks:
     faults = flagged(seen.flags)
-    out = {"encoder_faults": Check(len(faults), 0, not faults, ". ".join(faults))}
-    status = seen.status
-    if status is None:
-        out["status"] = Check(None, "each second", False, "the node's own word did not come; look at its radio")
-    else:
-        counts = config.counts_per_revolution
-        ok = status.counts_per_revolution == counts
-        note = "" if ok else "every angle would be scaled wrongly: correct the rig file"
-        out["counts_per_revolution"] = Check(status.counts_per_revolution, counts, ok, note)
-        low = battery_low(seen.flags)
-        note = "the node says it is low: change it" if low else ""
-        out["battery_mV"] = Check(status.battery_mv, "not low", not low, note)
-        out["firmware"] = Check(f"{status.firmware_major}.{status.firmware_minor}", None, True)
-        out["temperature_degC"] = Check(status.temperature_decidegc / 10, None, True)
-        out["overruns"] = Check(status.overruns, None, True, "" if not status.overruns else "samples lost in the node")
-    if seen.rssi_dBm is not None:
-        weak = seen.rssi_dBm < _WEAK_DBM
-        note = "weak: move the dongle nearer" if weak else ""
-        out["signal_dBm"] = Check(seen.rssi_dBm, f"at least {_WEAK_DBM}", not weak, note)
-    return out | _locks(config, seen)
+    return {"encoder_faults": Check(len(faults), 0, not faults, ". ".join(faults))}
 
 
-def _locks(config: EncoderNode, seen: NodeSeen) -> Checks:
+def _locks(angles: PendulumAngles, seen: AnglesSeen) -> Checks:
     out: Checks = {}
     if not len(seen.flags):
         return out
     flags = seen.flags[-len(seen.theta_rad) :]
-    known = {p.pendulum: p for p in lock_positions(seen.theta_rad, flags, config.zero_std_deg)}
-    tolerance = lock_tolerance_deg(config.zero_std_deg)
+    known = {p.pendulum: p for p in lock_positions(seen.theta_rad, flags, angles.zero_std_deg)}
+    tolerance = lock_tolerance_deg(angles.zero_std_deg)
     for name, expected in (("A", 0), ("B", 180)):
         place = known.get(name)
         note = "" if place is not None else "its position says nothing until the lock is closed"
@@ -206,23 +160,13 @@ def _locks(config: EncoderNode, seen: NodeSeen) -> Checks:
     return out
 
 
-def _drive(config: Drive, seen: DriveSeen, events: Sequence[Event]) -> Checks:
+def _speed(seen: SpeedSeen) -> Checks:
     enough = seen.reports_Hz >= _SPEED_REPORTS_HZ
-    out = {"speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_SPEED_REPORTS_HZ:g}", enough)}
-    faulty = seen.state in (cia402.FAULT, cia402.FAULT_REACTION, cia402.UNKNOWN)
-    beat = seen.fault_code == cia402.HEARTBEAT_ERROR
-    note = ""
-    if faulty:
-        code = "it does not tell why" if seen.fault_code is None else f"error 0x{seen.fault_code:04X}"
-        note = f"{code}{': a host was gone; the next test resets it' if beat else '; mend the cause, reset the drive'}"
-    out["state"] = Check(seen.state, "no fault", not faulty or beat, note)
     still = seen.speed_rpm == 0
-    out["speed_rpm"] = Check(seen.speed_rpm, 0, still, "" if still else "the rotor turns")
-    codes = [int(e.facts.get("error_code", 0)) for e in events if e.kind == "emergency"]
-    bad = [code for code in codes if code not in (0, cia402.HEARTBEAT_ERROR)]
-    words = ", ".join(f"0x{code:04X}" for code in codes) or "none"
-    out["emergencies"] = Check(words, "none", not bad, "" if not bad else "look them up in the drive's manual")
-    return out
+    return {
+        "speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_SPEED_REPORTS_HZ:g}", enough),
+        "speed_rpm": Check(seen.speed_rpm, 0, still, "" if still else "the rotor turns"),
+    }
 
 
 def _losses(lost: Mapping[str, int], on_air: float) -> Checks:

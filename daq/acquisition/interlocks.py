@@ -1,14 +1,15 @@
 # pyright: strict
 """What must stop the rotor, and what a log must be told about its channels; pure decisions, fed by the session.
 
-While the rotor turns, or may turn, every channel that guards it is due, whatever the test is: both lasers with valid
-samples, pendulum angles with sound encoders, index marks as often as the drive turns, the drive's own word. At rest
-only what a test declared is due. A channel's name and its fields are known here; who made its device is not: a sample
-is invalid when its displacement is NaN, an encoder is faulty when the sample's flags say so.
+While the rotor turns, or may turn, every channel that guards it is due, whatever the test is: every displacement with
+valid samples, pendulum angles with sound encoders, index marks as often as the drive turns, the drive's own word. At
+rest only what a test declared is due. Which roles there are, and their channels' fields, are known here; who made a
+device is not: a sample is invalid when its displacement is NaN, an encoder is faulty when the sample's flags say so.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -23,12 +24,10 @@ from daq.acquisition.exceedance import Exceedance
 from daq.acquisition.rotor_watch import AT_REST_RPM, RotorWatch
 from daq.acquisition.stuck_watch import StuckWatch
 from daq.drivers.items import Batch, Event
+from rig_configs.roles import Roles
 from rig_configs.schema import Limits
 
-LASERS: tuple[str, ...] = ("laser/x", "laser/y")
-GUARDS = (*LASERS, "pendulums", "tacho", "motor")
-"""Channels that are due while the rotor turns."""
-_DEADLINE_S = {"laser/x": 0.3, "laser/y": 0.3, "pendulums": 1.0, "motor": 0.3}  # rig time, while the rotor turns …
+_DISPLACEMENT_S, _ANGLES_S, _SPEED_S = 0.3, 1.0, 0.3  # rig time without a sample while the rotor turns …
 _AT_REST_S = 2.0  # … and at rest, for a channel that a test needs
 _HOST_S = 0.3  # wall time that the host's threads may add
 _BLIND_S = 0.25  # of samples, more than half of them invalid; a flash is shorter
@@ -36,7 +35,6 @@ _GONE_SAMPLES = 5  # invalid ones in a row after a large displacement
 _LARGE = 0.7  # of the amplitude limit
 _FAULTY_S = 0.1  # of samples, more than half of them with a fault flag
 _FAULTS = {1: "encoder A", 2: "encoder B"}  # flags of a pendulum sample
-_DEVICES = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "tacho": "encoder", "motor": "drive"}
 
 
 @dataclass(frozen=True)
@@ -100,24 +98,35 @@ class Interlocks:
 
     Args:
         limits: of the rig file.
+        roles: of the rig's devices; what is not there guards nothing.
         patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
         driving: whether this session may turn the rotor; one that only listens stops nothing.
     """
 
-    def __init__(self, limits: Limits, patience: Callable[[float], float], *, driving: bool) -> None:
+    def __init__(self, limits: Limits, roles: Roles, patience: Callable[[float], float], *, driving: bool) -> None:
         self._limits, self._driving = limits, driving
+        self._device_of = roles.device_of
+        self._lasers = tuple(sensor.topic for sensor in roles.displacements)
+        self._angles, self._marks, self._speed = (
+            role and role.topic for role in (roles.angles, roles.phase, roles.speed)
+        )
+        known = [(topic, _DISPLACEMENT_S) for topic in self._lasers]
+        known += [(topic, s) for topic, s in ((self._angles, _ANGLES_S), (self._speed, _SPEED_S)) if topic]
         self._rest_s = _AT_REST_S + patience(_HOST_S)
         late_s = patience(_HOST_S)
-        deadlines = {t: (_DEVICES[t], (s if driving else _AT_REST_S) + late_s) for t, s in _DEADLINE_S.items()}
-        self._node_s = deadlines["pendulums"][1]
-        self.channels = ChannelWatch({**deadlines, "tacho": (_DEVICES["tacho"], float("inf"))}, patience)
+        deadlines = {t: (self._device_of[t], (s if driving else _AT_REST_S) + late_s) for t, s in known}
+        self._due = tuple(deadlines)
+        self._node_s = deadlines[self._angles][1] if self._angles else math.inf
+        if self._marks:
+            deadlines[self._marks] = (self._device_of[self._marks], math.inf)
+        self.channels = ChannelWatch(deadlines, patience)
         self.rotor = RotorWatch(limits.speed_rpm, patience)
-        self._sight = {topic: Share(_BLIND_S) for topic in LASERS}
-        self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in LASERS}
-        self._stuck = StuckWatch(LASERS)
-        self._seen_m = dict.fromkeys(LASERS, 0.0)
-        self._code = dict.fromkeys(LASERS, 0)
-        self._blind = dict.fromkeys(LASERS, False)
+        self._sight = {topic: Share(_BLIND_S) for topic in self._lasers}
+        self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
+        self._stuck = StuckWatch(self._lasers)
+        self._seen_m = dict.fromkeys(self._lasers, 0.0)
+        self._code = dict.fromkeys(self._lasers, 0)
+        self._blind = dict.fromkeys(self._lasers, False)
         self._sound = {bit: Share(_FAULTY_S) for bit in _FAULTS}
         self._faulty = dict.fromkeys(_FAULTS, False)
         self._faulty_samples = 0
@@ -134,7 +143,7 @@ class Interlocks:
             self._faulty_samples = 0
             for share in (*self._sight.values(), *self._sound.values()):
                 share.clear()
-            self._blind = dict.fromkeys(LASERS, False)
+            self._blind = dict.fromkeys(self._lasers, False)
             self._faulty = dict.fromkeys(_FAULTS, False)
 
     def end(self, now_ns: int) -> list[Event]:
@@ -159,15 +168,15 @@ class Interlocks:
             topic = batch.channel.topic
             back = self.channels.heard(topic, host_ns)
             out: list[Event | Stop] = [] if back is None else [back]
-            if topic in LASERS:
+            if topic in self._lasers:
                 out += self._look(topic, batch, host_ns)
-            elif topic == "pendulums":
+            elif topic == self._angles:
                 out += self._pendulums(batch, host_ns)
-            elif topic == "tacho":
+            elif topic == self._marks:
                 node_ns = batch.columns["node_time_us"].astype(np.int64) * 1000
                 marks = batch.columns["revolutions"]
                 out += self._wrong(self.rotor.marks_came(host_ns, batch.time_ns, node_ns, marks))
-            elif topic == "motor":
+            elif topic == self._speed:
                 out += self._wrong(self.rotor.drive_said(host_ns, batch.columns["speed_rpm"]))
             return out
 
@@ -175,7 +184,7 @@ class Interlocks:
         """An event of a device; returns what must stop the rotor."""
         with self._lock:
             if event.kind in ("fault", "restart"):
-                if event.device == "drive":
+                if event.device == self._device_of.get(self._speed or ""):
                     self.rotor.drive_unknown()
                 return [Stop("device", f"{event.device}: {event.text}")]
             if event.kind == "network" and event.facts.get("operational") is False:
@@ -193,19 +202,21 @@ class Interlocks:
                 self._ours = False
             turning = self.turning(now_ns)
             out: list[Event | Stop] = [*self.channels.tick(now_ns)]
-            if turning and (why := self.rotor.unseen(now_ns)) is not None:
-                out += self.channels.miss("tacho", now_ns, why.removeprefix("tacho: "))
+            if self._marks is None:
+                pass
+            elif turning and (why := self.rotor.unseen(now_ns)) is not None:
+                out += self.channels.miss(self._marks, now_ns, why.removeprefix("tacho: "))
                 if not self._node_late(now_ns):  # else it is not the index sensor, and soon said
                     out.append(Stop("device", why))
             elif not turning:
-                out += self.channels.excuse("tacho", now_ns)
+                out += self.channels.excuse(self._marks, now_ns)
                 self.rotor.turns_begin()
             if not self._driving:
                 return [item for item in out if isinstance(item, Event)]
             out += [Stop("device", text) for text in self._silent(now_ns, turning)]
             if turning:
                 out += [Stop("device", text) for text in self._unguarded()]
-            elif "pendulums" in self._needed:
+            elif self._angles in self._needed:
                 out += [Stop("device", text) for text in self._unsound()]
             return out
 
@@ -243,26 +254,26 @@ class Interlocks:
         with self._lock:
             out = self.channels.losses(now_ns)
             if self._faulty_samples:
-                out.setdefault(_DEVICES["pendulums"], {})["faulty"] = self._faulty_samples
+                out.setdefault(self._device_of[self._angles or ""], {})["faulty"] = self._faulty_samples
             return out
 
     # --- parts -------------------------------------------------------------------------------------------------
 
     def _node_late(self, now_ns: int) -> bool:
-        return 2 * self.channels.silent_s("pendulums", now_ns) > self._node_s
+        return self._angles is not None and 2 * self.channels.silent_s(self._angles, now_ns) > self._node_s
 
     def _silent(self, now_ns: int, turning: bool) -> list[str]:
-        due = set(_DEADLINE_S) if turning else self._needed & set(_DEADLINE_S)
+        due = set(self._due) if turning else self._needed & set(self._due)
         least_s = 0.0 if turning else self._rest_s
         return [
             f"{topic}: silent for {self.channels.silent_s(topic, now_ns):.1f} s. Look at the device, its cable, its "
             "power or battery, its radio"
-            for topic in _DEADLINE_S
+            for topic in self._due
             if topic in due and self.channels.silent(topic) and self.channels.silent_s(topic, now_ns) >= least_s
         ]
 
     def _unguarded(self) -> list[str]:
-        return [self._blind_words(topic) for topic in LASERS if self._sight[topic].mostly_bad] + self._unsound()
+        return [self._blind_words(topic) for topic in self._lasers if self._sight[topic].mostly_bad] + self._unsound()
 
     def _unsound(self) -> list[str]:
         return [
@@ -312,7 +323,7 @@ class Interlocks:
         if blind == self._blind[topic]:
             return []
         self._blind[topic] = blind
-        facts = {"of": _DEVICES[topic], "channel": topic, "code": self._code[topic]}
+        facts = {"of": self._device_of[topic], "channel": topic, "code": self._code[topic]}
         words = f"no valid sample, code {self._code[topic]}" if blind else "valid samples again"
         return [Event("blind", HOST, f"{topic}: {words}", facts)]
 
@@ -332,7 +343,7 @@ class Interlocks:
             if share.mostly_bad != self._faulty[bit]:
                 self._faulty[bit] = share.mostly_bad
                 words = "reports a fault" if share.mostly_bad else "is sound again"
-                facts = {"of": _DEVICES["pendulums"], "channel": "pendulums", "flag": bit}
+                facts = {"of": self._device_of[batch.channel.topic], "channel": batch.channel.topic, "flag": bit}
                 out.append(Event("encoder", HOST, f"pendulums: {_FAULTS[bit]} {words}", facts))
         return out
 

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.rotorlink import wire as rotorlink
+from daq import channels
 
 EXPECTED_DEG = (0.0, 180.0)
 """Where A and B stand when their locks are closed, relative to the rotor."""
 
-_CLOSED = (rotorlink.FLAG_LOCK_A_CLOSED, rotorlink.FLAG_LOCK_B_CLOSED)
+_CLOSED = (channels.LOCK_A_CLOSED, channels.LOCK_B_CLOSED)
 _PLAY_DEG = 1.0  # a lock's play and the mount's own error; far below what a wrong zero is off by
 _ZERO_STDS = 5.0
 
@@ -109,7 +109,7 @@ _ZERO = "close both locks and zero the counters there (`rig check RIG --zero`)"
 def flagged(flags: NDArray[np.integer]) -> tuple[str, ...]:
     """Encoder faults that the node reports in any of these flags, a sentence each."""
     seen = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
-    faults = (("A", rotorlink.FLAG_FAULT_A), ("B", rotorlink.FLAG_FAULT_B))
+    faults = (("A", channels.ENCODER_FAULT_A), ("B", channels.ENCODER_FAULT_B))
     return tuple(
         f"the node reports a fault of encoder {name}: its angles cannot be trusted. Look at its magnet, its plug"
         for name, bit in faults
@@ -119,4 +119,4 @@ def flagged(flags: NDArray[np.integer]) -> tuple[str, ...]:
 
 def battery_low(flags: NDArray[np.integer]) -> bool:
     """Whether the newest block says that the node's battery is low."""
-    return len(flags) > 0 and bool(int(flags[-1]) & rotorlink.FLAG_LOW_BATTERY)
+    return len(flags) > 0 and bool(int(flags[-1]) & channels.BATTERY_LOW)

@@ -21,7 +21,7 @@ from daq.clock import lower_line
 from daq.drivers.contract import SampleClock
 from daq.drivers.devices import devices_of
 from daq.drivers.items import Batch, Event
-from rig_configs.schema import Devices
+from rig_configs.device import DeviceSettings
 
 _BIN_NS = 250_000_000
 _BINS = 120  # 30 s
@@ -147,7 +147,7 @@ class RateWatches:
     Each device's batches may come from a thread of its own.
     """
 
-    def __init__(self, devices: Devices) -> None:
+    def __init__(self, devices: Mapping[str, DeviceSettings]) -> None:
         clocks = [clock for device in devices_of(devices).values() for clock in device.clocks]
         self._watches = {clock.topic: RateWatch(clock) for clock in clocks}
         self._due: dict[str, int] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,12 @@ class Recent:
 
     Args:
         keep_s: how far back, in the samples' own time.
+        known: the channels; the usual ones if None.
     """
 
-    def __init__(self, keep_s: float) -> None:
+    def __init__(self, keep_s: float, known: Iterable[channels.Channel] | None = None) -> None:
         self._keep_ns = int(keep_s * 1e9)
-        self._tables = {topic: _Table(channel) for topic, channel in channels.CHANNELS.items()}
+        self._tables = {channel.topic: _Table(channel) for channel in known or channels.CHANNELS.values()}
         self._lock = threading.Lock()
 
     def add(self, batch: Batch) -> None:

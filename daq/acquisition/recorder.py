@@ -12,13 +12,14 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from daq import channels
+from daq.channels import CHANNELS, Channel
 from daq.drivers.items import Batch, Event, joined
 from daq.errors import LogError, RecordingError
 from daq.log.file import LogFile, ReservedName
@@ -74,6 +75,7 @@ class Recorder:
         metadata: flat facts of the run (test, point, operator's note, software version …).
         attachments: files that go in whole, by name (rig snapshot, identities).
         devices: names of the devices whose raw bytes are kept.
+        sample_channels: what is decoded.
 
     Raises:
         LogError: the file or the rest of a cut one of its name exists already.
@@ -87,11 +89,12 @@ class Recorder:
         metadata: Mapping[str, str],
         attachments: Mapping[str, bytes],
         devices: tuple[str, ...],
+        sample_channels: Iterable[Channel] = tuple(CHANNELS.values()),
     ) -> None:
         self._clock = clock
         self.trouble: RecordingError | None = None
         self._failure: Exception | None = None  # the disk's: nothing more can be written
-        self._log = LogFile(path, metadata, attachments, devices, clock.now_ns())
+        self._log = LogFile(path, metadata, attachments, devices, clock.now_ns(), sample_channels)
         self.path, self.part = self._log.path, self._log.part
         self._lock = threading.RLock()
         self._backlog: list[tuple[Any, ...]] = []

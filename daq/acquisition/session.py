@@ -20,11 +20,10 @@ from daq.acquisition.reader import DeviceReader, OpenDevice, keep_heap_whole
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState, Recorder
 from daq.clock import compile_line
-from daq.drivers.contract import MovesLocks, PendulumLocks, RotorGuard, SpeedSource, TurnsRotor
-from daq.drivers.devices import devices_of, make_pipelines
+from daq.drivers.checks import Checks
+from daq.drivers.contract import MovesLocks, PendulumLocks, RotorGuard, SpeedSource, TellsItself, TurnsRotor
+from daq.drivers.devices import channels_of, devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.drivers.rotorlink.stream import NodePipeline
-from daq.drivers.rotorlink.wire import Status
 from daq.errors import DeviceError, LinkLost, ProcedureError, RigError
 from daq.log.file import ReservedName
 from daq.transports import HostClock, open_link
@@ -68,7 +67,8 @@ class Session:
         say: Callable[[str], None] = lambda text: None,
     ) -> None:
         self.rig, self.clock = rig, clock
-        self.recent = Recent(_KEEP_S)
+        self._channels = tuple(channels_of(rig.devices).values())
+        self.recent = Recent(_KEEP_S, self._channels)
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
         self._known = devices_of(rig.devices)
         self.rates = RateWatches(rig.devices)
@@ -82,8 +82,8 @@ class Session:
         self._devices: dict[str, DeviceReader] = {}
         self._recorder: Recorder | None = None
         self._locks: PendulumLocks | None = None
-        self._interlocks = Interlocks(rig.limits, clock.patience, driving=True)
-        self._opened = self._guarding = self._closing = False
+        self._interlocks = Interlocks(rig.limits, rig.roles, clock.patience, driving=True)
+        self._commanding = self._opened = self._guarding = self._closing = False
         self._disk_slow = False
 
     def open(self) -> Session:
@@ -94,7 +94,8 @@ class Session:
             self._start_readers()
             for name, device in self._known.items():
                 self.identities[name] = device.driver.open(name, device.settings, self._talk(name))
-            self.drive.start()
+            if self._drive is not None:
+                self._drive.start()
             self._wait_alive("every device to send samples")
             self._begin_anew(None)  # what waited in the ports' buffers was late and would mislead the clock maps
             self._wait_alive("every device to go on sending samples")
@@ -111,7 +112,7 @@ class Session:
         Nothing is configured and nothing is turned; a device may be silent. Identities are those given to the session,
         else the rig file's word counts.
         """
-        self._interlocks = Interlocks(self.rig.limits, self.clock.patience, driving=False)
+        self._interlocks = Interlocks(self.rig.limits, self.rig.roles, self.clock.patience, driving=False)
         try:
             self._open_links()
             self.start_recording(path, metadata)
@@ -130,11 +131,13 @@ class Session:
         for device in self._known.values():
             device.driver.prepare()
         for name, device in self._known.items():
-            link = open_link(device.line.port, device.line.baud, device.line.bitrate)
+            line = device.line
+            link = open_link(line.port, line.baud, line.bitrate, line.parity)
             self._devices[name] = DeviceReader(name, link, device.pipeline({}), self.clock, device.driver.rest_s)
 
     def _take_command(self) -> None:
         """Of what turns the rotor and of what holds the pendulums."""
+        self._commanding = True
         guard = RotorGuard(self._permit, self.rotor_at_rest, lambda: self._interlocks.speed_rpm(self.clock.now_ns()))
         for name, device in self._known.items():
             send = partial(self.send, name)
@@ -205,10 +208,10 @@ class Session:
         Returns:
             What there is to say of a rotor that is not known to stand; empty when it stands.
         """
-        if self._drive is None:
+        if not self._commanding:
             return ""
         try:
-            rest = self.drive.stop(self._say)
+            rest = self._drive is None or self._drive.stop(self._say)
         except (LinkLost, DeviceError):  # its own watchdog stops it now; the index marks show it
             rest, end = False, time.monotonic() + _BY_ITSELF_S
             while self._opened and self.rotor_at_rest() is False and time.monotonic() < end:
@@ -231,9 +234,19 @@ class Session:
 
     @property
     def drive(self) -> SpeedSource:
-        """The motor drive of an open session."""
-        assert self._drive is not None, "the session is not open"
+        """What turns the rotor in an open session.
+
+        Raises:
+            DeviceError: nothing does.
+        """
+        if self._drive is None:
+            raise DeviceError(f"rig {self.rig.name} has no open speed source: nothing turns its rotor by command")
         return self._drive
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Channels that its devices fill all the time."""
+        return tuple(channel.topic for device in self._known.values() for channel in device.channels)
 
     def _silent(self) -> list[str]:
         """Devices of which no sample has come."""
@@ -333,7 +346,7 @@ class Session:
                     recorder.event(item, host_ns)
             elif not self._guarding:
                 continue
-            elif self._drive is None or self.lenient:
+            elif not self._commanding or self.lenient:
                 self._notice(item.text)
             elif self.trouble is None:  # later ones change nothing
                 kind = DeviceError if item.cause == "device" else ProcedureError
@@ -409,7 +422,7 @@ class Session:
                 continue
             look = now + _WATCH_S
             still = {n for n, d in self._devices.items() if now - d.heard_s > _SILENCE_S}
-            for name in still & silent if self._drive is not None else ():  # seen twice: no host that was asleep
+            for name in still & silent if self._commanding else ():  # seen twice: no host that was asleep
                 self._fail(
                     DeviceError(f"{name}: silent for {_SILENCE_S:g} s. Look at its cable, its power, its battery")
                 )
@@ -443,18 +456,34 @@ class Session:
         if recorder.trouble is not None:
             self._fail(recorder.trouble)
 
-    @property
-    def node(self) -> NodePipeline:
-        """What decodes the encoder node, with the node's newest word of itself."""
-        pipeline = self._devices["encoder"].pipeline
-        assert isinstance(pipeline, NodePipeline)
-        return pipeline
+    def told(self, name: str) -> tuple[bool, str]:
+        """Whether a device has said what it is, with all that this leads to done, and what was wrong with it.
 
-    @property
-    def node_status(self) -> Status | None:
-        """The node's newest word of itself, when all that it leads to has been done."""
-        with self._devices["encoder"].lock:
-            return self.node.status
+        A device that never says anything of itself has said all there is.
+        """
+        device = self._devices[name]
+        with device.lock:
+            pipeline = device.pipeline
+            return (pipeline.told, pipeline.complaint) if isinstance(pipeline, TellsItself) else (True, "")
+
+    def all_told(self) -> bool:
+        """Whether every device has said what it is."""
+        return all(self.told(name)[0] for name in self._devices)
+
+    def own_checks(self, events: Iterable[Event]) -> dict[str, Checks]:
+        """What drivers look at in their open devices, by device.
+
+        Args:
+            events: of the seconds that were looked at.
+        """
+        happened = list(events)
+        return {
+            name: device.driver.checks(
+                device.settings, self._devices[name].pipeline, self._drive if name == self._drive_name else None,
+                [event for event in happened if event.device == name],
+            )
+            for name, device in self._known.items()
+        }  # fmt: skip
 
     # --- recording ---------------------------------------------------------------------------------------------
 
@@ -495,8 +524,9 @@ class Session:
         attachments = {
             "rig.json": self.rig.snapshot_json(),
             "identities.json": json.dumps(self.identities).encode(),
+            "roles.json": self.rig.roles_json(),
         }
-        recorder = Recorder(path, self.clock, facts, attachments, tuple(self._devices))
+        recorder = Recorder(path, self.clock, facts, attachments, tuple(self._devices), self._channels)
         self._begin_anew(recorder)
 
     def _begin_anew(self, recorder: Recorder | None) -> None:

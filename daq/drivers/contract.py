@@ -9,13 +9,17 @@ file.
 from __future__ import annotations
 
 import queue
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from daq.channels import Channel
+from daq.drivers.checks import Checks
 from daq.drivers.items import Batch, Event
+from daq.drivers.played import PlayedDevice
+from daq.drivers.simulated import FarEnd
 from daq.transports.host_clock import HostClock
+from rig_configs.device import DeviceSettings
 
 
 @dataclass(frozen=True)
@@ -26,11 +30,13 @@ class Line:
         port: as `daq.transports.open_link` takes it.
         baud: of a serial port.
         bitrate: of the CAN bus behind an adapter, bit/s; None where there is none.
+        parity: of a serial port: none, even or odd.
     """
 
     port: str
     baud: int
     bitrate: int | None = None
+    parity: Literal["N", "E", "O"] = "N"
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,19 @@ class Pipeline(Protocol):
         ...
 
 
+@runtime_checkable
+class TellsItself(Protocol):
+    """A pipeline of a device that says now and then what it is, unasked.
+
+    Attributes:
+        told: whether it has.
+        complaint: what of it the rig file says otherwise, so that its samples cannot be believed; empty when nothing.
+    """
+
+    told: bool
+    complaint: str
+
+
 class Talk(Protocol):
     """An open device while a driver talks to it."""
 
@@ -105,6 +124,11 @@ class Driver(Protocol):
         ...
 
     @property
+    def settings(self) -> type[DeviceSettings]:
+        """Of a device's table in the rig file; they say which roles the device plays."""
+        ...
+
+    @property
     def rest_s(self) -> float:
         """How long its reader may rest between two looks at the line, rig s: short where the host's time counts."""
         ...
@@ -115,6 +139,10 @@ class Driver(Protocol):
 
     def channels(self, settings: Any) -> tuple[Channel, ...]:
         """Those that a healthy device fills all the time."""
+        ...
+
+    def occasional(self, settings: Any) -> tuple[Channel, ...]:
+        """Those that it fills now and then: index marks come only from a rotor that turns."""
         ...
 
     def clocks(self, settings: Any) -> tuple[SampleClock, ...]:
@@ -135,6 +163,32 @@ class Driver(Protocol):
 
     def words(self, event: Event) -> str:
         """An emergency of a device, for its operator; empty when it is one that has passed."""
+        ...
+
+    def checks(self, settings: Any, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]) -> Checks:
+        """What only it can look at in an open device, beside what every device of its roles is looked at for.
+
+        Args:
+            pipeline: of the device, after some seconds of stream.
+            control: who holds the device, where it turns the rotor.
+            events: of the device in those seconds.
+        """
+        ...
+
+    def far_end(self, device: str, settings: Any, world: Any) -> FarEnd:
+        """A simulated device.
+
+        Args:
+            world: a `daq.virtual_rig.world.World`.
+        """
+        ...
+
+    def played(self, settings: Any, identity: Mapping[str, Any]) -> PlayedDevice:
+        """What stands in for a device of a log while it is played.
+
+        Raises:
+            LogError: an identity no such device has.
+        """
         ...
 
     def prepare(self) -> None:

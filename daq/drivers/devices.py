@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq.channels import Channel
+from daq.channels import CHANNELS, Channel
 from daq.drivers.contract import Driver, Line, Pipeline, SampleClock
+from daq.drivers.played import PlayedDevice
 from daq.drivers.registry import driver
-from rig_configs.schema import Devices, Table
+from daq.drivers.simulated import FarEnd
+from rig_configs.device import DeviceSettings
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,7 @@ class Device:
     """One device of a rig: its name and settings in the rig file, and the driver these ask for."""
 
     name: str
-    settings: Table
+    settings: DeviceSettings
     driver: Driver
 
     @property
@@ -32,25 +34,48 @@ class Device:
         return self.driver.channels(self.settings)
 
     @property
+    def occasional(self) -> tuple[Channel, ...]:
+        """See Driver."""
+        return self.driver.occasional(self.settings)
+
+    @property
     def clocks(self) -> tuple[SampleClock, ...]:
         """See Driver."""
         return self.driver.clocks(self.settings)
+
+    def far_end(self, world: Any) -> FarEnd:
+        """See Driver."""
+        return self.driver.far_end(self.name, self.settings, world)
+
+    def played(self, identity: Mapping[str, Any]) -> PlayedDevice:
+        """See Driver."""
+        return self.driver.played(self.settings, identity)
 
     def pipeline(self, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
         return self.driver.pipeline(self.name, self.settings, identity)
 
 
-def devices_of(devices: Devices) -> dict[str, Device]:
-    """All devices of a rig file, by name, in the file's order of the schema.
+def devices_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Device]:
+    """All devices of a rig file, by name, in the file's order.
 
     Raises:
         DeviceError: a driver is not installed.
     """
-    return {name: Device(name, settings, driver(settings.driver)) for name, settings in devices}
+    return {name: Device(name, settings, driver(settings.driver)) for name, settings in devices.items()}
 
 
-def make_pipelines(devices: Devices, identities: Mapping[str, Mapping[str, Any]]) -> dict[str, Pipeline]:
+def channels_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Channel]:
+    """Every channel that a log of these devices may hold, by topic: the usual ones, then what drivers add."""
+    found = dict(CHANNELS)
+    for device in devices_of(devices).values():
+        found |= {channel.topic: channel for channel in (*device.channels, *device.occasional)}
+    return found
+
+
+def make_pipelines(
+    devices: Mapping[str, DeviceSettings], identities: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Pipeline]:
     """Fresh pipelines for all devices of a rig.
 
     Args:

@@ -91,9 +91,7 @@ def import_recording(
     releases = release_events(parts, recipe.release_s, start_ns or first)
     events = sorted([*gap_events(parts, noticed), *releases], key=lambda event: event.facts["time_ns"])
     noticed.warnings += _remarks({part.channel.topic for part in parts}, recipe)
-    clock = recorder_clock(
-        recipe.clock_tolerance_ppm, recipe.recorder, rig, {DEVICES[part.channel.topic] for part in parts}
-    )
+    clock = recorder_clock(recipe.clock_tolerance_ppm, recipe.recorder, rig, {part.channel.topic for part in parts})
     noticed.warnings += [clock.warning] if clock.warning else []
     facts = {**_facts(recording, rig, recipe, clock), **({"started": iso_time(first)} if is_known else {})}
     attachments = _attachments(recording, rig, recipe, noticed)
@@ -154,8 +152,7 @@ def _facts(recording: Recording, rig: Rig, recipe: Recipe, clock: RecorderClock)
 
 def _attachments(recording: Recording, rig: Rig, recipe: Recipe, noticed: Noticed) -> dict[str, bytes]:
     if recipe.counts_per_revolution is not None:
-        encoder = rig.devices.encoder.model_copy(update={"counts_per_revolution": recipe.counts_per_revolution})
-        rig = rig.model_copy(update={"devices": rig.devices.model_copy(update={"encoder": encoder})})
+        rig = _with_counts(rig, recipe.counts_per_revolution)
     paths = [recording.path, *([marks] if (marks := marks_file(recipe)) else [])]
     made_of = {
         "files": [{"name": p.name, "sha256": file_sha256(p), "bytes": p.stat().st_size} for p in paths],
@@ -166,3 +163,12 @@ def _attachments(recording: Recording, rig: Rig, recipe: Recipe, noticed: Notice
     }
     text = json.dumps(made_of, ensure_ascii=False, indent=1)
     return {"rig.json": rig.snapshot_json(), "identities.json": b"{}", "import.json": text.encode()}
+
+
+def _with_counts(rig: Rig, counts_per_revolution: int) -> Rig:
+    """The rig with other encoders."""
+    if rig.roles.angles is None:
+        raise ExchangeError(f"--counts-per-revolution: rig {rig.name} has no device that tells the pendulums' angles")
+    name = rig.roles.angles.device
+    encoder = rig.devices[name].model_copy(update={"counts_per_revolution": counts_per_revolution})
+    return rig.model_copy(update={"devices": {**rig.devices, name: encoder}})

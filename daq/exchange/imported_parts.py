@@ -18,6 +18,7 @@ from daq.exchange.recipe import Recipe
 from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions_of_marks
 
 DEVICES = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "tacho": "encoder"}
+"""What a log of a recording made elsewhere calls the source of each channel; no device of a rig file is meant."""
 _LEAST_RELEASE_STD_S = 1e-4
 
 

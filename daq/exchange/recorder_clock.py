@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from daq.signals.run import ASSUMED_TOLERANCE_PPM
 from rig_configs.schema import Rig
 
+_TOLERANCE = "clock_tolerance_ppm"
+
 
 @dataclass(frozen=True)
 class RecorderClock:
@@ -45,19 +47,20 @@ class RecorderClock:
         )
 
 
-def recorder_clock(stated_ppm: float | None, recorder: str, rig: Rig, devices: Iterable[str]) -> RecorderClock:
+def recorder_clock(stated_ppm: float | None, recorder: str, rig: Rig, topics: Iterable[str]) -> RecorderClock:
     """The clock of a file.
 
     Args:
         stated_ppm: what the operator says of it, if anything.
         recorder: the operator's name for the recorder, or "".
         rig: its file may say how good the devices' clocks are.
-        devices: "laser_x", "laser_y", "encoder": those whose readings the file holds; the least certain counts.
+        topics: of the channels that the file holds; the least certain of the devices that fill them on the rig counts.
     """
     if stated_ppm is not None:
         return RecorderClock(stated_ppm, "stated", recorder)
-    told = [getattr(rig.devices, device) for device in devices]
-    known = [float(d.clock_tolerance_ppm) for d in told if "clock_tolerance_ppm" in d.model_fields_set]
+    filled = rig.roles.device_of
+    told = [rig.devices[device] for device in sorted({filled[topic] for topic in topics if topic in filled})]
+    known = [float(getattr(d, _TOLERANCE)) for d in told if _TOLERANCE in d.model_fields_set]
     if known and len(known) == len(told):
         return RecorderClock(max(known), "rig file", recorder)
     return RecorderClock(max([ASSUMED_TOLERANCE_PPM, *known]), "assumed", recorder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -109,11 +108,8 @@ def _check(
         ExchangeError: readings far beyond what there can be.
     """
     option, quantity = f"--{name}", QUANTITIES[name]
-    lasers: Mapping[str, float] = {
-        axis: laser.range_m / laser.lever_ratio
-        for axis, laser in (("x", rig.devices.laser_x), ("y", rig.devices.laser_y))
-    }
-    limits = {**lasers, "speed": rig.limits.speed_rpm * math.pi / 30}
+    lasers = {sensor.axis: 2 * sensor.reach_m for sensor in rig.roles.displacements}
+    limits = {"x": math.inf, "y": math.inf, **lasers, "speed": rig.limits.speed_rpm * math.pi / 30}
     check_size(readings, choice, quantity, limits.get(name, _MOST_TURNS_RAD), column, option)
     warnings = [check_rate(readings.time_ns, time, option)]
     if quantity == "length":

@@ -16,16 +16,18 @@ from numpy.typing import NDArray
 
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
+from daq.channels import LOCKS_CLOSED
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests import test_inputs
 from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending
 from daq.signals.settling import Settling, locked_settled, settled
+from rig_configs.roles import PendulumAngles, SpeedSource
 
 _RPM = math.pi / 30
 _HUMAN_S = 120.0  # how long a person may take, wall seconds
 _ANSWER_S = 5.0  # how long a device may take, wall seconds
-_LOCKS = 0x60  # lock flags of an encoder block
+_LOCKS = LOCKS_CLOSED
 _STATUS_S = 2.5  # the node tells its state each second; one of them may be lost
 _LOCKED_LOOK_S = 0.2  # how long closed locks are looked at before they are believed
 _SEEN_S = 10.0  # how far back to look for what a person did; a person may take minutes, the signals must stay few
@@ -268,7 +270,7 @@ class Procedures:
     def _spin_up(self, test: str, rpm: float) -> None:
         drive = self._s.drive
         self._enable()
-        ramp = self._s.rig.devices.drive.ramp_rpm_per_s
+        ramp = self._speed().ramp_rpm_per_s
         limit_s = _SPIN_UP_S + 1.5 * rpm / ramp
         drive.set_ramp(ramp)
         drive.set_speed(rpm)
@@ -280,6 +282,16 @@ class Procedures:
         if not self._look_until(at_speed, limit_s):
             seen = f"{drive.actual_rpm:.0f} rpm after {limit_s:.0f} s, expected {rpm:.0f}"
             raise self._stopped(f"{test}: {seen}. Look at the drive")
+
+    def _speed(self) -> SpeedSource:
+        role = self._s.rig.roles.speed
+        assert role is not None, "the test was refused without one"
+        return role
+
+    def _angles(self) -> PendulumAngles:
+        role = self._s.rig.roles.angles
+        assert role is not None, "the test was refused without one"
+        return role
 
     def _expects_slipping(self, point: str) -> bool:
         known = self._s.rig.points.get(point)
@@ -347,7 +359,7 @@ class Procedures:
         if self._angles_needed:
             _, (flags,) = self._newest("pendulums", ("flags",), _LOOK_S)
             if faults := flagged(flags):
-                raise self._stopped(f"encoder: {'. '.join(faults)}; the rotor was stopped")
+                raise self._stopped(f"{self._angles().device}: {'. '.join(faults)}; the rotor was stopped")
 
     def _since(self, seconds: float) -> int:
         return self._clock.now_ns() - int(seconds * 1e9)
@@ -369,8 +381,8 @@ class Procedures:
 
     def _valid(self, topic: str, seconds: float) -> float:
         """How many seconds of valid samples a laser's newest stretch holds."""
-        rates = {"laser/x": self._s.rig.devices.laser_x.rate_Hz, "laser/y": self._s.rig.devices.laser_y.rate_Hz}
         _, (x,) = self._newest(topic, ("displacement_m",), seconds)
+        rates = {sensor.topic: sensor.rate_Hz for sensor in self._s.rig.roles.displacements}
         return float(np.count_nonzero(np.isfinite(x))) / rates[topic]
 
     def _largest_since(self, topic: str, since_ns: int, rest_m: float) -> float:
@@ -420,7 +432,7 @@ class Procedures:
     def _steady(self, released_ns: int, tolerances: Mapping[str, float]) -> Settling:
         since = released_ns - 1_500_000_000  # some of the time before, to know how the pendulums stood
         signals = self._signals(since, max(since, self._since(15.0)))
-        step = 2 * math.pi / self._s.rig.devices.encoder.counts_per_revolution
+        step = self._angles().step_rad
         return settled(*signals, release_time_s=(released_ns - since) * 1e-9, angle_step_rad=step, **tolerances)
 
     def _at_rest_and_locked(self, angles_needed: bool = True) -> None:
@@ -438,19 +450,20 @@ class Procedures:
         """
         self._clock.sleep(_LOCKED_LOOK_S)
         # one of other counts ends the test; patience, since without it the angles would be blamed
-        self._look_until(lambda: self._s.node_status is not None, _STATUS_S + self._clock.patience(_STATUS_S))
+        device = self._angles().device
+        self._look_until(lambda: self._s.told(device)[0], _STATUS_S + self._clock.patience(_STATUS_S))
         self._s.check()
-        if self._s.node.miscount:  # said while the session was still opening, when nobody was to be stopped
-            raise DeviceError(f"encoder: {self._s.node.miscount}")
+        if complaint := self._s.told(device)[1]:  # made while the session still opened, when nobody was to be stopped
+            raise DeviceError(f"{device}: {complaint}")
         _, (a, b, flags) = self._newest("pendulums", ("theta3_rad", "theta4_rad", "flags"), 0.5 * _LOCKED_LOOK_S)
-        zero_std = self._s.rig.devices.encoder.zero_std_deg
+        zero_std = self._angles().zero_std_deg
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, zero_std))]
         trouble = ". ".join(text for text in wrong if text)
         if trouble and angles_needed:
-            raise ProcedureError(f"encoder: {trouble}. Nothing was turned, nothing recorded")
-        self._warn(f"encoder: {trouble}" if trouble else "")
+            raise ProcedureError(f"{device}: {trouble}. Nothing was turned, nothing recorded")
+        self._warn(f"{device}: {trouble}" if trouble else "")
         self._angles_needed = angles_needed
-        self._warn("encoder: the node's battery is low; change it before the next test" if battery_low(flags) else "")
+        self._warn(f"{device}: its battery is low; change it before the next test" if battery_low(flags) else "")
 
     def _stop_rotor(self) -> None:
         drive = self._s.drive

@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from pydantic import ValidationError
+
 from daq.errors import LogError
 from daq.log import Log
+from rig_configs.device import StoredDevice
+from rig_configs.drivers import installed
 from rig_configs.errors import RigConfigError
 from rig_configs.load import validate
 from rig_configs.schema import Rig
 
-RIG, IDENTITIES = "rig.json", "identities.json"
-_NEEDED_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
-_MOST_WORDS, _LONGEST_RANGE_M = 32, 1e3
+RIG, IDENTITIES, ROLES = "rig.json", "identities.json", "roles.json"
+_LONGEST_RANGE_M = 1e3
 
 
 def snapshot_of(log: Log) -> dict[str, Any]:
@@ -32,16 +35,34 @@ def rig_of(log: Log) -> Rig:
         LogError: the log has none, or one that this version cannot read.
     """
     try:
-        return validate(snapshot_of(log), f"{log.path}: {RIG}")
+        return validate(_with_stored(log, snapshot_of(log)), f"{log.path}: {RIG}")
     except RigConfigError as fault:
         raise LogError(f"{fault}\nThe log was recorded with another version of the rig file") from fault
+
+
+def _with_stored(log: Log, raw: dict[str, Any]) -> dict[str, Any]:
+    """The same, with the roles that the log keeps in place of settings whose driver is not installed here."""
+    devices = raw.get("devices")
+    if ROLES not in log.attachments or not isinstance(devices, dict):
+        return raw
+    roles = _table(log, ROLES)
+    unknown = [
+        name for name, table in devices.items()
+        if isinstance(table, dict) and isinstance(table.get("driver"), str) and table["driver"] not in installed()
+    ]  # fmt: skip
+    for name in unknown:
+        try:
+            devices[name] = StoredDevice.model_validate({**devices[name], "stored_roles": tuple(roles.get(name, ()))})
+        except ValidationError as fault:
+            raise LogError(f"{log.path}: {ROLES}: {name}: cannot be what a device is to a rig: {fault}") from fault
+    return raw
 
 
 def identities_of(log: Log) -> dict[str, dict[str, Any]]:
     """What each device said of itself when it was opened; empty where nothing was asked.
 
     Raises:
-        LogError: it cannot be what a device said; a range or a laser's words that no stream can be decoded with.
+        LogError: it cannot be what a device said, or names a range that no sensor has.
     """
     if IDENTITIES not in log.attachments:
         return {}
@@ -51,8 +72,6 @@ def identities_of(log: Log) -> dict[str, dict[str, Any]]:
         if not isinstance(told, dict):
             raise LogError(f"{place}: expected a table of what the device said, got {type(told).__name__}")
         _check_range(told.get("range_m", 1.0), place)
-        if device.startswith("laser") and "words" in told:
-            _check_words(told["words"], place)
     return identities
 
 
@@ -60,15 +79,6 @@ def _check_range(value: Any, place: str) -> None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not 0 < value < _LONGEST_RANGE_M:
         raise LogError(f"{place}.range_m: expected a range above 0 m, got {str(value)[:60]!r}")
-
-
-def _check_words(value: Any, place: str) -> None:
-    names = value if isinstance(value, list) and all(isinstance(name, str) for name in value) else []
-    if not 0 < len(names) <= _MOST_WORDS or len({*names}) < len(names) or not {*_NEEDED_WORDS} <= {*names}:
-        raise LogError(
-            f"{place}.words: expected the words of the laser's stream, each once, {', '.join(_NEEDED_WORDS)} among "
-            f"them, got {str(value)[:60]!r}"
-        )
 
 
 def _table(log: Log, name: str) -> dict[str, Any]:

@@ -5,7 +5,8 @@ A program that only listens gets every byte from the first; one that configures 
 gets the bytes from when it has told them to send.
 """
 
-from daq.playback.devices import PlayedDevice, played_devices
+from daq.drivers.played import PlayedDevice
+from daq.playback.devices import played_devices
 from daq.playback.outlets import LinkOutlet, Outlet, open_outlets
 from daq.playback.player import BACKLOG_BYTES, Playback, Played
 

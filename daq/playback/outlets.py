@@ -6,13 +6,15 @@ import difflib
 from collections.abc import Mapping
 from typing import Protocol
 
+from daq.drivers.contract import Line
+from daq.drivers.devices import devices_of
 from daq.errors import LinkLost, LogError
 from daq.log import Log
 from daq.log.snapshot import rig_of
 from daq.transports.link import Link, open_link
 from daq.transports.wires import KINDS, make_wire
 
-_DRIVE_BAUD = 115_200  # of the CAN adapter's own serial line
+_USUAL_BAUD = 115_200  # where nobody says what a line's is
 _PIECE_BYTES = 4096  # offered to a port that takes all or blocks
 
 
@@ -98,10 +100,12 @@ def open_outlets(log: Log, to: str) -> dict[str, Outlet]:
     if to in KINDS:
         return _new_ports(log.devices, to)
     ports = _named_ports(log, to)
+    lines = _lines(log)
     outlets: dict[str, Outlet] = {}
     try:
         for device, port in ports.items():
-            outlets[device] = LinkOutlet(open_link(port, *_line_rate(log, device)))
+            line = lines[device]
+            outlets[device] = LinkOutlet(open_link(port, line.baud, line.bitrate, line.parity))
     except BaseException:
         for outlet in outlets.values():
             outlet.close()
@@ -137,7 +141,7 @@ def _named_ports(log: Log, to: str) -> Mapping[str, str]:
     return ports
 
 
-def _line_rate(log: Log, device: str) -> tuple[int, int | None]:
-    """Baud of the device's serial line and bit rate of its CAN bus, as they were."""
-    config = getattr(rig_of(log).devices, device, None)
-    return getattr(config, "baud", _DRIVE_BAUD), getattr(config, "bitrate", None)
+def _lines(log: Log) -> Mapping[str, Line]:
+    """What carried the bytes of each device."""
+    known = devices_of(rig_of(log).devices)
+    return {name: known[name].line if name in known else Line("", _USUAL_BAUD) for name in log.devices}

@@ -11,9 +11,9 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from daq.drivers.played import PlayedDevice
 from daq.errors import DeviceError, LinkLost
 from daq.log.samples import RawChunk
-from daq.playback.devices import PlayedDevice
 from daq.playback.outlets import Outlet
 from daq.replay.pace import Clock, Pace
 from daq.transports.host_clock import HostClock

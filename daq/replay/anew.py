@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.channels import CHANNELS, EVENTS_TOPIC, HEALTH_TOPIC
+from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, Channel
 from daq.drivers.contract import Pipeline
-from daq.drivers.devices import make_pipelines
+from daq.drivers.devices import channels_of, make_pipelines
 from daq.drivers.items import Batch, joined
 from daq.errors import LogError
 from daq.log import Log, open_log
@@ -72,6 +72,7 @@ def decode_anew(
         attachments = {
             **log.attachments,
             "rig.json": rig.snapshot_json(),
+            "roles.json": rig.roles_json(),
             "rig.origin.json": log.attachments["rig.json"],
         }
         attachments["identities.json"] = json.dumps(identities).encode()
@@ -80,9 +81,10 @@ def decode_anew(
             attachments["calibration.toml"] = calibration.text.encode()
         pipelines = make_pipelines(rig.devices, identities)
         facts = _facts(log, calibration)
-        new = LogFile(Path(out), facts, attachments, log.devices, time.time_ns())
+        known = channels_of(rig.devices)
+        new = LogFile(Path(out), facts, attachments, log.devices, time.time_ns(), known.values())
         try:
-            copy = _Copy(log, new, pipelines)
+            copy = _Copy(log, new, pipelines, known)
             copy.run(progress)
             missing = tuple(str(place) for place in log.missing)
             losses = {device: dict(pipeline.losses) for device, pipeline in pipelines.items()}
@@ -98,9 +100,9 @@ def decode_anew(
 class _Copy:
     """Moves one log into another, everything in the order it happened."""
 
-    def __init__(self, log: Log, new: LogFile, pipelines: Mapping[str, Pipeline]) -> None:
+    def __init__(self, log: Log, new: LogFile, pipelines: Mapping[str, Pipeline], known: Mapping[str, Channel]) -> None:
         self._log, self._new, self._pipelines = log, new, pipelines
-        self._comparisons = {topic: ChannelComparison(log, topic, None, cut=True) for topic in CHANNELS}
+        self._comparisons = {topic: ChannelComparison(log, channel, None, cut=True) for topic, channel in known.items()}
         self._waiting: dict[str, list[tuple[Batch, int]]] = {}
         self._since_ns = 0
 

@@ -21,14 +21,6 @@ from rig_configs.regular_file import need_regular
 from rig_configs.schema import Rig
 from rig_configs.toml_text import parse_toml, read_text
 
-_LASER = ("range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm")
-CALIBRATION_KEYS: Mapping[str, tuple[str, ...]] = {
-    "laser_x": _LASER,
-    "laser_y": _LASER,
-    "encoder": ("counts_per_revolution", "index_angle_deg", "zero_std_deg", "clock_tolerance_ppm"),
-}
-"""What a calibration may name; anything else of a rig file says how it was recorded, and no file changes that now."""
-
 
 @dataclass(frozen=True)
 class Calibration:
@@ -48,7 +40,7 @@ class Calibration:
         """Read a calibration file.
 
         Raises:
-            RigFileError: it cannot be read, is no TOML, or names anything but calibration; gives the nearest name.
+            RigFileError: it cannot be read, is no TOML, or names anything but devices; gives the nearest name.
         """
         try:
             need_regular(path)
@@ -62,10 +54,13 @@ class Calibration:
         """The rig file with these numbers in it.
 
         Raises:
-            RigFileError: a number cannot be what its name says.
+            RigFileError: no such device, or a key of it that is no calibration; gives the nearest name. Or a number
+                that cannot be what its name says.
         """
         raw = rig.model_dump(exclude_none=True)
+        _only(self.devices, tuple(rig.devices), "devices.", self.source)
         for device, table in self.devices.items():
+            _only(table, rig.devices[device].calibration, f"devices.{device}.", self.source)
             raw["devices"][device] |= table
         return validate(raw, self.source)
 
@@ -86,13 +81,9 @@ class Calibration:
 def _devices(raw: Mapping[str, Any], source: str) -> dict[str, dict[str, Any]]:
     _only(raw, ("devices",), "", source)
     devices = _table(raw.get("devices", {}), "devices", source)
-    _only(devices, tuple(CALIBRATION_KEYS), "devices.", source)
-    found: dict[str, dict[str, Any]] = {}
-    for device, table in devices.items():
-        found[device] = _table(table, f"devices.{device}", source)
-        _only(found[device], CALIBRATION_KEYS[device], f"devices.{device}.", source)
+    found = {device: _table(table, f"devices.{device}", source) for device, table in devices.items()}
     if not any(found.values()):
-        raise RigFileError(f"{source}: expected a table like [devices.laser_x] with a calibration, found none")
+        raise RigFileError(f"{source}: expected a table like [devices.NAME] with a calibration, found none")
     return found
 
 

@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.channels import CHANNELS, HEALTH_TOPIC
+from daq.channels import HEALTH_TOPIC
+from daq.drivers.devices import channels_of
 from daq.drivers.items import Batch
 from daq.log import Log, open_log
 from daq.log.samples import Missing
+from daq.log.snapshot import rig_of
 from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
 from daq.replay.stream import decoded, pipelines_of
 
@@ -64,10 +66,13 @@ def check_log(log: Log, progress: Progress | None = None) -> Check:
     log.verify()  # all of it before anything is compared: what is damaged decides how far
     until_ns = first_hole_ns(log.missing)
     cut = any(place.messages != 0 for place in log.missing) or "recovered" in log.metadata
-    comparisons = {topic: ChannelComparison(log, topic, until_ns, cut) for topic in CHANNELS}
+    rig = rig_of(log)
+    known = channels_of(rig.devices)
+    comparisons = {topic: ChannelComparison(log, channel, until_ns, cut) for topic, channel in known.items()}
     events = EventComparison(log, pipelines, until_ns, cut)
     share = share_of(log, progress)
-    unflagged = {topic.replace("/", "_") for topic, comparison in comparisons.items() if comparison.unasked}
+    device_of = rig.roles.device_of
+    unflagged = {device_of[topic] for topic, comparison in comparisons.items() if comparison.unasked}
     for _, chunk, items in decoded(log, pipelines):
         for item in items:
             if isinstance(item, Batch):
@@ -76,7 +81,7 @@ def check_log(log: Log, progress: Progress | None = None) -> Check:
                 events.add(item, chunk.host_ns)
         share(chunk.host_ns)
     rows = (*(comparison.result() for comparison in comparisons.values()), events.result())
-    notes = [*_notes(log, set(pipelines), until_ns, rows)]
+    notes = [*_notes(log, set(pipelines), set(known), until_ns, rows)]
     notes += [f"not compared, the log is of a version that did not write it: {', '.join(comparison.unasked)} of {topic}"
               for topic, comparison in comparisons.items() if comparison.unasked]  # fmt: skip
     return Check(rows, until_ns, tuple(notes))
@@ -115,7 +120,9 @@ def share_of(log: Log, progress: Progress | None) -> Callable[[int], None]:
     return tell
 
 
-def _notes(log: Log, decodable: set[str], until_ns: int | None, rows: tuple[ChannelCheck, ...]) -> Iterator[str]:
+def _notes(
+    log: Log, decodable: set[str], known: set[str], until_ns: int | None, rows: tuple[ChannelCheck, ...]
+) -> Iterator[str]:
     if until_ns is not None:
         until_s = max(0, until_ns - log.start_ns) * 1e-9
         yield f"raw bytes are missing: compared up to {until_s:.3f} s after the log's start, not beyond"
@@ -127,7 +134,7 @@ def _notes(log: Log, decodable: set[str], until_ns: int | None, rows: tuple[Chan
     unknown = sorted(set(log.devices) - decodable)
     if unknown:
         yield f"not decoded, this version knows no such device: {', '.join(unknown)}"
-    others = sorted(set(log) - set(CHANNELS))
+    others = sorted(set(log) - known)
     if others:
         yield f"not compared, not made from raw bytes: {', '.join(others)}"
     run = log.metadata.get("run", {})

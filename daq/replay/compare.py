@@ -111,9 +111,10 @@ class ChannelComparison:
         unasked: fields that are decoded now and that no log of the version that wrote this one has.
     """
 
-    def __init__(self, log: Log, topic: str, until_ns: int | None, cut: bool) -> None:
+    def __init__(self, log: Log, channel: channels.Channel, until_ns: int | None, cut: bool) -> None:
+        topic = channel.topic
         self._topic, self._until_ns, self._cut = topic, until_ns, cut
-        self._channel = channels.CHANNELS[topic]
+        self._channel = channel
         self._rows = StoredRows(log, topic)
         names = set(self._rows.names)
         later = set(self._channel.later) - names  # that log's version did not write them

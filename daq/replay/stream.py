@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import make_pipelines
@@ -11,6 +12,7 @@ from daq.errors import DeviceError, LogError
 from daq.log import Log
 from daq.log.samples import RawChunk
 from daq.log.snapshot import identities_of, rig_of
+from rig_configs.schema import Rig
 
 Decoded = tuple[str, RawChunk, list[Batch | Event]]
 """A device, bytes of one read or write, and what its pipeline made of them."""
@@ -28,10 +30,22 @@ def pipelines_of(log: Log) -> dict[str, Pipeline]:
     for device, told in identities.items():
         if not isinstance(told, dict):
             raise LogError(f"{log.path}: identities.json: expected a table under {device!r:.80}, got {told!r:.80}")
+    return pipelines_with(rig_of(log), identities, str(log.path))
+
+
+def pipelines_with(rig: Rig, identities: Mapping[str, Mapping[str, Any]], source: str) -> dict[str, Pipeline]:
+    """Fresh pipelines for devices that said this of themselves.
+
+    Args:
+        source: of the identities, for a message.
+
+    Raises:
+        LogError: no such device can have said it, or its driver is not installed.
+    """
     try:
-        return make_pipelines(rig_of(log).devices, identities)
+        return make_pipelines(rig.devices, identities)
     except DeviceError as fault:
-        raise LogError(f"{log.path}: {fault}: its bytes cannot be decoded again") from fault
+        raise LogError(f"{source}: identities.json: {fault}: its bytes cannot be decoded") from fault
 
 
 def decoded(log: Log, pipelines: Mapping[str, Pipeline]) -> Iterator[Decoded]:

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.channels import DEVICE_TICK_S, LOCK_A_CLOSED, LOCK_B_CLOSED, suspects
 from daq.clock import ClockLine, fit_line
-from daq.drivers.optoncdt import wire as optoncdt
-from daq.drivers.optoncdt.spikes import suspects
 from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.log.losses import losses_of
 from daq.log.outcome import not_reached_of
 from daq.log.samples import Samples
 from daq.log.snapshot import identities_of, rig_of
+from rig_configs.roles import Displacement, PendulumAngles, Roles, RotorPhase
 
 ASSUMED_TOLERANCE_PPM = 50.0
 """Standard uncertainty of the rate of a clock of which nothing is said: an ordinary quartz over a laboratory's year."""
@@ -56,16 +56,16 @@ class Run:
         source: the log's path, for messages.
         start_s: the run's start in seconds since 1970; every other time counts from it.
         x_time_s, x_m: laser x, shape (n,), disk-centre displacement; NaN where the sensor said "invalid"
-            and where the line's damage shows (`daq.drivers.optoncdt.spikes`).
+            and where the line's damage shows (`daq.channels.suspects`).
         y_time_s, y_m: laser y, its own samples, shape (m,).
         angle_time_s, angle_rad: pendulum angles θ3, θ4 relative to the rotor, shapes (k,), (k, 2), unwrapped; all
             NaN for a pendulum that was not recorded.
         mark_time_s, mark_phase_rad: tachometer marks and ψ at each (unwrapped, ψ = 0: imbalance along +x).
         releases: pendulums let go during the run.
         angle_step_rad: quantisation of the angles, rad.
-        clock_rate_std: relative standard uncertainty of each device's rate ("laser_x", "laser_y", "encoder").
-        clocks: which clock stamped each device's samples, where that is not the device's own: a recording made
-            elsewhere has its recorder's for all. What shares a clock shares its error.
+        clock_rate_std: relative standard uncertainty of the rate of each signal's clock: "x", "y", "angles", "phase".
+        clocks: which clock stamped each signal, by the same names: its device's, or the recorder's of a recording made
+            elsewhere. What shares a clock shares its error.
         losses: counted losses by "device.kind"; "log.missing_messages" are those the file itself lacks.
         metadata: the log's own facts (rig, point, software version, digest …); "missing" lists what the file lacks,
             sentences.
@@ -103,18 +103,19 @@ def load_run(path: str | Path) -> Run:
         LogError: not a readable log, one without samples or without its rig file, or one in which a device restarted.
     """
     with open_log(path) as log:
-        devices = rig_of(log).devices
+        roles = rig_of(log).roles
         _refuse_restarts(log)
         start_s = _start(log)
         run = log.metadata.get("run", {})
         shared = _shared_clock(log, run) if _is_stamped_elsewhere(log) else _NO_DEVICE
-        x, x_line = _laser(log, "laser/x", devices.laser_x.clock_tolerance_ppm, start_s, shared)
-        y, y_line = _laser(log, "laser/y", devices.laser_y.clock_tolerance_ppm, start_s, shared)
-        line = _node_line(log, devices.encoder.clock_tolerance_ppm, start_s, shared)
-        lines = {"laser_x": x_line, "laser_y": y_line, "encoder": line}
-        angle_time_s, angle_rad = _angles(log, line, start_s)
-        mark_time_s, mark_phase_rad = _marks(log, line, math.radians(devices.encoder.index_angle_deg), start_s)
-        phase_time_s, phase_rad = _phase(log, line, start_s)
+        x, x_line = _laser(log, "laser/x", roles.along("x"), start_s, shared)
+        y, y_line = _laser(log, "laser/y", roles.along("y"), start_s, shared)
+        angle_line, phase_line = _rotor_lines(log, roles, start_s, shared)
+        lines = {"x": x_line, "y": y_line, "angles": angle_line, "phase": phase_line}
+        index_rad = math.radians(roles.phase.index_angle_deg) if roles.phase else 0.0
+        angle_time_s, angle_rad = _angles(log, angle_line, start_s)
+        mark_time_s, mark_phase_rad = _marks(log, phase_line, index_rad, start_s)
+        phase_time_s, phase_rad = _phase(log, phase_line, start_s)
         return Run(
             test=run.get("test", "unknown"),
             source=str(path),
@@ -130,10 +131,13 @@ def load_run(path: str | Path) -> Run:
             phase_time_s=phase_time_s,
             phase_rad=phase_rad,
             phase_absolute=run.get("phase_reference") != "none",
-            releases=_releases(log, line, start_s),
-            angle_step_rad=2 * np.pi / devices.encoder.counts_per_revolution,
+            releases=_releases(log, angle_line, start_s),
+            angle_step_rad=roles.angles.step_rad if roles.angles else Run.angle_step_rad,
             clock_rate_std={name: line.rate_std for name, line in lines.items()},
-            clocks={name: _recorder(run) for name, line in lines.items() if line is shared is not _NO_DEVICE},
+            clocks={
+                name: _recorder(run) if line is shared is not _NO_DEVICE else _device(roles, name) or name
+                for name, line in lines.items()
+            },
             losses=losses_of(log).flat,
             metadata={
                 **run,
@@ -146,7 +150,7 @@ def load_run(path: str | Path) -> Run:
 
 
 _CHANNELS = ("laser/x", "laser/y", "pendulums", "tacho")
-_LOCK_FLAGS = (0x20, 0x40)
+_LOCK_FLAGS = (LOCK_A_CLOSED, LOCK_B_CLOSED)
 _NO_DEVICE = ClockLine(0.0, 0.0, 0.0, 0.0)
 
 
@@ -216,11 +220,21 @@ def _since(time_ns: NDArray[np.int64], start_s: float) -> NDArray[np.floating]:
     return (time_ns - int(start_s) * 1_000_000_000) * 1e-9
 
 
+def _device(roles: Roles, signal: str) -> str:
+    """Which device's clock stamps a signal; empty where the rig has none."""
+    role = roles.along(signal) if signal in ("x", "y") else roles.angles if signal == "angles" else roles.phase
+    return "" if role is None else role.device
+
+
 def _laser(
-    log: Log, topic: str, tolerance_ppm: float, start_s: float, shared: ClockLine
+    log: Log, usual: str, role: Displacement | None, start_s: float, shared: ClockLine
 ) -> tuple[tuple[NDArray[np.floating], NDArray[np.floating]], ClockLine]:
-    """Times and displacements of a laser, and the line that made the times."""
-    samples = _samples(log, topic)
+    """Times and displacements along an axis, and the line that made the times.
+
+    Args:
+        usual: the channel where the rig has no such sensor and the log has its displacements: made elsewhere.
+    """
+    samples = _samples(log, role.topic if role else usual)
     if samples is None:
         return (np.empty(0), np.empty(0)), shared
     displacement = samples.displacement_m
@@ -228,18 +242,30 @@ def _laser(
         displacement = np.where(suspects(samples.flags), np.nan, displacement)
     if "device_ticks" not in samples.columns:
         return (_since(samples.time_ns, start_s), displacement), shared
-    device_s = samples.device_ticks * optoncdt.TICK_S
-    line = _line(device_s, samples.log_time_ns, start_s, tolerance_ppm)
+    device_s = samples.device_ticks * DEVICE_TICK_S
+    line = _line(device_s, samples.log_time_ns, start_s, _tolerance_ppm(role))
     return (line.host_s(device_s), displacement), line
 
 
-def _node_line(log: Log, tolerance_ppm: float, start_s: float, shared: ClockLine) -> ClockLine:
-    """The on-rotor node's clock, from its angles or, where there are none, from its marks."""
-    for topic in ("pendulums", "tacho"):
-        samples = _samples(log, topic)
-        if samples is not None and "node_time_us" in samples.columns:
-            return _line(samples.node_time_us * 1e-6, samples.log_time_ns, start_s, tolerance_ppm)
-    return shared
+def _rotor_lines(log: Log, roles: Roles, start_s: float, shared: ClockLine) -> tuple[ClockLine, ClockLine]:
+    """The clocks of the pendulums' angles and of the rotor's phase: one line where one device stamps both."""
+    angles = _node_line(log, "pendulums", roles.angles, start_s)
+    phase = _node_line(log, "tacho", roles.phase, start_s)
+    if _device(roles, "angles") == _device(roles, "phase"):
+        angles = phase = angles or phase  # the angles come all the time, the marks once a turn
+    return angles or shared, phase or shared
+
+
+def _node_line(log: Log, usual: str, role: PendulumAngles | RotorPhase | None, start_s: float) -> ClockLine | None:
+    """The clock of a channel that bears its device's time; None where it bears none."""
+    samples = _samples(log, role.topic if role else usual)
+    if samples is None or "node_time_us" not in samples.columns:
+        return None
+    return _line(samples.node_time_us * 1e-6, samples.log_time_ns, start_s, _tolerance_ppm(role))
+
+
+def _tolerance_ppm(role: Displacement | PendulumAngles | RotorPhase | None) -> float:
+    return ASSUMED_TOLERANCE_PPM if role is None else role.clock_tolerance_ppm
 
 
 def _node_s(samples: Samples, line: ClockLine, start_s: float) -> NDArray[np.floating]:

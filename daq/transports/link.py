@@ -49,7 +49,7 @@ class Link(Protocol):
         ...
 
 
-def open_link(port: str, baud: int, bitrate: int | None = None) -> Link:
+def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N") -> Link:
     """Open the link a rig file names.
 
     Args:
@@ -57,6 +57,7 @@ def open_link(port: str, baud: int, bitrate: int | None = None) -> Link:
             "can:INTERFACE:CHANNEL" for an adapter python-can drives ("can:socketcan:can0").
         baud: line rate of a serial port.
         bitrate: of the CAN bus, for "can:" ports.
+        parity: of a serial port: "N", "E" or "O".
     Raises:
         LinkLost: the port cannot be opened; the message says why and what to look at.
     """
@@ -67,7 +68,7 @@ def open_link(port: str, baud: int, bitrate: int | None = None) -> Link:
         if port.startswith("socket://"):
             host, _, number = port.removeprefix("socket://").rpartition(":")
             return SocketLink(host, int(number))
-        return SerialLink(port, baud)
+        return SerialLink(port, baud, parity)
     except (OSError, ValueError, serial.SerialException, can.CanError) as error:
         if isinstance(error, OSError) and error.errno in _TAKEN:
             raise LinkLost(
@@ -82,10 +83,10 @@ def open_link(port: str, baud: int, bitrate: int | None = None) -> Link:
 class SerialLink:
     """A serial port through pyserial, read as soon as bytes are there."""
 
-    def __init__(self, port: str, baud: int) -> None:
+    def __init__(self, port: str, baud: int, parity: str = "N") -> None:
         self.name = port
         self._port: Any = serial.serial_for_url(
-            port, baudrate=baud, timeout=_POLL_S, write_timeout=1.0, exclusive=True, do_not_open=True
+            port, baudrate=baud, parity=parity, timeout=_POLL_S, write_timeout=1.0, exclusive=True, do_not_open=True
         )
         self._port.open()
         with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):

@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import queue
 import secrets
 import select
 import sys
 import threading
 import time
-import zlib
 from typing import Any
 
-import numpy as np
-
-from daq.drivers.cia402.far_end import SimulatedDrive
-from daq.drivers.optoncdt.far_end import DeviceClock, SimulatedLaser
-from daq.drivers.rotorlink.far_end import Air, SimulatedNode
+from daq.drivers.devices import devices_of
+from daq.drivers.simulated import FarEnd
 from daq.transports.host_clock import HostClock
 from daq.transports.wires import Wire, make_wire
 from daq.virtual_rig.control import ControlServer
 from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.world import World
 from rig_configs.errors import RigConfigError
 from rig_configs.load import with_truth
-from rig_configs.schema import Rig, Virtual
+from rig_configs.schema import Rig
 
 _TICK_S = 0.002  # wall time between two looks at the world
 
@@ -46,46 +42,16 @@ class VirtualRig:
         virtual = rig.virtual
         self._clock = HostClock(time_scale)
         self._t0_ns = self._clock.now_ns()
-        self._virtual = virtual
         self.motion = Motion(rig.true_physics, virtual.drive.slip, virtual.drive.lag_s)
-        self._make_devices(rig, virtual)
-        self.wires: dict[str, Wire] = {name: make_wire(link) for name in ("laser_x", "laser_y", "encoder", "drive")}
+        world = World(virtual, self.motion)
+        self.far_ends: dict[str, FarEnd] = {
+            name: device.far_end(world) for name, device in devices_of(rig.devices).items()
+        }
+        self.wires: dict[str, Wire] = {name: make_wire(link) for name in self.far_ends}
         self.token = secrets.token_urlsafe(16)
         self.control = ControlServer(self.token)
         self._release_hold_s: float | None = None
         self._running = True
-
-    def _rng(self, name: str) -> np.random.Generator:
-        """An own stream of random numbers for each purpose: one more draw here moves nothing there."""
-        return np.random.default_rng([self._virtual.seed, zlib.crc32(name.encode())])
-
-    def _device_clock(self, name: str) -> DeviceClock:
-        rng, sensors = self._rng(f"clock {name}"), self._virtual.sensors
-        return DeviceClock(
-            rng.uniform(0, sensors.clock_offset_s), 1e-6 * sensors.clock_drift_ppm * rng.standard_normal()
-        )
-
-    def _make_devices(self, rig: Rig, virtual: Virtual) -> None:
-        sensors = virtual.sensors
-        draws = self._rng("calibration")
-        spread = 1.0 if sensors.draw_calibration else 0.0
-        beta = math.radians(sensors.axis_angle_deg)
-        directions = {"laser_x": (math.cos(beta), math.sin(beta)), "laser_y": (-math.sin(beta), math.cos(beta))}
-        self.lasers = {}
-        for i, (name, config) in enumerate((("laser_x", rig.devices.laser_x), ("laser_y", rig.devices.laser_y))):
-            gain = config.lever_ratio * (1 + spread * config.gain_std * draws.standard_normal())
-            self.lasers[name] = SimulatedLaser(
-                config, gain * np.array(directions[name]), 5e-5 * draws.standard_normal(), sensors.laser_noise_m,
-                self._device_clock(name), self._rng(f"noise {name}"), serial=f"{1420_0001 + i}",
-            )  # fmt: skip
-        encoder = rig.devices.encoder
-        zero = spread * math.radians(encoder.zero_std_deg) * draws.standard_normal(2)
-        self._air = Air(virtual.radio, self._rng("radio"))
-        self.node = SimulatedNode(
-            encoder, self.motion, zero, sensors.encoder_noise_counts, math.radians(virtual.lock_play_deg),
-            self._device_clock("encoder"), self._air, self._rng("node"),
-        )  # fmt: skip
-        self.drive = SimulatedDrive(rig.devices.drive, self.motion, virtual.drive.report_s)
 
     def ports(self) -> dict[str, str]:
         """Port of each device, by its name in the rig file."""
@@ -123,28 +89,17 @@ class VirtualRig:
         self._operator(now)
         for name, wire in self.wires.items():
             if data := wire.receive():
-                self._deliver(name, wire, data)
+                wire.send(self.far_ends[name].receive(data, self.motion.time_s))
         if self._release_hold_s is not None and now >= self._release_hold_s:
             self.motion.let_go()
             self._release_hold_s = None
-        self.node.mechanisms(self.motion.time_s)
-        self.wires["drive"].send(self.drive.step(self.motion.time_s))
+        for name, far_end in self.far_ends.items():
+            self.wires[name].send(far_end.step(self.motion.time_s))
         stretch = self.motion.advance(now)
         if stretch is None:
             return
-        for name, laser in self.lasers.items():
-            self.wires[name].send(laser.sample(stretch))
-        self.node.sample(stretch)
-        self.wires["encoder"].send(self.node.dongle(self.motion.time_s))
-
-    def _deliver(self, name: str, wire: Wire, data: bytes) -> None:
-        now = self.motion.time_s
-        if name == "drive":
-            wire.send(self.drive.receive(data, now))
-        elif name == "encoder":
-            self.node.receive(data, now)
-        else:
-            wire.send(self.lasers[name].receive(data))
+        for name, far_end in self.far_ends.items():
+            self.wires[name].send(far_end.sample(stretch))
 
     def _operator(self, now: float) -> None:
         while True:
@@ -169,21 +124,13 @@ class VirtualRig:
                 self._set(str(request["key"]), request["value"])
             case "truth":
                 return {"truth": self.motion.physics.identified()}
-            case "radio":
-                air = self._air
-                return {"sent": air.sent, "dropped": air.dropped, "last_delivered": air.last_delivered,
-                        "overrun_bytes": {n: w.overrun_bytes for n, w in self.wires.items()}}  # fmt: skip
             case "state":
-                return {
-                    "time_s": self.motion.time_s,
-                    "speed_rpm": self.drive.speed_rpm,
-                    "drive": self.drive.state,
-                    "can_frames": self.drive.frames_sent,
-                    "emergencies": self.drive.emergencies,
-                    "watchdog_ms": self.drive.watchdog_ms,
-                }
+                facts: dict[str, Any] = {"time_s": self.motion.time_s}
+                for far_end in self.far_ends.values():
+                    facts |= far_end.facts()
+                return {**facts, "overrun_bytes": {n: w.overrun_bytes for n, w in self.wires.items()}}
             case "fail":
-                self._fail(str(request["device"]), str(request["what"]), request.get("value", 1))
+                self.far_ends[str(request["device"])].fail(str(request["what"]), request.get("value", 1))
             case "unplug":
                 self.wires[str(request["device"])].close()
             case "quit":
@@ -191,25 +138,6 @@ class VirtualRig:
             case other:
                 raise ValueError(f"unknown request {other!r}")
         return {"ok": True}
-
-    def _fail(self, device: str, what: str, value: Any) -> None:
-        """A device fails: laser_x "code" (0 ends it); encoder "dead", "flags", "marks lost", "locks stuck"; drive
-        "emergency", "fault", "restart", "network", "silent reports", "reported share", "speed"."""
-        match device, what:
-            case (("laser_x" | "laser_y"), "code"):
-                self.lasers[device].fault_code = int(value) or None
-            case "encoder", "dead":
-                self.node.dead = bool(value)
-            case "encoder", "flags":
-                self.node.fault_flags = int(value)
-            case "encoder", "marks lost":
-                self.node.marks_lost = bool(value)
-            case "encoder", "locks stuck":
-                self.node.locks_stuck = bool(value)
-            case "drive", _:
-                self.drive.fail(what, float(value))
-            case _:
-                raise ValueError(f"{device} knows no fault {what!r}")
 
     def _set(self, key: str, value: Any) -> None:
         """Change the truth from now on (a clamp has moved, a magnet pack was replaced)."""

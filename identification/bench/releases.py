@@ -187,5 +187,5 @@ def _recorded(rng: np.random.Generator, drawn: _Drawn) -> Run:
     return Run(
         "point-8-Hz", "made up", 0.0, at, disk[:, 0], at, disk[:, 1], time[keep], counts[keep] * step,
         (turns - phase_at_zero) / SPEED_RAD_S, turns, (Release(0, stamp, _TIME_STD_S), Release(1, stamp, _TIME_STD_S)),
-        step, dict.fromkeys(("laser_x", "laser_y", "encoder"), 0.0),
+        step, dict.fromkeys(("x", "y", "angles", "phase"), 0.0),
     )  # fmt: skip

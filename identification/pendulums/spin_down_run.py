@@ -177,7 +177,7 @@ def damping_estimate(run: Run, fit: TransientFit, method: str) -> Estimate:
     """A transient in the joint estimate's form; c goes with the encoder's clock rate."""
     names = tuple(fit.values)
     values = np.array(list(fit.values.values()))
-    shared = clock_errors(run, {"encoder": values})
+    shared = clock_errors(run, {"angles": values})
     return Estimate(run.test, run.source, names, values, fit.covariance, shared, method)
 
 

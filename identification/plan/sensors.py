@@ -52,14 +52,23 @@ class Sensors:
 
     @classmethod
     def of(cls, rig: Rig) -> Sensors:
-        """The rig file's devices, with usual noise where the file does not say."""
-        x, y, encoder = rig.devices.laser_x, rig.devices.laser_y, rig.devices.encoder
-        step = 2 * np.pi / encoder.counts_per_revolution
+        """The rig file's devices, with usual noise where the file does not say.
+
+        Raises:
+            NotIdentifiable: a laser or the encoders are not there.
+        """
+        x, y, encoder = rig.roles.along("x"), rig.roles.along("y"), rig.roles.angles
+        if x is None or y is None or encoder is None:
+            raise NotIdentifiable(
+                f"rig {rig.name}: a plan needs displacements along x and y and the pendulums' angles; its devices are "
+                f"{', '.join(rig.devices) or 'none'}"
+            )
+        step = encoder.step_rad
         return cls(
             (_LASER_NOISE_M / x.lever_ratio, _LASER_NOISE_M / y.lever_ratio),
             (float(x.rate_Hz), float(y.rate_Hz)),
             (x.gain_std, y.gain_std),
-            (0.5 * x.range_m / x.lever_ratio, 0.5 * y.range_m / y.lever_ratio),
+            (x.reach_m, y.reach_m),
             _ENCODER_NOISE_STEPS * step,
             float(encoder.rate_Hz),
             float(np.radians(encoder.zero_std_deg)),
@@ -83,17 +92,17 @@ class Sensors:
             for seen in _of_both(usable, "x_time_s", "y_time_s")
         ]
         jitter = [
-            float(np.median([self._jitter(r, device, i) for r in usable]))
-            for i, device in enumerate(("laser_x", "laser_y", "encoder"))
+            float(np.median([self._jitter(r, signal, i) for r in usable]))
+            for i, signal in enumerate(("x", "y", "angles"))
         ]
         return replace(
             self, laser_noise_m=(noise[0], noise[1]), laser_rate_Hz=(rate[0], rate[1]),
             clock_jitter_s=(jitter[0], jitter[1], jitter[2]), measured=True,
         )  # fmt: skip
 
-    def _jitter(self, run: Run, device: str, index: int) -> float:
-        """The jitter that explains how well a run knows a device's rate."""
-        std, prior = run.clock_rate_std.get(device, self.clock_tolerance[index]), self.clock_tolerance[index]
+    def _jitter(self, run: Run, signal: str, index: int) -> float:
+        """The jitter that explains how well a run knows the rate of a signal's clock."""
+        std, prior = run.clock_rate_std.get(signal, self.clock_tolerance[index]), self.clock_tolerance[index]
         span = float(run.x_time_s[-1] - run.x_time_s[0])
         own = (std**-2 - prior**-2) ** -0.5 if 0 < std < 0.999 * prior else prior
         return float(own) * span / np.sqrt(12 / _CLOCK_BINS) if std > 0 else 0.0

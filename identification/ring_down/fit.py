@@ -110,8 +110,8 @@ def ring_down_estimate(run: Run, fit: RingDownFit) -> Estimate:
     order = [list(fit.values).index(n) for n in names]
     values = np.array([fit.values[n] for n in names])
     slopes = {  # k goes with the square of the clock's rate
-        device: np.where(np.array(names) == name, 2 * values, 0.0)
-        for device, name in (("laser_x", "k1_N_per_m"), ("laser_y", "k2_N_per_m"))
+        axis: np.where(np.array(names) == name, 2 * values, 0.0)
+        for axis, name in (("x", "k1_N_per_m"), ("y", "k2_N_per_m"))
         if name in names
     }
     shared = clock_errors(run, slopes)

@@ -121,7 +121,7 @@ def fit_run_up_run(run: Run, *, setting: Setting = "balanced") -> RunUpFit:
             phase = RotorPhase.from_marks(run.mark_time_s, run.mark_phase_rad)
     except NotIdentifiable as error:
         raise NotIdentifiable(f"{run.source}: {error}") from error
-    x, y = (rate_std_between(run, device, "encoder") for device in ("laser_x", "laser_y"))
+    x, y = (rate_std_between(run, axis, "phase") for axis in ("x", "y"))
     # a recording made elsewhere has one clock for all, however well its rate is known
     clocks = _Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
     return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting)

@@ -90,10 +90,10 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     jacobian[2 * m, 2 * m :] = slope * mass * weights
     names = (*(f"k{i + 1}_N_per_m" for i in modes), *(f"zeta{i + 1}" for i in modes), "SP_kg_m")
     values = np.array([*stiffness, *raw[m : 2 * m], unbalance])
-    shared = clock_errors(run, {"encoder": np.r_[2 * stiffness, np.zeros(m + 1)]})
+    shared = clock_errors(run, {"phase": np.r_[2 * stiffness, np.zeros(m + 1)]})
     for k, i in enumerate(seen):
         shift = slope * mass * weights[k] * amplitudes[k] * gains[k]
-        shared[f"gain laser_{'xy'[i]}"] = np.r_[np.zeros(2 * m), shift]
+        shared[f"gain {'xy'[i]}"] = np.r_[np.zeros(2 * m), shift]
     return Estimate(
         run.test, run.source, names, values, jacobian @ covariance @ jacobian.T, shared,
         f"transient passage, separable least squares: {fit.model}",

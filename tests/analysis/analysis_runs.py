@@ -38,8 +38,8 @@ def draw(rig: Rig, seed: int) -> Drawn:
     values = {n: true[n] + s * rng.standard_normal() for n, s in zip(PARAMETER_UNITS, std, strict=True)}
     d = rig.devices
     return Drawn(
-        (1 + d.laser_x.gain_std * rng.standard_normal(), 1 + d.laser_y.gain_std * rng.standard_normal()),
-        np.radians(d.encoder.zero_std_deg) * rng.standard_normal(2),
+        (1 + d["laser_x"].gain_std * rng.standard_normal(), 1 + d["laser_y"].gain_std * rng.standard_normal()),
+        np.radians(d["encoder"].zero_std_deg) * rng.standard_normal(2),
         2e-3 * rng.standard_normal(),
         IdentifiedParameters(values, np.diag(std**2)),
         (1.0 + AXIS_STD_DEG * rng.standard_normal(), AXIS_STD_DEG),

@@ -6,8 +6,10 @@ import contextlib
 
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.far_end import SimulatedDrive
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch, Event
+from daq.drivers.rotorlink.far_end import SimulatedNode
 from daq.transports import slcan
 from daq.virtual_rig.run import VirtualRig
 from rig_configs import load_rig
@@ -30,17 +32,21 @@ class Bench:
         for wire in self.far.wires.values():
             wire.close()
         self.far.control.close()
+        drive, node = self.far.far_ends["drive"], self.far.far_ends["encoder"]
+        assert isinstance(drive, SimulatedDrive)
+        assert isinstance(node, SimulatedNode)
+        self.drive, self.node = drive, node
         self.pipelines = make_pipelines(self.rig.devices, {})
-        self.interlocks = Interlocks(self.rig.limits, lambda s: s * patience, driving=True)
+        self.interlocks = Interlocks(self.rig.limits, self.rig.roles, lambda s: s * patience, driving=True)
         self.now_s = self.far.motion.time_s
         self.stops: list[tuple[float, Stop]] = []
         self.events: list[Event] = []
         self.muted: set[str] = set()
-        self._hear("drive", self.far.drive.receive(b"O\r", 0.0))
+        self._hear("drive", self.drive.receive(b"O\r", 0.0))
         for laser in ("laser_x", "laser_y"):
-            self.far.lasers[laser].receive(b"OUTADD_RS422 COUNTER TIMESTAMP\nOUTPUT RS422\n")
-        self.far.drive._objects[cia402.PRODUCER_HEARTBEAT, 0] = (100, "<H")
-        self._to_drive(0, bytes([1, self.rig.devices.drive.node_id]))
+            self.far.far_ends[laser].receive(b"OUTADD_RS422 COUNTER TIMESTAMP\nOUTPUT RS422\n", 0.0)
+        self.drive._objects[cia402.PRODUCER_HEARTBEAT, 0] = (100, "<H")
+        self._to_drive(0, bytes([1, self.rig.devices["drive"].node_id]))
         self.interlocks.begin(self.now_ns)
         self.pass_time(0.5)
         assert self.stops == []
@@ -58,14 +64,12 @@ class Bench:
 
     def _step(self) -> None:
         self.now_s += STEP_S
-        self.far.node.mechanisms(self.far.motion.time_s)
-        self._hear("drive", self.far.drive.step(self.far.motion.time_s))
+        for name, far_end in self.far.far_ends.items():
+            self._hear(name, far_end.step(self.far.motion.time_s))
         stretch = self.far.motion.advance(self.now_s)
         assert stretch is not None
-        for name, laser in self.far.lasers.items():
-            self._hear(name, laser.sample(stretch))
-        self.far.node.sample(stretch)
-        self._hear("encoder", self.far.node.dongle(self.far.motion.time_s))
+        for name, far_end in self.far.far_ends.items():
+            self._hear(name, far_end.sample(stretch))
         if round(self.now_s / STEP_S) % 5 == 0:
             self._heed(self.interlocks.tick(self.now_ns))
 
@@ -86,28 +90,28 @@ class Bench:
                 self.stops.append((self.now_s, item))
 
     def _to_drive(self, identifier: int, data: bytes) -> None:
-        self._hear("drive", self.far.drive.receive(slcan.encode(slcan.CanFrame(identifier, data)), self.now_s))
+        self._hear("drive", self.drive.receive(slcan.encode(slcan.CanFrame(identifier, data)), self.now_s))
 
     def turn(self, rpm: int, seconds: float | None = None) -> None:
         """Enable the drive, ramp to a speed and wait until it is there."""
-        node = self.rig.devices.drive.node_id
+        node = self.rig.devices["drive"].node_id
         self.interlocks.told(float(rpm))
         for word in (cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE_OPERATION):
             self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(word, rpm))
         for sub, value in ((0x6048, 400), (0x6049, 400)):
-            self.far.drive._objects[sub, 1] = (value, "<I")
-        self.far.drive._objects[0x6060, 0] = (2, "<b")
+            self.drive._objects[sub, 1] = (value, "<I")
+        self.drive._objects[0x6060, 0] = (2, "<b")
         self.pass_time(rpm / 400 + 1.0 if seconds is None else seconds)
 
     def quick_stop(self) -> None:
         """As the session does when it is told to stop."""
         self.interlocks.told(0.0)
-        node = self.rig.devices.drive.node_id
+        node = self.rig.devices["drive"].node_id
         self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(cia402.QUICK_STOP, 0))
 
     def fails(self, device: str, what: str, value: float = 1) -> None:
-        """See `VirtualRig`."""
-        self.far._fail(device, what, value)
+        """See FarEnd."""
+        self.far.far_ends[device].fail(what, value)
 
     def why(self) -> str:
         """What the first stop says."""

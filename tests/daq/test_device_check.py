@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from daq.acquisition.device_check import DriveSeen, LaserSeen, Look, NodeSeen, common_factor, device_checks, passed
+from daq.acquisition.device_check import AnglesSeen, Look, SpeedSeen, common_factor, device_checks, passed
 from daq.acquisition.rate_watch import Rate
+from daq.drivers.checks import Checks
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.looked_at import drive_checks
 from daq.drivers.items import Event
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.looked_at import node_checks
+from daq.drivers.rotorlink.stream import NodePipeline
 from rig_configs import load_rig
 
 RIG = load_rig("virtual")
@@ -24,21 +28,63 @@ def rate(nominal: float, factor: float = 1.0, clock_ppm: float = 10.0, bound_ppm
     return Rate(nominal * factor, nominal, clock_ppm, bound_ppm, 150.0, 2.0)
 
 
-def healthy() -> Look:
-    rest = LaserSeen(1e-4 + 4e-6 * np.sin(np.arange(8000.0)))
-    return Look(
+def flags(value: int) -> np.ndarray:
+    return np.full(2000, value, np.uint32)
+
+
+@dataclass(frozen=True)
+class Node:
+    """What a look finds of the encoder node."""
+
+    status: rotorlink.Status | None = STATUS
+    rssi_dBm: int | None = -58
+    battery_low: bool = False
+
+    def checks(self) -> Checks:
+        pipeline = NodePipeline("encoder", RIG.devices["encoder"])  # type: ignore[arg-type]
+        pipeline.status, pipeline.rssi_dBm, pipeline.battery_low = self.status, self.rssi_dBm, self.battery_low
+        return node_checks(RIG.devices["encoder"], pipeline)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What a look finds of the drive beside its speed."""
+
+    state: str = cia402.SWITCH_ON_DISABLED
+    code: int | None = None
+
+    def fault_code(self) -> int | None:
+        return self.code
+
+
+@dataclass(frozen=True)
+class Seen(Look):
+    """A look, with what the drivers looked at still to be judged."""
+
+    node: Node = field(default_factory=Node)
+    drive: Drive = field(default_factory=Drive)
+
+    def judged(self) -> dict[str, Checks]:
+        drive = drive_checks(self.drive, [e for e in self.events if e.device == "drive"])  # type: ignore[arg-type]
+        own: dict[str, Checks] = {"encoder": self.node.checks(), "drive": drive}
+        return device_checks(RIG, replace(self, own=own))
+
+
+def healthy() -> Seen:
+    rest = 1e-4 + 4e-6 * np.sin(np.arange(8000.0))
+    return Seen(
         seconds=2.0,
         rates={"laser/x": rate(4000), "laser/y": rate(4000), "pendulums": rate(1000)},
         losses={"laser_x": {"samples": 0, "invalid": 3}, "laser_y": {"samples": 0}, "drive": {"damaged_lines": 0},
                 "encoder": {"radio_frames": 1, "samples": 20}},
         events=[],
-        lasers={"laser_x": rest, "laser_y": rest},
-        node=NodeSeen(LOCKED, np.full(2000, 96, np.uint32), STATUS, -58),
-        drive=DriveSeen(100.0, cia402.SWITCH_ON_DISABLED, 0.0),
+        displacement_m={"x": rest, "y": rest},
+        angles=AnglesSeen(LOCKED, flags(96)),
+        speed=SpeedSeen(100.0, 0.0),
     )  # fmt: skip
 
 
-def changed(look: Look, what: str, value: Any) -> Look:
+def changed(look: Seen, what: str, value: Any) -> Seen:
     room, _, name = what.partition(".")
     if not name:
         return replace(look, **{room: value})
@@ -46,7 +92,7 @@ def changed(look: Look, what: str, value: Any) -> Look:
 
 
 def test_a_healthy_rig_passes_with_what_was_seen_and_expected() -> None:
-    devices = device_checks(RIG, healthy())
+    devices = healthy().judged()
     assert list(devices) == ["laser_x", "laser_y", "encoder", "drive"]
     assert {name: [w for w, c in checks.items() if not c.passed] for name, checks in devices.items()} == {
         "laser_x": [], "laser_y": [], "encoder": [], "drive": [],
@@ -57,10 +103,6 @@ def test_a_healthy_rig_passes_with_what_was_seen_and_expected() -> None:
     assert "longer look" in devices["laser_x"]["clock_ppm"].note
     assert devices["encoder"]["battery_mV"].value == 3712
     assert devices["encoder"]["firmware"].value == "1.4"
-
-
-def flags(value: int) -> np.ndarray:
-    return np.full(2000, value, np.uint32)
 
 
 EMERGENCY = Event("emergency", "drive", "drive error 0x3220", {"error_code": 0x3220})
@@ -75,47 +117,56 @@ EMERGENCY = Event("emergency", "drive", "drive error 0x3220", {"error_code": 0x3
         ("rates", {**healthy().rates, "pendulums": None}, "encoder", "rate_Hz"),
         ("losses", {**healthy().losses, "laser_y": {"samples": 7}}, "laser_y", "lost_samples"),
         ("losses", {**healthy().losses, "drive": {"damaged_lines": 1}}, "drive", "lost_damaged_lines"),
-        ("lasers", {**healthy().lasers, "laser_x": LaserSeen(np.full(100, np.nan))}, "laser_x", "invalid_samples"),
-        ("lasers", {**healthy().lasers, "laser_x": LaserSeen(np.full(9, 3e-3))}, "laser_x", "from_mid_range_mm"),
-        ("lasers", {**healthy().lasers, "laser_x": LaserSeen(np.empty(0))}, "laser_x", "samples"),
-        ("node.flags", flags(96 | 1), "encoder", "encoder_faults"),
-        ("node.flags", flags(96 | 2), "encoder", "encoder_faults"),
-        ("node.flags", flags(96 | 8), "encoder", "battery_mV"),
+        ("displacement_m", {**healthy().displacement_m, "x": np.full(100, np.nan)}, "laser_x", "invalid_samples"),
+        ("displacement_m", {**healthy().displacement_m, "x": np.full(9, 3e-3)}, "laser_x", "from_mid_range_mm"),
+        ("displacement_m", {**healthy().displacement_m, "x": np.empty(0)}, "laser_x", "samples"),
+        ("angles.flags", flags(96 | 1), "encoder", "encoder_faults"),
+        ("angles.flags", flags(96 | 2), "encoder", "encoder_faults"),
+        ("node.battery_low", True, "encoder", "battery_mV"),
         ("node.status", None, "encoder", "status"),
         ("node.status", replace(STATUS, counts_per_revolution=8192), "encoder", "counts_per_revolution"),
         ("node.rssi_dBm", -97, "encoder", "signal_dBm"),
-        ("node.theta_rad", np.zeros((100, 2)), "encoder", "locked_B_deg"),
-        ("node.theta_rad", LOCKED + np.array([0.2, 0.0]), "encoder", "locked_A_deg"),
+        ("angles.theta_rad", np.zeros((100, 2)), "encoder", "locked_B_deg"),
+        ("angles.theta_rad", LOCKED + np.array([0.2, 0.0]), "encoder", "locked_A_deg"),
         ("drive.state", cia402.FAULT, "drive", "state"),
         ("drive.state", cia402.UNKNOWN, "drive", "state"),
-        ("drive.speed_rpm", 12.0, "drive", "speed_rpm"),
-        ("drive.reports_Hz", float("nan"), "drive", "speed_reports_Hz"),
+        ("speed.speed_rpm", 12.0, "drive", "speed_rpm"),
+        ("speed.reports_Hz", float("nan"), "drive", "speed_reports_Hz"),
         ("events", [EMERGENCY], "drive", "emergencies"),
         ("events", [Event("restart", "encoder", "the node started again")], "encoder", "restarts"),
     ],
 )  # fmt: skip
 def test_one_thing_wrong_fails_its_check_and_no_other(what: str, value: Any, device: str, check: str) -> None:
-    devices = device_checks(RIG, changed(healthy(), what, value))
+    devices = changed(healthy(), what, value).judged()
     failed = {(name, key) for name, checks in devices.items() for key, found in checks.items() if not found.passed}
     assert failed == {(device, check)}
     assert [name for name, checks in devices.items() if not passed(checks)] == [device]
 
 
 def test_a_fault_that_is_only_a_gone_hosts_passes_and_is_told() -> None:
-    seen = DriveSeen(100.0, cia402.FAULT, 0.0, cia402.HEARTBEAT_ERROR)
-    state = device_checks(RIG, changed(healthy(), "drive", seen))["drive"]["state"]
+    beat = Drive(cia402.FAULT, cia402.HEARTBEAT_ERROR)
+    state = changed(healthy(), "drive", beat).judged()["drive"]["state"]
     assert state.passed
     assert "0x8130" in state.note
-    other = device_checks(RIG, changed(healthy(), "drive", replace(seen, fault_code=0x3220)))["drive"]["state"]
+    other = changed(healthy(), "drive", replace(beat, code=0x3220)).judged()["drive"]["state"]
     assert not other.passed
     assert "0x3220" in other.note
 
 
 def test_an_open_lock_is_no_fault_and_its_position_not_judged() -> None:
-    checks = device_checks(RIG, changed(healthy(), "node.flags", flags(64)))["encoder"]
+    checks = changed(healthy(), "angles.flags", flags(64)).judged()["encoder"]
     assert checks["lock_A"].value == "open"
     assert "locked_A_deg" not in checks
     assert "locked_B_deg" in checks
+
+
+def test_a_rig_of_one_sensor_is_judged_by_that_one() -> None:
+    one = RIG.model_copy(update={"devices": {"probe": RIG.devices["laser_x"]}})
+    look = Look(2.0, {"laser/x": rate(4000)}, {"probe": {"samples": 0}}, [], {"x": np.full(9, 3e-3)})
+    devices = device_checks(one, look)
+    assert [(name, key) for name, c in devices.items() for key, found in c.items() if not found.passed] == [
+        ("probe", "from_mid_range_mm")
+    ]
 
 
 def test_clocks_that_are_all_off_alike_are_the_hosts_own_fault() -> None:

@@ -14,7 +14,7 @@ from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
-CONFIG = load_rig("virtual").devices.drive
+CONFIG = load_rig("virtual").devices["drive"]
 WATCH = (cia402.CONSUMER_HEARTBEAT, 1)
 
 

@@ -135,7 +135,7 @@ class FaultyDrive:
         self.state, self.control = cia402.FAULT, 0
         self._sdo = SdoServer(drive_objects() | reason, {}, lambda index, sub, value: None)
         self._lines = slcan.LineDecoder()
-        self.host = DriveControl(rig.devices.drive, self._hear, HostClock())
+        self.host = DriveControl(rig.devices["drive"], self._hear, HostClock())
         self._report()
 
     def _hear(self, data: bytes) -> None:

@@ -224,7 +224,7 @@ def test_the_log_says_what_it_was_made_of(tmp_path: Path) -> None:
     assert made["options"]["x"] == "d:mm"
     assert [(r.pendulum, round(r.time_s, 9)) for r in run.releases] == [(0, 0.1), (1, 0.1)]
     assert run.angle_step_rad == 2 * np.pi / 1000
-    assert list(run.clock_rate_std.values()) == pytest.approx([30e-6] * 3)  # the rig file's word
+    assert list(run.clock_rate_std.values()) == pytest.approx([30e-6] * 4)  # the rig file's word
     assert set(run.clocks.values()) == {"recorder"}
     assert facts["clock_tolerance_from"] == "rig file"
     assert any("lacking laser/y, pendulums, tacho" in warning for warning in made["warnings"])

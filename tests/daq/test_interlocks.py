@@ -170,7 +170,7 @@ def test_at_rest_only_what_the_test_needs_ends_it() -> None:
 def test_a_lock_that_reports_a_fault_ends_the_test() -> None:
     with Bench() as bench:
         bench.fails("encoder", "locks stuck")
-        bench.far.node._lock_event(bench.now_s, 1, 3, 7)
+        bench.node._lock_event(bench.now_s, 1, 3, 7)
         bench.pass_time(0.2)
         assert "pendulum B fault" in bench.why()
 
@@ -219,7 +219,7 @@ def test_a_drive_that_says_zero_while_the_rotor_coasts_is_not_believed() -> None
         bench.fails("drive", "fault", 0x3220)
         bench.pass_time(3.0)
         assert bench.interlocks.at_rest(bench.now_ns) is False
-        assert bench.interlocks.speed_rpm(bench.now_ns) == pytest.approx(bench.far.drive.speed_rpm, rel=0.2)
+        assert bench.interlocks.speed_rpm(bench.now_ns) == pytest.approx(bench.drive.speed_rpm, rel=0.2)
         bench.pass_time(20.0)  # it has run down meanwhile
         assert bench.interlocks.at_rest(bench.now_ns) is True
 
@@ -232,7 +232,7 @@ def test_without_a_word_of_the_drive_the_index_marks_tell_rest() -> None:
         assert np.isnan(bench.interlocks.rotor.word_rpm(bench.now_ns))
         assert bench.interlocks.at_rest(bench.now_ns) is False
         bench.pass_time(20.0)
-        assert bench.far.drive.speed_rpm == 0
+        assert bench.drive.speed_rpm == 0
         assert bench.interlocks.at_rest(bench.now_ns) is True
         bench.fails("encoder", "dead")
         bench.pass_time(3.0)
@@ -348,7 +348,8 @@ def test_silences_add_up_to_the_time_a_channel_was_not_heard(steps: list[tuple[s
 @pytest.mark.parametrize("slew", [0.4, 0.5, 2.5])
 def test_a_clock_map_that_catches_up_makes_no_rotor_too_fast(slew: float) -> None:
     """A host that was busy learns late how the node's clock lies on its own; meanwhile mapped times run wrong."""
-    interlocks = Interlocks(load_rig("virtual").limits, patience, driving=True)
+    rig = load_rig("virtual")
+    interlocks = Interlocks(rig.limits, rig.roles, patience, driving=True)
     turn_us = 57_200
     found: list[object] = []
     for k in range(1, 60):

@@ -14,7 +14,7 @@ from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.stream import LaserPipeline
 from rig_configs import load_rig
 
-LASER = load_rig("virtual").devices.laser_x
+LASER = load_rig("virtual").devices["laser_x"]
 START_NS = 1_700_000_000_000_000_000
 _SETTLING = 8  # rows in which a beat that nobody announced shows
 

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from daq import channels
+from daq.channels import suspects
 from daq.drivers.items import RX, Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
-from daq.drivers.optoncdt.spikes import LOOK_AHEAD, SpikeWatch, suspects
+from daq.drivers.optoncdt.spikes import LOOK_AHEAD, SpikeWatch
 from daq.drivers.optoncdt.stream import LaserPipeline
 from rig_configs import load_rig
 
@@ -101,7 +102,7 @@ def wire(codes: NDArray[np.integer]) -> bytes:
 
 
 def laser() -> LaserPipeline:
-    return LaserPipeline("laser_x", load_rig("virtual").devices.laser_x, channels.LASER_X, {})
+    return LaserPipeline("laser_x", load_rig("virtual").devices["laser_x"], channels.LASER_X, {})
 
 
 @settings(max_examples=30, deadline=None)

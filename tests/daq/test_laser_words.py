@@ -23,7 +23,7 @@ ORDERS = st.lists(st.sampled_from(NAMES), min_size=1, max_size=6)
 
 
 def pipeline(identity: dict[str, object] | None = None) -> LaserPipeline:
-    return LaserPipeline("laser_x", DEVICES.laser_x, channels.LASER_X, identity or {})
+    return LaserPipeline("laser_x", DEVICES["laser_x"], channels.LASER_X, identity or {})
 
 
 def answer(*names: str) -> bytes:

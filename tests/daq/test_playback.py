@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from daq.channels import CHANNELS
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.played import BothWays
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, TX, Batch
@@ -24,7 +25,6 @@ from daq.log import Log, open_log
 from daq.log.file import LogFile
 from daq.log.samples import RawChunk
 from daq.playback import BACKLOG_BYTES, LinkOutlet, Outlet, Playback, PlayedDevice, open_outlets, played_devices
-from daq.playback.bytes_played import BothWays
 from daq.transports import HostClock, Link, open_link, slcan
 from daq.transports.wires import PtyWire, TcpWire
 from rig_configs import load_rig
@@ -116,7 +116,7 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
     frames: list[tuple[bool, int]], cuts: list[int], listens: int
 ) -> None:
     """Any order of frames, any cut into reads, and any cut at the listener."""
-    drive = load_rig("virtual").devices.drive
+    drive = load_rig("virtual").devices["drive"]
     live, listener, played = DrivePipeline("drive", drive), DrivePipeline("drive", drive), BothWays()
     speeds: list[list[Batch]] = [[], []]
     bus = pending = b""

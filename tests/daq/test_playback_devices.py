@@ -15,21 +15,22 @@ from hypothesis import strategies as st
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
+from daq.drivers.cia402.played import PlayedDrive
 from daq.drivers.items import RX, TX
 from daq.drivers.optoncdt import dialogue as lasers
 from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.played import PlayedLaser, WholeBlocks
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.played import PlayedNode
 from daq.errors import DeviceError, LogError
 from daq.log import Log, open_log
 from daq.playback import PlayedDevice, played_devices
-from daq.playback.bytes_played import WholeBlocks
-from daq.playback.devices import PlayedDrive, PlayedLaser, PlayedNode
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 from tests.daq.replayed_log import IDENTITIES, write_log
 
 RIG = load_rig("virtual")
-LASER = RIG.devices.laser_x
+LASER = RIG.devices["laser_x"]
 IDENTITY = IDENTITIES["laser_x"]
 
 
@@ -185,7 +186,7 @@ class Bus:
 
     def __init__(self, drive: PlayedDrive) -> None:
         self.drive = drive
-        self.control = DriveControl(RIG.devices.drive, self.send, HostClock())
+        self.control = DriveControl(RIG.devices["drive"], self.send, HostClock())
         self._lines = slcan.LineDecoder()
 
     def send(self, data: bytes) -> None:
@@ -196,11 +197,11 @@ class Bus:
 
 
 def report(status: int, rpm: int) -> bytes:
-    return slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, RIG.devices.drive.node_id), cia402.pack_tpdo1(status, rpm)))
+    return slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.pack_tpdo1(status, rpm)))
 
 
 def test_our_own_control_starts_and_stops_a_played_drive() -> None:
-    drive = PlayedDrive(RIG.devices.drive)
+    drive = PlayedDrive(RIG.devices["drive"])
     bus = Bus(drive)
     assert drive.play(RX, report(0x237, 100)) == b""
     bus.control.start()
@@ -216,13 +217,13 @@ def test_our_own_control_starts_and_stops_a_played_drive() -> None:
 
 
 def test_what_it_measures_is_what_the_log_said_last() -> None:
-    drive = PlayedDrive(RIG.devices.drive)
+    drive = PlayedDrive(RIG.devices["drive"])
     bus = Bus(drive)
     bus.control.start()
     line = report(0x237, -300)
     drive.play(RX, report(0x240, 1) + b"z\r" + line[:9])
     drive.play(RX, line[9:] + line[:9])
-    node = canopen.RemoteNode(RIG.devices.drive.node_id, canopen.ObjectDictionary())
+    node = canopen.RemoteNode(RIG.devices["drive"].node_id, canopen.ObjectDictionary())
     network = canopen.Network()
     network.add_node(node)
 
@@ -239,7 +240,7 @@ def test_what_it_measures_is_what_the_log_said_last() -> None:
 
 
 def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
-    drive = PlayedDrive(RIG.devices.drive)
+    drive = PlayedDrive(RIG.devices["drive"])
     drive.hear(b"O\rt0002" + bytes([1, 5]).hex().encode() + b"\r")
     line = report(0x237, 300)
     request = slcan.encode(slcan.CanFrame(cia402.cob_sdo_request(5), b"\x40\x41\x60\0\0\0\0\0"))
@@ -251,7 +252,7 @@ def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
 
 @given(st.lists(st.binary(max_size=60), max_size=10))
 def test_whatever_a_host_sends_nothing_breaks(pieces: list[bytes]) -> None:
-    for device in (PlayedLaser(IDENTITY, LASER), PlayedNode(), PlayedDrive(RIG.devices.drive), PlayedDevice()):
+    for device in (PlayedLaser(IDENTITY, LASER), PlayedNode(), PlayedDrive(RIG.devices["drive"]), PlayedDevice()):
         for piece in pieces:
             assert isinstance(device.hear(piece), bytes)
         assert device.rest() == b""

@@ -105,7 +105,7 @@ def test_a_stream_left_running_is_run_dry_before_the_new_one_begins() -> None:
                 device.pipeline = make_pipelines(rig.devices, {})["laser_x"]
                 samples.clear()
 
-        identity = lasers.configure("laser_x", rig.devices.laser_x, OpenDevice(device, forget))
+        identity = lasers.configure("laser_x", rig.devices["laser_x"], OpenDevice(device, forget))
         assert identity["serial"] == "14200001"
         wait_for(lambda: sum(samples) > 400)
         assert [e.text for e in events if e.kind in ("restart", "damage", "gap")] == []
@@ -117,4 +117,4 @@ def test_a_sensor_that_will_not_be_silent_is_said_with_what_to_look_at(monkeypat
     with line_to(LeftStreaming(deaf=True)) as (device, _, samples):
         wait_for(lambda: sum(samples) > 100)
         with pytest.raises(DeviceError, match=r"told OUTPUT NONE 3 times, it goes on sending\. Does its line carry"):
-            lasers.configure("laser_x", load_rig("virtual").devices.laser_x, OpenDevice(device, lambda: None))
+            lasers.configure("laser_x", load_rig("virtual").devices["laser_x"], OpenDevice(device, lambda: None))

@@ -41,7 +41,7 @@ def test_a_recorded_test_holds_raw_and_decoded_and_replays_exactly(
         tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet, note="<b>note</b>")
         done = tests.ring_down("x")
         spun = tests.spin_down()
-    radio = virtual_rig.line.ask("radio")
+    radio = virtual_rig.line.ask("state")
     for path in (done.log, spun.log):
         rows = check(path)
         assert [r.topic for r in rows if r.difference] == []
@@ -79,8 +79,8 @@ def test_a_run_down_is_recorded_from_the_top_almost_to_rest(
 
 def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(plugged: Rig) -> None:
     wrong = plugged.model_copy(
-        update={"devices": plugged.devices.model_copy(
-            update={"laser_x": plugged.devices.laser_x.model_copy(update={"range_m": 0.05})})}
+        update={"devices": {
+            **plugged.devices, "laser_x": plugged.devices["laser_x"].model_copy(update={"range_m": 0.05})}}
     )  # fmt: skip
     with pytest.raises(DeviceError, match=r"50 mm, the sensor 25 mm"), Session(wrong, HostClock(TIME_SCALE)):
         pass

@@ -27,7 +27,7 @@ def test_signals_keep_the_devices_own_spacing(tmp_path: Path) -> None:
     assert np.allclose(run.angle_rad[:, 1], np.pi)
     assert run.test == "small"
     assert run.releases == ()
-    assert set(run.clock_rate_std) == {"laser_x", "laser_y", "encoder"}
+    assert set(run.clock_rate_std) == {"x", "y", "angles", "phase"}
 
 
 @pytest.mark.parametrize("told", [(0, 1), (0,), (1,)])
@@ -100,7 +100,7 @@ def test_channels_without_a_device_clock_are_on_the_common_clock(tmp_path: Path)
     assert np.allclose(run.mark_phase_rad, 2 * np.pi * np.array([0, 1, 3]) + np.radians(30))
     assert [(r.pendulum, r.time_std_s) for r in run.releases] == [(1, 0.02)]
     assert run.releases[0].time_s == pytest.approx(0.504)
-    assert run.clock_rate_std == {"laser_x": 7e-6, "laser_y": 7e-6, "encoder": 7e-6}
+    assert run.clock_rate_std == {"x": 7e-6, "y": 7e-6, "angles": 7e-6, "phase": 7e-6}
     assert run.losses == {"laser_y.samples": 2, "laser_y.invalid": 1}
     assert run.metadata["identities"] == {}
 

@@ -40,8 +40,8 @@ class Campaign:
         self.rig: Rig = load_rig(self.rig_name, settings=self.settings)
         self.truth: RotorParameters = self.rig.true_physics
         share = 0.0 if self.calibrated else 1.0
-        self.gain = 1 + share * self.rig.devices.laser_x.gain_std * self.rng.normal(size=2)
-        zero = np.radians(self.rig.devices.encoder.zero_std_deg)
+        self.gain = 1 + share * self.rig.devices["laser_x"].gain_std * self.rng.normal(size=2)
+        zero = np.radians(self.rig.devices["encoder"].zero_std_deg)
         self.zero = share * zero * self.rng.normal(size=2)
 
     def _clock(self) -> tuple[float, float]:
@@ -86,7 +86,7 @@ class Campaign:
         }
 
     def _run(self, test: str, releases: tuple[Release, ...] = (), **signals: Any) -> Run:
-        rates = dict.fromkeys(("laser_x", "laser_y", "encoder"), self.clock_rate_std)
+        rates = dict.fromkeys(("x", "y", "angles", "phase"), self.clock_rate_std)
         return Run(test, f"{test}-{self.seed}.mcap", 0.0, releases=releases, clock_rate_std=rates, **signals)
 
     def ring_down(self, axis: str, held_m: float = 2.5e-3, record_s: float = 12.0) -> Run:

@@ -108,7 +108,7 @@ class Passage:
             p, v, _ = self.speed(marks)
             marks -= (p - turns) / v
         none, t = np.empty(0), self.time
-        rates: dict[str, float] = dict.fromkeys(("laser_x", "laser_y", "encoder"), 0.0)
+        rates: dict[str, float] = dict.fromkeys(("x", "y", "angles", "phase"), 0.0)
         return Run(
             "run-up", "imported.mcap", 0.0, t, self.signal[:, 0], t, self.signal[:, 1], none, np.empty((0, 2)),
             marks, turns, clock_rate_std=rates,

@@ -131,7 +131,7 @@ def test_what_is_no_number_is_refused(setting: str, words: str) -> None:
 
 def test_relative_settings_keep_whole_numbers_whole_and_texts_texts() -> None:
     rig = load_rig("virtual", settings=["devices.encoder.rate_Hz=*0.5", "name=*star", "limits.speed_rpm=- 5 %"])
-    assert (rig.devices.encoder.rate_Hz, rig.name) == (500, "*star")
+    assert (rig.devices["encoder"].rate_Hz, rig.name) == (500, "*star")
     assert rig.limits.speed_rpm == pytest.approx(0.95 * load_rig("virtual").limits.speed_rpm)
 
 

@@ -37,7 +37,7 @@ def test_shipped_rigs_load_and_hold_the_points() -> None:
         ("suspension.k1_N_per_m=inf", ["suspension.k1_N_per_m", "inf"]),
         ("points.A.speed_ration=1", ["did you mean points.A.speed_ratio"]),
         ("pointss.A=1", ["did you mean points"]),
-        ("devices.laser_x.axis=y", ["laser_x must look along axis"]),
+        ("devices.laser_x.axis=y", ["laser_x and laser_y are both the rig's displacement along y"]),
         ("devices.drive.heartbeat_timeout_ms=120", ["at least twice heartbeat_ms"]),
         ("virtual.truth.suspension.k2=1", ["did you mean virtual.truth.suspension.k2_N_per_m"]),
         ("suspension.q=+5%", ["no number at suspension.q"]),
@@ -54,11 +54,38 @@ def test_a_fault_is_explained(setting: str, words: list[str]) -> None:
 
 def test_a_missing_device_and_a_missing_value_are_named(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "rig_configs" / "virtual.toml").read_text()
-    start, end = text.index("[devices.encoder]"), text.index("[devices.drive]")
     broken = tmp_path / "broken.toml"
-    broken.write_text(text[:start] + text[end:].replace("mass_kg = 7.0", ""))
-    with pytest.raises(RigFileError, match=r"broken.toml: devices.encoder: missing; expected a table with driver"):
+    broken.write_text(text.replace("mass_kg = 7.0", "").replace('driver = "cia402"', ""))
+    with pytest.raises(RigFileError) as caught:
         load_rig(broken)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert lines[0].endswith("broken.toml: rotor.mass_kg: missing; expected a float") or "rotor.mass_kg" in lines[0]
+    assert "devices.drive: no driver; expected driver = one of cia402, optoncdt, rotorlink" in lines[1]
+
+
+def test_a_driver_that_is_not_installed_is_named_with_the_nearest() -> None:
+    with pytest.raises(RigFileError, match=r"devices\.drive.*no driver 'cia420' is installed.*Did you mean 'cia402'"):
+        load_rig("virtual", settings=["devices.drive.driver=cia420"])
+    with pytest.raises(RigFileError, match=r"devices\.drive.*expected one of .*got 7"):
+        load_rig("virtual", settings=["devices.drive.driver=7"])
+
+
+def test_devices_have_any_name_and_any_of_them_may_be_missing(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "rig_configs" / "virtual.toml").read_text()
+    start, end = text.index("[devices.laser_x]"), text.index("[limits]")
+    one = tmp_path / "one.toml"
+    device = '[devices.probe_7]\ndriver = "optoncdt"\nport = "p"\naxis = "y"\nlever_ratio = 0.5\n\n'
+    one.write_text(text[:start] + device + text[end:])
+    roles = load_rig(one).roles
+    assert roles.along("x") is roles.angles is roles.phase is roles.speed is roles.locks is None
+    found = roles.along("y")
+    assert found is not None
+    assert (found.device, found.topic, found.reach_m, roles.gain_stds) == ("probe_7", "laser/y", 0.025, (0.0, 0.001))
+    for name in ("Probe", "7probe", "host", "a b"):
+        one.write_text(text[:start] + device.replace("probe_7", f'"{name}"') + text[end:])
+        with pytest.raises(RigFileError, match="devices"):
+            load_rig(one)
 
 
 def test_a_file_that_is_not_there_names_the_shipped_ones() -> None:

@@ -15,12 +15,12 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
+from daq.drivers.cia402.settings import Drive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard
 from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock
-from rig_configs.schema import Drive
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets is said by us, in our words
 

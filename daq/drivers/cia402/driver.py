@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.cia402 import wire
-from daq.drivers.cia402.control import DriveControl
-from daq.drivers.cia402.stream import DrivePipeline
-from daq.drivers.contract import Line, RotorGuard, SampleClock, Talk
+from daq.drivers.checks import Checks
+from daq.drivers.cia402.settings import Drive
+from daq.drivers.contract import Line, Pipeline, RotorGuard, SampleClock, SpeedSource, Talk
 from daq.drivers.items import Event
+from daq.drivers.played import PlayedDevice
+from daq.drivers.simulated import FarEnd
 from daq.transports.host_clock import HostClock
-from rig_configs.schema import Drive
 
 _ADAPTER_BAUD = 115_200  # of the adapter's own serial port, where it has one
 
@@ -23,6 +23,7 @@ class Cia402:
     """See Driver."""
 
     name = "cia402"
+    settings = Drive
     rest_s = 0.01
 
     def line(self, settings: Drive) -> Line:
@@ -33,18 +34,46 @@ class Cia402:
         """See Driver."""
         return (channels.MOTOR,)
 
+    def occasional(self, settings: Drive) -> tuple[Channel, ...]:
+        """See Driver."""
+        return ()
+
     def clocks(self, settings: Drive) -> tuple[SampleClock, ...]:
         """See Driver; a drive has no clock, the host's time counts."""
         return ()
 
-    def pipeline(self, device: str, settings: Drive, identity: Mapping[str, Any]) -> DrivePipeline:
+    def pipeline(self, device: str, settings: Drive, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
+        from daq.drivers.cia402.stream import DrivePipeline  # noqa: PLC0415
+
         return DrivePipeline(device, settings)
 
     def words(self, event: Event) -> str:
         """See Driver."""
+        from daq.drivers.cia402 import wire  # noqa: PLC0415
+
         code = int(event.facts["error_code"])
         return wire.emergency_words(code) if code else ""
+
+    def checks(
+        self, settings: Drive, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+    ) -> Checks:
+        """See Driver: the drive's state, and what it told in emergencies."""
+        from daq.drivers.cia402.looked_at import drive_checks  # noqa: PLC0415
+
+        return drive_checks(control, events)
+
+    def far_end(self, device: str, settings: Drive, world: Any) -> FarEnd:
+        """See Driver."""
+        from daq.drivers.cia402.far_end import SimulatedDrive  # noqa: PLC0415
+
+        return SimulatedDrive.of(settings, world)
+
+    def played(self, settings: Drive, identity: Mapping[str, Any]) -> PlayedDevice:
+        """See Driver."""
+        from daq.drivers.cia402.played import PlayedDrive  # noqa: PLC0415
+
+        return PlayedDrive(settings)
 
     def prepare(self) -> None:
         """See Driver."""
@@ -58,8 +87,10 @@ class Cia402:
 
     def speed_source(
         self, settings: Drive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
-    ) -> DriveControl:
+    ) -> SpeedSource:
         """See TurnsRotor."""
+        from daq.drivers.cia402.control import DriveControl  # noqa: PLC0415 (canopen)
+
         return DriveControl(settings, send, clock, guard)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Any
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import (
@@ -15,9 +16,11 @@ from daq.drivers.cia402.canopen_node import (
     SdoServer,
     drive_objects,
 )
+from daq.drivers.cia402.settings import Drive
+from daq.drivers.simulated import FarEnd
 from daq.transports import slcan
 from daq.virtual_rig.motion import Motion
-from rig_configs.schema import Drive
+from daq.virtual_rig.world import World
 
 _LATE_S = 0.05  # what a stalled simulation leaves out, a real drive would have sent
 _QUICK_STOP_RPM_S = 4000.0
@@ -27,7 +30,7 @@ _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
 _HEARTBEAT_ERROR = 0x8130
 
 
-class SimulatedDrive:
+class SimulatedDrive(FarEnd):
     """Turns the rotor as the wire says; stops it by itself when the host's heartbeat stays away.
 
     Args:
@@ -60,12 +63,18 @@ class SimulatedDrive:
         self._sdo = SdoServer(self._objects, measured, self._written)
         self._out: list[slcan.CanFrame] = []
 
-    def fail(self, what: str, value: float) -> None:
-        """Something goes wrong: see `VirtualRig` for what there is.
+    @classmethod
+    def of(cls, config: Drive, world: World) -> SimulatedDrive:
+        """The drive of a simulated rig."""
+        return cls(config, world.motion, world.virtual.drive.report_s)
 
-        Raises:
-            ValueError: no such fault.
-        """
+    def facts(self) -> dict[str, Any]:
+        """See FarEnd."""
+        return {"speed_rpm": self.speed_rpm, "drive": self.state, "can_frames": self.frames_sent,
+                "emergencies": self.emergencies, "watchdog_ms": self.watchdog_ms}  # fmt: skip
+
+    def fail(self, what: str, value: Any) -> None:
+        """See FarEnd: "emergency", "fault", "restart", "network", "silent reports", "reported share", "speed"."""
         match what:
             case "emergency":
                 self._emergency(int(value))
@@ -82,11 +91,11 @@ class SimulatedDrive:
             case "silent reports":
                 self._reports = not value
             case "reported share":
-                self._reported_share = value
+                self._reported_share = float(value)
             case "speed":  # it runs away
                 self._target_rpm = int(value)
-            case other:
-                raise ValueError(f"a drive knows no fault {other!r}")
+            case _:
+                super().fail(what, value)
 
     def _emergency(self, code: int) -> None:
         self.emergencies.append(code)

@@ -6,9 +6,9 @@ import numpy as np
 
 from daq import channels
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.settings import Drive
 from daq.drivers.items import TX, Batch, Event
 from daq.transports import slcan
-from rig_configs.schema import Drive
 
 
 class DrivePipeline:

@@ -8,8 +8,8 @@ from typing import Any
 
 from daq.drivers.contract import Talk
 from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.settings import Laser
 from daq.errors import DeviceError
-from rig_configs.schema import Laser
 
 _ANSWER_S = 1.0  # wall seconds
 _QUIET_S = 0.1

@@ -3,24 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.contract import Line, SampleClock, Talk
+from daq.drivers.checks import Checks
+from daq.drivers.contract import Line, Pipeline, SampleClock, SpeedSource, Talk
 from daq.drivers.items import Event
-from daq.drivers.optoncdt import wire
-from daq.drivers.optoncdt.blocks import compile_loop
-from daq.drivers.optoncdt.dialogue import configure
-from daq.drivers.optoncdt.stream import LaserPipeline
-from rig_configs.schema import Laser
+from daq.drivers.optoncdt.settings import Laser
+from daq.drivers.played import PlayedDevice
+from daq.drivers.simulated import FarEnd
+
+_COUNTER_WRAP = 2**18
 
 
 class OptoNcdt:
     """See Driver."""
 
     name = "optoncdt"
+    settings = Laser
     rest_s = 0.02
 
     def line(self, settings: Laser) -> Line:
@@ -31,15 +33,21 @@ class OptoNcdt:
         """See Driver."""
         return (channels.LASER_X if settings.axis == "x" else channels.LASER_Y,)
 
+    def occasional(self, settings: Laser) -> tuple[Channel, ...]:
+        """See Driver."""
+        return ()
+
     def clocks(self, settings: Laser) -> tuple[SampleClock, ...]:
         """See Driver."""
         (channel,) = self.channels(settings)
-        tick_ns = round(wire.TICK_S * 1e9)
+        tick_ns = round(channels.DEVICE_TICK_S * 1e9)
         return (SampleClock(channel.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "device_ticks", tick_ns,
-                            wire.COUNTER_WRAP),)  # fmt: skip
+                            _COUNTER_WRAP),)  # fmt: skip
 
-    def pipeline(self, device: str, settings: Laser, identity: Mapping[str, Any]) -> LaserPipeline:
+    def pipeline(self, device: str, settings: Laser, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
+        from daq.drivers.optoncdt.stream import LaserPipeline  # noqa: PLC0415 (numba)
+
         (channel,) = self.channels(settings)
         return LaserPipeline(device, settings, channel, identity)
 
@@ -47,12 +55,34 @@ class OptoNcdt:
         """See Driver."""
         return event.text
 
+    def checks(
+        self, settings: Laser, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+    ) -> Checks:
+        """See Driver."""
+        return {}
+
+    def far_end(self, device: str, settings: Laser, world: Any) -> FarEnd:
+        """See Driver."""
+        from daq.drivers.optoncdt.far_end import SimulatedLaser  # noqa: PLC0415
+
+        return SimulatedLaser.of(device, settings, world)
+
+    def played(self, settings: Laser, identity: Mapping[str, Any]) -> PlayedDevice:
+        """See Driver."""
+        from daq.drivers.optoncdt.played import PlayedLaser  # noqa: PLC0415
+
+        return PlayedLaser(identity, settings)
+
     def prepare(self) -> None:
         """See Driver."""
+        from daq.drivers.optoncdt.blocks import compile_loop  # noqa: PLC0415
+
         compile_loop()
 
     def open(self, device: str, settings: Laser, talk: Talk) -> dict[str, Any]:
         """See Driver."""
+        from daq.drivers.optoncdt.dialogue import configure  # noqa: PLC0415
+
         return configure(device, settings, talk)
 
     def stop(self, talk: Talk) -> None:

@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
-from daq.virtual_rig.motion import Trajectory
-from rig_configs.schema import Laser
+from daq.drivers.optoncdt.settings import Laser
+from daq.drivers.simulated import FarEnd, Stretch
+from daq.virtual_rig.world import DeviceClock, World
 
 _ERROR_BEFORE, _ERROR_BEHIND, _ERROR_BAUD = 262077, 262078, 262075
 
 
-class DeviceClock:
-    """A clock with its own offset and rate: device = offset + (1 + drift) · rig time, s."""
-
-    def __init__(self, offset_s: float, drift: float) -> None:
-        self.offset_s, self.drift = offset_s, drift
-
-    def device_s(self, time_s: NDArray[np.floating] | float) -> NDArray[np.floating] | float:
-        """What the device's clock shows at a rig time."""
-        return self.offset_s + (1 + self.drift) * time_s
-
-    def rig_s(self, device_s: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Rig time at which the device's clock shows a value."""
-        return (device_s - self.offset_s) / (1 + self.drift)
-
-
-class SimulatedLaser:
+class SimulatedLaser(FarEnd):
     """One sensor on its serial line.
 
     Attributes:
@@ -64,7 +52,17 @@ class SimulatedLaser:
             counter_reset=self._reset_counter,
         )
 
-    def receive(self, data: bytes) -> bytes:
+    @classmethod
+    def of(cls, device: str, config: Laser, world: World) -> SimulatedLaser:
+        """The sensor of a simulated rig."""
+        gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
+        return cls(
+            config, gain * world.direction(config.axis), 5e-5 * world.calibration.standard_normal(),
+            world.virtual.sensors.laser_noise_m, world.clock(device), world.rng(f"noise {device}"),
+            serial=f"1420000{1 if config.axis == 'x' else 2}",
+        )  # fmt: skip
+
+    def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
         """Take command bytes; returns the answers."""
         return self._commands.receive(data)
 
@@ -74,7 +72,7 @@ class SimulatedLaser:
     def _reset_counter(self) -> None:
         self._counter = 0
 
-    def sample(self, motion: Trajectory) -> bytes:
+    def sample(self, motion: Stretch) -> bytes:
         """The stream's bytes for the samples that fall into a stretch of motion."""
         period = 1.0 / self._commands.rate_Hz
         last = int(np.floor(float(self._clock.device_s(motion.time_s[-1])) / period))
@@ -93,6 +91,12 @@ class SimulatedLaser:
         if not self._commands.streaming:
             return b""
         return optoncdt.encode_block(self._words(seen, counter, device_s))
+
+    def fail(self, what: str, value: Any) -> None:
+        """See FarEnd; "code": a distance word in place of what it sees, 0 ends it."""
+        if what != "code":
+            super().fail(what, value)
+        self.fault_code = int(value) or None
 
     def _words(
         self, seen: NDArray[np.floating], counter: NDArray[np.int_], device_s: NDArray[np.floating]

@@ -20,18 +20,15 @@ The verdict on a sample comes `LOOK_AHEAD` samples later and is written there: s
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from daq.channels import SUSPECT_BEFORE, SUSPECT_PLACES
 from daq.drivers.optoncdt import wire as optoncdt
 
-LOOK_AHEAD = 10
+LOOK_AHEAD = SUSPECT_PLACES
 """By how many samples a verdict stands behind the sample it is about."""
-SPIKE_BEFORE = 0x1
-"""Bit of a laser channel's `flags`: the sample `LOOK_AHEAD` places before this one in the channel is suspect."""
 
 _TIMES_MEDIAN = 14
 _TIMES_NEIGHBOURS = 3
@@ -96,7 +93,7 @@ def _watch(new, counter, before, state, flags):  # pragma: no cover - compiled
         seen += 1
         i = j - LOOK_AHEAD
         if row >= _NEEDED and _fourth(code, i) << _SCALE > _TIMES_MEDIAN * median and _alone(code, i):
-            flags[k] = SPIKE_BEFORE
+            flags[k] = SUSPECT_BEFORE
             found = True
     before[:] = code[len(new) :]
     state[0], state[1], state[2], state[3] = median, seen, row, last
@@ -123,19 +120,12 @@ class SpikeWatch:
             code, counter: the next samples' words as they were on the line, shape (n,).
 
         Returns:
-            `SPIKE_BEFORE` on every sample `LOOK_AHEAD` places behind a spike, otherwise 0; shape (n,).
+            `SUSPECT_BEFORE` on every sample `LOOK_AHEAD` places behind a spike, otherwise 0; shape (n,).
         """
         flags = np.empty(len(code), np.uint32)
         words, counts = np.ascontiguousarray(code, np.uint32), np.ascontiguousarray(counter, np.uint32)
         self.found = _watch(words, counts, self._before, self._state, flags)
         return flags
-
-
-def suspects(flags: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which samples of a laser channel are suspect, from its flags; both of shape (n,)."""
-    found = np.zeros(len(flags), bool)
-    found[:-LOOK_AHEAD] = (flags[LOOK_AHEAD:] & SPIKE_BEFORE) != 0
-    return found
 
 
 def compile_watch() -> None:

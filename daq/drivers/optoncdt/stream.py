@@ -15,10 +15,10 @@ from daq.drivers.items import TX, Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
 from daq.drivers.optoncdt.rows import RowOrder
+from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.spikes import LOOK_AHEAD, SpikeWatch
 from daq.drivers.optoncdt.words import WordsTrial
 from daq.errors import DeviceError
-from rig_configs.schema import Laser
 
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 _TOLD_SHARE = 2e-3  # by which a rate differs when it is told; less is for who knows the host's clock
@@ -246,6 +246,9 @@ def _words(device: str, told: object) -> tuple[str, ...]:
     """The output words that a sensor, or a log, says its stream is made of."""
     if isinstance(told, list | tuple) and 0 < len(told) <= optoncdt.MOST_WORDS:
         words = tuple(word for word in told if isinstance(word, str))
-        if len(words) == len(told):
+        if len({*words}) == len(told) and {*DEFAULT_WORDS} <= {*words}:
             return words
-    raise DeviceError(f"{device}: expected names of output words in its identity, got words {told!r:.80}")
+    raise DeviceError(
+        f"{device}: expected the words of its stream in its identity, each once, {', '.join(DEFAULT_WORDS)} among "
+        f"them, got words {told!r:.80}"
+    )

@@ -3,22 +3,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.contract import Line, SampleClock, Talk
+from daq.drivers.checks import Checks
+from daq.drivers.contract import Line, PendulumLocks, Pipeline, SampleClock, SpeedSource, Talk
 from daq.drivers.items import Event
-from daq.drivers.rotorlink.locks import NodeLocks
-from daq.drivers.rotorlink.stream import NodePipeline
-from rig_configs.schema import EncoderNode
+from daq.drivers.played import PlayedDevice
+from daq.drivers.rotorlink.settings import EncoderNode
+from daq.drivers.simulated import FarEnd
 
 
 class RotorLink:
     """See Driver."""
 
     name = "rotorlink"
+    settings = EncoderNode
     rest_s = 0.01
 
     def line(self, settings: EncoderNode) -> Line:
@@ -26,21 +28,47 @@ class RotorLink:
         return Line(settings.port, settings.baud)
 
     def channels(self, settings: EncoderNode) -> tuple[Channel, ...]:
-        """See Driver; index marks come only while the rotor turns."""
+        """See Driver."""
         return (channels.PENDULUMS,)
+
+    def occasional(self, settings: EncoderNode) -> tuple[Channel, ...]:
+        """See Driver."""
+        return (channels.TACHO,)
 
     def clocks(self, settings: EncoderNode) -> tuple[SampleClock, ...]:
         """See Driver."""
         return (SampleClock(channels.PENDULUMS.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "node_time_us",
                             1000, 2**32),)  # fmt: skip
 
-    def pipeline(self, device: str, settings: EncoderNode, identity: Mapping[str, Any]) -> NodePipeline:
+    def pipeline(self, device: str, settings: EncoderNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
+        from daq.drivers.rotorlink.stream import NodePipeline  # noqa: PLC0415
+
         return NodePipeline(device, settings)
 
     def words(self, event: Event) -> str:
         """See Driver."""
         return event.text
+
+    def checks(
+        self, settings: EncoderNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+    ) -> Checks:
+        """See Driver: the node's own word, and how strong its frames come in."""
+        from daq.drivers.rotorlink.looked_at import node_checks  # noqa: PLC0415
+
+        return node_checks(settings, pipeline)
+
+    def far_end(self, device: str, settings: EncoderNode, world: Any) -> FarEnd:
+        """See Driver."""
+        from daq.drivers.rotorlink.far_end import SimulatedNode  # noqa: PLC0415
+
+        return SimulatedNode.of(device, settings, world)
+
+    def played(self, settings: EncoderNode, identity: Mapping[str, Any]) -> PlayedDevice:
+        """See Driver."""
+        from daq.drivers.rotorlink.played import PlayedNode  # noqa: PLC0415
+
+        return PlayedNode()
 
     def prepare(self) -> None:
         """See Driver."""
@@ -52,8 +80,10 @@ class RotorLink:
     def stop(self, talk: Talk) -> None:
         """See Driver; a node goes on for as long as it has power."""
 
-    def locks(self, settings: EncoderNode, send: Callable[[bytes], None]) -> NodeLocks:
+    def locks(self, settings: EncoderNode, send: Callable[[bytes], None]) -> PendulumLocks:
         """See MovesLocks."""
+        from daq.drivers.rotorlink.locks import NodeLocks  # noqa: PLC0415
+
         return NodeLocks(send)
 
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.optoncdt.far_end import DeviceClock
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.virtual_rig.motion import Motion, Trajectory
-from rig_configs.schema import EncoderNode, Radio
+from daq.drivers.rotorlink.settings import EncoderNode
+from daq.drivers.simulated import FarEnd, Stretch
+from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.world import DeviceClock, World
+from rig_configs.schema import Radio
 
 _NODE, _SAMPLES = 1, 20
 _MECHANISM_S = 0.05  # time from a release command to the open lock
@@ -61,7 +64,7 @@ class Air:
         return out
 
 
-class SimulatedNode:
+class SimulatedNode(FarEnd):
     """Node, air and dongle behind one serial line.
 
     Attributes:
@@ -117,7 +120,17 @@ class SimulatedNode:
         self._seq = (self._seq + 1) & 0xFFFF
         self.air.uplink(time_s, payload)
 
-    def receive(self, data: bytes, now_s: float) -> None:
+    @classmethod
+    def of(cls, device: str, config: EncoderNode, world: World) -> SimulatedNode:
+        """The node of a simulated rig."""
+        virtual = world.virtual
+        zero = world.spread * math.radians(config.zero_std_deg) * world.calibration.standard_normal(2)
+        return cls(
+            config, world.motion, zero, virtual.sensors.encoder_noise_counts, math.radians(virtual.lock_play_deg),
+            world.clock(device), Air(virtual.radio, world.rng("radio")), world.rng("node"),
+        )  # fmt: skip
+
+    def receive(self, data: bytes, now_s: float) -> bytes:
         """Take bytes the host sent to the dongle."""
         for run in data.split(b"\x00")[:-1] if not self._run else (bytes(self._run) + data).split(b"\x00")[:-1]:
             decoded = rotorlink.FrameDecoder().feed(run + b"\x00")
@@ -126,6 +139,7 @@ class SimulatedNode:
                     self._host_frame(frame, now_s + self.air._config.delay_s)
         tail = (bytes(self._run) + data).split(b"\x00")[-1]
         self._run = bytearray(tail[-300:])
+        return b""
 
     def _host_frame(self, frame: rotorlink.Frame, now_s: float) -> None:
         if isinstance(frame, rotorlink.Ping):
@@ -174,8 +188,8 @@ class SimulatedNode:
         us = self._us(time_s)
         self._send(time_s, lambda seq: rotorlink.LockEvent(_NODE, seq, us, pendulum, state, command).pack())
 
-    def mechanisms(self, now_s: float) -> None:
-        """Let lock mechanisms finish; called before each stretch of motion, at its start."""
+    def step(self, now_s: float) -> bytes:
+        """Let lock mechanisms finish."""
         for entry in [e for e in self._due if e[0] <= now_s]:
             self._due.remove(entry)
             _, pendulum, act, command = entry
@@ -185,11 +199,35 @@ class SimulatedNode:
         for pendulum in [i for i in self._closing if self._motion.locked_in(i)]:
             self._closed[pendulum] = True
             self._lock_event(now_s, pendulum, 0, self._closing.pop(pendulum))
+        return b""
 
     def _counts_exact(self) -> NDArray[np.floating]:
         return (self._motion.angles_rad + self._zero) * self._config.counts_per_revolution / (2 * math.pi)
 
-    def sample(self, motion: Trajectory) -> None:
+    def sample(self, motion: Stretch) -> bytes:
+        """See FarEnd."""
+        self.put_on_air(motion)
+        return self.dongle(float(motion.time_s[-1]))
+
+    def fail(self, what: str, value: Any) -> None:
+        """See FarEnd: "dead", "flags" (of faulty encoders), "marks lost", "locks stuck"."""
+        match what:
+            case "dead":
+                self.dead = bool(value)
+            case "flags":
+                self.fault_flags = int(value)
+            case "marks lost":
+                self.marks_lost = bool(value)
+            case "locks stuck":
+                self.locks_stuck = bool(value)
+            case _:
+                super().fail(what, value)
+
+    def facts(self) -> dict[str, Any]:
+        """See FarEnd: what the radio was given and dropped."""
+        return {"sent": self.air.sent, "dropped": self.air.dropped, "last_delivered": self.air.last_delivered}
+
+    def put_on_air(self, motion: Stretch) -> None:
         """Put the frames of a stretch of motion on air, in order of time."""
         queue: list[tuple[float, Callable[[], None]]] = []
         queue += self._index_marks(motion)
@@ -206,7 +244,7 @@ class SimulatedNode:
         sent, us = self.air.sent, self._us(now_s)
         self._send(now_s, lambda seq: rotorlink.Status(_NODE, seq, us, 3712, 315, sent, 0, 1, 4, per_turn).pack())
 
-    def _index_marks(self, motion: Trajectory) -> list[tuple[float, Callable[[], None]]]:
+    def _index_marks(self, motion: Stretch) -> list[tuple[float, Callable[[], None]]]:
         index = math.radians(self._config.index_angle_deg)
         turns = np.floor((motion.rows[:, 8] - index) / (2 * math.pi))
         out: list[tuple[float, Callable[[], None]]] = []
@@ -229,7 +267,7 @@ class SimulatedNode:
         us = self._us(time_s)
         self._send(time_s, lambda seq: rotorlink.IndexMark(_NODE, seq, us, revolutions % 2**32).pack())
 
-    def _blocks(self, motion: Trajectory) -> list[tuple[float, Callable[[], None]]]:
+    def _blocks(self, motion: Stretch) -> list[tuple[float, Callable[[], None]]]:
         if self._next == 0:
             self._next = math.floor(float(self._clock.device_s(motion.time_s[0])) / self._period) + 1
         last = math.floor(float(self._clock.device_s(motion.time_s[-1])) / self._period)

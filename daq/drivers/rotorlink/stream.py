@@ -10,7 +10,7 @@ from daq import channels
 from daq.clock import ClockMap, Unwrap
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
-from rig_configs.schema import EncoderNode
+from daq.drivers.rotorlink.settings import EncoderNode
 
 
 class NodePipeline:
@@ -20,7 +20,8 @@ class NodePipeline:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
         self.status: rotorlink.Status | None = None  # the node's newest word of itself …
         self.rssi_dBm: int | None = None  # … and how strong its frames come in
-        self.miscount = ""  # what is wrong with its counts, by its own word
+        self.complaint = ""  # what is wrong with its counts, by its own word
+        self.battery_low = False
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
@@ -37,6 +38,11 @@ class NodePipeline:
         self._clock = ClockMap(self._tolerance_ppm)
         self._next_index: int | None = None
         self._last_us: int | None = None
+
+    @property
+    def told(self) -> bool:
+        """See TellsItself."""
+        return self.status is not None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
@@ -116,7 +122,7 @@ class NodePipeline:
                         f"the node says {frame.counts_per_revolution} counts per revolution, the rig file "
                         f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
                     )
-                    self.miscount = text
+                    self.complaint = text
                     out.append(Event("fault", self._device, text))
                 out.append(Event("status", self._device, f"battery {frame.battery_mv} mV",
                                  {"battery_mv": frame.battery_mv, "frames_sent": frame.frames_sent,
@@ -138,6 +144,7 @@ class NodePipeline:
 
     def _encoder(self, block: rotorlink.EncoderBlock, host_ns: int) -> list[Batch | Event]:
         n = len(block.counts)
+        self.battery_low = bool(block.flags & channels.BATTERY_LOW)
         index = block.first_index + np.arange(n, dtype=np.int64)
         first_us = self._time.feed(np.array([block.node_time_us]))[0]
         node_us = first_us + block.period_us * np.arange(n, dtype=np.int64)

@@ -1,0 +1,40 @@
+# pyright: strict
+"""What a short look shows of a CiA 402 drive beside its speed: its state, and what it told in emergencies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from daq.drivers.checks import Check, Checks
+from daq.drivers.cia402 import wire
+from daq.drivers.contract import SpeedSource
+from daq.drivers.items import Event
+
+_FAULTY = (wire.FAULT, wire.FAULT_REACTION, wire.UNKNOWN)
+
+
+def drive_checks(control: SpeedSource | None, events: Sequence[Event]) -> Checks:
+    """Checks of an open drive.
+
+    Args:
+        control: who holds it; None where it is only listened to.
+        events: of the drive, while it was looked at.
+    """
+    out = {} if control is None else {"state": _state(control)}
+    codes = [int(e.facts.get("error_code", 0)) for e in events if e.kind == "emergency"]
+    bad = [code for code in codes if code not in (0, wire.HEARTBEAT_ERROR)]
+    words = ", ".join(f"0x{code:04X}" for code in codes) or "none"
+    out["emergencies"] = Check(words, "none", not bad, "" if not bad else "look them up in the drive's manual")
+    return out
+
+
+def _state(control: SpeedSource) -> Check:
+    state = control.state
+    faulty = state in _FAULTY
+    code = control.fault_code() if faulty and state != wire.UNKNOWN else None
+    beat = code == wire.HEARTBEAT_ERROR
+    note = ""
+    if faulty:
+        said = "it does not tell why" if code is None else f"error 0x{code:04X}"
+        note = f"{said}{': a host was gone; the next test resets it' if beat else '; mend the cause, reset the drive'}"
+    return Check(state, "no fault", not faulty or beat, note)

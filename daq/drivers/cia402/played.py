@@ -1,0 +1,115 @@
+"""A CiA 402 drive of a log while it is played."""
+
+from __future__ import annotations
+
+import re
+import struct
+
+from daq.channels import RX
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import (
+    NMT_RESET,
+    NMT_RESET_COMMUNICATION,
+    Adapter,
+    NmtState,
+    SdoServer,
+    drive_objects,
+)
+from daq.drivers.cia402.settings import Drive
+from daq.drivers.played import PlayedDevice
+from daq.transports import slcan
+
+_LINE_ENDS = b"\r\x07"
+_TAIL_BYTES = 4096  # noise without an end of line is held back no longer than this
+
+
+class BothWays:
+    """A CAN bus carries both: frames of the host stand between those of the drive, line by line.
+
+    A read may end in the middle of a line. Its beginning waits for its end, so that no frame of the host falls into it;
+    the drive's line was not complete before that frame went out either. What the host told its own adapter (open,
+    close, bit rate) is not on the bus and not played.
+    """
+
+    def __init__(self) -> None:
+        self._host = slcan.LineDecoder()
+        self._tail = b""
+
+    def feed(self, direction: int, data: bytes) -> bytes:
+        """See BytesFromDevice."""
+        if direction != RX:
+            return b"".join(slcan.encode(frame) for frame in self._host.feed(data).frames)
+        line = self._tail + data
+        end = 1 + max(line.rfind(_LINE_ENDS[:1]), line.rfind(_LINE_ENDS[1:]))
+        if len(line) - end > _TAIL_BYTES:
+            end = len(line)
+        self._tail = line[end:]
+        return line[:end]
+
+    def rest(self) -> bytes:
+        """See BytesFromDevice."""
+        tail, self._tail = self._tail, b""
+        return tail
+
+
+class PlayedDrive(PlayedDevice):
+    """A drive behind its adapter: takes settings, follows the network's start and stop, turns as it did.
+
+    Args:
+        config: its table of the rig file.
+    """
+
+    expects = "the network's start"
+
+    def __init__(self, config: Drive) -> None:
+        super().__init__(BothWays())
+        self._node = config.node_id
+        self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
+        self._report = re.compile(f"t{cia402.cob_tpdo(1, config.node_id):03X}4([0-9A-Fa-f]{{8}})".encode())
+        self._reported = bytes(4)
+        objects = drive_objects()
+        measured = {
+            (cia402.STATUSWORD, 0): lambda: self._reported[:2],
+            (cia402.ACTUAL_VELOCITY, 0): lambda: self._reported[2:],
+            (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", objects[cia402.MODE_OF_OPERATION, 0][0]),
+        }
+        self._sdo = SdoServer(objects, measured, self._written)
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return self._adapter.open and self._nmt.state == cia402.Heartbeat.OPERATIONAL
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        self._adapter.open, self._nmt.state = True, cia402.Heartbeat.OPERATIONAL
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice. What only the adapter is told configures no drive."""
+        frames, answers = self._adapter.receive(data)
+        self.commands += len(frames)
+        sent = b"".join(slcan.encode(answer) for frame in frames if (answer := self._answer(frame)) is not None)
+        return answers + sent if self._adapter.open else answers
+
+    def _pass(self, data: bytes) -> bytes:
+        if reports := self._report.findall(data):
+            self._reported = bytes.fromhex(reports[-1].decode())
+        return super()._pass(data)
+
+    def _answer(self, frame: slcan.CanFrame) -> slcan.CanFrame | None:
+        identifier, data = frame.arbitration_id, frame.data
+        if self._nmt.heed(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
+            return slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP]))
+        if identifier == cia402.cob_sdo_request(self._node) and len(data) == 8:
+            return slcan.CanFrame(cia402.cob_sdo_answer(self._node), self._sdo.answer(data))
+        if identifier == cia402.cob_rpdo(1, self._node) and len(data) == 4:
+            self._turn(cia402.unpack_rpdo1(data)[0])
+        return None
+
+    def _written(self, index: int, sub: int, value: int) -> None:
+        if (index, sub) == (cia402.CONTROLWORD, 0):
+            self._turn(value)
+
+    def _turn(self, controlword: int) -> None:
+        """Torque and speed are as they were; that a host takes them away at its end is no wish a log refuses."""
+        self.unfollowed += controlword == cia402.ENABLE_OPERATION

@@ -1,0 +1,32 @@
+# pyright: strict
+"""Settings of a CiA 402 drive in a rig file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from rig_configs.device import DeviceSettings
+from rig_configs.roles import Role, SpeedSource
+
+
+class Drive(DeviceSettings):
+    """The CiA 402 motor drive behind a CAN adapter."""
+
+    bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
+    node_id: Annotated[int, Field(ge=1, le=127)] = 5
+    host_node_id: Annotated[int, Field(ge=1, le=127)] = 1
+    heartbeat_ms: Annotated[int, Field(ge=10, le=1000)] = 100
+    heartbeat_timeout_ms: Annotated[int, Field(ge=50, le=800)] = 500
+    ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
+
+    def roles(self, device: str) -> tuple[Role, ...]:
+        """See DeviceSettings."""
+        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s),)
+
+    @model_validator(mode="after")
+    def _beats_before_timeout(self) -> Drive:
+        if self.heartbeat_timeout_ms < 2 * self.heartbeat_ms:
+            raise ValueError("heartbeat_timeout_ms must be at least twice heartbeat_ms, or one late beat stops the rig")
+        return self

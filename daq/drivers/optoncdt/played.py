@@ -1,0 +1,111 @@
+"""An optoNCDT sensor of a log while it is played."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from daq.channels import RX
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
+from daq.drivers.optoncdt.settings import Laser
+from daq.drivers.optoncdt.stream import DEFAULT_WORDS
+from daq.drivers.played import PlayedDevice
+from daq.errors import LogError
+
+_UNKNOWN = "unknown"
+_WORD = re.compile(r"[A-Z0-9_]{1,40}")
+
+
+class WholeBlocks:
+    """A sensor's stream, handed on in whole blocks, so that an answer in between never falls into one.
+
+    What follows the last whole block waits for its end, but no longer than a block is: then it is none.
+
+    Args:
+        words: values in a block.
+    """
+
+    def __init__(self, words: int) -> None:
+        self._words = words
+        self._tail = b""
+
+    def feed(self, direction: int, data: bytes) -> bytes:
+        """See BytesFromDevice."""
+        if direction != RX:
+            return b""
+        line = self._tail + data
+        end = self._end_of_blocks(line)
+        if len(line) - end > 3 * self._words:
+            end = len(line)
+        self._tail = line[end:]
+        return line[:end]
+
+    def _end_of_blocks(self, line: bytes) -> int:
+        """Where the last whole block ends; where the block under way begins, when there is none behind it."""
+        high = np.flatnonzero(np.frombuffer(line, np.uint8) >= 0x80)  # last bytes of values …
+        first = np.flatnonzero(np.frombuffer(line, np.uint8)[high] < 0xC0)  # … and those that begin a block
+        if not len(first):
+            return 0
+        begun = int(first[-1])
+        ended = begun + self._words - 1
+        return int(high[ended]) + 1 if ended < len(high) else max(0, int(high[begun]) - 2)
+
+    def rest(self) -> bytes:
+        """See BytesFromDevice."""
+        tail, self._tail = self._tail, b""
+        return tail
+
+
+class PlayedLaser(PlayedDevice):
+    """An optoNCDT sensor: answers as the one of the log, its rate and output words are those of the log.
+
+    Args:
+        identity: what it said of itself; where it said nothing the rig file counts.
+        config: its table of the rig file.
+
+    Raises:
+        LogError: an identity no sensor has.
+    """
+
+    expects = "OUTPUT RS422"
+
+    def __init__(self, identity: Mapping[str, Any], config: Laser) -> None:
+        words = identity.get("words", DEFAULT_WORDS)
+        if not isinstance(words, list | tuple) or not words or not all(_is_word(word) for word in words):
+            raise LogError(f"identities.json: expected names of output words as the sensor gives them, got {words!r}")
+        super().__init__(WholeBlocks(len(words)))
+        self._sensor = SensorCommands(
+            info_lines(_told(identity, config)), float(config.rate_Hz), outputs_of(words), fixed=True
+        )
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return self._sensor.streaming
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        self._sensor.streaming = True
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice."""
+        answers = self._sensor.receive(data)
+        self.commands += answers.count(optoncdt.PROMPT.encode())
+        return answers
+
+
+def _is_word(word: object) -> bool:
+    return isinstance(word, str) and _WORD.fullmatch(word) is not None
+
+
+def _told(identity: Mapping[str, Any], config: Laser) -> optoncdt.Info:
+    """What the sensor said of itself when it was asked; a range corrected afterwards is not what it says."""
+    range_m = identity.get("told_range_m", identity.get("range_m", config.range_m))
+    if not isinstance(range_m, int | float) or not 0 < range_m < 100:
+        raise LogError(f"identities.json: expected a measuring range in m, got {range_m!r}")
+    name, serial, version = (str(identity.get(key, _UNKNOWN)) for key in ("name", "serial", "version"))
+    return optoncdt.Info(name=name, serial=serial, range_m=float(range_m), version=version)

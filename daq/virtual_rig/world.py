@@ -1,0 +1,65 @@
+# pyright: strict
+"""What the far ends of a simulated rig share: one motion, and how far its sensors fall short, drawn from the seed."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.virtual_rig.motion import Motion
+from rig_configs.schema import Virtual
+
+Array = NDArray[np.floating[Any]]
+
+
+class DeviceClock:
+    """A clock with its own offset and rate: device = offset + (1 + drift) · rig time, s."""
+
+    def __init__(self, offset_s: float, drift: float) -> None:
+        self.offset_s, self.drift = offset_s, drift
+
+    def device_s(self, time_s: Array | float) -> Array | float:
+        """What the device's clock shows at a rig time."""
+        return self.offset_s + (1 + self.drift) * time_s
+
+    def rig_s(self, device_s: Array) -> Array:
+        """Rig time at which the device's clock shows a value."""
+        return (device_s - self.offset_s) / (1 + self.drift)
+
+
+class World:
+    """All that a far end may know.
+
+    Args:
+        virtual: of the rig file.
+        motion: of the rig.
+
+    Attributes:
+        calibration: random numbers for what sensors are off by, drawn in the order of the rig file's devices.
+        spread: 1 where calibrations are drawn, 0 where they are exact.
+    """
+
+    def __init__(self, virtual: Virtual, motion: Motion) -> None:
+        self.virtual, self.motion = virtual, motion
+        self.calibration = self.rng("calibration")
+        self.spread = 1.0 if virtual.sensors.draw_calibration else 0.0
+
+    def rng(self, name: str) -> np.random.Generator:
+        """An own stream of random numbers for each purpose: one more draw here moves nothing there."""
+        return np.random.default_rng([self.virtual.seed, zlib.crc32(name.encode())])
+
+    def clock(self, device: str) -> DeviceClock:
+        """The clock of a device."""
+        rng, sensors = self.rng(f"clock {device}"), self.virtual.sensors
+        return DeviceClock(
+            rng.uniform(0, sensors.clock_offset_s), 1e-6 * sensors.clock_drift_ppm * rng.standard_normal()
+        )
+
+    def direction(self, axis: str) -> Array:
+        """What a sensor that is meant for an axis sees of x and y, shape (2,): sensors stand a little askew."""
+        beta = math.radians(self.virtual.sensors.axis_angle_deg)
+        return np.array([math.cos(beta), math.sin(beta)] if axis == "x" else [-math.sin(beta), math.cos(beta)])

@@ -1,0 +1,98 @@
+# pyright: strict
+"""Settings of a device in a rig file: whose driver it is, and what it is to the rig.
+
+A driver's package has a settings class of its own, derived from one of these.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from pydantic import ConfigDict, Field
+
+from rig_configs.roles import AnyRole, Axis, Displacement, PendulumAngles, PendulumLocks, Role, RotorPhase
+from rig_configs.table import Finite, NotNegative, Positive, Table
+
+
+class DeviceSettings(Table):
+    """What every device has.
+
+    Attributes:
+        calibration: names of those settings that a calibration may correct in an old log.
+    """
+
+    calibration: ClassVar[tuple[str, ...]] = ()
+
+    driver: str
+    port: str
+
+    def roles(self, device: str) -> tuple[Role, ...]:
+        """What the device is to the rig.
+
+        Args:
+            device: its name in the rig file.
+        """
+        return ()
+
+
+class DisplacementSettings(DeviceSettings):
+    """A sensor of the column's motion; see Displacement for what each is."""
+
+    calibration: ClassVar[tuple[str, ...]] = ("range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm")
+
+    axis: Axis
+    rate_Hz: Positive
+    range_m: Positive = 0.025
+    lever_ratio: Positive = 1.0
+    gain_std: Annotated[float, Field(ge=0, le=0.1)] = 0.001
+    clock_tolerance_ppm: Positive = 30.0
+
+    def roles(self, device: str) -> tuple[Role, ...]:
+        """See DeviceSettings."""
+        return (
+            Displacement(
+                device=device, topic=f"laser/{self.axis}", axis=self.axis, rate_Hz=float(self.rate_Hz),
+                range_m=self.range_m, lever_ratio=self.lever_ratio, gain_std=self.gain_std,
+                clock_tolerance_ppm=self.clock_tolerance_ppm,
+            ),
+        )  # fmt: skip
+
+
+class RotorNodeSettings(DeviceSettings):
+    """A node on the rotor: both pendulum encoders, the index mark, the locks."""
+
+    calibration: ClassVar[tuple[str, ...]] = (
+        "counts_per_revolution", "index_angle_deg", "zero_std_deg", "clock_tolerance_ppm",
+    )  # fmt: skip
+
+    rate_Hz: Annotated[int, Field(ge=10, le=5000)] = 1000
+    counts_per_revolution: Annotated[int, Field(ge=64)] = 4096
+    index_angle_deg: Finite = 0.0
+    zero_std_deg: NotNegative = 0.05
+    clock_tolerance_ppm: Positive = 30.0
+
+    def roles(self, device: str) -> tuple[Role, ...]:
+        """See DeviceSettings."""
+        tolerance = self.clock_tolerance_ppm
+        return (
+            PendulumAngles(
+                device=device, topic="pendulums", rate_Hz=float(self.rate_Hz), zero_std_deg=self.zero_std_deg,
+                counts_per_revolution=self.counts_per_revolution, clock_tolerance_ppm=tolerance,
+            ),
+            RotorPhase(
+                device=device, topic="tacho", index_angle_deg=self.index_angle_deg, clock_tolerance_ppm=tolerance
+            ),
+            PendulumLocks(device=device),
+        )  # fmt: skip
+
+
+class StoredDevice(DeviceSettings):
+    """A device of a log whose driver is not installed here: settings as they stand, roles as the log keeps them."""
+
+    model_config = ConfigDict(extra="allow")
+
+    stored_roles: tuple[AnyRole, ...] = ()
+
+    def roles(self, device: str) -> tuple[Role, ...]:
+        """See DeviceSettings."""
+        return self.stored_roles
