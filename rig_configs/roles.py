@@ -150,7 +150,11 @@ class Roles:
         single: dict[str, Any] = {}
         for role in played:
             if isinstance(role, Displacement):
-                _refuse_second(next((d for d in displacements if d.axis == role.axis), None), role, f"displacement along {role.axis}")
+                _refuse_second(
+                    next((d for d in displacements if d.axis == role.axis), None),
+                    role,
+                    f"displacement along {role.axis}",
+                )
                 displacements.append(role)
             elif isinstance(role, OtherQuantity):
                 others.append(role)

@@ -70,9 +70,12 @@ class Marks:
         place = int(np.clip((time - self._start) / self._length, 0, 1) / _NEAR)
         self._happened.setdefault(place, {})[drawable(text[:_MOST_WORDS])] = trouble
 
-    def shade(self, axes: Axes, device: str, colour: str) -> None:
-        """Shade what a device lost, and what the file lacks."""
-        lost = self._lost.get(device, np.zeros(self._columns, bool)) | self._missing
+    def shade(self, axes: Axes, device: str | None, colour: str) -> None:
+        """Shade what a device lost, and what the file lacks; every loss where it is not known whose they are."""
+        lost = self._missing.copy()
+        for name, columns in self._lost.items():
+            if device in (None, name):
+                lost |= columns
         edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
         for first, last in edges.reshape(-1, 2) * self._length / self._columns + self._start:
             axes.axvspan(first, last, color=colour, alpha=0.25, lw=0, zorder=2.5)

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from analysis.plots.log_marks import Marks, drawable
 from analysis.plots.style import GREY, MEASURED, MODEL, drawing, label, save
+from daq.errors import LogError
 from daq.log import Log
 from daq.log.content import stretches
 from daq.log.samples import Samples
+from daq.log.snapshot import rig_of
 
 COLUMNS = 900
 _LOST = "#CC3311"
@@ -141,7 +143,7 @@ def draw_log_overview(log: Log, path: Path, title: str = "", progress: Progress 
         if missing.start_ns is not None:
             end_s = None if missing.end_ns is None else (missing.end_ns - origin_ns) * 1e-9
             marks.add_missing((missing.start_ns - origin_ns) * 1e-9, end_s)
-    _draw(path, traces, marks, span, title)
+    _draw(path, traces, marks, span, title, _devices(log))
 
 
 def _gather(part: Log, origin_ns: int, traces: dict[str, Trace], tacho: _Tacho) -> None:
@@ -167,12 +169,22 @@ def _seconds(samples: Samples, origin_ns: int) -> NDArray[np.floating]:
     return (samples.time_ns - origin_ns) * 1e-9
 
 
-def _draw(path: Path, traces: dict[str, Trace], marks: Marks, span: tuple[float, float], title: str) -> None:
+def _devices(log: Log) -> dict[str, str]:
+    """Which device fills each channel; empty where the log does not say."""
+    try:
+        return rig_of(log).roles.device_of
+    except LogError:
+        return {}
+
+
+def _draw(
+    path: Path, traces: dict[str, Trace], marks: Marks, span: tuple[float, float], title: str, devices: dict[str, str]
+) -> None:
     rows = [
-        (("x",), "x, mm", "laser_x"),
-        (("y",), "y, mm", "laser_y"),
-        (("theta3", "theta4"), "pendulums, °", "encoder"),
-        (("motor", "tacho"), "speed, rpm", "drive"),
+        (("x",), "x, mm", devices.get("laser/x")),
+        (("y",), "y, mm", devices.get("laser/y")),
+        (("theta3", "theta4"), "pendulums, °", devices.get("pendulums")),
+        (("motor", "tacho"), "speed, rpm", devices.get("motor", devices.get("tacho"))),
     ]
     rows = [row for row in rows if not all(traces[name].is_empty for name in row[0])]
     with drawing(8.6, 1.1 + 1.35 * max(1, len(rows))) as figure:

@@ -17,7 +17,7 @@ from pathlib import Path
 from daq.exchange.columns import Recording
 from daq.exchange.errors import ExchangeError
 from daq.exchange.imported_log import Part, write_log
-from daq.exchange.imported_parts import DEVICES, Noticed, gap_events, make_parts, release_events
+from daq.exchange.imported_parts import Noticed, gap_events, make_parts, release_events
 from daq.exchange.provenance import file_sha256, iso_time
 from daq.exchange.readings import Readings, since_1970
 from daq.exchange.recipe import TESTS, Recipe
@@ -81,14 +81,14 @@ def import_recording(
         LogError: the log's name is taken or does not end in .mcap.
         RecordingError, OSError: it cannot be written.
     """
-    recording, noticed = open_recording(Path(path)), Noticed()
+    recording, noticed = open_recording(Path(path)), Noticed(devices=rig.roles.device_of)
     readings = read_sensors(recording, recipe, rig, noticed.warnings)
     start_ns, is_known = _start(readings, recipe)
     if not is_known:
         noticed.warnings.append(f"no --start: times count from {iso_time(start_ns)}, which is not when it was")
     parts = make_parts({name: found.shifted(start_ns) for name, found in readings.items()}, recipe, noticed)
     first, last = min(int(part.time_ns[0]) for part in parts), max(int(part.time_ns[-1]) for part in parts)
-    releases = release_events(parts, recipe.release_s, start_ns or first)
+    releases = release_events(parts, recipe.release_s, start_ns or first, noticed.device("pendulums"))
     events = sorted([*gap_events(parts, noticed), *releases], key=lambda event: event.facts["time_ns"])
     noticed.warnings += _remarks({part.channel.topic for part in parts}, recipe)
     clock = recorder_clock(recipe.clock_tolerance_ppm, recipe.recorder, rig, {part.channel.topic for part in parts})
@@ -129,7 +129,7 @@ def _remarks(topics: set[str], recipe: Recipe) -> list[str]:
 
 
 def _losses(parts: list[Part], noticed: Noticed) -> dict[str, dict[str, int]]:
-    devices = sorted({DEVICES[part.channel.topic] for part in parts})
+    devices = sorted({noticed.device(part.channel.topic) for part in parts})
     return {name: {"samples": noticed.gaps.get(name, 0), "invalid": noticed.invalid.get(name, 0)} for name in devices}
 
 

@@ -17,8 +17,7 @@ from daq.exchange.readings import Readings, find_gaps, unwrapped
 from daq.exchange.recipe import Recipe
 from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions_of_marks
 
-DEVICES = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "tacho": "encoder"}
-"""What a log of a recording made elsewhere calls the source of each channel; no device of a rig file is meant."""
+_USUAL = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "tacho": "encoder"}
 _LEAST_RELEASE_STD_S = 1e-4
 
 
@@ -30,11 +29,17 @@ class Noticed:
         warnings: what a reader must know.
         invalid: readings that the recording calls none, by device.
         gaps: samples that a uniformly sampled recording lacks, by device; a device that is not uniform is absent.
+        devices: of the rig, by the channel each fills.
     """
 
     warnings: list[str] = field(default_factory=list)
     invalid: dict[str, int] = field(default_factory=dict)
     gaps: dict[str, int] = field(default_factory=dict)
+    devices: dict[str, str] = field(default_factory=dict)
+
+    def device(self, topic: str) -> str:
+        """What the log calls the source of a channel: the rig's own device where it has one."""
+        return self.devices.get(topic, _USUAL[topic])
 
 
 def make_parts(readings: Mapping[str, Readings], recipe: Recipe, noticed: Noticed) -> list[Part]:
@@ -48,7 +53,7 @@ def make_parts(readings: Mapping[str, Readings], recipe: Recipe, noticed: Notice
         if axis in readings:
             found = readings[axis]
             parts.append(Part(channel, found.time_ns, {"displacement_m": found.value}))
-            noticed.invalid[f"laser_{axis}"] = found.invalid
+            noticed.invalid[noticed.device(channel.topic)] = found.invalid
     if "theta3" in readings or "theta4" in readings:
         parts.append(_pendulums(readings, recipe, noticed))
     if "marks" in readings:
@@ -60,7 +65,8 @@ def make_parts(readings: Mapping[str, Readings], recipe: Recipe, noticed: Notice
         if name in readings:
             time, phase, warnings = phase_of(readings[name])
             noticed.warnings += warnings
-            noticed.invalid["encoder"] = noticed.invalid.get("encoder", 0) + readings[name].invalid
+            device = noticed.device("tacho")
+            noticed.invalid[device] = noticed.invalid.get(device, 0) + readings[name].invalid
             parts.append(Part(made.ROTOR_PHASE, time, {"phase_rad": phase}))
     return parts
 
@@ -77,7 +83,7 @@ def _pendulums(readings: Mapping[str, Readings], recipe: Recipe, noticed: Notice
         if name in readings:
             angle[np.searchsorted(time, readings[name].time_ns)] = unwrapped(readings[name].value)
         columns[f"{name}_rad"] = angle
-    noticed.invalid["encoder"] = sum(int(np.isnan(columns[f"{name}_rad"]).sum()) for name in names)
+    noticed.invalid[noticed.device("pendulums")] = sum(int(np.isnan(columns[f"{name}_rad"]).sum()) for name in names)
     return Part(made.PENDULUM_ANGLES, time, columns)
 
 
@@ -85,7 +91,7 @@ def gap_events(parts: list[Part], noticed: Noticed) -> list[Event]:
     """An event per gap of the sensors; index marks and phases have none: the rotor's speed is not uniform."""
     found: list[Event] = []
     for part in parts:
-        topic, device = part.channel.topic, DEVICES[part.channel.topic]
+        topic, device = part.channel.topic, noticed.device(part.channel.topic)
         if topic == "tacho":
             continue
         gaps = find_gaps(part.time_ns)
@@ -99,11 +105,12 @@ def gap_events(parts: list[Part], noticed: Noticed) -> list[Event]:
     return found
 
 
-def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int) -> list[Event]:
+def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int, device: str) -> list[Event]:
     """An event per pendulum that was let go; one time stands for both.
 
     Args:
         zero_ns: what the times of the releases count from, ns since 1970.
+        device: that tells the pendulums' angles.
 
     Raises:
         ExchangeError: a release outside the recording.
@@ -120,5 +127,5 @@ def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int
                 f"{(end - zero_ns) / 1e9:g} s"
             )
         facts = {"pendulum": pendulum, "state": "released", "time_ns": time_ns, "time_std_s": std_s}
-        found.append(Event("lock", "encoder", f"pendulum {'AB'[pendulum]} released, as told at import", facts))
+        found.append(Event("lock", device, f"pendulum {'AB'[pendulum]} released, as told at import", facts))
     return found

@@ -1,7 +1,7 @@
 """One log being written, by one thread: a NAME.mcap.part with the rig's channels that gets its name when it is whole.
 
     with LogFile(path, facts, attachments, devices, now_ns) as log:
-        log.raw("laser_x", RX, data, host_ns)
+        log.raw("probe", RX, data, host_ns)
         log.batch(batch, host_ns)
         log.finish({"losses": …})
 

@@ -1,8 +1,8 @@
 """A calibration file: better numbers for what turned a recording's bytes into samples, laid over its rig file.
 
-[devices.laser_x]
+[devices.probe]
 range_m = 0.02503          # overrides what the sensor said of itself, too
-[devices.encoder]
+[devices.node]
 counts_per_revolution = 4096
 """
 

@@ -197,7 +197,9 @@ class Bus:
 
 
 def report(status: int, rpm: int) -> bytes:
-    return slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.pack_tpdo1(status, rpm)))
+    return slcan.encode(
+        slcan.CanFrame(cia402.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.pack_tpdo1(status, rpm))
+    )
 
 
 def test_our_own_control_starts_and_stops_a_played_drive() -> None:
@@ -271,7 +273,6 @@ def test_every_device_of_a_log_has_its_stand_in(log: Log) -> None:
 
 
 def test_an_identity_that_cannot_be_is_told_with_log_and_device(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
-    for table, words in (({"laser_y": {"words": []}}, "laser_y: .*output words"), ({"laser_y": 3}, "a table for")):
-        monkeypatch.setattr("daq.playback.devices.identities_of", lambda _, table=table: table)
-        with pytest.raises(LogError, match=f"a.mcap: .*{words}"):
-            played_devices(log)
+    monkeypatch.setattr("daq.playback.devices.identities_of", lambda _: {"laser_y": {"words": []}})
+    with pytest.raises(LogError, match=r"a.mcap: .*laser_y: .*output words"):
+        played_devices(log)

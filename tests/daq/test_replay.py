@@ -22,6 +22,7 @@ from daq.replay.anew import decode_anew
 from daq.replay.calibration import Calibration
 from daq.replay.pace import Pace
 from daq.signals.run import load_run
+from rig_configs import load_rig
 from rig_configs.errors import RigFileError
 from tests.daq.replayed_log import START_NS, STEP_NS, Falsify, write_log
 from tests.daq.small_log import write_small_log
@@ -448,7 +449,7 @@ def test_a_cut_and_a_damaged_log_become_whole_ones_that_say_what_was_missing(tmp
 )
 def test_only_calibration_is_taken(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(RigFileError, match=words):
-        calibration(tmp_path, text)
+        calibration(tmp_path, text).correct(load_rig("virtual"))
 
 
 def test_a_calibration_that_cannot_be_is_refused_before_anything_is_written(tmp_path: Path) -> None:
