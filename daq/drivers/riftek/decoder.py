@@ -65,16 +65,19 @@ _Block = tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64], NDArray[
 class StreamDecoder:
     """Bytes of one sensor in, results and answers out; the split into calls makes no difference.
 
-    A packet is a run of exactly four bytes with the same high half. Where the packet before it ended well, it is
-    handed out with its fourth byte. After damage nothing says where a packet begins: there it is handed out when the
-    byte after it has shown that the run is over. A fifth byte of a packet that was handed out casts doubt on it:
-    either it is whole and the byte belongs to a damaged one behind it, or bytes of two packets ran together.
+    A packet is a run of exactly four bytes with the same high half; a run of eight is two, with three lost between
+    them. Where the packet before it ended well, it is handed out with its fourth byte. After damage nothing says where
+    a packet begins: there it is handed out when the byte after it has shown that the run is over. A run of any other
+    length casts doubt on a packet of it that was handed out: either it is whole and what follows belongs to a damaged
+    one behind it, or bytes of two packets ran together.
     """
 
     def __init__(self) -> None:
         self._head = 0  # high half of the run under way; 0 for none
-        self._run = bytearray()  # the data of its bytes, no more than a packet has
+        self._run = bytearray()  # the data of its bytes, no more than two packets have
         self._length, self._whole = 0, RESULT_BYTES  # bytes of the run, and of the packet it should be
+        self._longest = 2 * RESULT_BYTES  # bytes of a run that makes sense
+        self._ended_well = False  # whether the run before was made of whole packets
         self._wanted: int | None = None  # bytes of an answer that is waited for
         self._answering = False  # whether the run is that answer
         self._sure = False  # whether the run's first byte is a packet's first: it is handed out as soon as it is whole
@@ -144,56 +147,75 @@ class StreamDecoder:
         self._close_block()
         four = (rows[:taken] & 0x0F).astype(np.int64)
         code = four[:, 0] | four[:, 1] << 4 | four[:, 2] << 8 | four[:, 3] << 12
-        skipped = np.zeros(taken, np.int64)
-        skipped[0], self._since = self._since, 0
-        self._blocks.append((code, (heads[:taken] & UPDATED) != 0, np.ones(taken, np.int64), skipped))
+        step, skipped = np.ones(taken, np.int64), np.zeros(taken, np.int64)
+        step[0] += self._owed
+        skipped[0] = self._since
+        self._owed = self._since = 0
+        self._blocks.append((code, (heads[:taken] & UPDATED) != 0, step, skipped))
         self._count += taken
         self._head, self._number = int(heads[taken - 1]), int(numbers[taken - 1])
         self._length = self._whole = RESULT_BYTES
+        self._longest = 2 * RESULT_BYTES
+        self._run = bytearray(RESULT_BYTES)
         self._answering = False
         return taken
 
     def _byte(self, byte: int) -> None:
         head = byte & 0xF0 if byte >= 0x80 else 0
         if head != self._head or not head:
+            self._end_run()
             self._begin_run(head)
         if not head:
             self._skip(1)
             return
         self._length += 1
-        if self._length <= self._whole:
+        if self._length <= self._longest:
             self._run.append(byte & 0x0F)
             if self._length == self._whole and self._sure:
-                self._packet()
-            return
-        too_long = self._length == self._whole + 1
-        if too_long and self._sure and not self._answering:
-            self._doubted.append(self._count - 1)
-        self._skip(self._length if too_long and not self._sure else 1)
+                self._packet(self._run[: self._whole])
+        elif self._length == self._longest + 1 and not self._answering:
+            self._too_long()
+        else:
+            self._skip(1)
 
     def _begin_run(self, head: int) -> None:
-        """The run before is over: it was a packet, or damage that leaves the next one's beginning in doubt."""
-        ended_well = self._length == self._whole and bool(self._head)
-        if ended_well and not self._sure:
-            self._packet()
-        elif self._length < self._whole:
-            self._skip(self._length)
         self._head, self._length = head, 0
         self._run.clear()
         self._answering = self._wanted is not None and head & _ANSWER_MASK == _ANSWER
         self._whole = self._wanted if self._answering and self._wanted is not None else RESULT_BYTES
-        self._sure = ended_well or self._answering
+        self._longest = self._whole if self._answering else 2 * self._whole
+        self._sure = self._ended_well or self._answering
 
-    def _packet(self) -> None:
+    def _end_run(self) -> None:
+        """What the run before was: one packet, two, or damage that leaves the next one's beginning in doubt."""
+        length, whole = self._length, self._whole
+        self._ended_well = bool(self._head) and length in (whole, self._longest)
+        if self._ended_well:
+            if not self._sure:
+                self._packet(self._run[:whole])
+            if length > whole:
+                self._packet(self._run[whole:])
+        elif length < whole:
+            self._skip(length)
+        elif length < self._longest:
+            self._too_long()
+
+    def _too_long(self) -> None:
+        """Bytes of packets that cannot be told apart are skipped; one that was handed out is in doubt."""
+        if self._sure:
+            self._doubted.append(self._count - 1)
+        self._skip(self._length - (self._whole if self._sure else 0))
+
+    def _packet(self, halves: bytearray) -> None:
         number = self._head >> 4 & 3
         lost = 0 if self._number is None else (number - self._number - 1) % NUMBERS
         self._number, self._joining = number, 0
         if self._answering:
             self._owed += lost
             self._wanted = None
-            self._answers.append(_bytes_of(self._run))
+            self._answers.append(_bytes_of(halves))
             return
-        low, high = _bytes_of(self._run)
+        low, high = _bytes_of(halves)
         self._rows.append(Row(low | high << 8, bool(self._head & UPDATED), 1 + lost + self._owed, self._since))
         self._count += 1
         self._owed = self._since = 0

@@ -80,8 +80,7 @@ class _Waiting:
 
     def over(self, host_ns: int) -> bool:
         """Whether it has been waited for long enough."""
-        long = self._reads >= _WAIT_READS and host_ns - self._since_ns >= _WAIT_NS
-        return long or self.count > _WAIT_ROWS
+        return self._reads >= _WAIT_READS and host_ns - self._since_ns >= _WAIT_NS
 
     def rows(self, missing: int) -> _Rows:
         """All of them, with results missing before the first."""
@@ -172,6 +171,8 @@ class RiftekPipeline:
             self._waiting.add(rows, excess, host_ns, self._arrears.guard_ns)
             if excess <= self._arrears.far_ns:
                 return self._release(0, host_ns)
+            if self._waiting.count > _WAIT_ROWS:
+                return self._release(0, host_ns, late=True)
             if self._waiting.over(host_ns):
                 return self._release(self._arrears.missing(self._waiting.excess_ns), host_ns)
             return []
@@ -182,13 +183,13 @@ class RiftekPipeline:
         self._waiting = _Waiting(rows.part(first, None), excess, host_ns)
         return out
 
-    def _release(self, missing: int, host_ns: int) -> Items:
+    def _release(self, missing: int, host_ns: int, *, late: bool = False) -> Items:
         assert self._waiting is not None
         waiting, self._waiting = self._waiting, None
-        return self._hand_out(waiting.rows(missing), host_ns)
+        return self._hand_out(waiting.rows(missing), host_ns, late=late)
 
     def _hand_out(self, rows: _Rows, host_ns: int, *, late: bool = False) -> Items:
-        """Samples of results; `late` when more of the same read wait, so that its end says nothing of these."""
+        """Samples of results; `late` where the read's end says nothing of when they were made."""
         found_late, self._found_late = self._found_late, 0
         step = rows.step
         if self._given == 0:
