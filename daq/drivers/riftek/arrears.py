@@ -9,20 +9,21 @@ So what counts is the least lag of a stretch of a quarter of a second, and wheth
 How well that tells depends on how evenly the host reads. The floor of undisturbed stretches scatters; a rise counts as
 loss where it is above `guard_ns`: six times that scatter, never less than 2 ms or three periods. What is lost in
 multiples of 4 below the guard goes unseen, and a count of a larger loss may be wrong by as much. Nothing can be told
-in the first second, and nothing while results come at another rate than the rig file's.
+in the first second and a half, and nothing while results come at another rate than the rig file's.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from itertools import pairwise
-from statistics import median
+from statistics import fmean, median
 
 from daq.drivers.riftek.wire import NUMBERS
 
 _STRETCH_NS, _STRETCH_PERIODS = 250_000_000, 16
 _STRETCHES = 24
 _NEEDED = 4  # stretches before anything is told
+_RISEN = 3  # stretches in a row that lie higher than those before
 _READS = 4  # in a stretch that tells anything
 _LEAST_GUARD_NS = 2_000_000
 _SCATTERS = 6.0
@@ -95,9 +96,8 @@ class Arrears:
         self._done.append((number, lag))
         lost = self._rise()
         if lost:
-            (first, first_lag), (second, second_lag) = self._done.pop(), self._done.pop()
-            gone = lost * self._period_ns
-            self._done += [(second, second_lag - gone), (first, first_lag - gone)]
+            risen = [self._done.pop() for _ in range(_RISEN)]
+            self._done += [(number, lag - lost * self._period_ns) for number, lag in reversed(risen)]
         self._expect()
         return lost
 
@@ -116,22 +116,22 @@ class Arrears:
         return float(host_ns - number * self._period_ns - self._origin_ns)
 
     def _rise(self) -> int:
-        """Results missing by the two newest stretches: both must lie above what those before them lead to."""
+        """Results missing by the newest stretches: all must lie above what those before them lead to."""
         if self._base is None or len(self._done) < _NEEDED:
             return 0
         stretch, lag = self._base
-        above = min(found - lag - self._slope * (number - stretch) for number, found in list(self._done)[-2:])
+        above = min(found - lag - self._slope * (number - stretch) for number, found in list(self._done)[-_RISEN:])
         return self.missing(above)
 
     def _expect(self) -> None:
-        """What the next stretches are measured by: those until the last but one, which may have risen already."""
-        known = list(self._done)[:-1]
+        """What the next stretches are measured by: not by the newest ones, which may have risen already."""
+        known = list(self._done)[: 1 - _RISEN]
         if len(known) < _NEEDED - 1:
             return
         slopes = [(b - a) / (j - i) for (i, a), (j, b) in pairwise(known)]
         self._slope = median(slopes)
         last = known[-1][0]
         level = [lag + self._slope * (last - number) for number, lag in known]
-        self._scatter_ns = 1.5 * median(abs(a - b) for a, b in pairwise(level))
+        self._scatter_ns = fmean(abs(a - b) for a, b in pairwise(level))
         steady = abs(self._slope) <= _MOST_DRIFT * self._stretch_ns
         self._base = (last, median(level[-8:])) if steady else None

@@ -10,7 +10,7 @@ loss depends on what is left of it on the line:
   far as the host's time has room for it;
 - more, and their bytes did not come: by the host's time (`daq.drivers.riftek.arrears`). A read that is late by more
   than `Arrears.far_ns` waits until the host has caught up, or is known not to: its samples come a quarter of a second
-  late and with the right times. A smaller loss is found half a second later; the samples until then bear times that
+  late and with the right times. A smaller loss is found up to a second later; the samples until then bear times that
   are early by it. Such a gap is told with `uncertain_samples`. A multiple of 4 below the guard is never found.
 
 A sensor that was switched off and on is a gap like any other: nothing on the line tells one from the other.
@@ -271,7 +271,7 @@ class RiftekPipeline:
                 text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._arrears.uncertainty}"
             if found_late and i == 0:
                 facts["found_late"] = found_late
-                text += f"; {found_late} of them some time in the last second, the times since then are early by that"
+                text += f"; {found_late} of them some time in the last 1.25 s, the times since then are early by that"
             out.append(Event("gap", self._device, text, facts))
         return out
 
