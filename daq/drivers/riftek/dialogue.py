@@ -1,0 +1,149 @@
+# pyright: strict
+"""Setting up an RF60x sensor: its stream stopped, who it is, how it is to measure, each read back; the stream started.
+
+Nothing on the line has a checksum. So the identification is asked for until it comes twice alike, and every parameter
+is read after it was written. Parameters go into the sensor's working memory only; its stored settings stay as they are.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from typing import Any
+
+from daq.drivers.contract import Talk
+from daq.drivers.riftek import wire
+from daq.drivers.riftek.settings import RiftekLaser
+from daq.errors import DeviceError
+
+_ANSWER_S = 1.0  # wall seconds
+_QUIET_S = 0.1
+_TRIES = 3
+
+
+def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
+    """Stop the stream, wait until the line is quiet, ask who it is, choose how it measures, start the stream.
+
+    Returns:
+        Identity: type, firmware, serial, base_m, range_m, period_us, control.
+    Raises:
+        DeviceError: no answer, a parameter that does not stay as written, or a sensor that is not what the rig file
+            says.
+    """
+    _run_dry(device, settings, talk)
+    talk.begin_anew()
+    dialogue = _Dialogue(device, settings, talk)
+    info = dialogue.identify()
+    if abs(info.range_m - settings.range_m) > 1e-6:
+        raise DeviceError(
+            f"{device}: rig file says range {settings.range_m * 1e3:g} mm, the sensor {info.range_m * 1e3:g} mm "
+            f"(serial {info.serial}). Correct devices.{device}.range_m or plug in the right sensor"
+        )
+    dialogue.write(wire.POWER, 1, "laser on")
+    control = dialogue.read(wire.CONTROL) & wire.CONTROL_KEPT
+    dialogue.write(wire.CONTROL, control, "sampling by time, averaging by number")
+    dialogue.write(wire.AVERAGES, settings.averages, "number of averaged results")
+    dialogue.write_word(wire.ZERO, 0, wire.ZEROS, "zero point")
+    integration = min(settings.period_us, wire.INTEGRATIONS_US[1])
+    dialogue.write_word(wire.INTEGRATION, integration, wire.INTEGRATIONS_US, "longest integration time")
+    dialogue.write_word(wire.PERIOD, settings.period_us, wire.PERIODS_US, "sampling period")
+    talk.send(wire.request(settings.address, wire.START))
+    return {
+        "type": info.kind,
+        "firmware": info.firmware,
+        "serial": str(info.serial),
+        "base_m": info.base_m,
+        "range_m": info.range_m,
+        "period_us": settings.period_us,
+        "control": control,
+    }
+
+
+def stop(talk: Talk) -> None:
+    """Tell whatever sensor is on the line to stop streaming; twice, as nothing acknowledges it."""
+    talk.send(2 * wire.request(wire.EVERYONE, wire.STOP))
+
+
+class _Dialogue:
+    """Requests and their answers, on a quiet line."""
+
+    def __init__(self, device: str, settings: RiftekLaser, talk: Talk) -> None:
+        self._device, self._settings, self._talk = device, settings, talk
+
+    def identify(self) -> wire.Info:
+        """Who the sensor is, told twice alike."""
+        told = [self._ask(wire.IDENTIFY)]
+        while len(told) <= _TRIES:
+            told.append(self._ask(wire.IDENTIFY))
+            if told[-1] == told[-2]:
+                return wire.parse_info(told[-1])
+        raise DeviceError(
+            f"{self._device} on {self._settings.port}: asked who it is, it never answered twice alike "
+            f"({', '.join(answer.hex() for answer in told)}): look at cable, shield and termination"
+        )
+
+    def read(self, parameter: int) -> int:
+        """The value of a parameter of one byte."""
+        return self._ask(wire.READ, bytes([parameter]))[0]
+
+    def write(self, parameter: int, value: int, what: str) -> None:
+        """Set a parameter of one byte, and read it back."""
+        found: list[int] = []
+        for _ in range(_TRIES):
+            self._talk.send(wire.request(self._settings.address, wire.WRITE, bytes([parameter, value])))
+            found.append(self.read(parameter))
+            if found[-1] == value:
+                return
+        raise DeviceError(
+            f"{self._device}: wrote {what} {value} (parameter {parameter:02X}h), read back "
+            f"{', '.join(map(str, found))}: can this sensor do that?"
+        )
+
+    def write_word(self, parameter: int, value: int, bounds: tuple[int, int], what: str) -> None:
+        """Set a parameter of two bytes, in that order in which the value between the two writes is within bounds."""
+        high, low = (
+            (parameter + 1, value >> 8, f"high byte of {what}"),
+            (parameter, value & 0xFF, f"low byte of {what}"),
+        )
+        between = value & 0xFF00 | self.read(parameter)
+        for each in (high, low) if bounds[0] <= between <= bounds[1] else (low, high):
+            self.write(*each)
+
+    def _ask(self, code: int, message: bytes = b"") -> bytes:
+        """Ask until an answer comes."""
+        replies, settings = self._talk.replies, self._settings
+        for _ in range(_TRIES):
+            while not replies.empty():
+                replies.get_nowait()
+            self._talk.send(wire.request(settings.address, code, message))
+            try:
+                return bytes.fromhex(replies.get(timeout=_ANSWER_S / _TRIES))
+            except queue.Empty:
+                continue
+        raise DeviceError(
+            f"{self._device} on {settings.port}: no answer to request {code} of address {settings.address} within "
+            f"{_ANSWER_S:g} s. Is the sensor powered, is its baud rate {settings.baud}, its parity {settings.parity}, "
+            "its address the rig file's, and its protocol RIFTEK's binary one?"
+        )
+
+
+def _run_dry(device: str, settings: RiftekLaser, talk: Talk) -> None:
+    """Tell the sensor to be silent, and wait until nothing has come for a while.
+
+    Raises:
+        DeviceError: it goes on sending.
+    """
+    for _ in range(_TRIES):
+        talk.send(wire.request(settings.address, wire.STOP) + wire.request(wire.EVERYONE, wire.STOP))
+        deadline = time.monotonic() + _ANSWER_S
+        seen, since = talk.bytes_in, time.monotonic()
+        while time.monotonic() < deadline:
+            time.sleep(_QUIET_S / 10)
+            if talk.bytes_in != seen:
+                seen, since = talk.bytes_in, time.monotonic()
+            elif time.monotonic() - since > _QUIET_S:
+                return
+    raise DeviceError(
+        f"{device} on {settings.port}: told {_TRIES} times to stop its stream, it goes on sending. Does its line carry "
+        "our words too (both wire pairs of RS422), and is no other program commanding it? Switch it off and on"
+    )

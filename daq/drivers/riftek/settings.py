@@ -1,0 +1,73 @@
+# pyright: strict
+"""What a rig file says of an RF60x sensor."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from daq.drivers.riftek import wire
+from rig_configs.schema import Positive, Table
+
+_BAUD_STEP = 2400
+_BITS_PER_BYTE = 11  # start, eight of data, parity, stop
+
+NoTargetCode = Annotated[int, Field(strict=True, ge=0, le=0xFFFF)]
+
+
+class RiftekLaser(Table):
+    """An RF60x displacement sensor on its serial line, the only one there.
+
+    rate_Hz is set as a sampling period of whole microseconds, 100 … 65535. range_m is the measuring range that the
+    sensor states when it is asked. lever_ratio is the sensor's displacement over the disk centre's; gain_std is the
+    relative standard uncertainty of calibration and lever together. averages is how many results the sensor averages.
+
+    Not verified: parity (one manual says even, another odd), and no_target_codes, the results that mean that nothing
+    is seen; no manual at hand names them. By default they are 0 and both values that can be meant by full scale. A
+    result above full scale is never a reading.
+    """
+
+    driver: Literal["riftek"]
+    port: str
+    axis: Literal["x", "y"]
+    baud: Annotated[int, Field(ge=_BAUD_STEP, le=921_600, multiple_of=_BAUD_STEP)] = 921_600
+    parity: Literal["E", "O", "N"] = "E"
+    address: Annotated[int, Field(ge=1, le=127)] = 1
+    rate_Hz: Annotated[float, Field(ge=1e6 / wire.PERIODS_US[1], le=1e6 / wire.PERIODS_US[0])] = 4000.0
+    averages: Annotated[int, Field(ge=1, le=128)] = 1
+    range_m: Positive = 0.025
+    lever_ratio: Positive = 1.0
+    gain_std: Annotated[float, Field(ge=0, le=0.1)] = 0.001
+    clock_tolerance_ppm: Positive = 30.0
+    no_target_codes: Annotated[tuple[NoTargetCode, ...], Field(strict=False, max_length=16)] = (
+        0,
+        wire.FULL_SCALE - 1,
+        wire.FULL_SCALE,
+    )
+
+    @property
+    def period_us(self) -> int:
+        """From one sample to the next, by the sensor's clock."""
+        return round(1e6 / self.rate_Hz)
+
+    @field_validator("rate_Hz")
+    @classmethod
+    def _is_a_period(cls, rate_Hz: float) -> float:
+        period = round(1e6 / rate_Hz)
+        if abs(period * rate_Hz * 1e-6 - 1.0) > 1e-6:
+            raise ValueError(
+                f"expected a rate whose period is a whole number of microseconds, got {rate_Hz:g} Hz: "
+                f"the nearest is {1e6 / period:.10g} Hz, a period of {period} us"
+            )
+        return rate_Hz
+
+    @model_validator(mode="after")
+    def _line_carries_the_stream(self) -> RiftekLaser:
+        need = wire.RESULT_BYTES * _BITS_PER_BYTE * self.rate_Hz
+        if need > self.baud:
+            raise ValueError(
+                f"{self.rate_Hz:g} results a second need {need:.0f} baud, the line has {self.baud}: "
+                f"raise baud or set rate_Hz to at most {self.baud / wire.RESULT_BYTES / _BITS_PER_BYTE:.0f}"
+            )
+        return self

@@ -1,0 +1,283 @@
+# pyright: strict
+"""RF60x bytes to displacement of the disk centre.
+
+The sensor sends no time and numbers its packets modulo 4. A sample's number is counted here, lost ones included;
+`counter` is that number, `device_ticks` is the number times the sampling period in units of 10 us. What is known of a
+loss depends on what is left of it on the line:
+
+- fewer than 4 results between two that came: exact, by the packets' numbers;
+- more, and their bytes came damaged: four bytes stand for a result, the nearest number that fits modulo 4 is taken as
+  far as the host's time has room for it;
+- more, and their bytes did not come: by the host's time (`daq.drivers.riftek.arrears`). A read that is late by more
+  than `Arrears.far_ns` waits until the host has caught up, or is known not to: its samples come a quarter of a second
+  late and with the right times. A smaller loss is found up to a second later; the samples until then bear times that
+  are early by it. Such a gap is told with `uncertain_samples`. A multiple of 4 below the guard is never found.
+
+A sensor that was switched off and on is a gap like any other: nothing on the line tells one from the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import channels
+from daq.clock import ClockMap
+from daq.drivers.items import TX, Batch, Event
+from daq.drivers.optoncdt.spikes import LOOK_AHEAD, SPIKE_BEFORE, SpikeWatch
+from daq.drivers.riftek import wire
+from daq.drivers.riftek.arrears import Arrears
+from daq.drivers.riftek.decoder import Decoded, StreamDecoder
+from daq.drivers.riftek.settings import RiftekLaser
+from daq.errors import DeviceError
+
+TICK_NS = 10_000
+"""Unit of `device_ticks`."""
+COUNTER_WRAP = 2**32
+NOT_NEW = 0x2
+"""Bit of `flags`: the sensor sent an older result again."""
+
+_NO_READING = 0x3FFFF  # to the spike watch: above any code
+_WAIT_NS, _WAIT_READS, _WAIT_ROWS = 250_000_000, 4, 65_536  # how long a late read waits for the host to catch up
+
+Items = list[Batch | Event]
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Results in order, with how many samples each follows the one before, and for how many nothing but time speaks."""
+
+    code: NDArray[np.int64]
+    updated: NDArray[np.bool_]
+    step: NDArray[np.int64]
+    guessed: NDArray[np.bool_]
+
+    def part(self, begin: int, end: int | None) -> _Rows:
+        return _Rows(self.code[begin:end], self.updated[begin:end], self.step[begin:end], self.guessed[begin:end])
+
+
+class _Waiting:
+    """Results that are too late for their numbers, until the host's time has told why."""
+
+    def __init__(self, rows: _Rows, excess_ns: float, host_ns: int) -> None:
+        self.parts = [rows]
+        self.count = len(rows.code)
+        self.excess_ns = excess_ns
+        self._since_ns, self._reads = host_ns, 1
+
+    def add(self, rows: _Rows, excess_ns: float, host_ns: int, guard_ns: float) -> None:
+        """Take the next read; one that is less late begins the wait anew: the host is catching up."""
+        self.parts.append(rows)
+        self.count += len(rows.code)
+        if excess_ns < self.excess_ns - guard_ns:
+            self._since_ns, self._reads = host_ns, 0
+        self.excess_ns = min(self.excess_ns, excess_ns)
+        self._reads += 1
+
+    def over(self, host_ns: int) -> bool:
+        """Whether it has been waited for long enough."""
+        return self._reads >= _WAIT_READS and host_ns - self._since_ns >= _WAIT_NS
+
+    def rows(self, missing: int) -> _Rows:
+        """All of them, with results missing before the first."""
+        step = np.concatenate([part.step for part in self.parts])
+        guessed = np.concatenate([part.guessed for part in self.parts])
+        step[0] += missing
+        guessed[0] |= missing > 0
+        code = np.concatenate([part.code for part in self.parts])
+        return _Rows(code, np.concatenate([part.updated for part in self.parts]), step, guessed)
+
+
+class RiftekPipeline:
+    """RF60x bytes to displacement of the disk centre, with losses counted as far as the line and the clock allow.
+
+    Displacement is 0 in the middle of the measuring range and grows with the distance from the sensor.
+
+    Raises:
+        DeviceError: the identity's range is none.
+    """
+
+    def __init__(
+        self, device: str, settings: RiftekLaser, channel: channels.Channel, identity: Mapping[str, Any]
+    ) -> None:
+        self.losses = {"samples": 0, "bytes": 0, "invalid": 0, "suspect": 0}
+        self._device, self._channel = device, channel
+        self._range_m = _range(device, identity.get("range_m", settings.range_m))
+        self._to_disk = 1.0 / settings.lever_ratio
+        self._period_ns = 1000 * settings.period_us
+        self._no_target = np.array(settings.no_target_codes, np.int64)
+        self._decoder = StreamDecoder()
+        self._arrears = Arrears(self._period_ns)
+        self._clock = ClockMap(settings.clock_tolerance_ppm)
+        self._spikes = SpikeWatch()
+        self._number = -1  # of the last sample handed out, lost ones counted
+        self._given = 0  # samples handed out
+        self._decoded = 0  # results decoded: those handed out, and those that wait
+        self._verdicts: list[int] = []  # places of doubted samples whose verdict is due LOOK_AHEAD places later
+        self._found_late = 0  # results found missing, to be told with the next sample
+        self._waiting: _Waiting | None = None
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
+        """See Pipeline."""
+        if direction == TX:
+            self._decoder.expect(wire.awaited(data))
+            return self._release(0, host_ns) if self._waiting is not None else []
+        found = self._decoder.feed(data)
+        out: Items = [Event("reply", self._device, answer.hex()) for answer in found.answers]
+        if found.skipped_bytes:
+            self.losses["bytes"] += found.skipped_bytes
+            text = f"{found.skipped_bytes} bytes skipped that belong to no packet"
+            out.append(Event("damage", self._device, text, {"bytes": found.skipped_bytes}))
+        self._verdicts += [self._decoded + place for place in found.doubted]
+        self._decoded += len(found.code)
+        if len(found.code):
+            out += self._place(self._counted(found, host_ns), host_ns)
+        return out
+
+    def _counted(self, found: Decoded, host_ns: int) -> _Rows:
+        """Steps by the packets' numbers; where damaged bytes stand for more results, as far as time has room."""
+        step = found.step.copy()
+        guessed = np.zeros(len(step), np.bool_)
+        for i in np.flatnonzero(found.skipped):
+            likely = (int(found.skipped[i]) + 2) // wire.RESULT_BYTES + 1  # results that the bytes can have been
+            more = wire.NUMBERS * max(0, round((likely - int(step[i])) / wire.NUMBERS))
+            if more and self._room(int(np.sum(step)), host_ns) >= more:
+                step[i] += more
+                guessed[i] = True
+        return _Rows(found.code, found.updated, step, guessed)
+
+    def _last_number(self, steps: int) -> int:
+        """Number of a result so many samples after those counted so far."""
+        waiting = 0 if self._waiting is None else sum(int(np.sum(part.step)) for part in self._waiting.parts)
+        return self._number + waiting + steps
+
+    def _room(self, steps: int, host_ns: int) -> int:
+        """How many results more than counted the host's time has room for."""
+        excess = self._arrears.excess_ns(self._last_number(steps), host_ns)
+        return 0 if excess is None else int(excess / self._period_ns + 1.5)
+
+    def _place(self, rows: _Rows, host_ns: int) -> Items:
+        """Hand results out, or let them wait where they are far too late for their numbers."""
+        if self._waiting is None:
+            self._found_late += self._arrears.turn(host_ns)
+        number = self._last_number(int(np.sum(rows.step))) + self._found_late
+        excess = self._arrears.excess_ns(number, host_ns)
+        if self._waiting is not None:
+            assert excess is not None
+            self._waiting.add(rows, excess, host_ns, self._arrears.guard_ns)
+            if excess <= self._arrears.far_ns:
+                return self._release(0, host_ns)
+            if self._waiting.count > _WAIT_ROWS:
+                return self._release(0, host_ns, late=True)
+            if self._waiting.over(host_ns):
+                return self._release(self._arrears.missing(self._waiting.excess_ns), host_ns)
+            return []
+        if excess is None or excess <= self._arrears.far_ns:
+            return self._hand_out(rows, host_ns)
+        first = int(np.argmax(rows.step > 1))  # where something is missing; 0 where nothing is
+        out = self._hand_out(rows.part(0, first), host_ns, late=True) if first else []
+        self._waiting = _Waiting(rows.part(first, None), excess, host_ns)
+        return out
+
+    def _release(self, missing: int, host_ns: int, *, late: bool = False) -> Items:
+        assert self._waiting is not None
+        waiting, self._waiting = self._waiting, None
+        return self._hand_out(waiting.rows(missing), host_ns, late=late)
+
+    def _hand_out(self, rows: _Rows, host_ns: int, *, late: bool = False) -> Items:
+        """Samples of results; `late` where the read's end says nothing of when they were made."""
+        found_late, self._found_late = self._found_late, 0
+        step = rows.step
+        if self._given == 0:
+            step[0] = 1
+        if found_late:
+            step = step.copy()
+            step[0] += found_late
+        number = self._number + np.cumsum(step)
+        self._number = int(number[-1])
+        if not late:
+            self._arrears.look(self._number, host_ns)
+        time_ns = self._clock.map(number * self._period_ns, host_ns)
+        out: Items = []
+        if int(number[-1]) - int(number[0]) + 1 != len(number) or step[0] != 1:
+            out += self._gaps(rows, step, time_ns, found_late)
+        displacement, seen = self._measure(rows)
+        counter = (number % COUNTER_WRAP).astype(np.uint32)
+        flags = self._spikes.feed(np.where(seen, rows.code, _NO_READING), counter)
+        self._doubt(flags, seen)
+        suspect = np.flatnonzero(flags)
+        flags[~rows.updated] |= NOT_NEW
+        columns = {
+            "displacement_m": displacement,
+            "code": rows.code.astype(np.uint32),
+            "counter": counter,
+            "device_ticks": (number * self._period_ns // TICK_NS).astype(np.uint64),
+            "flags": flags,
+        }
+        out.append(Batch(self._channel, time_ns, counter, columns))
+        if len(suspect):
+            out.append(self._suspects(suspect, time_ns))
+        return out
+
+    def _measure(self, rows: _Rows) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Displacement of the disk, m, NaN where there is no reading; and where there is one."""
+        seen = rows.updated & (rows.code <= wire.FULL_SCALE)
+        for code in self._no_target:
+            seen &= rows.code != code
+        displacement = (wire.metres(rows.code, self._range_m) - 0.5 * self._range_m) * self._to_disk
+        displacement[~seen] = np.nan
+        self.losses["invalid"] += len(seen) - int(np.count_nonzero(seen))
+        return displacement, seen
+
+    def _doubt(self, flags: NDArray[np.uint32], seen: NDArray[np.bool_]) -> None:
+        """Write the verdicts on samples whose packets turned out to be too long."""
+        first = self._given
+        self._given += len(flags)
+        later: list[int] = []
+        for place in self._verdicts:
+            at = place + LOOK_AHEAD - first
+            if at < len(flags):
+                flags[at] |= SPIKE_BEFORE
+            else:
+                later.append(place)
+        self._verdicts = later
+
+    def _suspects(self, found: NDArray[np.intp], time_ns: NDArray[np.int64]) -> Event:
+        """Samples that were lone spikes, or whose packets were too long; the event's time is that of the first."""
+        self.losses["suspect"] += len(found)
+        first_ns = int(time_ns[found[0]]) - LOOK_AHEAD * self._period_ns
+        what = "a sample" if len(found) == 1 else f"{len(found)} samples"
+        text = f"{what} marked as suspect: a jump that is back at once, or a packet that was too long"
+        return Event("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
+
+    def _gaps(self, rows: _Rows, step: NDArray[np.int64], time_ns: NDArray[np.int64], found_late: int) -> Items:
+        """Samples missing between rows. A gap's own time is that of the first sample after it."""
+        out: Items = []
+        number = self._number - int(np.sum(step))
+        numbers = number + np.cumsum(step)
+        for i in np.flatnonzero(step != 1):
+            lost = int(step[i]) - 1
+            self.losses["samples"] += lost
+            span = lost * self._period_ns * 1e-9
+            facts: dict[str, Any] = {"samples": lost, "span_s": span, "time_ns": int(time_ns[i]),
+                                     "device_ticks": int(numbers[i]) * self._period_ns // TICK_NS}  # fmt: skip
+            text = f"{lost} samples lost ({span * 1e3:.2f} ms)"
+            if rows.guessed[i] or (found_late and i == 0):
+                facts["uncertain_samples"] = self._arrears.uncertainty
+                text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._arrears.uncertainty}"
+            if found_late and i == 0:
+                facts["found_late"] = found_late
+                text += f"; {found_late} of them some time in the last 1.25 s, the times since then are early by that"
+            out.append(Event("gap", self._device, text, facts))
+        return out
+
+
+def _range(device: str, told: object) -> float:
+    """The measuring range that a sensor, or a log, says it has."""
+    if isinstance(told, int | float) and not isinstance(told, bool) and 0 < told < float("inf"):
+        return float(told)
+    raise DeviceError(f"{device}: expected a measuring range in m above 0 in its identity, got range_m {told!r:.80}")
