@@ -113,8 +113,13 @@ def test_a_rotor_that_does_not_follow_is_told_once_until_it_does() -> None:
     near = replace(RUNNING, erpm=7000 - 7 * 225)
     assert not events(pipeline.feed(RX, answer(near) * 10, 4), "fault")
     assert events(pipeline.feed(RX, answer(RUNNING) * 5, 5), "fault")
-    pipeline.feed(TX, wire.set_brake(1.0), 6)
-    assert not events(pipeline.feed(RX, answer(RUNNING) * 20, 7), "fault")
+
+
+@pytest.mark.parametrize("told", [wire.set_brake(1.0), wire.let_go(), b""])
+def test_only_a_speed_is_followed(told: bytes) -> None:
+    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline.feed(TX, told, 1)
+    assert not events(pipeline.feed(RX, answer(RUNNING) * 20, 2), "fault")
 
 
 def test_who_it_is_comes_as_a_reply() -> None:

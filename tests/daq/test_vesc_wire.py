@@ -152,6 +152,25 @@ def test_line_noise_alone_is_counted_while_it_comes() -> None:
     assert sum(decoder.feed(random.Random(1).randbytes(100)).skipped for _ in range(50)) > 4000
 
 
+def test_byte_by_byte() -> None:
+    data = wire.packet(bytes(300)) + REAL + b"\x03" + wire.packet(bytes(range(1, 200)) * 2) + b"\x02" + REAL
+    decoder = wire.PacketDecoder()
+    found = [decoder.feed(data[i : i + 1]) for i in range(len(data))]
+    assert [len(p) for f in found for p in f.payloads] == [300, 74, 398, 74]
+    assert sum(f.skipped for f in found) == 2
+
+
+@pytest.mark.parametrize("at", [-1, -2, -3, 1, 10])
+def test_a_packet_with_one_wrong_byte_is_none(at: int) -> None:
+    data = bytearray(REAL)
+    data[at] ^= 1
+    assert wire.PacketDecoder().feed(bytes(data)).payloads == []
+
+
+def test_a_byte_of_a_sound_packet_begins_no_other() -> None:
+    assert wire.PacketDecoder().feed(REAL + b"\x00\x05").skipped == 2
+
+
 def test_memory_is_bounded() -> None:
     decoder = wire.PacketDecoder()
     for _ in range(200):
