@@ -11,7 +11,7 @@ import pytest
 
 from daq.drivers.contract import Driver, RotorGuard, SpeedSource, TurnsRotor
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.drivers.vesc import wire
+from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.control import Mode, VescControl
 from daq.drivers.vesc.dialogue import identify
 from daq.drivers.vesc.driver import DRIVER
@@ -66,7 +66,7 @@ class Bench:
         self.rows: list[tuple[float, float, int]] = []
         self.events: list[Event] = []
         self.log: list[tuple[int, bytes, int]] = []
-        self._host = wire.PacketDecoder()
+        self._host = packets.PacketDecoder()
         guard = RotorGuard(self._permit, self._at_rest, lambda: abs(self.control.actual_rpm))
         self.control = DRIVER.speed_source(settings, self.send, self.clock, guard)
 
@@ -572,7 +572,7 @@ def test_an_older_command_never_follows_a_newer_one() -> None:
     """One thread is in the middle of sending a speed when another one stops the rotor."""
     entered, release = threading.Event(), threading.Event()
     sent: list[int] = []
-    decoder = wire.PacketDecoder()
+    decoder = packets.PacketDecoder()
 
     def send(data: bytes) -> None:
         commands = [wire.parse_command(payload) for payload in decoder.feed(data).payloads]
@@ -625,7 +625,7 @@ def test_it_tells_who_it_is() -> None:
 
 def test_the_far_end_tells_who_it_is() -> None:
     far = Bench().far
-    (payload,) = wire.PacketDecoder().feed(far.receive(wire.firmware_version(), 0.0)).payloads
+    (payload,) = packets.PacketDecoder().feed(far.receive(wire.firmware_version(), 0.0)).payloads
     assert identify("drive", SETTINGS, Talk([payload]))["hardware"] == "60_MK5"
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from daq.channels import MOTOR
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.drivers.vesc import stream, wire
+from daq.drivers.vesc import packets, stream, wire
 from daq.drivers.vesc.driver import DRIVER
 from daq.drivers.vesc.settings import Vesc
 from daq.drivers.vesc.stream import VescPipeline
@@ -23,7 +23,7 @@ RUNNING = wire.Values(erpm=2100, turned=1000, charges=(5, 0, 9, 0), status=0)
 
 
 def answer(values: wire.Values) -> bytes:
-    return wire.packet(wire.pack_values(values))
+    return packets.packet(wire.pack_values(values))
 
 
 def samples(items: list[Batch | Event]) -> list[tuple[float, float, int]]:
@@ -124,7 +124,7 @@ def test_only_a_speed_is_followed(told: bytes) -> None:
 
 def test_who_it_is_comes_as_a_reply() -> None:
     firmware = wire.Firmware(5, 3, "60", "00" * 12)
-    (reply,) = VescPipeline("drive", SETTINGS).feed(RX, wire.packet(wire.pack_firmware(firmware)), 1)
+    (reply,) = VescPipeline("drive", SETTINGS).feed(RX, packets.packet(wire.pack_firmware(firmware)), 1)
     assert isinstance(reply, Event)
     assert wire.parse_firmware(bytes.fromhex(reply.text)) == firmware
     assert reply.facts["firmware"] == "5.03"
@@ -132,7 +132,7 @@ def test_who_it_is_comes_as_a_reply() -> None:
 
 def test_an_answer_of_old_firmware_is_counted_not_guessed() -> None:
     pipeline = VescPipeline("drive", SETTINGS)
-    out = pipeline.feed(RX, wire.packet(bytes([wire.GET_VALUES, *range(20)])), 1)
+    out = pipeline.feed(RX, packets.packet(bytes([wire.GET_VALUES, *range(20)])), 1)
     assert samples(out) == []
     assert pipeline.losses["unreadable_answers"] == 1
     assert events(out, "damage")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.drivers.vesc import wire
+from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.ramp import Ramp
 from daq.drivers.vesc.settings import Vesc
 
@@ -55,11 +55,11 @@ def test_golden_commands(made: bytes, expected: str) -> None:
 
 
 def test_the_checksum_is_xmodem() -> None:
-    assert wire.packet(b"123456789")[-3:] == bytes.fromhex("31C3 03")
+    assert packets.packet(b"123456789")[-3:] == bytes.fromhex("31C3 03")
 
 
 def test_an_answer_of_a_real_controller() -> None:
-    found = wire.PacketDecoder().feed(REAL)
+    found = packets.PacketDecoder().feed(REAL)
     assert found.skipped == 0
     values = wire.parse_values(found.payloads[0])
     assert values == wire.Values(
@@ -78,8 +78,8 @@ def test_answers_round_trip(values: wire.Values) -> None:
 
 @given(I32, st.floats(0, 200))
 def test_commands_round_trip(erpm: int, amperes: float) -> None:
-    packets = wire.set_rpm(erpm) + wire.set_brake(amperes) + wire.let_go() + wire.alive() + wire.get_values()
-    payloads = wire.PacketDecoder().feed(packets).payloads
+    sent = wire.set_rpm(erpm) + wire.set_brake(amperes) + wire.let_go() + wire.alive() + wire.get_values()
+    payloads = packets.PacketDecoder().feed(sent).payloads
     assert [wire.parse_command(payload) for payload in payloads] == [
         wire.Command(wire.SET_RPM, erpm),
         wire.Command(wire.SET_BRAKE, round(amperes * 1000)),
@@ -91,7 +91,7 @@ def test_commands_round_trip(erpm: int, amperes: float) -> None:
 
 @pytest.mark.parametrize(
     "made", [lambda: wire.set_rpm(2**31), lambda: wire.set_brake(-1.0), lambda: wire.set_brake(float("nan")),
-             lambda: wire.packet(b""), lambda: wire.packet(bytes(513))],
+             lambda: packets.packet(b""), lambda: packets.packet(bytes(513))],
 )  # fmt: skip
 def test_what_no_packet_can_carry_is_refused(made) -> None:
     with pytest.raises(ValueError, match="expected"):
@@ -100,9 +100,9 @@ def test_what_no_packet_can_carry_is_refused(made) -> None:
 
 @pytest.mark.parametrize("length", [1, 255, 256, 512])
 def test_short_and_long_packets(length: int) -> None:
-    packet = wire.packet(bytes(length))
-    assert packet[0] == (wire.SHORT if length < 256 else wire.LONG)
-    assert wire.PacketDecoder().feed(packet).payloads == [bytes(length)]
+    packet = packets.packet(bytes(length))
+    assert packet[0] == (packets.SHORT if length < 256 else packets.LONG)
+    assert packets.PacketDecoder().feed(packet).payloads == [bytes(length)]
 
 
 def test_firmware_round_trip() -> None:
@@ -116,7 +116,7 @@ def test_firmware_round_trip() -> None:
 CHUNKS = st.lists(
     st.one_of(
         st.binary(min_size=1, max_size=20),
-        st.sampled_from([wire.set_rpm(1), REAL, wire.packet(bytes(300)), b"\x02\xff", b"\x03\x01", REAL[:40]]),
+        st.sampled_from([wire.set_rpm(1), REAL, packets.packet(bytes(300)), b"\x02\xff", b"\x03\x01", REAL[:40]]),
     ),
     max_size=8,
 )
@@ -125,8 +125,8 @@ CHUNKS = st.lists(
 @given(CHUNKS, st.lists(st.integers(0, 2000), max_size=20), st.integers(0, 90))
 def test_any_split_gives_the_same(chunks: list[bytes], cuts: list[int], forgiven: int) -> None:
     data = b"".join(chunks)
-    whole = wire.PacketDecoder(forgiven).feed(data)
-    decoder = wire.PacketDecoder(forgiven)
+    whole = packets.PacketDecoder(forgiven).feed(data)
+    decoder = packets.PacketDecoder(forgiven)
     found = [decoder.feed(part) for part in parts(data, cuts)]
     assert [p for f in found for p in f.payloads] == whole.payloads
     assert sum(f.skipped for f in found) == whole.skipped
@@ -134,27 +134,27 @@ def test_any_split_gives_the_same(chunks: list[bytes], cuts: list[int], forgiven
 
 @given(st.lists(st.binary(min_size=0, max_size=30).map(lambda b: b.translate(None, b"\x02\x03")), max_size=6))
 def test_garbage_between_packets_costs_no_packet_and_is_counted(garbage: list[bytes]) -> None:
-    found = wire.PacketDecoder().feed(b"".join(g + REAL for g in garbage))
+    found = packets.PacketDecoder().feed(b"".join(g + REAL for g in garbage))
     assert found.payloads == [REAL[2:-3]] * len(garbage)
     assert found.skipped == sum(map(len, garbage))
 
 
 @pytest.mark.parametrize("start", [b"\x03\x02\x00", b"\x02\xff", REAL[:40], REAL[30:-1], b"\x02", b"\x03"])
 def test_a_false_start_delays_no_packet(start: bytes) -> None:
-    decoder = wire.PacketDecoder()
+    decoder = packets.PacketDecoder()
     found = decoder.feed(start + REAL)
     assert (found.payloads, found.skipped) == ([REAL[2:-3]], len(start))
 
 
 def test_line_noise_alone_is_counted_while_it_comes() -> None:
-    decoder = wire.PacketDecoder()
+    decoder = packets.PacketDecoder()
     assert decoder.feed(bytes(10_000)).skipped == 10_000
     assert sum(decoder.feed(random.Random(1).randbytes(100)).skipped for _ in range(50)) > 4000
 
 
 def test_byte_by_byte() -> None:
-    data = wire.packet(bytes(300)) + REAL + b"\x03" + wire.packet(bytes(range(1, 200)) * 2) + b"\x02" + REAL
-    decoder = wire.PacketDecoder()
+    data = packets.packet(bytes(300)) + REAL + b"\x03" + packets.packet(bytes(range(1, 200)) * 2) + b"\x02" + REAL
+    decoder = packets.PacketDecoder()
     found = [decoder.feed(data[i : i + 1]) for i in range(len(data))]
     assert [len(p) for f in found for p in f.payloads] == [300, 74, 398, 74]
     assert sum(f.skipped for f in found) == 2
@@ -164,25 +164,25 @@ def test_byte_by_byte() -> None:
 def test_a_packet_with_one_wrong_byte_is_none(at: int) -> None:
     data = bytearray(REAL)
     data[at] ^= 1
-    assert wire.PacketDecoder().feed(bytes(data)).payloads == []
+    assert packets.PacketDecoder().feed(bytes(data)).payloads == []
 
 
 def test_a_byte_of_a_sound_packet_begins_no_other() -> None:
-    assert wire.PacketDecoder().feed(REAL + b"\x00\x05").skipped == 2
+    assert packets.PacketDecoder().feed(REAL + b"\x00\x05").skipped == 2
 
 
 def test_memory_is_bounded() -> None:
-    decoder = wire.PacketDecoder()
+    decoder = packets.PacketDecoder()
     for _ in range(200):
         decoder.feed(b"\x03\x02\x00" * 100)
-        assert len(decoder._have) <= wire.MAX_PAYLOAD + 6
+        assert len(decoder._have) <= packets.MAX_PAYLOAD + 6
 
 
 def test_bytes_that_began_before_are_forgiven_once() -> None:
-    decoder = wire.PacketDecoder(84)
+    decoder = packets.PacketDecoder(84)
     assert decoder.feed(REAL[30:] + REAL + b"\xff" * 3).skipped == 3
     assert decoder.feed(REAL[30:] + REAL).skipped == 49
-    assert wire.PacketDecoder(84).feed(b"\xff" * 100).skipped == 16
+    assert packets.PacketDecoder(84).feed(b"\xff" * 100).skipped == 16
 
 
 def test_mutated_packets_give_no_wrong_values() -> None:
@@ -198,7 +198,7 @@ def test_mutated_packets_give_no_wrong_values() -> None:
                     data[dice.randrange(len(data))] = dice.randrange(256)
                 case _:
                     del data[dice.randrange(len(data))]
-        payloads = wire.PacketDecoder().feed(bytes(data)).payloads
+        payloads = packets.PacketDecoder().feed(bytes(data)).payloads
         seen = [values for p in payloads if (values := wire.parse_values(p)) is not None]
         wrong += any(p != REAL[2:-3] for p in payloads) and seen != []
     assert wrong == 0

@@ -1,7 +1,7 @@
 # pyright: strict
 """The host's side of a VESC: the ramp, the command that is repeated, the polls, and how the rotor is stopped.
 
-The controller obeys the last command until its own time-out, and has neither a ramp nor an enabled state. So the host
+The controller obeys the last command until its own time-out, and has no enabled state, nor a ramp of ours. So the host
 repeats its command, a little further along the ramp each time, from one thread; what the host means to do is this
 command's `mode`. A host that dies is silent, and the controller lets go or brakes by itself, as it is set up.
 """

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from daq.drivers.vesc import wire
+from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
 from daq.virtual_rig.motion import Motion
 
@@ -49,7 +49,7 @@ class SimulatedVesc:
         self._settings, self._motion, self._has_status = settings, motion, has_status
         self._timeout_s = settings.timeout_s if timeout_s is None else timeout_s
         self._timeout_brake_A = settings.brake_A if timeout_brake_A is None else timeout_brake_A
-        self._packets = wire.PacketDecoder()
+        self._decoder = packets.PacketDecoder()
         self.frames_sent = 0
         self.emergencies: list[int] = []
         self._now_s = 0.0
@@ -147,11 +147,11 @@ class SimulatedVesc:
         """Take bytes from the host; returns its answers."""
         self._now_s = max(self._now_s, now_s)
         out = b""
-        for payload in self._packets.feed(data).payloads:
+        for payload in self._decoder.feed(data).payloads:
             answer = self._answer(payload)
             if answer:
                 self.frames_sent += 1
-                out += wire.packet(answer)
+                out += packets.packet(answer)
         return out
 
     def _answer(self, payload: bytes) -> bytes:

@@ -7,7 +7,7 @@ import numpy as np
 
 from daq import channels
 from daq.drivers.items import TX, Batch, Event
-from daq.drivers.vesc import wire
+from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
 
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
@@ -53,7 +53,7 @@ class VescPipeline:
         self.losses = {"damaged_bytes": 0, "unanswered": 0, "unreadable_answers": 0}
         self.answers: list[wire.Values] = []
         self._device, self._pole_pairs = device, settings.pole_pairs
-        self._rx, self._tx = wire.PacketDecoder(_JOINED_BYTES), wire.PacketDecoder()
+        self._rx, self._tx = packets.PacketDecoder(_JOINED_BYTES), packets.PacketDecoder()
         self._target_rpm, self._told = 0.0, NOTHING
         self._polled = False
         self._unanswered = 0  # since the last answer
@@ -97,7 +97,7 @@ class VescPipeline:
             self._told = _TOLD[command.what]
             self._target_rpm = command.number / self._pole_pairs if self._told == SPEED else 0.0
 
-    def _damage(self, found: wire.Found) -> list[Event]:
+    def _damage(self, found: packets.Found) -> list[Event]:
         if not found.skipped:
             return []
         self.losses["damaged_bytes"] += found.skipped
