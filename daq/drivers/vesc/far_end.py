@@ -1,0 +1,204 @@
+# pyright: strict
+"""A simulated VESC: it turns the rotor as its packets say, answers when it is asked, and has its own time-out."""
+
+from __future__ import annotations
+
+import math
+
+from daq.drivers.vesc import packets, wire
+from daq.drivers.vesc.settings import Vesc
+from daq.virtual_rig.motion import Motion
+
+_RAD_S = math.pi / 30
+_LOOP_RPM_S = 2000.0  # its speed loop, at its current limit: faster than any ramp the host makes
+_COAST_RPM_S = 30.0  # bearings and windage, when there is no torque
+_BRAKE_RPM_S_PER_A = 200.0
+_STEPS_PER_ERPM_S = 6 / 60  # a motor makes six steps per electrical revolution
+_FAULT_STOP_S = 0.5  # how long a fault stands; then it passes by itself
+_SUPPLY_V, _RUNNING_A, _RATED_ERPM = 24.0, 2.0, 20_000.0
+_FIRMWARE = wire.Firmware(6, 5, "60_MK5", "2a0041000a51353338363731")
+
+
+class SimulatedVesc:
+    """Turns the rotor as the wire says; stops by itself when it is not commanded.
+
+    Args:
+        settings: of the rig file, as its operator stated them: this one really is so.
+        motion: of the rotor.
+        report_s: unused; a controller speaks when it is asked.
+        timeout_s: its own time-out, rig s, where it is not as stated.
+        timeout_brake_A: current with which it brakes after its time-out; None: that of the host's own stop. As it
+            comes from its maker this is 0 and the rotor runs down.
+        has_status: whether its firmware sends the status byte.
+
+    Attributes:
+        emergencies: faults it had.
+        frames_sent: answers.
+    """
+
+    def __init__(
+        self,
+        settings: Vesc,
+        motion: Motion,
+        report_s: float = 0.0,
+        *,
+        timeout_s: float | None = None,
+        timeout_brake_A: float | None = None,
+        has_status: bool = True,
+    ) -> None:
+        self._settings, self._motion, self._has_status = settings, motion, has_status
+        self._timeout_s = settings.timeout_s if timeout_s is None else timeout_s
+        self._timeout_brake_A = settings.brake_A if timeout_brake_A is None else timeout_brake_A
+        self._decoder = packets.PacketDecoder()
+        self.frames_sent = 0
+        self.emergencies: list[int] = []
+        self._now_s = 0.0
+        self._answers, self._deaf = True, False
+        self._reported_share = 1.0
+        self._runaway_rpm: float | None = None
+        self._fault, self._fault_until_s = 0, 0.0
+        self._start()
+
+    def _start(self) -> None:
+        """As it stands after power came."""
+        self._command: wire.Command | None = None
+        self._heard_s: float | None = None
+        self._steps = self._drawn_Ah = self._drawn_Wh = 0.0
+
+    def fail(self, what: str, value: float) -> None:
+        """Something goes wrong.
+
+        Args:
+            what: "fault" (value: its code; 0 ends it), "restart", "silent reports", "reported share", "speed" (it runs
+                away to so many rpm until it is braked), "deaf" (no command reaches it; it still answers).
+            value: as told above; otherwise 0 ends it.
+
+        Raises:
+            ValueError: no such fault.
+        """
+        match what:
+            case "fault":
+                self._fault, self._fault_until_s = int(value), self._now_s + _FAULT_STOP_S
+                if self._fault:
+                    self.emergencies.append(self._fault)
+            case "restart":
+                self._start()
+            case "silent reports":
+                self._answers = not value
+            case "reported share":
+                self._reported_share = value
+            case "speed":
+                self._runaway_rpm = value
+            case "deaf":
+                self._deaf = bool(value)
+            case other:
+                raise ValueError(f"a VESC knows no fault {other!r}")
+
+    # --- its own ------------------------------------------------------------------------------------------------
+
+    @property
+    def timed_out(self) -> bool:
+        """Whether it was not commanded for too long."""
+        return self._heard_s is None or self._now_s - self._heard_s > self._timeout_s
+
+    @property
+    def watchdog_ms(self) -> int:
+        """How long it may go without a command."""
+        return round(self._timeout_s * 1e3)
+
+    @property
+    def state(self) -> str:
+        """What it does."""
+        if self._fault:
+            return "FAULT"
+        if self.timed_out:
+            return "TIMED OUT"
+        command = self._command
+        names = {wire.SET_RPM: "SPEED", wire.SET_BRAKE: "BRAKE", wire.SET_CURRENT: "FREE"}
+        return "FREE" if command is None else names[command.what]
+
+    @property
+    def speed_rpm(self) -> float:
+        """True speed."""
+        return self._motion.speed_rad_s / _RAD_S
+
+    @property
+    def values(self) -> wire.Values:
+        """What it reports now."""
+        erpm = self.speed_rpm * self._reported_share * self._settings.pole_pairs
+        status = wire.TIMED_OUT if self.timed_out else 0
+        return wire.Values(
+            erpm=round(erpm),
+            motor_A=self._motor_A(),
+            input_V=_SUPPLY_V,
+            duty=max(-1.0, min(1.0, erpm / _RATED_ERPM)),
+            charges=(round(self._drawn_Ah * 1e4), 0, round(self._drawn_Wh * 1e4), 0),
+            turned=round(self._steps) % 2**32,
+            fault=self._fault,
+            status=status if self._has_status else None,
+        )
+
+    def _motor_A(self) -> float:
+        return _RUNNING_A if self.state == "SPEED" else 0.0
+
+    # --- the line ----------------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes, now_s: float) -> bytes:
+        """Take bytes from the host; returns its answers."""
+        self._now_s = max(self._now_s, now_s)
+        out = b""
+        for payload in self._decoder.feed(data).payloads:
+            answer = self._answer(payload)
+            if answer:
+                self.frames_sent += 1
+                out += packets.packet(answer)
+        return out
+
+    def _answer(self, payload: bytes) -> bytes:
+        if payload == bytes([wire.GET_VALUES]):
+            return wire.pack_values(self.values) if self._answers else b""
+        if payload == bytes([wire.FIRMWARE_VERSION]):
+            return wire.pack_firmware(_FIRMWARE)
+        command = wire.parse_command(payload)
+        if self._deaf or (command is None and payload != bytes([wire.ALIVE])):
+            return b""
+        self._heard_s = self._now_s
+        if command is not None:
+            self._command = command
+            if command.what == wire.SET_BRAKE:
+                self._runaway_rpm = None
+        return b""
+
+    def step(self, now_s: float) -> bytes:
+        """Up to now: time-out, fault, what the motor does. It never speaks unasked."""
+        passed, self._now_s = max(0.0, now_s - self._now_s), max(self._now_s, now_s)
+        if self._fault and self._now_s >= self._fault_until_s:
+            self._fault = 0
+        erpm = abs(self.speed_rpm) * self._settings.pole_pairs
+        self._steps += erpm * _STEPS_PER_ERPM_S * passed
+        input_A = self._motor_A() * min(1.0, erpm / _RATED_ERPM)
+        self._drawn_Ah += input_A * passed / 3600
+        self._drawn_Wh += input_A * _SUPPLY_V * passed / 3600
+        rpm, brake_A = self._wanted()
+        motion = self._motion
+        motion.target_rad_s = (rpm or 0.0) * _RAD_S
+        motion.braking = rpm is None and brake_A > 0
+        ramp = _LOOP_RPM_S if rpm is not None else max(_COAST_RPM_S, brake_A * _BRAKE_RPM_S_PER_A)
+        motion.ramp_rad_s2 = ramp * _RAD_S
+        return b""
+
+    def _wanted(self) -> tuple[float | None, float]:
+        """Speed, rpm, or None, and then the brake current, A; with neither the rotor runs down."""
+        if self._fault:
+            return None, 0.0
+        if self._runaway_rpm is not None:
+            return self._runaway_rpm, 0.0
+        command = self._command
+        if self.timed_out or command is None:
+            # one that was never commanded stands in its time-out too
+            return None, self._timeout_brake_A
+        if command.what == wire.SET_BRAKE:
+            return None, command.number / 1000
+        if command.what == wire.SET_RPM and abs(command.number) >= self._settings.min_erpm:
+            return command.number / self._settings.pole_pairs, 0.0
+        return None, 0.0

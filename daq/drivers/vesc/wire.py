@@ -1,0 +1,228 @@
+# pyright: strict
+"""What a VESC speaks on its serial port: commands and answers. No line and no clock here.
+
+A payload is a command byte and big-endian numbers; an answer begins with the command it answers. Both ends are here:
+the host's and, for whatever stands in for a controller, the controller's.
+Facts and their sources: docs/protocols/vesc.md.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from daq.drivers.vesc.packets import packet
+
+FIRMWARE_VERSION, GET_VALUES = 0, 4
+SET_CURRENT, SET_BRAKE, SET_RPM, ALIVE = 6, 7, 8, 30
+
+TIMED_OUT, KILL_SWITCH = 0x01, 0x02
+"""Bits of a controller's status byte: no command came for so long that it let go; its kill switch is open."""
+
+_NUMBER = struct.Struct(">Bi")
+_VALUES = struct.Struct(">hhiiiihihiiiiiiB")  # after the command byte, up to the fault code
+_TAIL = struct.Struct(">iB3hii")  # position, controller's number, three temperatures, voltages d and q
+VALUES_BYTES = 1 + _VALUES.size
+_STATUS_AT = VALUES_BYTES + _TAIL.size
+_MA = 1000.0  # currents travel as mA
+_I32 = 2**31
+
+
+# --- commands --------------------------------------------------------------------------------------------------
+
+
+def firmware_version() -> bytes:
+    """Ask for firmware and hardware; does not keep the motor commanded."""
+    return packet(bytes([FIRMWARE_VERSION]))
+
+
+def get_values() -> bytes:
+    """Ask for speed, fault and the rest; does not keep the motor commanded."""
+    return packet(bytes([GET_VALUES]))
+
+
+def set_rpm(erpm: int) -> bytes:
+    """Hold an electrical speed, as fast as the controller gets there.
+
+    Raises:
+        ValueError: no 32-bit number.
+    """
+    return _command(SET_RPM, erpm)
+
+
+def set_brake(amperes: float) -> bytes:
+    """Brake with a motor current, A.
+
+    Raises:
+        ValueError: below 0, or no 32-bit number of mA.
+    """
+    if not amperes >= 0:
+        raise ValueError(f"expected a brake current of at least 0 A, got {amperes:g}")
+    return _command(SET_BRAKE, round(amperes * _MA))
+
+
+def let_go() -> bytes:
+    """No current: the rotor runs as it likes."""
+    return _command(SET_CURRENT, 0)
+
+
+def alive() -> bytes:
+    """Go on with the last command; resets the time-out."""
+    return packet(bytes([ALIVE]))
+
+
+def _command(command: int, number: int) -> bytes:
+    if not -_I32 <= number < _I32:
+        raise ValueError(f"expected a number of 32 bits for command {command}, got {number}")
+    return packet(_NUMBER.pack(command, number))
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a host asked of a motor.
+
+    Attributes:
+        what: SET_RPM, SET_BRAKE or SET_CURRENT.
+        number: erpm, or mA.
+    """
+
+    what: int
+    number: int
+
+
+def parse_command(payload: bytes) -> Command | None:
+    """A command to the motor; None of a payload that is none."""
+    if len(payload) != _NUMBER.size or payload[0] not in (SET_RPM, SET_BRAKE, SET_CURRENT):
+        return None
+    return Command(*_NUMBER.unpack(payload))
+
+
+# --- answers ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Values:
+    """What a controller answers to GET_VALUES, as far as the rig uses it.
+
+    Attributes:
+        erpm: electrical speed.
+        motor_A, input_V, duty: of the motor, of the supply, dimensionless.
+        charges: Ah and Wh drawn and charged since the controller started, in its own units of 1e-4, shape (4,); they
+            only grow.
+        turned: steps the motor made since the controller started, in both directions together; only grows, and wraps
+            at 2³².
+        fault: code; 0 none.
+        status: bits TIMED_OUT, KILL_SWITCH; None of firmware that does not send them (before 5.3).
+    """
+
+    erpm: int = 0
+    motor_A: float = 0.0
+    input_V: float = 0.0
+    duty: float = 0.0
+    charges: tuple[int, int, int, int] = (0, 0, 0, 0)
+    turned: int = 0
+    fault: int = 0
+    status: int | None = None
+
+
+def parse_values(payload: bytes) -> Values | None:
+    """The answer to GET_VALUES; None of one too short, as of firmware before 3."""
+    if len(payload) < VALUES_BYTES or payload[0] != GET_VALUES:
+        return None
+    _, _, motor, _, _, _, duty, erpm, volts, *charges, _, turned, fault = _VALUES.unpack_from(payload, 1)
+    drawn_Ah, charged_Ah, drawn_Wh, charged_Wh = charges
+    return Values(
+        erpm=erpm,
+        motor_A=motor / 100.0,
+        input_V=volts / 10.0,
+        duty=duty / 1000.0,
+        charges=(drawn_Ah, charged_Ah, drawn_Wh, charged_Wh),
+        turned=turned % 2**32,
+        fault=fault,
+        status=payload[_STATUS_AT] if len(payload) > _STATUS_AT else None,
+    )
+
+
+def pack_values(values: Values) -> bytes:
+    """The payload of an answer, as a controller sends it; without a status, as older firmware."""
+    turned = (values.turned + _I32) % 2**32 - _I32
+    motor = round(values.motor_A * 100)
+    head = _VALUES.pack(
+        250, 250, motor, round(motor * abs(values.duty)), 0, motor, round(values.duty * 1000), values.erpm,
+        round(values.input_V * 10), *values.charges, 0, turned, values.fault,
+    )  # fmt: skip
+    tail = _TAIL.pack(0, 0, 250, 250, 250, 0, 0)
+    status = b"" if values.status is None else bytes([values.status])
+    return bytes([GET_VALUES]) + head + tail + status
+
+
+def restarted(before: Values, after: Values) -> bool:
+    """Whether a controller started again between two answers: what only grows has become less.
+
+    One that had turned and drawn nothing since its last start shows nothing.
+    """
+    back = (after.turned - before.turned) % 2**32 >= _I32
+    return back or any(new < old for old, new in zip(before.charges, after.charges, strict=True))
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """What a controller is: firmware, hardware's name, the processor's number as hexadecimal digits."""
+
+    major: int
+    minor: int
+    hardware: str
+    serial: str
+
+
+def parse_firmware(payload: bytes) -> Firmware | None:
+    """The answer to FIRMWARE_VERSION; None of one without the hardware's name, as of very old firmware."""
+    if len(payload) < 4 or payload[0] != FIRMWARE_VERSION or 0 not in payload[3:]:
+        return None
+    end = payload.index(0, 3)
+    name = "".join(chr(byte) if 0x20 <= byte < 0x7F else "?" for byte in payload[3:end])
+    return Firmware(payload[1], payload[2], name, payload[end + 1 : end + 13].hex())
+
+
+def pack_firmware(firmware: Firmware) -> bytes:
+    """The payload of an answer, as a controller sends it."""
+    name = firmware.hardware.encode("ascii") + b"\0"
+    return bytes([FIRMWARE_VERSION, firmware.major, firmware.minor]) + name + bytes.fromhex(firmware.serial)
+
+
+# --- faults ----------------------------------------------------------------------------------------------------
+
+_FAULTS = {
+    0: "none",
+    1: "supply over-voltage: braking feeds the supply; it must take the energy, or the brake current be less",
+    2: "supply under-voltage",
+    3: "gate driver",
+    4: "over-current",
+    5: "over-temperature of the transistors",
+    6: "over-temperature of the motor",
+    7: "gate driver over-voltage",
+    8: "gate driver under-voltage",
+    9: "under-voltage of the processor",
+    10: "it started again because its own watchdog had to reset it",
+    11: "rotor position sensor: its line",
+    12: "rotor position sensor: sine and cosine too weak",
+    13: "rotor position sensor: sine and cosine too strong",
+    14: "its memory is damaged",
+    15: "offset of current sensor 1",
+    16: "offset of current sensor 2",
+    17: "offset of current sensor 3",
+    18: "unbalanced phase currents",
+    19: "brake input",
+    20: "resolver: loss of tracking",
+    21: "resolver: degradation of signal",
+    22: "resolver: loss of signal",
+    23: "its stored application settings are damaged",
+    24: "its stored motor settings are damaged",
+    25: "rotor position sensor: no magnet",
+}
+"""Codes up to 18 agree among several sources, those above were found in one only."""
+
+
+def fault_words(code: int) -> str:
+    """A fault code and what it means."""
+    return f"{code}, {_FAULTS.get(code, 'not in the list of this software; see the firmware')}"

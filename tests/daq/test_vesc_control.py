@@ -1,0 +1,642 @@
+"""A simulated VESC commanded by the host's side of the driver, in one thread, on a time of their own."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from itertools import pairwise
+
+import pytest
+
+from daq.drivers.contract import Driver, RotorGuard, SpeedSource, TurnsRotor
+from daq.drivers.items import RX, TX, Batch, Event
+from daq.drivers.vesc import packets, wire
+from daq.drivers.vesc.control import Mode, VescControl
+from daq.drivers.vesc.dialogue import identify
+from daq.drivers.vesc.driver import DRIVER
+from daq.drivers.vesc.far_end import SimulatedVesc
+from daq.drivers.vesc.settings import Vesc
+from daq.errors import DeviceError, LinkLost, ProcedureError
+from daq.transports import HostClock
+from daq.virtual_rig.motion import Motion
+from rig_configs import load_rig
+
+PHYSICS = load_rig("virtual").true_physics
+SETTINGS = Vesc(
+    driver="vesc", port="/dev/x", pole_pairs=7, timeout_s=1.0, brake_A=5.0, min_erpm=700.0, ramp_rpm_per_s=400.0
+)
+STEP_S = 0.01
+SLIP = 0.002
+
+
+class RigTime(HostClock):
+    """A host's clock that is moved by hand."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rig_s = 1000.0
+
+    def now_ns(self) -> int:
+        return round(self.rig_s * 1e9)
+
+    def monotonic(self) -> float:
+        return self.rig_s
+
+
+class Bench:
+    """Controller, pipeline and host; whoever sleeps lets rig time pass.
+
+    Attributes:
+        told: commands to the motor, each with the rig time, s.
+        permitted: speeds the guard was asked for.
+        refuse: raised by the guard.
+    """
+
+    def __init__(self, settings: Vesc = SETTINGS, **far: object) -> None:
+        self.settings, self.clock = settings, RigTime()
+        self.motion = Motion(PHYSICS, SLIP, 0.08)
+        self.far = SimulatedVesc(settings, self.motion, **far)  # type: ignore[arg-type]
+        self.pipeline = DRIVER.pipeline("drive", settings, {})
+        self.told: list[tuple[float, wire.Command]] = []
+        self.permitted: list[float | None] = []
+        self.refuse: Exception | None = None
+        self.at_permit: Callable[[], None] = lambda: None
+        self.gone = self.asleep = False
+        self.rows: list[tuple[float, float, int]] = []
+        self.events: list[Event] = []
+        self.log: list[tuple[int, bytes, int]] = []
+        self._host = packets.PacketDecoder()
+        guard = RotorGuard(self._permit, self._at_rest, lambda: abs(self.control.actual_rpm))
+        self.control = DRIVER.speed_source(settings, self.send, self.clock, guard)
+
+    def _permit(self, rpm: float | None) -> None:
+        self.permitted.append(rpm)
+        self.at_permit()
+        if self.refuse is not None:
+            raise self.refuse
+
+    def _at_rest(self) -> bool | None:
+        rpm = self.control.actual_rpm
+        return None if math.isnan(rpm) else abs(rpm) < 1
+
+    def send(self, data: bytes) -> None:
+        if self.gone:
+            raise LinkLost("gone")
+        self._feed(TX, data)
+        for payload in self._host.feed(data).payloads:
+            if (command := wire.parse_command(payload)) is not None:
+                self.told.append((self.clock.rig_s, command))
+        if answer := self.far.receive(data, self.motion.time_s):
+            self._feed(RX, answer)
+            self.control.notice(self.pipeline)
+
+    def _feed(self, direction: int, data: bytes) -> None:
+        self.log.append((direction, data, self.clock.now_ns()))
+        for item in self.pipeline.feed(direction, data, self.clock.now_ns()):
+            if isinstance(item, Batch):
+                columns = [item.columns[name].tolist() for name in ("speed_rpm", "target_rpm", "statusword")]
+                self.rows += zip(*columns, strict=True)
+            else:
+                self.events.append(item)
+
+    def pass_time(self, seconds: float, host: bool = True) -> None:
+        """Rig time passes; the host's thread beats, unless there is none any more."""
+        for _ in range(max(1, round(seconds / STEP_S))):
+            self.clock.rig_s += STEP_S
+            self.far.step(self.motion.time_s)
+            self.motion.advance(self.motion.time_s + STEP_S + 1e-9)
+            if host and not self.gone:
+                self.control.beat()
+
+    def runs(self, rpm: float) -> None:
+        self.pass_time(0.1)
+        self.control.enable()
+        self.control.set_speed(rpm)
+        self.pass_time(abs(rpm) / self.settings.ramp_rpm_per_s + 0.5)
+        assert self.rpm == pytest.approx(rpm * (1 - SLIP), rel=0.005)
+
+    @property
+    def rpm(self) -> float:
+        return self.far.speed_rpm
+
+    def kinds(self) -> list[str]:
+        return [event.kind for event in self.events]
+
+
+@pytest.fixture(autouse=True)
+def on_rig_time(monkeypatch: pytest.MonkeyPatch) -> Callable[[Bench], Bench]:
+    """Waits of the host's side let rig time pass."""
+
+    class Time:
+        bench: Bench | None = None
+
+        def monotonic(self) -> float:
+            assert self.bench is not None
+            return self.bench.clock.rig_s
+
+        def sleep(self, seconds: float) -> None:
+            assert self.bench is not None
+            self.bench.pass_time(seconds)
+
+    clock = Time()
+    monkeypatch.setattr("daq.drivers.vesc.control.time", clock)
+
+    def install(bench: Bench) -> Bench:
+        clock.bench = bench
+        return bench
+
+    return install
+
+
+@pytest.fixture
+def bench(on_rig_time: Callable[[Bench], Bench]) -> Bench:
+    return on_rig_time(Bench())
+
+
+def test_the_driver_is_one() -> None:
+    driver: Driver = DRIVER
+    assert driver.name == "vesc"
+    assert DRIVER.settings is Vesc
+    assert isinstance(DRIVER, TurnsRotor)
+    assert DRIVER.line(SETTINGS).baud == 115_200
+    assert [channel.topic for channel in DRIVER.channels(SETTINGS)] == ["motor"]
+    assert DRIVER.clocks(SETTINGS) == ()
+
+
+def test_it_is_a_speed_source(bench: Bench) -> None:
+    source: SpeedSource = bench.control
+    assert source.was_reset == ""
+
+
+def test_before_it_is_enabled_it_is_asked_and_told_nothing(bench: Bench) -> None:
+    bench.pass_time(0.5)
+    assert bench.told == []
+    assert len(bench.rows) > 15
+    assert bench.control.actual_rpm == 0
+    assert not bench.control.enabled
+    assert bench.control.state == "TIMED OUT"  # it was never commanded
+
+
+def test_it_goes_up_the_ramp_and_down(bench: Bench) -> None:
+    bench.pass_time(0.1)
+    bench.control.enable()
+    assert bench.control.enabled
+    assert bench.control.state == "HOLDS SPEED"
+    assert bench.rpm == 0
+    bench.control.set_ramp(200.0)
+    bench.control.set_speed(500.0)
+    bench.pass_time(1.0)
+    assert bench.rpm == pytest.approx(100 + 200, abs=25)  # begins where the controller can hold a speed
+    bench.pass_time(1.5)
+    assert bench.rpm == pytest.approx(500, rel=0.005)
+    assert bench.control.actual_rpm == pytest.approx(bench.rpm, abs=0.1)
+    assert bench.rows[-1][1] == 500
+    bench.control.set_speed(0.0)
+    bench.pass_time(3.0)
+    assert abs(bench.rpm) < 0.01
+    steps = [b.number - a.number for (_, a), (_, b) in pairwise(bench.told)
+             if a.what == b.what == wire.SET_RPM]  # fmt: skip
+    assert max(map(abs, steps)) <= 7 * 200 * 0.07
+    assert {command.number for _, command in bench.told if command.what == wire.SET_BRAKE} == {5000}
+    assert min(abs(c.number) for _, c in bench.told if c.what == wire.SET_RPM) >= 700
+    assert bench.control.dropped_out is None
+    assert set(bench.kinds()) == {"drive"}
+
+
+def test_it_turns_backwards_too(bench: Bench) -> None:
+    bench.runs(-300.0)
+    assert bench.control.actual_rpm == pytest.approx(-300, rel=0.01)
+
+
+def test_a_command_is_repeated_well_within_the_time_out(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.pass_time(2.0)
+    times = [at for at, _ in bench.told]
+    assert max(b - a for a, b in pairwise(times)) < SETTINGS.timeout_s / 4
+    assert bench.control.state == "HOLDS SPEED"
+
+
+def test_every_speed_is_permitted_before_it_is_told(bench: Bench) -> None:
+    bench.runs(300.0)
+    assert bench.permitted[0] is None
+    assert bench.permitted[-1] == 300
+    bench.refuse = ProcedureError("no")
+    with pytest.raises(ProcedureError):
+        bench.control.set_speed(400.0)
+    bench.pass_time(1.0)
+    assert bench.rpm == pytest.approx(300, rel=0.01)
+    bench.control.disable()
+    with pytest.raises(ProcedureError):
+        bench.control.enable()
+    assert not bench.control.enabled
+
+
+@pytest.mark.parametrize("rpm", [99.0, -50.0, 0.1, math.nan, math.inf, 1e10])
+def test_a_speed_it_cannot_hold_is_refused_before_anyone_is_asked(bench: Bench, rpm: float) -> None:
+    bench.pass_time(0.1)
+    bench.control.enable()
+    bench.permitted.clear()
+    with pytest.raises(DeviceError, match="cannot"):
+        bench.control.set_speed(rpm)
+    assert bench.permitted == []
+
+
+def test_a_speed_is_refused_while_it_is_not_enabled(bench: Bench) -> None:
+    bench.pass_time(0.1)
+    with pytest.raises(DeviceError, match="not enabled"):
+        bench.control.set_speed(300.0)
+    bench.runs(300.0)
+    bench.control.quick_stop()
+    with pytest.raises(DeviceError, match="not enabled"):
+        bench.control.set_speed(300.0)
+    assert bench.told[-1][1].what == wire.SET_BRAKE
+
+
+def test_a_ramp_that_is_none_is_refused(bench: Bench) -> None:
+    for rate in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(DeviceError, match="ramp"):
+            bench.control.set_ramp(rate)
+
+
+def test_a_quick_stop_brakes_at_once(bench: Bench) -> None:
+    bench.runs(600.0)
+    bench.control.quick_stop()
+    assert bench.told[-1][1] == wire.Command(wire.SET_BRAKE, 5000)
+    assert not bench.control.enabled
+    bench.pass_time(1.0)
+    assert abs(bench.rpm) < 1
+    assert bench.control.state == "BRAKES"
+    assert bench.control.dropped_out is None
+
+
+def test_a_stop_while_it_is_being_enabled_wins(bench: Bench) -> None:
+    """A background thread stops the rotor in the middle of enable."""
+    bench.pass_time(0.1)
+    bench.at_permit = bench.control.quick_stop
+    with pytest.raises(DeviceError, match="told to stop"):
+        bench.control.enable()
+    assert bench.control.mode is Mode.BRAKE
+    assert not bench.control.enabled
+
+
+def test_a_stop_while_a_speed_is_being_permitted_wins(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.at_permit = bench.control.quick_stop
+    with pytest.raises(DeviceError, match="not enabled"):
+        bench.control.set_speed(600.0)
+    bench.pass_time(1.0)
+    assert bench.rpm < 1
+
+
+def test_a_rotor_found_turning_is_led_down_the_ramp(bench: Bench) -> None:
+    """A host before this one was killed."""
+    bench.runs(600.0)
+    bench.control = DRIVER.speed_source(SETTINGS, bench.send, bench.clock, RotorGuard(
+        lambda rpm: None, lambda: abs(bench.rpm) < 1, lambda: bench.rpm))  # fmt: skip
+    bench.pass_time(0.3)
+    bench.control.enable()
+    assert bench.rpm > 500
+    bench.pass_time(0.5)
+    assert 300 < bench.rpm < 500
+    bench.pass_time(2.0)
+    assert bench.rpm < 1
+
+
+# --- how it ends ----------------------------------------------------------------------------------------------
+
+
+def test_stop_brakes_and_then_lets_go(bench: Bench) -> None:
+    bench.runs(600.0)
+    bench.told.clear()
+    assert bench.control.stop() is True
+    assert abs(bench.rpm) < 1
+    assert {command.what for _, command in bench.told[:-1]} == {wire.SET_BRAKE}
+    assert bench.told[-1][1] == wire.Command(wire.SET_CURRENT, 0)
+    count = len(bench.log)
+    bench.control.quick_stop()  # a late one of another thread
+    assert bench.told[-1][1].what == wire.SET_BRAKE
+    assert len(bench.log) > count
+
+
+def test_a_rotor_that_does_not_stop_is_not_let_go_of(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.far.fail("deaf", 1)
+    bench.far._timeout_s = math.inf
+    told: list[str] = []
+    assert bench.control.stop(told.append) is False
+    assert bench.told[-1][1].what == wire.SET_BRAKE
+    assert told[0] == "waiting for the rotor to stop, 299 rpm"
+
+
+def test_nothing_told_is_nothing_to_stop(bench: Bench) -> None:
+    assert bench.control.stop() is True
+    bench.pass_time(0.1)
+    assert bench.control.stop() is True
+    assert bench.told == []
+
+
+def test_a_line_that_is_gone_is_let_go_of(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.gone = True
+    with pytest.raises(LinkLost):
+        bench.control.stop()
+    assert bench.control.mode is Mode.NOTHING
+
+
+def test_a_line_that_goes_while_it_stops_ends_the_wait(bench: Bench) -> None:
+    bench.runs(600.0)
+    begun = bench.clock.rig_s
+    bench._at_rest = lambda: None  # type: ignore[method-assign]
+
+    def unplug(text: str) -> None:
+        bench.gone = True
+
+    bench.far.fail("deaf", 1)
+    bench.far._timeout_s = math.inf
+    with pytest.raises(LinkLost):
+        bench.control.stop(unplug)
+    assert bench.clock.rig_s - begun < 3
+
+
+def test_after_disable_it_runs_as_it_likes(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.control.disable()
+    bench.pass_time(1.0)
+    assert 200 < bench.rpm < 300
+    assert bench.control.state == "LET GO"
+    assert not bench.control.enabled
+
+
+def test_when_the_host_dies_the_controllers_own_time_out_stops_the_rotor(bench: Bench) -> None:
+    bench.runs(600.0)
+    bench.pass_time(SETTINGS.timeout_s - 0.2, host=False)
+    assert bench.rpm > 590
+    bench.pass_time(2.0, host=False)
+    assert bench.rpm < 1
+
+
+def test_without_a_brake_at_its_time_out_the_rotor_runs_down(on_rig_time: Callable[[Bench], Bench]) -> None:
+    bench = on_rig_time(Bench(timeout_brake_A=0.0))
+    bench.runs(600.0)
+    bench.pass_time(3.0, host=False)
+    assert 400 < bench.rpm < 590
+
+
+def test_polls_do_not_keep_it_commanded(bench: Bench) -> None:
+    bench.runs(300.0)
+    for _ in range(200):
+        bench.pass_time(STEP_S, host=False)
+        bench.send(wire.get_values())
+    assert bench.far.timed_out
+    assert bench.rpm < 1
+
+
+# --- what goes wrong -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("has_status", [True, False])
+def test_a_fault_while_it_runs(on_rig_time: Callable[[Bench], Bench], has_status: bool) -> None:
+    bench = on_rig_time(Bench(has_status=has_status))
+    bench.runs(300.0)
+    bench.far.fail("fault", 4)
+    bench.pass_time(0.1)
+    assert bench.control.dropped_out == "FAULT"
+    assert bench.control.why() == "; fault 4, over-current"
+    assert bench.control.fault_code() == 4
+    assert bench.control.state == "FAULT"
+    assert not bench.control.enabled
+    (emergency,) = [event for event in bench.events if event.kind == "emergency"]
+    assert DRIVER.words(emergency) == "4, over-current"
+    bench.pass_time(2.0)  # it passes by itself; the rotor is to stop then, not to go on
+    assert bench.control.fault_code() is None
+    assert bench.rpm < 1
+    bench.control.enable()
+    assert (bench.control.dropped_out, bench.control.why()) == (None, "")
+
+
+def test_a_fault_that_stands_is_no_start(bench: Bench) -> None:
+    bench.far.fail("fault", 6)
+    bench.far._fault_until_s = math.inf
+    bench.pass_time(0.1)
+    with pytest.raises(DeviceError, match="over-temperature of the motor"):
+        bench.control.enable()
+    assert bench.told == []
+
+
+def test_one_that_does_not_answer_is_no_start(bench: Bench) -> None:
+    bench.far.fail("silent reports", 1)
+    with pytest.raises(DeviceError, match="does not answer"):
+        bench.control.enable()
+    assert bench.told == []
+
+
+def test_one_that_no_command_reaches_is_no_start(bench: Bench) -> None:
+    bench.far.fail("deaf", 1)
+    bench.pass_time(0.1)
+    with pytest.raises(DeviceError, match="TIMED OUT"):
+        bench.control.enable()
+    assert bench.control.mode is Mode.BRAKE
+
+
+def test_an_answer_from_before_the_command_shows_nothing(on_rig_time: Callable[[Bench], Bench]) -> None:
+    bench = on_rig_time(Bench(has_status=False))
+    bench.pass_time(0.1)
+    bench.far.fail("silent reports", 1)
+    with pytest.raises(DeviceError, match="does not answer"):
+        bench.control.enable()
+    assert not bench.control.enabled
+
+
+def test_a_wire_that_breaks_shows_in_the_status(bench: Bench) -> None:
+    bench.runs(600.0)
+    bench.far.fail("deaf", 1)
+    bench.pass_time(1.5)
+    assert bench.control.dropped_out == "TIMED OUT"
+
+
+def test_a_wire_that_breaks_shows_in_the_speed_alone_with_older_firmware(on_rig_time: Callable[[Bench], Bench]) -> None:
+    bench = on_rig_time(Bench(has_status=False))
+    bench.runs(600.0)
+    bench.far.fail("deaf", 1)
+    bench.pass_time(SETTINGS.timeout_s + 1.0 + SETTINGS.follow_s)
+    assert bench.control.dropped_out is None
+    (fault,) = [event for event in bench.events if event.kind == "fault"]
+    assert "does not follow: told 600 rpm" in fault.text
+
+
+@pytest.mark.parametrize("has_status", [True, False])
+def test_a_restart_is_noticed_and_it_is_not_told_to_go_on(
+    on_rig_time: Callable[[Bench], Bench], has_status: bool
+) -> None:
+    bench = on_rig_time(Bench(has_status=has_status))
+    bench.runs(600.0)
+    bench.far.fail("restart", 1)
+    bench.pass_time(0.1)
+    assert bench.control.dropped_out == "RESTARTED" or (has_status and bench.control.dropped_out == "TIMED OUT")
+    assert "restart" in bench.kinds()
+    bench.pass_time(1.0)
+    assert bench.rpm < 1
+
+
+def test_a_word_has_an_age(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.far.fail("silent reports", 1)
+    bench.pass_time(0.3)
+    assert bench.control.actual_rpm == pytest.approx(300, rel=0.01)
+    bench.pass_time(0.3)
+    assert math.isnan(bench.control.actual_rpm)
+    assert bench.control.state == "UNKNOWN"
+    assert bench.control.fault_code() is None
+    assert not bench.control.enabled
+    bench.far.fail("silent reports", 0)
+    bench.pass_time(0.2)
+    assert bench.control.actual_rpm == pytest.approx(300, rel=0.01)
+    assert 0 < bench.pipeline.losses["unanswered"] < 10  # asked less often while nothing comes
+    assert "gap" in bench.kinds()
+
+
+def test_one_that_tells_a_wrong_speed_is_not_believed(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.far.fail("reported share", 0.5)
+    bench.pass_time(0.1)
+    assert bench.control.actual_rpm == pytest.approx(150, rel=0.01)
+    bench.pass_time(SETTINGS.follow_s)
+    assert "fault" in bench.kinds()
+
+
+def test_one_that_runs_away_is_braked(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.far.fail("speed", 900)
+    bench.pass_time(1.0)
+    assert bench.rpm > 800
+    bench.control.quick_stop()
+    bench.pass_time(1.5)
+    assert bench.rpm < 1
+    with pytest.raises(ValueError, match="knows no fault"):
+        bench.far.fail("network", 1)
+
+
+def test_a_host_that_was_asleep_goes_on_where_the_ramp_was(bench: Bench) -> None:
+    bench.pass_time(0.1)
+    bench.control.enable()
+    bench.control.set_speed(1000.0)
+    bench.pass_time(0.5)
+    before = bench.told[-1][1].number
+    bench.pass_time(0.9, host=False)
+    bench.pass_time(STEP_S)
+    assert bench.told[-1][1].number - before <= 7 * 400 * 0.3
+
+
+# --- log, thread, dialogue ------------------------------------------------------------------------------------
+
+
+def test_the_log_replays_to_the_same_rows(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.far.fail("fault", 4)
+    bench.pass_time(1.0)
+    again = Bench()
+    for direction, data, host_ns in bench.log:
+        again.clock.rig_s = host_ns * 1e-9
+        again._feed(direction, data)
+    assert again.rows == bench.rows
+    assert again.events == bench.events
+    assert again.pipeline.losses == bench.pipeline.losses
+
+
+def test_its_thread_asks_and_ends() -> None:
+    asked = threading.Event()
+    control = VescControl(SETTINGS, lambda data: asked.set(), HostClock())
+    control.start()
+    control.start()
+    assert asked.wait(10.0)
+    assert [thread.name for thread in threading.enumerate()].count("vesc") == 1
+    control._end()
+    assert "vesc" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_its_thread_ends_when_the_line_is_gone() -> None:
+    def send(data: bytes) -> None:
+        raise LinkLost("gone")
+
+    control = VescControl(SETTINGS, send, HostClock())
+    control.start()
+    thread = control._thread
+    assert thread is not None
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert control.stop() is True
+
+
+def test_an_older_command_never_follows_a_newer_one() -> None:
+    """One thread is in the middle of sending a speed when another one stops the rotor."""
+    entered, release = threading.Event(), threading.Event()
+    sent: list[int] = []
+    decoder = packets.PacketDecoder()
+
+    def send(data: bytes) -> None:
+        commands = [wire.parse_command(payload) for payload in decoder.feed(data).payloads]
+        if any(command is not None and command.what == wire.SET_RPM for command in commands):
+            entered.set()
+            assert release.wait(10.0)
+        sent.extend(command.what for command in commands if command is not None)
+
+    control = VescControl(SETTINGS, send, HostClock())
+    control._ramp.begin(300.0, control._clock.now_s())
+    control._begin(Mode.SPEED)
+    beat, stop = threading.Thread(target=control.beat), threading.Thread(target=control.quick_stop)
+    beat.start()
+    assert entered.wait(10.0)
+    stop.start()
+    stop.join(0.05)  # its chance to overtake
+    release.set()
+    beat.join(10.0)
+    stop.join(10.0)
+    assert sent == [wire.SET_RPM, wire.SET_BRAKE]
+
+
+class Talk:
+    """An open controller, answering at once."""
+
+    def __init__(self, answers: list[bytes]) -> None:
+        import queue
+
+        self.replies: queue.Queue[str] = queue.Queue()
+        self.bytes_in, self.sent = 0, 0
+        self._answers = answers
+
+    def send(self, data: bytes) -> None:
+        self.sent += 1
+        if self._answers:
+            self.replies.put(self._answers.pop(0).hex())
+
+    def begin_anew(self) -> None: ...
+
+
+def test_it_tells_who_it_is() -> None:
+    talk = Talk([wire.pack_firmware(wire.Firmware(6, 5, "60_MK5", "ab" * 12))])
+    talk.replies.put("stale")
+    known = DRIVER.open("drive", SETTINGS, talk)
+    assert known == {
+        "driver": "vesc", "firmware": "6.05", "hardware": "60_MK5", "serial": "ab" * 12, "pole_pairs": 7,
+        "timeout_s": 1.0,
+    }  # fmt: skip
+
+
+def test_the_far_end_tells_who_it_is() -> None:
+    far = Bench().far
+    (payload,) = packets.PacketDecoder().feed(far.receive(wire.firmware_version(), 0.0)).payloads
+    assert identify("drive", SETTINGS, Talk([payload]))["hardware"] == "60_MK5"
+
+
+def test_firmware_of_another_layout_is_refused() -> None:
+    with pytest.raises(DeviceError, match=r"firmware 2\.18"):
+        identify("drive", SETTINGS, Talk([wire.pack_firmware(wire.Firmware(2, 18, "48", "00" * 12))]))
+
+
+def test_one_that_is_silent_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.drivers.vesc.dialogue._ANSWER_S", 0.01)
+    talk = Talk([])
+    with pytest.raises(DeviceError, match="nothing came in 3 tries"):
+        identify("drive", SETTINGS, talk)
+    assert talk.sent == 3
