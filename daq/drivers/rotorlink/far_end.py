@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 from daq.drivers.optoncdt.far_end import DeviceClock
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.virtual_rig.motion import Motion, Trajectory
-from rig_configs.schema import EncoderNode, Radio
+from rig_configs.schema import Radio
 
-_NODE, _SAMPLES = 1, 20
+_NODE = 1
 _MECHANISM_S = 0.05  # time from a release command to the open lock
 _TURNING_RAD_S = 0.5  # locking is refused above this speed
 
@@ -61,6 +62,25 @@ class Air:
         return out
 
 
+class SimulatedNodeSettings(Protocol):
+    """What a simulated node has to know of itself, whatever its payloads travel in."""
+
+    @property
+    def rate_Hz(self) -> int:
+        """Samples a second."""
+        ...
+
+    @property
+    def counts_per_revolution(self) -> int:
+        """Of both encoders."""
+        ...
+
+    @property
+    def index_angle_deg(self) -> float:
+        """ψ at the index mark."""
+        ...
+
+
 class SimulatedNode:
     """Node, air and dongle behind one serial line.
 
@@ -77,9 +97,11 @@ class SimulatedNode:
         play_rad: largest offset of a closed lock.
     """
 
+    samples_per_block: ClassVar[int] = 20
+
     def __init__(
         self,
-        config: EncoderNode,
+        config: SimulatedNodeSettings,
         motion: Motion,
         zero_error_rad: NDArray[np.floating],
         noise_counts: float,
@@ -122,10 +144,16 @@ class SimulatedNode:
         for run in data.split(b"\x00")[:-1] if not self._run else (bytes(self._run) + data).split(b"\x00")[:-1]:
             decoded = rotorlink.FrameDecoder().feed(run + b"\x00")
             for frame in decoded.frames:
-                if self.air.downlink():
-                    self._host_frame(frame, now_s + self.air._config.delay_s)
+                self.hear(frame, now_s)
         tail = (bytes(self._run) + data).split(b"\x00")[-1]
         self._run = bytearray(tail[-300:])
+
+    def hear(self, frame: rotorlink.Frame, now_s: float, tries: int = 1) -> bool:
+        """Take a host's frame off the air, which may lose it; whether one of the tries got through."""
+        got_through = any(self.air.downlink() for _ in range(tries))
+        if got_through:
+            self._host_frame(frame, now_s + self.air._config.delay_s)
+        return got_through
 
     def _host_frame(self, frame: rotorlink.Frame, now_s: float) -> None:
         if isinstance(frame, rotorlink.Ping):
@@ -247,7 +275,7 @@ class SimulatedNode:
             if not self._pending:
                 self._pending_first_s = float(numbers[k] * self._period)
             self._pending.append(counts[k])
-            if len(self._pending) == _SAMPLES:
+            if len(self._pending) == self.samples_per_block:
                 block, first = np.array(self._pending), self._pending_first_s
                 self._pending = []
                 out.append((float(times[k]), lambda b=block, f=first, t=float(times[k]): self._block(t, f, b)))
