@@ -52,6 +52,11 @@ class Air:
         """Whether a host frame reaches the node."""
         return not self._lost()
 
+    def lose_flying(self) -> None:
+        """Whatever is on air now reaches nobody."""
+        self.dropped += [number for _, number, _ in self._flying]
+        self._flying.clear()
+
     def landed(self, now_s: float) -> list[tuple[float, bytes]]:
         """Frames that have reached the dongle, with their arrival times."""
         out: list[tuple[float, bytes]] = []
