@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from daq.drivers.xbee import wire
 from daq.drivers.xbee.settings import XBeeNode
 
-MUTATED_FRAMES = 20_000
+MUTATED_FRAMES = 10_000
 
 MODES = pytest.mark.parametrize("escaped", [False, True], ids=["AP=1", "AP=2"])
 FRAME_DATA = st.one_of(

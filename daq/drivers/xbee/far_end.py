@@ -17,7 +17,7 @@ from daq.virtual_rig.motion import Motion
 
 _TRIES = 11  # on air, before a module gives a frame up
 _RSSI_DBM = -58
-_MODULE_64, _STRANGER_64, _STRANGER_16 = 0x0013_A200_4052_2BAA, 0x0013_A200_41AE_B54E, 0x1234
+_MODULE_64 = 0x0013_A200_4052_2BAA
 _NO_ACK, _NO_NETWORK_ACK, _NO_SUCH_ADDRESS = 0x01, 0x21, 0x24
 _NODE = 1
 
@@ -98,8 +98,7 @@ class SimulatedXBeeNode(SimulatedNode):
 
     def _strange(self, number: int) -> bytes:
         payload = rotorlink.IndexMark(_NODE, number & 0xFFFF, 50_000 * number, number).pack()
-        bits = self._address.bits
-        return self._received(wire.Address(_STRANGER_64 if bits == 64 else _STRANGER_16, bits), payload)
+        return self._received(wire.Address(self._address.value ^ 1, self._address.bits), payload)
 
     def _received(self, source: wire.Address, payload: bytes) -> bytes:
         """Frame data of radio data as the host's module gives it."""
