@@ -15,7 +15,7 @@ from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.optoncdt.far_end import DeviceClock
 from daq.drivers.rotorlink import locks as node_locks
 from daq.drivers.rotorlink.far_end import Air
-from daq.drivers.xbee import dialogue
+from daq.drivers.xbee import dialogue, framing, wire
 from daq.drivers.xbee.driver import DRIVER
 from daq.drivers.xbee.far_end import SimulatedXBeeNode
 from daq.drivers.xbee.settings import XBeeNode
@@ -419,9 +419,7 @@ def test_frame_ids_wrap_without_zero() -> None:
 
 def test_frames_that_ask_for_nothing_or_are_none_are_passed_over() -> None:
     bench = Bench(settings(api_mode=1))
-    from daq.drivers.xbee import wire
-
-    encode = partial(wire.encode, escaped=False)
+    encode = partial(framing.encode, escaped=False)
     request = wire.transmit_request(0, wire.Address.parse(NODE), b"no RotorLink payload")
     bench.far.receive(encode(b"\x08\x01") + encode(b"\x10\x01") + encode(b"\x2d") + b"garbage" + encode(request), 0.0)
     assert bench.far.dongle(0.0) == b""

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
-from daq.drivers.xbee import wire
+from daq.drivers.xbee import framing
 from daq.drivers.xbee.settings import XBeeNode
 from daq.drivers.xbee.stream import XBeePipeline
 from tests.daq.test_xbee_wire import mutated
 
 START_NS = 1_700_000_000_000_000_000
-MUTATED_FRAMES = 6_000
+MUTATED_FRAMES = 5_000
 
 NODE, STRANGER = "0013A20041AEB54E", "0013A20099999999"
 MODES = pytest.mark.parametrize("mode", [1, 2], ids=["AP=1", "AP=2"])
@@ -44,11 +44,11 @@ def api(payload: bytes, mode: int = 2, kind: int = 0x90, source: str = NODE, rss
         0x80: address + bytes((-rssi_dBm, 0)),
         0x81: address + bytes((-rssi_dBm, 0)),
     }
-    return wire.encode(bytes((kind,)) + heads[kind] + payload, escaped=mode == 2)
+    return framing.encode(bytes((kind,)) + heads[kind] + payload, escaped=mode == 2)
 
 
 def said(data: str, mode: int = 2) -> bytes:
-    return wire.encode(bytes.fromhex(data), escaped=mode == 2)
+    return framing.encode(bytes.fromhex(data), escaped=mode == 2)
 
 
 def block(i: int, first_seq: int = 0, samples: int = 5) -> bytes:

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from daq.drivers.xbee import wire
+from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 
 MUTATED_FRAMES = 10_000
@@ -39,8 +39,8 @@ PUBLISHED = {  # examples in the maker's manuals
 }
 
 
-def decode(pieces: list[bytes], escaped: bool) -> list[bytes | wire.Damage]:
-    decoder = wire.ApiDecoder(escaped=escaped)
+def decode(pieces: list[bytes], escaped: bool) -> list[bytes | framing.Damage]:
+    decoder = framing.ApiDecoder(escaped=escaped)
     return [found for piece in pieces for found in decoder.feed(piece)]
 
 
@@ -51,7 +51,7 @@ def split(data: bytes, cuts: list[int]) -> list[bytes]:
 
 def past_the_beginning(escaped: bool) -> bytes:
     """A sound frame, after which every damage counts."""
-    return wire.encode(b"\xfe", escaped=escaped)
+    return framing.encode(b"\xfe", escaped=escaped)
 
 
 @pytest.mark.parametrize(("text", "frame"), PUBLISHED.items(), ids=[text[9:11] for text in PUBLISHED])
@@ -60,14 +60,14 @@ def test_published_frames(text: str, frame: wire.ApiFrame) -> None:
     (data,) = decode([line], escaped=False)
     assert isinstance(data, bytes)
     assert wire.parse(data) == frame
-    assert wire.encode(data, escaped=False) == line
-    assert decode([wire.encode(data, escaped=True)], escaped=True) == [data]
+    assert framing.encode(data, escaped=False) == line
+    assert decode([framing.encode(data, escaped=True)], escaped=True) == [data]
 
 
 def test_published_escapes() -> None:
-    assert wire.encode(bytes.fromhex("23 11"), escaped=True) == bytes.fromhex("7E 00 02 23 7D 31 CB")
+    assert framing.encode(bytes.fromhex("23 11"), escaped=True) == bytes.fromhex("7E 00 02 23 7D 31 CB")
     request = wire.transmit_request(1, wire.Address.parse("0013A200400A0127"), b"TxData0A")
-    assert wire.encode(request, escaped=True) == bytes.fromhex(
+    assert framing.encode(request, escaped=True) == bytes.fromhex(
         "7E 00 16 10 01 00 7D 33 A2 00 40 0A 01 27 FF FE 00 00 54 78 44 61 74 61 30 41 7D 33"
     )
 
@@ -86,18 +86,18 @@ def test_requests_by_address() -> None:
 @pytest.mark.parametrize("mode", [1, 2])
 def test_the_question_for_the_mode_and_its_answer_need_no_escape(mode: int) -> None:
     for data in (wire.at_command(1, "AP"), bytes((0x88, 1)) + b"AP" + bytes((0, mode))):
-        assert wire.encode(data, escaped=True) == wire.encode(data, escaped=False)
+        assert framing.encode(data, escaped=True) == framing.encode(data, escaped=False)
 
 
 @given(st.lists(FRAME_DATA, max_size=6), st.lists(st.integers(0, 1000)), st.booleans())
 def test_round_trip_in_any_split(frames: list[bytes], cuts: list[int], escaped: bool) -> None:
-    line = b"".join(wire.encode(data, escaped=escaped) for data in frames)
+    line = b"".join(framing.encode(data, escaped=escaped) for data in frames)
     assert decode(split(line, cuts), escaped) == frames
 
 
 @given(st.lists(FRAME_DATA, min_size=1, max_size=4))
 def test_between_the_start_and_the_end_no_start_is_sent_with_escapes(frames: list[bytes]) -> None:
-    line = b"".join(wire.encode(data, escaped=True) for data in frames)
+    line = b"".join(framing.encode(data, escaped=True) for data in frames)
     assert line.count(b"\x7e") == len(frames)
     assert b"\x11" not in line
     assert b"\x13" not in line
@@ -106,8 +106,8 @@ def test_between_the_start_and_the_end_no_start_is_sent_with_escapes(frames: lis
 @given(
     st.lists(
         st.one_of(
-            FRAME_DATA.map(lambda d: wire.encode(d, escaped=False)),
-            FRAME_DATA.map(lambda d: wire.encode(d, escaped=True)),
+            FRAME_DATA.map(lambda d: framing.encode(d, escaped=False)),
+            FRAME_DATA.map(lambda d: framing.encode(d, escaped=True)),
             st.binary(max_size=700),
             st.lists(st.sampled_from([0x7E, 0x7D, 0x00, 0x05]), max_size=40).map(bytes),
         ),
@@ -127,15 +127,15 @@ def test_hostile_bytes_give_the_same_in_any_split(pieces: list[bytes], cuts: lis
 def test_bytes_between_frames_cost_no_frame_and_are_counted(pieces: list[tuple[bytes, bytes]], escaped: bool) -> None:
     clean = [(garbage.replace(b"\x7e", b"\x00"), data) for garbage, data in pieces]
     line = past_the_beginning(escaped)
-    line += b"".join(garbage + wire.encode(data, escaped=escaped) for garbage, data in clean)
+    line += b"".join(garbage + framing.encode(data, escaped=escaped) for garbage, data in clean)
     _, *found = decode([line], escaped)
     assert [item for item in found if isinstance(item, bytes)] == [data for _, data in clean]
-    assert found.count(wire.Damage("garbage")) == sum(bool(garbage) for garbage, _ in clean)
+    assert found.count(framing.Damage("garbage")) == sum(bool(garbage) for garbage, _ in clean)
 
 
 @given(st.lists(st.tuples(st.binary(max_size=60), FRAME_DATA), max_size=5))
 def test_with_escapes_no_bytes_at_all_cost_a_frame_behind_them(pieces: list[tuple[bytes, bytes]]) -> None:
-    line = b"".join(garbage + wire.encode(data, escaped=True) for garbage, data in pieces)
+    line = b"".join(garbage + framing.encode(data, escaped=True) for garbage, data in pieces)
     found = iter(decode([line], escaped=True))
     assert all(data in found for _, data in pieces)
 
@@ -144,10 +144,10 @@ def test_with_escapes_no_bytes_at_all_cost_a_frame_behind_them(pieces: list[tupl
 @pytest.mark.parametrize("lost", range(1, 31))
 def test_a_lost_byte_costs_its_frame_alone_and_is_one_damage(lost: int, escaped: bool) -> None:
     before, hit, behind = b"\x90" + bytes(range(1, 30)), b"\x90" + bytes(range(40, 66)), b"\x90" + bytes(range(3, 50))
-    line = [wire.encode(data, escaped=escaped) for data in (before, hit, behind)]
+    line = [framing.encode(data, escaped=escaped) for data in (before, hit, behind)]
     line[1] = line[1][:lost] + line[1][lost + 1 :]
     found = decode([b"".join(line), past_the_beginning(escaped), bytes(400)], escaped)
-    damages = [item for item in found if item not in (wire.Damage("garbage"), before, behind, b"\xfe")]
+    damages = [item for item in found if item not in (framing.Damage("garbage"), before, behind, b"\xfe")]
     assert [item for item in found if isinstance(item, bytes)] == [before, behind, b"\xfe"]
     assert len(damages) == 1
     assert found[:3] == [before, damages[0], behind]
@@ -156,13 +156,13 @@ def test_a_lost_byte_costs_its_frame_alone_and_is_one_damage(lost: int, escaped:
 @given(FRAME_DATA, st.integers(0, 10_000), st.booleans())
 def test_a_flipped_bit_that_moves_no_byte_never_gives_other_data(data: bytes, bit: int, escaped: bool) -> None:
     """A flip in the length, into or out of an escape, or beside a start in the data: another sum fits once in 256."""
-    line = bytearray(wire.encode(data, escaped=escaped))
+    line = bytearray(framing.encode(data, escaped=escaped))
     bit %= 8 * len(line)
     before = line[bit // 8]
     line[bit // 8] ^= 1 << bit % 8
-    assume(bit // 8 not in (1, 2) and wire.ESCAPE not in (before, line[bit // 8]))
-    assume(escaped or wire.START not in line[1:])
-    found = decode([bytes(line) + past_the_beginning(escaped), bytes(2 * wire.MAX_FRAME_BYTES)], escaped)
+    assume(bit // 8 not in (1, 2) and framing.ESCAPE not in (before, line[bit // 8]))
+    assume(escaped or framing.START not in line[1:])
+    found = decode([bytes(line) + past_the_beginning(escaped), bytes(2 * framing.MAX_FRAME_BYTES)], escaped)
     assert [item for item in found if isinstance(item, bytes)] in ([b"\xfe"], [data, b"\xfe"], [])
 
 
@@ -183,13 +183,13 @@ def test_a_flipped_bit_that_moves_no_byte_never_gives_other_data(data: bytes, bi
 def test_reasons(line: str, reason: str, escaped: bool) -> None:
     sound = past_the_beginning(escaped)
     found = decode([sound, bytes.fromhex(line), sound], escaped)
-    assert found == [b"\xfe", wire.Damage(reason), b"\xfe"]
+    assert found == [b"\xfe", framing.Damage(reason), b"\xfe"]
 
 
 @MODES
 def test_the_rest_of_a_frame_at_the_beginning_is_no_damage(escaped: bool) -> None:
     data = b"\x90" + bytes(range(100, 160))  # a start and an escape among them
-    line = wire.encode(data, escaped=escaped)
+    line = framing.encode(data, escaped=escaped)
     for cut in range(1, len(line)):
         assert decode([line[cut:] + line], escaped)[-1] == data
         assert decode([line[cut:] + line], escaped) == [data]
@@ -197,13 +197,13 @@ def test_the_rest_of_a_frame_at_the_beginning_is_no_damage(escaped: bool) -> Non
 
 @MODES
 def test_a_line_without_a_single_frame_is_counted_and_not_kept(escaped: bool) -> None:
-    decoder = wire.ApiDecoder(escaped=escaped)
+    decoder = framing.ApiDecoder(escaped=escaped)
     found = [damage for _ in range(100) for damage in decoder.feed(bytes(100))]
-    assert len(found) == (10_000 - 2 * wire.MAX_FRAME_BYTES) // wire.MAX_FRAME_BYTES
+    assert len(found) == (10_000 - 2 * framing.MAX_FRAME_BYTES) // framing.MAX_FRAME_BYTES
     assert found == decode([bytes(10_000)], escaped)
     found = [damage for _ in range(100) for damage in decoder.feed(b"\x7e\x02" + bytes(98))]
-    assert wire.Damage("length") in found
-    assert len(decoder._line) < 2 * wire.MAX_FRAME_BYTES
+    assert framing.Damage("length") in found
+    assert len(decoder._line) < 2 * framing.MAX_FRAME_BYTES
 
 
 @pytest.mark.parametrize(
@@ -242,10 +242,10 @@ def test_mutated_frames_seldom_pass_the_sum(escaped: bool) -> None:
     """The sum has eight bits: about 1 in 256 of damaged frames pass it. Payloads therefore bear a CRC of their own."""
     draw = random.Random(20)
     wrong = 0
-    decoder = wire.ApiDecoder(escaped=escaped)
+    decoder = framing.ApiDecoder(escaped=escaped)
     for _ in range(MUTATED_FRAMES):
         data = b"\x90" + draw.randbytes(20)
-        found = decoder.feed(mutated(wire.encode(data, escaped=escaped), draw))
+        found = decoder.feed(mutated(framing.encode(data, escaped=escaped), draw))
         wrong += sum(isinstance(item, bytes) and item != data for item in found)
     assert wrong < 0.01 * MUTATED_FRAMES
 

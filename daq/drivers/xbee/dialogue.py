@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from daq.drivers.contract import Talk
-from daq.drivers.xbee import wire
+from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
 
@@ -66,7 +66,7 @@ def _ask(settings: XBeeNode, talk: Talk, command: str) -> bytes | None:
         talk.replies.get_nowait()
     frame_id = _QUESTIONS.index(command) + 1
     for _ in range(_TRIES):
-        talk.send(wire.encode(wire.at_command(frame_id, command), escaped=settings.api_mode == 2))
+        talk.send(framing.encode(wire.at_command(frame_id, command), escaped=settings.api_mode == 2))
         deadline = time.monotonic() + _ANSWER_S
         while time.monotonic() < deadline:
             try:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from daq.drivers.optoncdt.far_end import DeviceClock
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.far_end import Air, SimulatedNode
-from daq.drivers.xbee import wire
+from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.virtual_rig.motion import Motion
 
@@ -53,7 +53,7 @@ class SimulatedXBeeNode(SimulatedNode):
         super().__init__(config, motion, zero_error_rad, noise_counts, play_rad, clock, air, rng)
         self._address = wire.Address.parse(config.node_address)
         self._escaped = config.api_mode == 2
-        self._line = wire.ApiDecoder(escaped=self._escaped)
+        self._line = framing.ApiDecoder(escaped=self._escaped)
         self._waiting: list[bytes] = []  # frame data on their way to the host
         self.out_of_reach = False
         self.receive_type = 0x90 if self._address.bits == 64 else 0x81
@@ -165,4 +165,4 @@ class SimulatedXBeeNode(SimulatedNode):
             self.air.lose_flying()
         frames, self._waiting = self._waiting, []
         frames += [self._received(self._address, payload) for _, payload in self.air.landed(now_s)]
-        return b"".join(wire.encode(frame, escaped=self._escaped) for frame in frames)
+        return b"".join(framing.encode(frame, escaped=self._escaped) for frame in frames)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from daq.drivers.items import Event
 from daq.drivers.rotorlink.locks import NodeLocks
-from daq.drivers.xbee import wire
+from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
 
@@ -40,7 +40,7 @@ class XBeeLocks(NodeLocks):
         self._frame_id = self._frame_id % 255 + 1
         self._tried.add(self._frame_id)
         request = wire.transmit_request(self._frame_id, self._address, payload, legacy=self._legacy)
-        self._send(wire.encode(request, escaped=self._escaped))
+        self._send(framing.encode(request, escaped=self._escaped))
 
     def _settles(self, action: str, event: Event) -> bool:
         if "delivery_status" not in event.facts:

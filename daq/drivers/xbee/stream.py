@@ -9,7 +9,7 @@ from typing import Any
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
-from daq.drivers.xbee import wire
+from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 
 _STRANGERS = 16  # so many senders and frame types get an event, the rest is only counted
@@ -33,7 +33,7 @@ class XBeePipeline(NodePipeline):
         known = identity.get("rssi_dBm")
         self.rssi_dBm = known if type(known) is int else None
         self._address = wire.Address.parse(config.node_address)
-        self._line = wire.ApiDecoder(escaped=config.api_mode == 2)
+        self._line = framing.ApiDecoder(escaped=config.api_mode == 2)
         self._strangers: set[str] = set()
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
@@ -42,7 +42,7 @@ class XBeePipeline(NodePipeline):
             return []
         out: list[Batch | Event] = []
         for found in self._line.feed(data):
-            if isinstance(found, wire.Damage):
+            if isinstance(found, framing.Damage):
                 out.append(self.damaged(found.reason))
                 continue
             try:
