@@ -80,6 +80,18 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
         ) from error
 
 
+def _check_parity(port: Any) -> None:
+    """Have the port drop bytes of a wrong parity: pyserial sends it and does not look at what comes."""
+    if sys.platform == "win32":
+        return
+    import termios  # noqa: PLC0415 (not on Windows)
+
+    with contextlib.suppress(OSError, AttributeError, NotImplementedError, termios.error):
+        settings = termios.tcgetattr(port.fileno())
+        settings[0] |= termios.INPCK | termios.IGNPAR
+        termios.tcsetattr(port.fileno(), termios.TCSANOW, settings)
+
+
 class SerialLink:
     """A serial port through pyserial, read as soon as bytes are there."""
 
@@ -93,6 +105,8 @@ class SerialLink:
             self._port.set_low_latency_mode(True)
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._descriptor = None
+        if parity != "N":
+            _check_parity(self._port)
         if sys.platform != "win32":
             with contextlib.suppress(OSError, AttributeError, NotImplementedError):
                 self._descriptor = self._port.fileno()

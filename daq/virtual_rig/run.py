@@ -43,7 +43,7 @@ class VirtualRig:
         self._clock = HostClock(time_scale)
         self._t0_ns = self._clock.now_ns()
         self.motion = Motion(rig.true_physics, virtual.drive.slip, virtual.drive.lag_s)
-        world = World(virtual, self.motion)
+        world = World(virtual, self.motion, self._clock.patience)
         self.far_ends: dict[str, FarEnd] = {
             name: device.far_end(world) for name, device in devices_of(rig.devices).items()
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,14 +38,15 @@ class World:
     Args:
         virtual: of the rig file.
         motion: of the rig.
+        patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
 
     Attributes:
         calibration: random numbers for what sensors are off by, drawn in the order of the rig file's devices.
         spread: 1 where calibrations are drawn, 0 where they are exact.
     """
 
-    def __init__(self, virtual: Virtual, motion: Motion) -> None:
-        self.virtual, self.motion = virtual, motion
+    def __init__(self, virtual: Virtual, motion: Motion, patience: Callable[[float], float] = float) -> None:
+        self.virtual, self.motion, self.patience = virtual, motion, patience
         self.calibration = self.rng("calibration")
         self.spread = 1.0 if virtual.sensors.draw_calibration else 0.0
 

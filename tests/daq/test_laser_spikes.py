@@ -15,8 +15,8 @@ from daq import channels
 from daq.channels import suspects
 from daq.drivers.items import RX, Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
-from daq.drivers.optoncdt.spikes import LOOK_AHEAD, SpikeWatch
 from daq.drivers.optoncdt.stream import LaserPipeline
+from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from rig_configs import load_rig
 
 STEP_M = 0.025 * 1.02 / optoncdt.CODE_MAX

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from daq.drivers.optoncdt import wire as optoncdt
-from daq.drivers.optoncdt.spikes import compile_watch
+from daq.drivers.spikes import compile_watch
 
 _COUNTER_WRAP, _TIMESTAMP_WRAP = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
 _CODE_MAX = optoncdt.CODE_MAX

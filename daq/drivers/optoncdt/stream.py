@@ -16,8 +16,8 @@ from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
 from daq.drivers.optoncdt.rows import RowOrder
 from daq.drivers.optoncdt.settings import Laser
-from daq.drivers.optoncdt.spikes import LOOK_AHEAD, SpikeWatch
 from daq.drivers.optoncdt.words import WordsTrial
+from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
 
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")

@@ -3,45 +3,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
-
-import numpy as np
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.contract import Line, SampleClock, Talk
+from daq.drivers.checks import Checks
+from daq.drivers.contract import Line, Pipeline, SampleClock, SpeedSource, Talk
 from daq.drivers.items import Event
-from daq.drivers.optoncdt.spikes import compile_watch
-from daq.drivers.riftek import dialogue, stream, wire
-from daq.drivers.riftek.decoder import StreamDecoder
+from daq.drivers.played import PlayedDevice
 from daq.drivers.riftek.settings import RiftekLaser
-from daq.drivers.riftek.stream import RiftekPipeline
+from daq.drivers.simulated import FarEnd
+
+_COUNTER_WRAP = 2**32
 
 
 class Riftek:
     """See Driver."""
 
     name = "riftek"
-    rest_s = 0.02
     settings = RiftekLaser
+    rest_s = 0.02
 
     def line(self, settings: RiftekLaser) -> Line:
-        """See Driver; a line has no parity yet, so that a real sensor's has to be set at the port beforehand."""
-        return Line(settings.port, settings.baud)
+        """See Driver."""
+        return Line(settings.port, settings.baud, parity=settings.parity)
 
     def channels(self, settings: RiftekLaser) -> tuple[Channel, ...]:
         """See Driver."""
         return (channels.LASER_X if settings.axis == "x" else channels.LASER_Y,)
 
-    def clocks(self, settings: RiftekLaser) -> tuple[SampleClock, ...]:
+    def occasional(self, settings: RiftekLaser) -> tuple[Channel, ...]:
         """See Driver."""
-        (channel,) = self.channels(settings)
-        return (SampleClock(channel.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "device_ticks",
-                            stream.TICK_NS, stream.COUNTER_WRAP),)  # fmt: skip
+        return ()
 
-    def pipeline(self, device: str, settings: RiftekLaser, identity: Mapping[str, Any]) -> RiftekPipeline:
+    def clocks(self, settings: RiftekLaser) -> tuple[SampleClock, ...]:
+        """See Driver; its results bear no time, they are counted."""
+        (channel,) = self.channels(settings)
+        tick_ns = round(channels.DEVICE_TICK_S * 1e9)
+        return (SampleClock(channel.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "device_ticks", tick_ns,
+                            _COUNTER_WRAP),)  # fmt: skip
+
+    def pipeline(self, device: str, settings: RiftekLaser, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
+        from daq.drivers.riftek.stream import RiftekPipeline  # noqa: PLC0415 (numba)
+
         (channel,) = self.channels(settings)
         return RiftekPipeline(device, settings, channel, identity)
 
@@ -49,18 +55,46 @@ class Riftek:
         """See Driver."""
         return event.text
 
+    def checks(
+        self, settings: RiftekLaser, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+    ) -> Checks:
+        """See Driver."""
+        return {}
+
+    def far_end(self, device: str, settings: RiftekLaser, world: Any) -> FarEnd:
+        """See Driver."""
+        from daq.drivers.riftek.far_end import SimulatedRiftek  # noqa: PLC0415
+
+        return SimulatedRiftek.of(device, settings, world)
+
+    def played(self, settings: RiftekLaser, identity: Mapping[str, Any]) -> PlayedDevice:
+        """See Driver."""
+        from daq.drivers.riftek.played import PlayedRiftek  # noqa: PLC0415
+
+        return PlayedRiftek(identity, settings)
+
     def prepare(self) -> None:
         """See Driver."""
+        import numpy as np  # noqa: PLC0415
+
+        from daq.drivers.riftek import wire  # noqa: PLC0415
+        from daq.drivers.riftek.decoder import StreamDecoder  # noqa: PLC0415
+        from daq.drivers.spikes import compile_watch  # noqa: PLC0415
+
         compile_watch()
         StreamDecoder().feed(wire.results(np.zeros(8, np.int64), np.arange(8)))
 
     def open(self, device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
         """See Driver."""
-        return dialogue.configure(device, settings, talk)
+        from daq.drivers.riftek.dialogue import configure  # noqa: PLC0415
+
+        return configure(device, settings, talk)
 
     def stop(self, talk: Talk) -> None:
         """See Driver."""
-        dialogue.stop(talk)
+        from daq.drivers.riftek.dialogue import stop  # noqa: PLC0415
+
+        stop(talk)
 
 
 DRIVER = Riftek()

@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.settings import RiftekLaser
-from daq.virtual_rig.motion import Trajectory
+from daq.drivers.simulated import FarEnd, Stretch
+from daq.virtual_rig.world import DeviceClock, World
 
 _NO_TARGET = 0
 _KIND, _FIRMWARE, _BASE_MM = 63, 0x40, 80
@@ -20,19 +21,7 @@ _FACTORY = {wire.POWER: 1, wire.CONTROL: 0x02, wire.AVERAGES: 1, wire.PERIOD: 0x
             wire.INTEGRATION: 0x80, wire.INTEGRATION + 1: 0x0C, wire.ZERO: 0, wire.ZERO + 1: 0}  # fmt: skip
 
 
-class SensorClock(Protocol):
-    """A clock with its own offset and rate."""
-
-    def device_s(self, time_s: NDArray[np.floating] | float) -> NDArray[np.floating] | float:
-        """What it shows at a rig time."""
-        ...
-
-    def rig_s(self, device_s: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Rig time at which it shows a value."""
-        ...
-
-
-class SimulatedRiftek:
+class SimulatedRiftek(FarEnd):
     """One sensor on its serial line.
 
     Attributes:
@@ -54,7 +43,7 @@ class SimulatedRiftek:
         look: NDArray[np.floating],
         offset_m: float,
         noise_m: float,
-        clock: SensorClock,
+        clock: DeviceClock,
         rng: np.random.Generator,
         serial: str,
     ) -> None:
@@ -79,7 +68,17 @@ class SimulatedRiftek:
     def _word(self, parameter: int) -> int:
         return self.parameters[parameter] | self.parameters[parameter + 1] << 8
 
-    def receive(self, data: bytes) -> bytes:
+    @classmethod
+    def of(cls, device: str, config: RiftekLaser, world: World) -> SimulatedRiftek:
+        """The sensor of a simulated rig."""
+        gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
+        return cls(
+            config, gain * world.direction(config.axis), 5e-5 * world.calibration.standard_normal(),
+            world.virtual.sensors.laser_noise_m, world.clock(device), world.rng(f"noise {device}"),
+            serial="19001" if config.axis == "x" else "19002",
+        )  # fmt: skip
+
+    def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
         """Take request bytes, cut anywhere; returns the answers."""
         out = b""
         for byte in data:
@@ -130,7 +129,7 @@ class SimulatedRiftek:
         if word == wire.PERIOD:
             self._next = None
 
-    def sample(self, motion: Trajectory) -> bytes:
+    def sample(self, motion: Stretch) -> bytes:
         """The stream's bytes for the samples that fall into a stretch of motion."""
         period = 1e-6 * self.period_us
         last = int(np.floor(float(self._clock.device_s(float(motion.time_s[-1]))) / period))
@@ -159,12 +158,12 @@ class SimulatedRiftek:
             codes[:] = self.fault_code
         return codes
 
-    def fail(self, what: str, value: float = 1) -> None:
-        """Fail: "code" (a result it gives; below 0 ends it), "lost" (results that get lost on the line), "stale" (its
-        results are no new ones), "deaf" (it heeds no request), "range" (mm, it is another sensor).
+    def fail(self, what: str, value: Any = 1) -> None:
+        """See FarEnd.
 
-        Raises:
-            ValueError: another fault.
+        Args:
+            what: "code" (a result it gives; below 0 ends it), "lost" (results that get lost on the line), "stale" (its
+                results are no new ones), "deaf" (it heeds no request), "range" (mm, it is another sensor).
         """
         match what:
             case "code":
@@ -178,4 +177,4 @@ class SimulatedRiftek:
             case "range":
                 self._range_mm = int(value)
             case _:
-                raise ValueError(f"expected code, lost, stale, deaf or range, got {what!r}")
+                super().fail(what, value)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from daq.drivers.riftek import wire
-from rig_configs.schema import Positive, Table
+from rig_configs.device import DisplacementSettings
 
 _BAUD_STEP = 2400
 _BITS_PER_BYTE = 11  # start, eight of data, parity, stop
@@ -16,7 +16,7 @@ _BITS_PER_BYTE = 11  # start, eight of data, parity, stop
 NoTargetCode = Annotated[int, Field(strict=True, ge=0, le=0xFFFF)]
 
 
-class RiftekLaser(Table):
+class RiftekLaser(DisplacementSettings):
     """An RF60x displacement sensor on its serial line, the only one there.
 
     rate_Hz is set as a sampling period of whole microseconds, 100 … 65535. range_m is the measuring range that the
@@ -28,18 +28,11 @@ class RiftekLaser(Table):
     result above full scale is never a reading.
     """
 
-    driver: Literal["riftek"]
-    port: str
-    axis: Literal["x", "y"]
     baud: Annotated[int, Field(ge=_BAUD_STEP, le=921_600, multiple_of=_BAUD_STEP)] = 921_600
     parity: Literal["E", "O", "N"] = "E"
     address: Annotated[int, Field(ge=1, le=127)] = 1
     rate_Hz: Annotated[float, Field(ge=1e6 / wire.PERIODS_US[1], le=1e6 / wire.PERIODS_US[0])] = 4000.0
     averages: Annotated[int, Field(ge=1, le=128)] = 1
-    range_m: Positive = 0.025
-    lever_ratio: Positive = 1.0
-    gain_std: Annotated[float, Field(ge=0, le=0.1)] = 0.001
-    clock_tolerance_ppm: Positive = 30.0
     no_target_codes: Annotated[tuple[NoTargetCode, ...], Field(strict=False, max_length=16)] = (
         0,
         wire.FULL_SCALE - 1,

@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap
 from daq.drivers.items import TX, Batch, Event
-from daq.drivers.optoncdt.spikes import LOOK_AHEAD, SPIKE_BEFORE, SpikeWatch
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.arrears import Arrears
 from daq.drivers.riftek.decoder import Decoded, StreamDecoder
 from daq.drivers.riftek.settings import RiftekLaser
+from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
 
 TICK_NS = 10_000
@@ -241,7 +241,7 @@ class RiftekPipeline:
         for place in self._verdicts:
             at = place + LOOK_AHEAD - first
             if at < len(flags):
-                flags[at] |= SPIKE_BEFORE
+                flags[at] |= channels.SUSPECT_BEFORE
             else:
                 later.append(place)
         self._verdicts = later

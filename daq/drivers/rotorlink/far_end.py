@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.drivers.rotorlink.settings import EncoderNode
 from daq.drivers.simulated import FarEnd, Stretch
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock, World
+from rig_configs.device import RotorNodeSettings
 from rig_configs.schema import Radio
 
-_NODE, _SAMPLES = 1, 20
+_NODE = 1
 _MECHANISM_S = 0.05  # time from a release command to the open lock
 _TURNING_RAD_S = 0.5  # locking is refused above this speed
 
@@ -54,6 +54,11 @@ class Air:
         """Whether a host frame reaches the node."""
         return not self._lost()
 
+    def lose_flying(self) -> None:
+        """Whatever is on air now reaches nobody."""
+        self.dropped += [number for _, number, _ in self._flying]
+        self._flying.clear()
+
     def landed(self, now_s: float) -> list[tuple[float, bytes]]:
         """Frames that have reached the dongle, with their arrival times."""
         out: list[tuple[float, bytes]] = []
@@ -80,9 +85,11 @@ class SimulatedNode(FarEnd):
         play_rad: largest offset of a closed lock.
     """
 
+    samples_per_block: ClassVar[int] = 20
+
     def __init__(
         self,
-        config: EncoderNode,
+        config: RotorNodeSettings,
         motion: Motion,
         zero_error_rad: NDArray[np.floating],
         noise_counts: float,
@@ -121,7 +128,7 @@ class SimulatedNode(FarEnd):
         self.air.uplink(time_s, payload)
 
     @classmethod
-    def of(cls, device: str, config: EncoderNode, world: World) -> SimulatedNode:
+    def of(cls, device: str, config: Any, world: World) -> Self:
         """The node of a simulated rig."""
         virtual = world.virtual
         zero = world.spread * math.radians(config.zero_std_deg) * world.calibration.standard_normal(2)
@@ -135,11 +142,17 @@ class SimulatedNode(FarEnd):
         for run in data.split(b"\x00")[:-1] if not self._run else (bytes(self._run) + data).split(b"\x00")[:-1]:
             decoded = rotorlink.FrameDecoder().feed(run + b"\x00")
             for frame in decoded.frames:
-                if self.air.downlink():
-                    self._host_frame(frame, now_s + self.air._config.delay_s)
+                self.hear(frame, now_s)
         tail = (bytes(self._run) + data).split(b"\x00")[-1]
         self._run = bytearray(tail[-300:])
         return b""
+
+    def hear(self, frame: rotorlink.Frame, now_s: float, tries: int = 1) -> bool:
+        """Take a host's frame off the air, which may lose it; whether one of the tries got through."""
+        got_through = any(self.air.downlink() for _ in range(tries))
+        if got_through:
+            self._host_frame(frame, now_s + self.air._config.delay_s)
+        return got_through
 
     def _host_frame(self, frame: rotorlink.Frame, now_s: float) -> None:
         if isinstance(frame, rotorlink.Ping):
@@ -285,7 +298,7 @@ class SimulatedNode(FarEnd):
             if not self._pending:
                 self._pending_first_s = float(numbers[k] * self._period)
             self._pending.append(counts[k])
-            if len(self._pending) == _SAMPLES:
+            if len(self._pending) == self.samples_per_block:
                 block, first = np.array(self._pending), self._pending_first_s
                 self._pending = []
                 out.append((float(times[k]), lambda b=block, f=first, t=float(times[k]): self._block(t, f, b)))

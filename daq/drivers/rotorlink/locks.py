@@ -37,9 +37,9 @@ class NodeLocks:
     def command(self, action: str, check: Callable[[], None]) -> None:
         """See PendulumLocks; a lost frame is repeated with its seq."""
         self._seq = (self._seq + 1) & 0x7FFF
-        frame = wire.wire(wire.Command(_NODE, self._seq, wire.ACTIONS[action]).pack())
+        payload = wire.Command(_NODE, self._seq, wire.ACTIONS[action]).pack()
         for _ in range(_TRIES):
-            self._send(frame)
+            self._transmit(payload)
             deadline = time.monotonic() + _TRY_S
             while time.monotonic() < deadline:
                 check()
@@ -47,8 +47,26 @@ class NodeLocks:
                     event = self._acknowledges.get(timeout=_LOOK_S)
                 except queue.Empty:
                     continue
-                if event.facts["command_seq"] == self._seq:
-                    if event.facts["result"] in (_ACCEPTED, _ALREADY):
-                        return
-                    raise DeviceError(f"encoder node: {action!r} refused: {event.text}")
+                if self._settles(action, event):
+                    return
+            self._unanswered(action)
         raise DeviceError(f"encoder node: {action!r} was not acknowledged after {_TRIES} tries. Is the radio in reach?")
+
+    def _transmit(self, payload: bytes) -> None:
+        """Send a command as the node's dongle takes it."""
+        self._send(wire.wire(payload))
+
+    def _settles(self, action: str, event: Event) -> bool:
+        """Whether an acknowledgement is the one waited for.
+
+        Raises:
+            DeviceError: it is, and the node refuses.
+        """
+        if event.facts["command_seq"] != self._seq:
+            return False
+        if event.facts["result"] in (_ACCEPTED, _ALREADY):
+            return True
+        raise DeviceError(f"encoder node: {action!r} refused: {event.text}")
+
+    def _unanswered(self, action: str) -> None:
+        """One try is over without an answer; raises DeviceError where another one is in vain."""

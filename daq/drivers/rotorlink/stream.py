@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -10,13 +11,17 @@ from daq import channels
 from daq.clock import ClockMap, Unwrap
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.drivers.rotorlink.settings import EncoderNode
+from rig_configs.device import RotorNodeSettings
 
 
 class NodePipeline:
-    """RotorLink bytes to pendulum angles, tachometer marks and lock events; losses on air and cable counted apart."""
+    """RotorLink bytes to pendulum angles, tachometer marks and lock events; losses on air and cable counted apart.
 
-    def __init__(self, device: str, config: EncoderNode) -> None:
+    Here payloads are COBS runs on a serial line. What carries them otherwise overrides `feed` and hands the frames it
+    found to `take`, the damaged ones to `damaged`.
+    """
+
+    def __init__(self, device: str, config: RotorNodeSettings) -> None:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
         self.status: rotorlink.Status | None = None  # the node's newest word of itself …
         self.rssi_dBm: int | None = None  # … and how strong its frames come in
@@ -49,13 +54,24 @@ class NodePipeline:
         if direction == TX:
             return []
         found = self._decoder.feed(data)
-        out: list[Batch | Event] = []
         bad = found.bad if self._joined else found.bad[1:]  # a log may begin in the middle of a frame
         self._joined |= bool(found.frames or found.bad)
-        for reason, _ in bad:
-            self.losses["damaged_frames"] += 1
-            out.append(Event("damage", self._device, f"frame dropped: {reason}", {"reason": reason}))
-        for frame in found.frames:
+        return [*(self.damaged(reason) for reason, _ in bad), *self.take(found.frames, host_ns)]
+
+    def damaged(self, reason: str) -> Event:
+        """Count a frame that is dropped, and why."""
+        self.losses["damaged_frames"] += 1
+        return Event("damage", self._device, f"frame dropped: {reason}", {"reason": reason})
+
+    def take(self, frames: Iterable[rotorlink.Frame], host_ns: int) -> list[Batch | Event]:
+        """Samples and events of sound frames.
+
+        Args:
+            frames: in the order in which they came.
+            host_ns: host time at which they came.
+        """
+        out: list[Batch | Event] = []
+        for frame in frames:
             if isinstance(frame, rotorlink.Wrapped | rotorlink.DongleStatus):
                 self.rssi_dBm = frame.rssi_dbm
             if isinstance(frame, rotorlink.Wrapped):

@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.contract import Line, RotorGuard, SampleClock, Talk
+from daq.drivers.checks import Checks
+from daq.drivers.contract import Line, Pipeline, RotorGuard, SampleClock, SpeedSource, Talk
 from daq.drivers.items import Event
-from daq.drivers.vesc import settings as tables
-from daq.drivers.vesc import wire
-from daq.drivers.vesc.control import VescControl
-from daq.drivers.vesc.dialogue import identify
-from daq.drivers.vesc.stream import VescPipeline
+from daq.drivers.played import PlayedDevice
+from daq.drivers.simulated import FarEnd
+from daq.drivers.vesc.settings import Vesc
 from daq.transports.host_clock import HostClock
 
 
@@ -23,43 +22,75 @@ class VescDriver:
 
     name = "vesc"
     rest_s = 0.01
-    settings = tables.Vesc
+    settings = Vesc
 
-    def line(self, settings: tables.Vesc) -> Line:
+    def line(self, settings: Vesc) -> Line:
         """See Driver."""
         return Line(settings.port, settings.baud)
 
-    def channels(self, settings: tables.Vesc) -> tuple[Channel, ...]:
+    def channels(self, settings: Vesc) -> tuple[Channel, ...]:
         """See Driver."""
         return (channels.MOTOR,)
 
-    def clocks(self, settings: tables.Vesc) -> tuple[SampleClock, ...]:
+    def occasional(self, settings: Vesc) -> tuple[Channel, ...]:
+        """See Driver."""
+        return ()
+
+    def clocks(self, settings: Vesc) -> tuple[SampleClock, ...]:
         """See Driver; a controller has no clock, the host's time counts."""
         return ()
 
-    def pipeline(self, device: str, settings: tables.Vesc, identity: Mapping[str, Any]) -> VescPipeline:
+    def pipeline(self, device: str, settings: Vesc, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
+        from daq.drivers.vesc.stream import VescPipeline  # noqa: PLC0415
+
         return VescPipeline(device, settings)
 
     def words(self, event: Event) -> str:
         """See Driver."""
+        from daq.drivers.vesc import wire  # noqa: PLC0415
+
         code = int(event.facts["error_code"])
         return wire.fault_words(code) if code else ""
+
+    def checks(
+        self, settings: Vesc, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+    ) -> Checks:
+        """See Driver: the controller's state, and the faults it told."""
+        from daq.drivers.vesc.looked_at import controller_checks  # noqa: PLC0415
+
+        return controller_checks(control, events)
+
+    def far_end(self, device: str, settings: Vesc, world: Any) -> FarEnd:
+        """See Driver."""
+        from daq.drivers.vesc.far_end import SimulatedVesc  # noqa: PLC0415
+
+        return SimulatedVesc.of(settings, world)
+
+    def played(self, settings: Vesc, identity: Mapping[str, Any]) -> PlayedDevice:
+        """See Driver."""
+        from daq.drivers.vesc.played import PlayedVesc  # noqa: PLC0415
+
+        return PlayedVesc(identity)
 
     def prepare(self) -> None:
         """See Driver."""
 
-    def open(self, device: str, settings: tables.Vesc, talk: Talk) -> dict[str, Any]:
+    def open(self, device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
         """See Driver; it reports once it is asked, by who holds it (`control`)."""
+        from daq.drivers.vesc.dialogue import identify  # noqa: PLC0415
+
         return {"driver": self.name, **identify(device, settings, talk)}
 
     def stop(self, talk: Talk) -> None:
         """See Driver; who holds the controller has stopped it (`control`)."""
 
     def speed_source(
-        self, settings: tables.Vesc, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
-    ) -> VescControl:
+        self, settings: Vesc, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
+    ) -> SpeedSource:
         """See TurnsRotor."""
+        from daq.drivers.vesc.control import VescControl  # noqa: PLC0415
+
         return VescControl(settings, send, clock, guard)
 
 

@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+from daq.drivers.simulated import FarEnd
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
 from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.world import World
 
 _RAD_S = math.pi / 30
 _LOOP_RPM_S = 2000.0  # its speed loop, at its current limit: faster than any ramp the host makes
@@ -19,7 +22,7 @@ _SUPPLY_V, _RUNNING_A, _RATED_ERPM = 24.0, 2.0, 20_000.0
 _FIRMWARE = wire.Firmware(6, 5, "60_MK5", "2a0041000a51353338363731")
 
 
-class SimulatedVesc:
+class SimulatedVesc(FarEnd):
     """Turns the rotor as the wire says; stops by itself when it is not commanded.
 
     Args:
@@ -59,13 +62,23 @@ class SimulatedVesc:
         self._fault, self._fault_until_s = 0, 0.0
         self._start()
 
+    @classmethod
+    def of(cls, settings: Vesc, world: World) -> SimulatedVesc:
+        """The controller of a simulated rig; its time-out is the host's time, as a real one's is."""
+        return cls(settings, world.motion, timeout_s=world.patience(settings.timeout_s))
+
+    def facts(self) -> dict[str, Any]:
+        """See FarEnd."""
+        return {"speed_rpm": self.speed_rpm, "drive": self.state, "frames": self.frames_sent,
+                "emergencies": self.emergencies, "watchdog_ms": self.watchdog_ms}  # fmt: skip
+
     def _start(self) -> None:
         """As it stands after power came."""
         self._command: wire.Command | None = None
         self._heard_s: float | None = None
         self._steps = self._drawn_Ah = self._drawn_Wh = 0.0
 
-    def fail(self, what: str, value: float) -> None:
+    def fail(self, what: str, value: Any) -> None:
         """Something goes wrong.
 
         Args:
@@ -86,13 +99,13 @@ class SimulatedVesc:
             case "silent reports":
                 self._answers = not value
             case "reported share":
-                self._reported_share = value
+                self._reported_share = float(value)
             case "speed":
-                self._runaway_rpm = value
+                self._runaway_rpm = float(value)
             case "deaf":
                 self._deaf = bool(value)
-            case other:
-                raise ValueError(f"a VESC knows no fault {other!r}")
+            case _:
+                super().fail(what, value)
 
     # --- its own ------------------------------------------------------------------------------------------------
 

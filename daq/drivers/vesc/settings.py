@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from rig_configs.schema import Positive, Table
+from rig_configs.device import DeviceSettings
+from rig_configs.roles import Role, SpeedSource
+from rig_configs.table import Positive
 
 _POLL_BYTES = 6 + 80  # of a poll and its answer with every field, framed
 _COMMAND_BYTES = 10
@@ -15,7 +17,7 @@ _LINE_SHARE = 0.8  # of the line's capacity that polls and commands may take, on
 _COMMANDS_IN_TIMEOUT = 4
 
 
-class Vesc(Table):
+class Vesc(DeviceSettings):
     """The VESC motor controller on its serial port.
 
     The controller offers no way to ask for, or to set, the numbers its operator has stored in it; so they are stated
@@ -35,8 +37,6 @@ class Vesc(Table):
         follow_s: how long the rotor may turn at another speed than the set-point before it counts as not following.
     """
 
-    driver: Literal["vesc"]
-    port: str
     baud: Annotated[int, Field(ge=9600, le=2_000_000)] = 115_200
     pole_pairs: Annotated[int, Field(ge=1, le=100)]
     timeout_s: Annotated[float, Field(ge=0.1, le=2.0)]
@@ -46,6 +46,10 @@ class Vesc(Table):
     brake_A: Annotated[float, Field(gt=0, le=200)]
     min_erpm: Annotated[float, Field(ge=0, le=20_000)] = 900.0
     follow_s: Positive = 3.0
+
+    def roles(self, device: str) -> tuple[Role, ...]:
+        """See DeviceSettings."""
+        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s),)
 
     @model_validator(mode="after")
     def _commands_before_timeout(self) -> Vesc:

@@ -25,7 +25,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from daq.channels import SUSPECT_BEFORE, SUSPECT_PLACES
-from daq.drivers.optoncdt import wire as optoncdt
 
 LOOK_AHEAD = SUSPECT_PLACES
 """By how many samples a verdict stands behind the sample it is about."""
@@ -36,7 +35,7 @@ _NEEDED = 2 * LOOK_AHEAD + 1  # readings in a row
 _QUIET_CODES = 4  # a median below is that of rounding alone
 _SCALE = 8  # bits behind the point of the running median
 _QUICK_SAMPLES = 96  # after the beginning, while the median is still looked for
-_COUNTER_WRAP, _CODE_MAX = optoncdt.COUNTER_WRAP, optoncdt.CODE_MAX
+_COUNTER_WRAP, _CODE_MAX = 2**18, 65520  # codes above are no readings
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,52 @@
+# pyright: strict
+"""An RF60x sensor of a log while it is played."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from daq.drivers.played import PlayedDevice
+from daq.drivers.riftek.far_end import SimulatedRiftek
+from daq.drivers.riftek.settings import RiftekLaser
+from daq.errors import LogError
+from daq.virtual_rig.world import DeviceClock
+
+
+class PlayedRiftek(PlayedDevice):
+    """Answers as the sensor of the log; what it is told to measure changes nothing of the log's bytes.
+
+    Args:
+        identity: what it said of itself; where it said nothing the rig file counts.
+
+    Raises:
+        LogError: an identity no sensor has.
+    """
+
+    expects = "the start of the stream"
+
+    def __init__(self, identity: Mapping[str, Any], settings: RiftekLaser) -> None:
+        super().__init__()
+        range_m = identity.get("told_range_m", identity.get("range_m", settings.range_m))
+        serial = str(identity.get("serial", "0"))
+        if not isinstance(range_m, int | float) or not 0 < range_m < 65.536 or not serial.isdecimal():
+            raise LogError(f"identities.json: expected range and serial number of an RF60x, got {dict(identity)!r:.80}")
+        told = settings.model_copy(update={"range_m": float(range_m)})
+        rng = np.random.default_rng(0)
+        self._sensor = SimulatedRiftek(told, np.zeros(2), 0.0, 0.0, DeviceClock(0.0, 0.0), rng, serial)
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return self._sensor.streaming
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        self._sensor.streaming = True
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice."""
+        self.commands += sum(byte < 0x80 for byte in data)
+        return self._sensor.receive(data)

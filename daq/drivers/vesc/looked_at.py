@@ -1,0 +1,32 @@
+# pyright: strict
+"""What a short look shows of a VESC beside its speed: its state, and the faults it told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from daq.drivers.checks import Check, Checks
+from daq.drivers.contract import SpeedSource
+from daq.drivers.items import Event
+from daq.drivers.vesc import wire
+
+_FAULTY = ("FAULT", "KILL SWITCH OPEN", "UNKNOWN")
+
+
+def controller_checks(control: SpeedSource | None, events: Sequence[Event]) -> Checks:
+    """Checks of an open controller.
+
+    Args:
+        control: who holds it; None where it is only listened to.
+        events: of the controller, while it was looked at.
+    """
+    out: Checks = {}
+    if control is not None:
+        state, code = control.state, control.fault_code()
+        note = "" if not code else wire.fault_words(code)
+        out["state"] = Check(state, "no fault", state not in _FAULTY, note)
+    codes = [int(e.facts.get("error_code", 0)) for e in events if e.kind == "emergency"]
+    bad = [code for code in codes if code]
+    words = ", ".join(wire.fault_words(code) for code in bad) or "none"
+    out["emergencies"] = Check(words, "none", not bad, "")
+    return out

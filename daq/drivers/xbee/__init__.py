@@ -1,0 +1,1 @@
+"""A RotorLink node behind a pair of XBee modules: the node's payloads inside API frames."""

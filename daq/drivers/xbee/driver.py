@@ -1,0 +1,92 @@
+# pyright: strict
+"""RotorLink nodes behind XBee modules as a driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from daq import channels
+from daq.channels import Channel
+from daq.drivers.checks import Checks
+from daq.drivers.contract import Line, PendulumLocks, Pipeline, SampleClock, SpeedSource, Talk
+from daq.drivers.items import Event
+from daq.drivers.played import PlayedDevice
+from daq.drivers.simulated import FarEnd
+from daq.drivers.xbee.settings import XBeeNode
+
+
+class XBee:
+    """See Driver."""
+
+    name = "xbee"
+    rest_s = 0.01
+    settings = XBeeNode
+
+    def line(self, settings: XBeeNode) -> Line:
+        """See Driver."""
+        return Line(settings.port, settings.baud)
+
+    def channels(self, settings: XBeeNode) -> tuple[Channel, ...]:
+        """See Driver."""
+        return (channels.PENDULUMS,)
+
+    def occasional(self, settings: XBeeNode) -> tuple[Channel, ...]:
+        """See Driver."""
+        return (channels.TACHO,)
+
+    def clocks(self, settings: XBeeNode) -> tuple[SampleClock, ...]:
+        """See Driver."""
+        return (SampleClock(channels.PENDULUMS.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "node_time_us",
+                            1000, 2**32),)  # fmt: skip
+
+    def pipeline(self, device: str, settings: XBeeNode, identity: Mapping[str, Any]) -> Pipeline:
+        """See Driver."""
+        from daq.drivers.xbee.stream import XBeePipeline  # noqa: PLC0415
+
+        return XBeePipeline(device, settings, identity)
+
+    def words(self, event: Event) -> str:
+        """See Driver."""
+        return event.text
+
+    def checks(
+        self, settings: XBeeNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+    ) -> Checks:
+        """See Driver: the node's own word."""
+        from daq.drivers.rotorlink.looked_at import node_checks  # noqa: PLC0415
+
+        return node_checks(settings, pipeline)
+
+    def far_end(self, device: str, settings: XBeeNode, world: Any) -> FarEnd:
+        """See Driver."""
+        from daq.drivers.xbee.far_end import SimulatedXBeeNode  # noqa: PLC0415
+
+        return SimulatedXBeeNode.of(device, settings, world)
+
+    def played(self, settings: XBeeNode, identity: Mapping[str, Any]) -> PlayedDevice:
+        """See Driver."""
+        from daq.drivers.xbee.played import PlayedXBee  # noqa: PLC0415
+
+        return PlayedXBee(identity, settings)
+
+    def prepare(self) -> None:
+        """See Driver."""
+
+    def open(self, device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
+        """See Driver; the module is asked who it is, the node streams from the moment it has power."""
+        from daq.drivers.xbee.dialogue import identify  # noqa: PLC0415
+
+        return identify(device, settings, talk)
+
+    def stop(self, talk: Talk) -> None:
+        """See Driver; a node goes on for as long as it has power."""
+
+    def locks(self, settings: XBeeNode, send: Callable[[bytes], None]) -> PendulumLocks:
+        """See MovesLocks."""
+        from daq.drivers.xbee.locks import XBeeLocks  # noqa: PLC0415
+
+        return XBeeLocks(settings, send)
+
+
+DRIVER = XBee()
