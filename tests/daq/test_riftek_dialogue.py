@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from daq import channels
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.drivers.optoncdt.far_end import DeviceClock
 from daq.drivers.riftek import dialogue, wire
 from daq.drivers.riftek.driver import DRIVER
 from daq.drivers.riftek.far_end import SimulatedRiftek
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.errors import DeviceError
 from daq.virtual_rig.motion import GRID_S, Trajectory
+from daq.virtual_rig.world import DeviceClock
 
 START_NS = 1_700_000_000_000_000_000
 STEP_S = 0.02

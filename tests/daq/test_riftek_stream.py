@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from daq import channels
+from daq.channels import suspects
 from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.riftek import stream as riftek
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.driver import DRIVER
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.riftek.stream import RiftekPipeline
-from daq.drivers.spikes import suspects
 from daq.errors import DeviceError
 
 START_NS = 1_700_000_000_000_000_000

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.drivers.optoncdt.far_end import DeviceClock
 from daq.drivers.rotorlink import locks as node_locks
 from daq.drivers.rotorlink.far_end import Air
 from daq.drivers.xbee import dialogue, framing, wire
@@ -21,6 +20,7 @@ from daq.drivers.xbee.far_end import SimulatedXBeeNode
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
 from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.world import DeviceClock
 from rig_configs import load_rig
 from rig_configs.schema import Radio
 
@@ -74,10 +74,10 @@ class Bench:
     def pass_time(self, seconds: float) -> None:
         end = self.motion.time_s + seconds
         while self.motion.time_s < end - 1e-9:
-            self.far.mechanisms(self.motion.time_s)
+            self.far.step(self.motion.time_s)
             stretch = self.motion.advance(self.motion.time_s + STEP_S)
             assert stretch is not None
-            self.far.sample(stretch)
+            self.far.put_on_air(stretch)
             self._feed(RX, self.far.dongle(self.motion.time_s))
 
     def _feed(self, direction: int, data: bytes) -> None:

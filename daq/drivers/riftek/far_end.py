@@ -78,6 +78,11 @@ class SimulatedRiftek(FarEnd):
             serial="19001" if config.axis == "x" else "19002",
         )  # fmt: skip
 
+    @classmethod
+    def unmoved(cls, config: RiftekLaser, serial: str) -> SimulatedRiftek:
+        """A sensor that only answers."""
+        return cls(config, np.zeros(2), 0.0, 0.0, DeviceClock(0.0, 0.0), np.random.default_rng(0), serial)
+
     def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
         """Take request bytes, cut anywhere; returns the answers."""
         out = b""

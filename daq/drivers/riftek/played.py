@@ -6,13 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from daq.drivers.played import PlayedDevice
 from daq.drivers.riftek.far_end import SimulatedRiftek
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.errors import LogError
-from daq.virtual_rig.world import DeviceClock
 
 
 class PlayedRiftek(PlayedDevice):
@@ -34,8 +31,7 @@ class PlayedRiftek(PlayedDevice):
         if not isinstance(range_m, int | float) or not 0 < range_m < 65.536 or not serial.isdecimal():
             raise LogError(f"identities.json: expected range and serial number of an RF60x, got {dict(identity)!r:.80}")
         told = settings.model_copy(update={"range_m": float(range_m)})
-        rng = np.random.default_rng(0)
-        self._sensor = SimulatedRiftek(told, np.zeros(2), 0.0, 0.0, DeviceClock(0.0, 0.0), rng, serial)
+        self._sensor = SimulatedRiftek.unmoved(told, serial)
 
     @property
     def sending(self) -> bool:
