@@ -13,8 +13,8 @@ from daq.drivers.devices import make_pipelines
 from daq.errors import LogError
 from daq.log import open_log
 from daq.log.file import LogFile
-from daq.log.snapshot import identities_of
-from daq.replay.stream import pipelines_of
+from daq.log.snapshot import identities_of, rig_of
+from daq.replay.stream import pipelines_with
 from rig_configs import load_rig
 from tests.daq.test_signals import DISPLACEMENT_Y, START, batch
 
@@ -57,7 +57,7 @@ def test_identities_that_no_stream_can_be_decoded_with_are_refused(
 ) -> None:
     path = log_with(tmp_path / "a.mcap", identities)
     with open_log(path) as log, pytest.raises(LogError, match=r"identities\.json"):
-        pipelines_of(log)
+        pipelines_with(rig_of(log), identities_of(log), "a.mcap")
     assert run(["record", str(path), "--listen", "-o", str(tmp_path / "b.mcap"), "--duration", "1"]) == 2
     assert "identities.json" in capsys.readouterr().err
 

@@ -241,7 +241,7 @@ def test_faults_of_the_sensor_show(bench: Bench) -> None:
         bench.pass_time(0.2)
         valid = np.isfinite(bench.column("displacement_m"))
         assert valid.all() if (what, value) in (("code", -1), ("stale", 0)) else not valid[1:].any()
-    with pytest.raises(ValueError, match="expected code, lost"):
+    with pytest.raises(ValueError, match="no fault 'dance'"):
         bench.sensor.fail("dance")
 
 
