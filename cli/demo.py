@@ -170,23 +170,21 @@ def _campaign(
 
 def _radio_check(path: Path, radio: Mapping[str, Any]) -> dict[str, Any]:
     """Frames this log counted as lost against those the simulated radio dropped in the same stretch."""
-    from daq.drivers.rotorlink import wire as rotorlink  # noqa: PLC0415
+    from daq.drivers.contract import CountsFrames  # noqa: PLC0415
+    from daq.replay.stream import decoded, pipelines_of  # noqa: PLC0415
 
-    decoder = rotorlink.FrameDecoder()
-    numbers: list[int] = []
     with open_log(path) as log:
-        for chunk in log.raw("encoder"):
-            if chunk.direction == 0:
-                numbers += [
-                    f.inner.seq
-                    for f in decoder.feed(chunk.data).frames
-                    if isinstance(f, rotorlink.Wrapped) and f.inner is not None
-                ]
-        counted = int(loads(log.metadata["summary"]["losses"])["encoder"]["radio_frames"])
+        pipelines = pipelines_of(log)
+        radios = {name: pipeline for name, pipeline in pipelines.items() if isinstance(pipeline, CountsFrames)}
+        for _ in decoded(log, radios):
+            pass
+        losses = loads(log.metadata["summary"]["losses"])
+    counted = sum(int(losses[name]["radio_frames"]) for name in radios)
+    first, last = next((p.frames for p in radios.values() if p.frames is not None), (0, 0))
     # seq counts the same frames as the radio's own number, modulo 65536
-    spread = {d % 65536 for d in radio["dropped"]}
-    inside, seq = 0, numbers[0] if numbers else 0
-    while numbers and seq != numbers[-1]:
+    spread = {d % 65536 for d in radio.get("dropped", ())}
+    inside, seq = 0, first
+    while seq != last:
         seq = (seq + 1) & 0xFFFF
         inside += seq in spread
     return {"log": path.name, "counted": counted, "dropped": inside}

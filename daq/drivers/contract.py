@@ -89,6 +89,17 @@ class TellsItself(Protocol):
     complaint: str
 
 
+@runtime_checkable
+class CountsFrames(Protocol):
+    """A pipeline of frames that came by radio.
+
+    Attributes:
+        frames: numbers, modulo 65536, of the first and of the newest frame; None before the first.
+    """
+
+    frames: tuple[int, int] | None
+
+
 class Talk(Protocol):
     """An open device while a driver talks to it."""
 
