@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,6 +18,7 @@ from cli.options import Json, ParametersPath, Settings, rig_or_log, what_if_word
 from cli.recording import RecordingStatus
 from daq.acquisition.device_check import common_factor, device_checks, passed
 from daq.acquisition.session import Session
+from daq.errors import ProcedureError
 from daq.guided_tests import test_inputs
 from daq.guided_tests.procedure import Procedures, TestDone, zero_counters
 from daq.log.file import ReservedName
@@ -32,12 +34,41 @@ class TerminalOperator:
     """Asks the person at the terminal; the test goes on when the sensors see that it was done."""
 
     def pluck(self, axis: str) -> None:
-        """See daq.guided_tests.procedure.Operator."""
+        """See daq.guided_tests.hands.Operator."""
         say(f">>> displace the column by 2 to 3 mm along {axis} and let go")
 
     def flick(self) -> None:
-        """See daq.guided_tests.procedure.Operator."""
+        """See daq.guided_tests.hands.Operator."""
         say(">>> flick both pendulums, slower than two turns a second")
+
+    def lock(self, seen: bool) -> None:
+        """See daq.guided_tests.hands.Operator."""
+        say(">>> the rotor at rest: lock both pendulums, A at 0° and B at 180°")
+        if not seen:
+            self._confirm("no encoder sees the pendulums: press Enter when both are locked")
+
+    def release(self) -> None:
+        """See daq.guided_tests.hands.Operator."""
+        say(">>> release both pendulums, both at once")
+
+    def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
+        """See daq.guided_tests.hands.Operator."""
+        if rpm:
+            say(f">>> turn the rotor to {rpm:.0f} rpm, by about {ramp_rpm_per_s:.0f} rpm a second, and hold it there")
+        else:
+            say(f">>> bring the rotor to rest, by about {ramp_rpm_per_s:.0f} rpm a second")
+
+    @staticmethod
+    def _confirm(text: str) -> None:
+        """Wait for the person to say that it is done.
+
+        Raises:
+            ProcedureError: nobody is there to say it.
+        """
+        say(f">>> {text}")
+        if not sys.stdin.isatty():
+            raise ProcedureError(f"{text}: standard input is no terminal, so nobody can. Run the test in a terminal")
+        sys.stdin.readline()
 
 
 def virtual(

@@ -20,6 +20,7 @@ from cli.simulated import SimulatedOperator, VirtualRigProcess
 from cli.workbench import Workbench
 from daq.acquisition.session import Session
 from daq.guided_tests.procedure import Procedures, TestDone
+from daq.guided_tests.test_inputs import possible_tests
 from daq.log import open_log
 from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
@@ -70,7 +71,9 @@ def demo(
 
 
 def _steps(rig: Rig) -> list[str]:
-    return ["start", *_BEFORE_POINTS, "identify", *(f"point-{name}" for name in rig.points), "report"]
+    tests = possible_tests(rig)
+    points = [test for test in tests if test.startswith("point-")]
+    return ["start", *(test for test in _BEFORE_POINTS if test in tests), "identify", *points, "report"]
 
 
 def _parse_fault(text: str, rig: Rig) -> Fault:
@@ -109,6 +112,9 @@ def _campaign(
     workbench: Workbench,
 ) -> dict[str, Any]:
     progress.step("start")
+    steps = _steps(rig)
+    if left_out := [test for test in (*_BEFORE_POINTS, *(f"point-{name}" for name in rig.points)) if test not in steps]:
+        progress.say(f"no device for: {', '.join(left_out)}")
     tests_done: list[TestDone] = []
     refinements: list[Future[None]] = []
     with VirtualRigProcess(name, changes, time_scale, link) as simulated:
@@ -132,7 +138,7 @@ def _campaign(
                 return done.log
 
             logs: list[Path] = []
-            for test in _BEFORE_POINTS:
+            for test in (step for step in steps if step in _BEFORE_POINTS):
                 begin(test)
                 logs.append(record(plugged, test))
             begin("identify")
@@ -141,9 +147,9 @@ def _campaign(
             known = IdentifiedParameters.load(parameters)
             tests.parameters = IdentifiedParameters.label(parameters)
             identified = with_parameters(plugged, known)
-            for point in rig.points:
-                begin(f"point-{point}")
-                logs.append(record(identified, f"point-{point}"))
+            for point in (step for step in steps if step.startswith("point-")):
+                begin(point)
+                logs.append(record(identified, point))
                 refinements.append(workbench.refine(plugged, logs[-1]))
         radio = simulated.line.ask("state")
     progress.step("report")
@@ -180,7 +186,7 @@ def _radio_check(path: Path, radio: Mapping[str, Any]) -> dict[str, Any]:
             pass
         losses = loads(log.metadata["summary"]["losses"])
     counted = sum(int(losses[name]["radio_frames"]) for name in radios)
-    first, last = next((p.frames for p in radios.values() if p.frames is not None), (0, 0))
+    first, last = next((p.heard_frames for p in radios.values() if p.heard_frames is not None), (0, 0))
     # seq counts the same frames as the radio's own number, modulo 65536
     spread = {d % 65536 for d in radio.get("dropped", ())}
     inside, seq = 0, first

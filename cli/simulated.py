@@ -91,6 +91,18 @@ class SimulatedOperator:
         self._line.ask("flick", pendulum=0, speed_rad_s=11.5)
         self._line.ask("flick", pendulum=1, speed_rad_s=-10.8)
 
+    def lock(self, seen: bool) -> None:
+        """Put both pendulums at their places and hold them."""
+        self._line.ask("lock")
+
+    def release(self) -> None:
+        """Let both pendulums go."""
+        self._line.ask("release")
+
+    def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
+        """Turn the rotor, where no drive does."""
+        self._line.ask("turn", rpm=rpm, ramp_rpm_per_s=ramp_rpm_per_s)
+
     def radio(self) -> dict[str, Any]:
         """What the radio dropped, as only an onlooker of a simulation can know."""
         return self._line.ask("state")

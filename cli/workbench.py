@@ -90,9 +90,12 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
     from cli import results  # noqa: PLC0415
     from cli.report_forms import report_identification  # noqa: PLC0415
     from cli.runs import keep_verdicts  # noqa: PLC0415
+    from daq.guided_tests.test_inputs import possible_tests  # noqa: PLC0415
 
     runs, before, joint = _found["runs"], _found["before"], _found["joint"]
-    validation = validate(runs, rig, before.parameters)
+    points = {test.removeprefix("point-") for test in possible_tests(rig)}
+    seen = rig.model_copy(update={"points": {name: known for name, known in rig.points.items() if name in points}})
+    validation = validate(runs, seen, before.parameters)
     keep_verdicts(validation, runs, facts["validated_with"])
     results.with_version(joint.parameters).save(out)
     identities = runs[0].metadata.get("identities", {})

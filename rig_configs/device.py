@@ -59,7 +59,7 @@ class DisplacementSettings(DeviceSettings):
 
 
 class RotorNodeSettings(DeviceSettings):
-    """A node on the rotor: both pendulum encoders, the index mark, the locks."""
+    """A node on the rotor: both pendulum encoders, the index mark, and the locks unless a rig has none to command."""
 
     calibration: ClassVar[tuple[str, ...]] = (
         "counts_per_revolution", "index_angle_deg", "zero_std_deg", "clock_tolerance_ppm",
@@ -70,6 +70,7 @@ class RotorNodeSettings(DeviceSettings):
     index_angle_deg: Finite = 0.0
     zero_std_deg: NotNegative = 0.05
     clock_tolerance_ppm: Positive = 30.0
+    locks: bool = True
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""
@@ -82,7 +83,7 @@ class RotorNodeSettings(DeviceSettings):
             RotorPhase(
                 device=device, topic="tacho", index_angle_deg=self.index_angle_deg, clock_tolerance_ppm=tolerance
             ),
-            PendulumLocks(device=device),
+            *([PendulumLocks(device=device)] if self.locks else []),
         )  # fmt: skip
 
 

@@ -120,7 +120,7 @@ class Interlocks:
         if self._marks:
             deadlines[self._marks] = (self._device_of[self._marks], math.inf)
         self.channels = ChannelWatch(deadlines, patience)
-        self.rotor = RotorWatch(limits.speed_rpm, patience)
+        self.rotor = RotorWatch(limits.speed_rpm, patience, driven=self._speed is not None)
         self._sight = {topic: Share(_BLIND_S) for topic in self._lasers}
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
         self._stuck = StuckWatch(self._lasers)
@@ -226,6 +226,9 @@ class Interlocks:
         """Whether the rotor turns, or nobody can say that it does not; one turned by hand at a standing drive is not
         the interlocks' business."""
         with self._lock:
+            if self._speed is None:  # a test turns it by hand, or the index marks show that somebody does
+                rest = self.rotor.at_rest(now_ns)
+                return rest is False or (self._ours and rest is not True)
             by_hand = not self._ours and abs(self.rotor.word_rpm(now_ns)) <= AT_REST_RPM
             return not by_hand and self.rotor.at_rest(now_ns) is not True
 

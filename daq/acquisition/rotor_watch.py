@@ -35,13 +35,14 @@ class RotorWatch:
     Args:
         limit_rpm: fastest speed allowed.
         patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
+        driven: whether a device turns the rotor and tells how fast.
 
     Attributes:
         target_rpm: what the drive was last told.
     """
 
-    def __init__(self, limit_rpm: float, patience: Callable[[float], float]) -> None:
-        self._limit_rpm = limit_rpm
+    def __init__(self, limit_rpm: float, patience: Callable[[float], float], *, driven: bool = True) -> None:
+        self._limit_rpm, self._driven = limit_rpm, driven
         self._word_age_ns = _ns(patience(0.5))
         self._late_ns = _ns(patience(0.3))  # how late a host may notice something
         self._settled_ns = _ns(patience(0.1))
@@ -179,6 +180,7 @@ class RotorWatch:
         """What is known of the speed, for a message."""
         word, marks = self.word_rpm(now_ns), self.mark_rpm(now_ns)
         said = "the drive says nothing" if math.isnan(word) else f"the drive says {word:.0f} rpm"
+        said = said if self._driven else "the rotor is turned by hand"
         if self._node_ns is None or now_ns - self._node_ns > _ns(self._radio_s):
             return f"{said}, the node that sends the index marks is silent"
         if math.isnan(marks) or self._mark_host_ns is None:

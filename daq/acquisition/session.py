@@ -13,6 +13,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from daq.acquisition.exceedance import compile_look
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.rate_watch import RateWatches
@@ -37,6 +40,7 @@ _LOOK_S = 0.1  # wall seconds between two looks at every channel
 _WATCH_S = 0.25  # wall seconds between two looks for silent devices, and at the disk
 _SILENCE_S = 2.0  # wall seconds
 _BY_ITSELF_S = 8.0  # wall seconds for a drive out of reach to stop by itself, and for the index marks to show it
+_NEWEST_S = 20.0  # how far back the newest stretch of a channel may lie
 _REASON_S = 0.3  # wall seconds that a drive may take to say why it stopped
 
 
@@ -211,7 +215,7 @@ class Session:
         if not self._commanding:
             return ""
         try:
-            rest = self._drive is None or self._drive.stop(self._say)
+            rest = self.rotor_at_rest() is not False if self._drive is None else self._drive.stop(self._say)
         except (LinkLost, DeviceError):  # its own watchdog stops it now; the index marks show it
             rest, end = False, time.monotonic() + _BY_ITSELF_S
             while self._opened and self.rotor_at_rest() is False and time.monotonic() < end:
@@ -351,7 +355,11 @@ class Session:
             elif self.trouble is None:  # later ones change nothing
                 kind = DeviceError if item.cause == "device" else ProcedureError
                 turning = self._interlocks.turning(host_ns)
-                self._fail(kind(f"{item.text}; the rotor was stopped" if turning else item.text))
+                self._fail(kind(f"{item.text}; {self._stopped_words}" if turning else item.text))
+
+    @property
+    def _stopped_words(self) -> str:
+        return "stop the rotor" if self._drive is None else "the rotor was stopped"
 
     def _fail(self, error: Exception) -> None:
         """Remember the first trouble and stop the rotor; whoever waits is told."""
@@ -362,6 +370,8 @@ class Session:
             with contextlib.suppress(Exception):  # the drive's own watchdog stops it when our heartbeat ends
                 self._drive.quick_stop()
             self._interlocks.told(0.0)
+        elif first and self._commanding and self._interlocks.turning(self.clock.now_ns()):
+            self._say(f"warning: STOP THE ROTOR: {error}")
         recorder = self._recorder
         if first and recorder is not None:
             recorder.event(Event("stop", "host", str(error)), self.clock.now_ns())
@@ -377,6 +387,20 @@ class Session:
         if rpm is not None:
             self._interlocks.told(rpm)
 
+    def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[NDArray[np.int64], list[Any]]:
+        """The newest stretch of a channel, counted back from its newest sample: a late read is no silence."""
+        time_ns, columns = self.recent.last(topic, fields, self.clock.now_ns() - int(_NEWEST_S * 1e9))
+        if len(time_ns) == 0:
+            return time_ns, columns
+        new = time_ns > time_ns[-1] - int(seconds * 1e9)
+        return time_ns[new], [column[new] for column in columns]
+
+    def note(self, event: Event) -> None:
+        """Put what the host found out into the log, if one is being recorded."""
+        recorder = self._recorder
+        if recorder is not None:
+            recorder.event(event, self.clock.now_ns())
+
     def need(self, *topics: str) -> None:
         """Channels that the running test lives on, at rest too; silence of one ends it. Without any: none."""
         self._interlocks.need(topics)
@@ -384,6 +408,21 @@ class Session:
     def rotor_at_rest(self) -> bool | None:
         """Whether the rotor stands, by the drive's fresh word and the index marks; None when neither tells."""
         return self._interlocks.at_rest(self.clock.now_ns())
+
+    def rotor_rpm(self) -> float:
+        """How fast the rotor turns, by all that is known; NaN when nobody can tell."""
+        return self._interlocks.speed_rpm(self.clock.now_ns())
+
+    def permit_by_hand(self, rpm: float | None) -> None:
+        """Ask before the operator is told to turn the rotor; from then on it is watched as if a drive turned it.
+
+        Args:
+            rpm: the speed; None before anything turns.
+
+        Raises:
+            DeviceError, ProcedureError: a guard is missing, or the speed is beyond its limit.
+        """
+        self._permit(rpm)
 
     def rotor_words(self) -> str:
         """What is known of the rotor's speed, for a message."""
@@ -601,7 +640,8 @@ class Session:
         """Have the pendulums locked or released, until it is acknowledged.
 
         Raises:
-            DeviceError: refused (the message says why) or never acknowledged.
+            DeviceError: refused (the message says why), never acknowledged, or the rig has no locks to command.
         """
-        assert self._locks is not None, "the session is not open"
+        if self._locks is None or self.rig.roles.locks is None:
+            raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
         self._locks.command(action, self.check)

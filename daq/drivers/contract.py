@@ -94,10 +94,10 @@ class CountsFrames(Protocol):
     """A pipeline of frames that came by radio.
 
     Attributes:
-        frames: numbers, modulo 65536, of the first and of the newest frame; None before the first.
+        heard_frames: numbers, modulo 65536, of the first and of the newest frame; None before the first.
     """
 
-    frames: tuple[int, int] | None
+    heard_frames: tuple[int, int] | None
 
 
 class Talk(Protocol):

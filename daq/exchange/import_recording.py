@@ -20,21 +20,16 @@ from daq.exchange.imported_log import Part, write_log
 from daq.exchange.imported_parts import Noticed, gap_events, make_parts, release_events
 from daq.exchange.provenance import file_sha256, iso_time
 from daq.exchange.readings import Readings, since_1970
-from daq.exchange.recipe import TESTS, Recipe
+from daq.exchange.recipe import Recipe
 from daq.exchange.recorder_clock import RecorderClock, recorder_clock
 from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
+from daq.guided_tests.kinds import KINDS, kind_of
 from daq.version import software_version
 from rig_configs.schema import Rig
 
 UNKNOWN_START_NS = 946_684_800_000_000_000
 """2000-01-01: where recordings begin that do not say when they were made."""
-
-_NEEDED = {
-    "ring-down-x": {"laser/x"}, "ring-down-y": {"laser/y"}, "spin-down": {"pendulums"},
-    "run-up": {"laser/x", "laser/y", "tacho"}, "run-down": {"laser/x", "laser/y", "tacho"},
-    "point": {"laser/x", "laser/y", "pendulums", "tacho"},
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,11 +113,12 @@ def _start(readings: Mapping[str, Readings], recipe: Recipe) -> tuple[int, bool]
 def _remarks(topics: set[str], recipe: Recipe) -> list[str]:
     """What the test will lack when it is identified or validated."""
     test, found = recipe.test_name, []
-    needed = _NEEDED.get("point" if test.startswith("point-") else test)
-    if needed is None:
-        found.append(f"{test}: `rig identify` knows {', '.join(TESTS)} and point-NAME; it will pass this over")
-    elif needed - topics:
-        found.append(f"{test}: needs {', '.join(sorted(needed))}; lacking {', '.join(sorted(needed - topics))}")
+    kind = kind_of(test)
+    if kind is None:
+        known = ", ".join(name for name in KINDS if name != "point")
+        found.append(f"{test}: `rig identify` knows {known} and point-NAME; it will pass this over")
+    elif lacking := sorted(kind.channels - topics):
+        found.append(f"{test}: needs {', '.join(sorted(kind.channels))}; lacking {', '.join(lacking)}")
     if test.startswith("point-") and not recipe.release_s:
         found.append(f"{test}: no --release, so what follows the release cannot be told from the rest")
     return found

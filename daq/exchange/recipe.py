@@ -18,7 +18,6 @@ QUANTITIES: dict[str, Quantity] = {
 }  # fmt: skip
 _ROTOR = ("phase", "marks", "speed")
 _SENSORS = tuple(name for name in QUANTITIES if name != "time")
-TESTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down")
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 

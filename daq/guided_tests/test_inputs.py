@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import math
 
+from daq.guided_tests import kinds
+from daq.guided_tests.kinds import KINDS
 from rig_configs.schema import Rig
 
-TESTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down")
 _LEAST_RPM = 1.0  # whole rpm on the drive's wire; the schema keeps limits.speed_rpm far within its 16 bits
 _RAMPS_RPM_S = (0.1, 1000.0)  # finest step of the drive's ramp, and what a rig file may ask of it
 _RPM = math.pi / 30
@@ -15,7 +16,12 @@ _RPM = math.pi / 30
 
 def test_names(rig: Rig) -> tuple[str, ...]:
     """Every guided test of a rig, its points as "point-NAME"."""
-    return (*TESTS, *(f"point-{point}" for point in rig.points))
+    return (*(name for name in KINDS if name != "point"), *(f"point-{point}" for point in rig.points))
+
+
+def possible_tests(rig: Rig) -> tuple[str, ...]:
+    """Those of them that the rig's devices have the signals for."""
+    return tuple(test for test in test_names(rig) if not kinds.refusal(test, rig.roles))
 
 
 def speed_refusal(rig: Rig, rpm: float) -> str:
@@ -78,6 +84,8 @@ def refusal(rig: Rig, test: str, top_rpm: float, duration_s: float) -> str:
     if test not in test_names(rig):
         known = ", ".join(test_names(rig)).replace("point-", "point ")
         return f"{test!r}: no such test. Known: {known}"
+    if why := kinds.refusal(test, rig.roles):
+        return why
     if test in ("run-up", "run-down"):
         return ramp_refusal(rig, top_rpm, duration_s)
     if test.startswith("point-"):

@@ -2,6 +2,7 @@
 
 One JSON object a line over TCP on loopback; the first must carry the token that the rig printed at its start.
 Requests: {"do": "pluck", "x_mm": …, "y_mm": …, "hold_s": …}, {"do": "flick", "pendulum": 0|1, "speed_rad_s": …},
+{"do": "lock"}, {"do": "release"}, {"do": "turn", "rpm": …, "ramp_rpm_per_s": …} where no device does these,
 {"do": "set", "key": "suspension.k2_N_per_m", "value": …}, {"do": "truth"}, {"do": "state"},
 {"do": "unplug", "device": …}, {"do": "fail", "device": …, "what": …, "value": …}, {"do": "quit"}.
 Each is answered by one line.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import queue
 import secrets
 import select
@@ -114,12 +115,8 @@ class VirtualRig:
 
     def _do(self, request: dict[str, Any], now: float) -> dict[str, Any]:
         match request.get("do"):
-            case "pluck":
-                self.motion.hold(request.get("x_mm", 0.0) * 1e-3, request.get("y_mm", 0.0) * 1e-3)
-                self._release_hold_s = now + request.get("hold_s", 0.5)
-            case "flick":
-                if not self.motion.flick(int(request["pendulum"]), float(request["speed_rad_s"])):
-                    raise ValueError("this pendulum is locked")
+            case "pluck" | "flick" | "lock" | "release" | "turn" as act:
+                self._by_hand(act, request, now)
             case "set":
                 self._set(str(request["key"]), request["value"])
             case "truth":
@@ -138,6 +135,26 @@ class VirtualRig:
             case other:
                 raise ValueError(f"unknown request {other!r}")
         return {"ok": True}
+
+    def _by_hand(self, act: str, request: dict[str, Any], now: float) -> None:
+        """What a person does at the rig; what a device holds is not the hand's."""
+        roles, motion = self._rig.roles, self.motion
+        holder = roles.locks if act in ("lock", "release") else roles.speed if act == "turn" else None
+        if holder is not None:
+            raise ValueError(f"that is {holder.device}'s to do")
+        match act:
+            case "pluck":
+                motion.hold(request.get("x_mm", 0.0) * 1e-3, request.get("y_mm", 0.0) * 1e-3)
+                self._release_hold_s = now + request.get("hold_s", 0.5)
+            case "flick":
+                if not motion.flick(int(request["pendulum"]), float(request["speed_rad_s"])):
+                    raise ValueError("this pendulum is locked")
+            case "turn":
+                motion.target_rad_s = float(request["rpm"]) * math.pi / 30
+                motion.ramp_rad_s2 = float(request["ramp_rpm_per_s"]) * math.pi / 30
+            case _:
+                for pendulum in (0, 1):
+                    motion.lock(pendulum, 0.0) if act == "lock" else motion.release(pendulum)
 
     def _set(self, key: str, value: Any) -> None:
         """Change the truth from now on (a clamp has moved, a magnet pack was replaced)."""

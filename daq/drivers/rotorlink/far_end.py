@@ -169,7 +169,7 @@ class SimulatedNode(FarEnd):
         """Act on a command; returns the result code of its acknowledge."""
         names = {v: k for k, v in rotorlink.ACTIONS.items()}
         action = names.get(frame.action)
-        if action is None:
+        if action is None or (action != "zero" and not self._config.locks):
             return 2
         if action == "zero":
             # zero is A's locked position, for both: B's own is half a revolution away
@@ -305,7 +305,8 @@ class SimulatedNode(FarEnd):
         return out
 
     def _block(self, time_s: float, first_s: float, counts: NDArray[np.int32]) -> None:
-        flags = (32 if self._closed[0] else 0) | (64 if self._closed[1] else 0) | self.fault_flags
+        closed = self._closed if self._config.locks else (False, False)
+        flags = (32 if closed[0] else 0) | (64 if closed[1] else 0) | self.fault_flags
         index, self._index = self._index, self._index + len(counts)
         us, period = round(first_s * 1e6) % 2**32, round(self._period * 1e6)
         self._send(

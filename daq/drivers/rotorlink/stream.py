@@ -27,7 +27,7 @@ class NodePipeline:
         self.rssi_dBm: int | None = None  # … and how strong its frames come in
         self.complaint = ""  # what is wrong with its counts, by its own word
         self.battery_low = False
-        self.frames: tuple[int, int] | None = None  # seq of the first and of the newest frame from the air
+        self.heard_frames: tuple[int, int] | None = None  # seq of the first and of the newest frame from the air
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
@@ -113,7 +113,7 @@ class NodePipeline:
             self._restart()
             self._air.feed(frame.seq)
             self._time_stepped_back(node_us)
-        self.frames = (frame.seq if self.frames is None else self.frames[0], frame.seq)
+        self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
         self._count("radio_frames", lost, span_s, out)
         match frame:
             case rotorlink.EncoderBlock():

@@ -1,0 +1,86 @@
+# pyright: strict
+"""The table of guided tests: what each needs of a rig, and what can be identified from it.
+
+A test needs signals; whoever turns the rotor and holds the pendulums may be a device or the operator's hand. Commands,
+importer and procedures read this table; a point is the kind "point", its own name behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rig_configs.roles import Roles
+
+SIGNALS: Mapping[str, str] = {
+    "x": "displacement along x", "y": "displacement along y", "angles": "pendulum angles", "phase": "rotor phase",
+}  # fmt: skip
+"""Signals by their short names, in words."""
+CHANNELS: Mapping[str, str] = {"x": "laser/x", "y": "laser/y", "angles": "pendulums", "phase": "tacho"}
+"""Channels that hold them in every log."""
+
+
+@dataclass(frozen=True)
+class TestKind:
+    """One kind of guided test.
+
+    Attributes:
+        name: as in a log; a point's name stands behind "point-".
+        needs: signals without which it says nothing.
+        turns: whether the rotor turns.
+        gives: parameters that can be identified from it, as far as its signals show them.
+        does: what it does, a few words.
+    """
+
+    __test__ = False  # not a pytest class
+
+    name: str
+    needs: tuple[str, ...]
+    turns: bool
+    gives: tuple[str, ...]
+    does: str
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Of what it needs."""
+        return frozenset(CHANNELS[signal] for signal in self.needs)
+
+
+_SUSPENSION = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
+_DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
+KINDS: Mapping[str, TestKind] = {
+    kind.name: kind
+    for kind in (
+        TestKind("ring-down-x", ("x",), False, _SUSPENSION, "pluck the column along x"),
+        TestKind("ring-down-y", ("y",), False, _SUSPENSION, "pluck the column along y"),
+        TestKind("spin-down", ("angles",), False, _DAMPING, "flick the released pendulums, rotor at rest"),
+        TestKind("run-up", ("x", "y", "phase"), True, (*_SUSPENSION, "SP_kg_m"), "ramp up through both resonances"),
+        TestKind("run-down", ("x", "y", "phase"), True, (*_SUSPENSION, "SP_kg_m"), "ramp down through both resonances"),
+        TestKind("point", ("x", "y", "angles", "phase"), True, _DAMPING, "release the pendulums at a steady speed"),
+    )
+}
+
+
+def kind_of(test: str) -> TestKind | None:
+    """The kind of a test by its name; None when there is none."""
+    return KINDS.get("point" if test.startswith("point-") else test)
+
+
+def lacking(kind: TestKind, roles: Roles) -> tuple[str, ...]:
+    """Signals that a rig cannot give a test, in words."""
+    there = {"x": roles.along("x"), "y": roles.along("y"), "angles": roles.angles, "phase": roles.phase}
+    return tuple(SIGNALS[signal] for signal in kind.needs if there[signal] is None)
+
+
+def refusal(test: str, roles: Roles) -> str:
+    """Why a rig cannot do a test; empty when it can."""
+    kind = kind_of(test)
+    missing = () if kind is None else lacking(kind, roles)
+    if not missing:
+        return ""
+    return f"{test} needs {' and '.join(missing)}: no device of the rig file gives that. Nothing was turned"
+
+
+def possible(roles: Roles) -> tuple[TestKind, ...]:
+    """Kinds of tests that a rig can do."""
+    return tuple(kind for kind in KINDS.values() if not lacking(kind, roles))

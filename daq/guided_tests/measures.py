@@ -1,0 +1,92 @@
+# pyright: strict
+"""What a guided test looks at while it runs: the newest stretch of each signal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.acquisition.session import Session
+from daq.signals.settling import Settling, locked_settled, settled
+
+
+class Measures:
+    """Of an open session."""
+
+    def __init__(self, session: Session) -> None:
+        self._s = session
+
+    def since(self, seconds: float) -> int:
+        """An instant so long ago, rig s, ns since 1970."""
+        return self._s.clock.now_ns() - int(seconds * 1e9)
+
+    def peak_to_peak(self, topic: str, seconds: float) -> float:
+        """Of a laser over its newest stretch, m; NaN where much of it is missing or invalid."""
+        if self.valid(topic, seconds) < 0.8 * seconds:
+            return math.nan
+        _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
+        return float(np.ptp(x[np.isfinite(x)]))
+
+    def valid(self, topic: str, seconds: float) -> float:
+        """How many seconds of valid samples a laser's newest stretch holds."""
+        _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
+        rates = {sensor.topic: sensor.rate_Hz for sensor in self._s.rig.roles.displacements}
+        return float(np.count_nonzero(np.isfinite(x))) / rates[topic]
+
+    def largest_since(self, topic: str, since_ns: int, rest_m: float) -> float:
+        """Largest distance of a laser from its reading at rest since an instant, m."""
+        _, (x,) = self._s.recent.last(topic, ("displacement_m",), since_ns)
+        return float(np.nanmax(np.abs(x - rest_m), initial=0.0))
+
+    def turned_since(self, since_ns: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """How far the pendulums have turned since an instant, rad, and their largest speeds, rad/s; shapes (2,)."""
+        time_ns, columns = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
+        step = 50
+        if len(time_ns) <= step:
+            return np.zeros(2), np.full(2, 1e-3)
+        angles = np.column_stack(columns)
+        rates = (angles[step:] - angles[:-step]) / ((time_ns[step:] - time_ns[:-step]) * 1e-9)[:, None]
+        return np.ptp(angles, axis=0), np.max(np.abs(rates), axis=0)
+
+    def rates(self) -> NDArray[np.floating]:
+        """Pendulum speeds over the newest fifth of a second of samples, rad/s, shape (2,); NaN without samples."""
+        time_ns, (a, b) = self._s.newest("pendulums", ("theta3_rad", "theta4_rad"), 0.2)
+        if len(time_ns) < 10:
+            return np.full(2, np.nan)
+        return np.array([a[-1] - a[0], b[-1] - b[0]]) / ((time_ns[-1] - time_ns[0]) * 1e-9)
+
+    def signals(self, since_ns: int, lasers_since_ns: int | None = None) -> tuple[NDArray[np.floating], ...]:
+        """Angle times and angles, marks and (perhaps later) lasers since an instant, times in s from it."""
+        recent = self._s.recent
+        t, (a, b) = recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
+        m, (turns,) = recent.last("tacho", ("revolutions",), since_ns)
+        tx, (x,) = recent.last("laser/x", ("displacement_m",), lasers_since_ns or since_ns)
+        ty, (y,) = recent.last("laser/y", ("displacement_m",), lasers_since_ns or since_ns)
+
+        def seconds(ns: NDArray[np.int64]) -> NDArray[np.floating]:
+            return (ns - since_ns) * 1e-9
+
+        return (
+            seconds(t), np.column_stack([a, b]), seconds(m), 2 * np.pi * turns.astype(float),
+            seconds(tx)[::4], x[::4], seconds(ty)[::4], y[::4],
+        )  # fmt: skip
+
+    def locked_steady(self) -> Settling:
+        """Whether the orbit of the turning rotor with locked pendulums is steady."""
+        _, _, marks, phase, tx, x, ty, y = self.signals(self.since(15.0))
+        return locked_settled(marks, phase, tx, x, ty, y)
+
+    def steady(self, released_ns: int, step_rad: float, tolerances: Mapping[str, float]) -> Settling:
+        """Whether pendulums and orbit are steady after a release.
+
+        Args:
+            released_ns: when, ns since 1970.
+            step_rad: of the encoders' code.
+            tolerances: other than the analysis's own, see `settled`.
+        """
+        since = released_ns - 1_500_000_000  # some of the time before, to know how the pendulums stood
+        signals = self.signals(since, max(since, self.since(15.0)))
+        return settled(*signals, release_time_s=(released_ns - since) * 1e-9, angle_step_rad=step_rad, **tolerances)
