@@ -51,7 +51,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
             command += ["--set", setting]
         host = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         usage = _watch(host)
-        usage["dropped_by_the_rig_bytes"] = rig.line.ask("radio")["overrun_bytes"]["drive"]
+        usage["dropped_by_the_rig_bytes"] = rig.line.ask("state")["overrun_bytes"]["drive"]
         if host.returncode != 0:
             raise SystemExit(f"rig record ended with {host.returncode}")
     return {**usage, **_content(path, seconds)}

@@ -10,7 +10,17 @@ from typing import Annotated, ClassVar
 
 from pydantic import ConfigDict, Field
 
-from rig_configs.roles import AnyRole, Axis, Displacement, PendulumAngles, PendulumLocks, Role, RotorPhase
+from rig_configs.roles import (
+    USUAL_GAIN_STD,
+    USUAL_ZERO_STD_DEG,
+    AnyRole,
+    Axis,
+    Displacement,
+    PendulumAngles,
+    PendulumLocks,
+    Role,
+    RotorPhase,
+)
 from rig_configs.table import Finite, NotNegative, Positive, Table
 
 
@@ -44,7 +54,7 @@ class DisplacementSettings(DeviceSettings):
     rate_Hz: Positive
     range_m: Positive = 0.025
     lever_ratio: Positive = 1.0
-    gain_std: Annotated[float, Field(ge=0, le=0.1)] = 0.001
+    gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
     clock_tolerance_ppm: Positive = 30.0
 
     def roles(self, device: str) -> tuple[Role, ...]:
@@ -68,7 +78,7 @@ class RotorNodeSettings(DeviceSettings):
     rate_Hz: Annotated[int, Field(ge=10, le=5000)] = 1000
     counts_per_revolution: Annotated[int, Field(ge=64)] = 4096
     index_angle_deg: Finite = 0.0
-    zero_std_deg: NotNegative = 0.05
+    zero_std_deg: NotNegative = USUAL_ZERO_STD_DEG
     clock_tolerance_ppm: Positive = 30.0
     locks: bool = True
 

@@ -249,6 +249,10 @@ def _sentence(error: ErrorDetails, raw: Mapping[str, Any]) -> str:
     if error["type"] == "missing":
         return f"{key}: missing; expected {_expectation(error['loc'], raw)}"
     got = error.get("input")
+    if error["type"] == "value_error" and "no driver;" in error["msg"] and len(error["loc"]) == 2:
+        others = [name for name in raw.get("devices", {}) if name != error["loc"][1]]
+        if near := difflib.get_close_matches(str(error["loc"][1]), others, n=1, cutoff=0.7):
+            return f"{key}: a device without a driver; did you mean devices.{near[0]}?"
     if isinstance(got, dict) and error["type"] == "value_error":  # of a whole table; its words tell what came
         return f"{key}{': ' if key else ''}{error['msg'].removeprefix('Value error, ')}"
     return f"{key}: {error['msg']}, got {_shown(got)}"

@@ -17,6 +17,8 @@ from pydantic import Field
 from rig_configs.table import Finite, NotNegative, Positive, Table
 
 Axis = Literal["x", "y"]
+USUAL_GAIN_STD, USUAL_ZERO_STD_DEG = 0.001, 0.05
+"""Of a sensor of which nothing is said: also of one that recorded elsewhere and that the rig file does not know."""
 
 
 class Displacement(Table):
@@ -114,7 +116,7 @@ class OtherQuantity(Table):
     role: Literal["other quantity"] = "other quantity"
     device: str
     topic: str
-    fields: tuple[str, ...]
+    fields: Annotated[tuple[str, ...], Field(strict=False)]
 
 
 Role = Displacement | PendulumAngles | RotorPhase | SpeedSource | PendulumLocks | OtherQuantity
@@ -174,14 +176,14 @@ class Roles:
 
     @property
     def gain_stds(self) -> tuple[float, float]:
-        """Relative standard uncertainties of the displacements along x and y; 0 where no sensor looks."""
-        x, y = (0.0 if (d := self.along(axis)) is None else d.gain_std for axis in "xy")
+        """Relative standard uncertainties of the displacements along x and y; the usual one where no sensor looks."""
+        x, y = (USUAL_GAIN_STD if (d := self.along(axis)) is None else d.gain_std for axis in "xy")
         return x, y
 
     @property
     def zero_std_deg(self) -> float:
-        """Standard uncertainty of each encoder's zero; 0 where there is none."""
-        return self.angles.zero_std_deg if self.angles else 0.0
+        """Standard uncertainty of each encoder's zero; the usual one where the rig has none."""
+        return self.angles.zero_std_deg if self.angles else USUAL_ZERO_STD_DEG
 
     @property
     def device_of(self) -> dict[str, str]:

@@ -7,6 +7,7 @@ show: rates come with how far they may be off, and a quantity that was not seen 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from daq.acquisition.lock_positions import flagged, lock_positions, lock_tolerance_deg, misplaced
 from daq.acquisition.rate_watch import Rate
+from daq.acquisition.rotor_watch import AT_REST_RPM
 from daq.drivers.checks import Check, Checks
 from daq.drivers.items import Event
 from rig_configs.roles import Displacement, PendulumAngles
@@ -162,10 +164,11 @@ def _locks(angles: PendulumAngles, seen: AnglesSeen) -> Checks:
 
 def _speed(seen: SpeedSeen) -> Checks:
     enough = seen.reports_Hz >= _SPEED_REPORTS_HZ
-    still = seen.speed_rpm == 0
+    still = abs(seen.speed_rpm) <= AT_REST_RPM
+    note = "" if still else "its speed is not known" if math.isnan(seen.speed_rpm) else "the rotor turns"
     return {
         "speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_SPEED_REPORTS_HZ:g}", enough),
-        "speed_rpm": Check(seen.speed_rpm, 0, still, "" if still else "the rotor turns"),
+        "speed_rpm": Check(None if math.isnan(seen.speed_rpm) else seen.speed_rpm, 0, still, note),
     }
 
 

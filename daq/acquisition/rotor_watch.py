@@ -181,7 +181,9 @@ class RotorWatch:
         word, marks = self.word_rpm(now_ns), self.mark_rpm(now_ns)
         said = "the drive says nothing" if math.isnan(word) else f"the drive says {word:.0f} rpm"
         said = said if self._driven else "the rotor is turned by hand"
-        if self._node_ns is None or now_ns - self._node_ns > _ns(self._radio_s):
+        if self._node_ns is None:
+            return f"{said}, nothing else tells of the rotor"
+        if now_ns - self._node_ns > _ns(self._radio_s):
             return f"{said}, the node that sends the index marks is silent"
         if math.isnan(marks) or self._mark_host_ns is None:
             return f"{said}, no index marks"

@@ -11,15 +11,17 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 from daq.channels import Channel
 from daq.drivers.checks import Checks
 from daq.drivers.items import Batch, Event
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
-from daq.transports.host_clock import HostClock
 from rig_configs.device import DeviceSettings
+
+if TYPE_CHECKING:
+    from daq.transports.host_clock import HostClock
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from daq.drivers.contract import Driver, Line, Pipeline, SampleClock
 from daq.drivers.played import PlayedDevice
 from daq.drivers.registry import driver
 from daq.drivers.simulated import FarEnd
-from rig_configs.device import DeviceSettings
+from rig_configs.device import DeviceSettings, StoredDevice
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,15 @@ def devices_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Device]:
     return {name: Device(name, settings, driver(settings.driver)) for name, settings in devices.items()}
 
 
+def installed_of(devices: Mapping[str, DeviceSettings]) -> dict[str, DeviceSettings]:
+    """Those whose driver is installed here: a log may hold others."""
+    return {name: device for name, device in devices.items() if not isinstance(device, StoredDevice)}
+
+
 def channels_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Channel]:
     """Every channel that a log of these devices may hold, by topic: the usual ones, then what drivers add."""
     found = dict(CHANNELS)
-    for device in devices_of(devices).values():
+    for device in devices_of(installed_of(devices)).values():
         found |= {channel.topic: channel for channel in (*device.channels, *device.occasional)}
     return found
 

@@ -158,7 +158,12 @@ def _attachments(recording: Recording, rig: Rig, recipe: Recipe, noticed: Notice
         "warnings": noticed.warnings,
     }
     text = json.dumps(made_of, ensure_ascii=False, indent=1)
-    return {"rig.json": rig.snapshot_json(), "identities.json": b"{}", "import.json": text.encode()}
+    return {
+        "rig.json": rig.snapshot_json(),
+        "roles.json": rig.roles_json(),
+        "identities.json": b"{}",
+        "import.json": text.encode(),
+    }
 
 
 def _with_counts(rig: Rig, counts_per_revolution: int) -> Rig:

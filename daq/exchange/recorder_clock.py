@@ -58,9 +58,9 @@ def recorder_clock(stated_ppm: float | None, recorder: str, rig: Rig, topics: It
     """
     if stated_ppm is not None:
         return RecorderClock(stated_ppm, "stated", recorder)
-    filled = rig.roles.device_of
-    told = [rig.devices[device] for device in sorted({filled[topic] for topic in topics if topic in filled})]
+    filled, wanted = rig.roles.device_of, set(topics)
+    told = [rig.devices[device] for device in sorted({filled[topic] for topic in wanted if topic in filled})]
     known = [float(getattr(d, _TOLERANCE)) for d in told if _TOLERANCE in d.model_fields_set]
-    if known and len(known) == len(told):
+    if known and len(known) == len(told) and wanted <= filled.keys():
         return RecorderClock(max(known), "rig file", recorder)
     return RecorderClock(max([ASSUMED_TOLERANCE_PPM, *known]), "assumed", recorder)

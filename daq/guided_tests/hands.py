@@ -9,16 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.lock_positions import lock_positions, misplaced
+from daq.acquisition.rotor_watch import AT_REST_RPM
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.drivers.items import Event
 from rig_configs.roles import PendulumAngles
+
+Array = NDArray[np.floating[Any]]
 
 HUMAN_S = 120.0
 """How long a person may take, wall s."""
@@ -27,8 +31,10 @@ _STOP_RAMP_RPM_S = 400.0
 _REST_S = 30.0  # wall s
 _STANDS_S = 0.4  # how long pendulums are looked at before they count as held, rig s
 _STANDS_RAD = math.radians(0.3)
-_LET_GO_RAD = math.radians(1.0)  # a pendulum that has moved this far is free …
-_EARLIER_S = 0.1  # … and was let go about so long before, ± the same
+SEEN_RAD = math.radians(0.35)
+"""A pendulum that has moved this far moves: four steps of an ordinary encoder."""
+_FREE_RAD = 5 * SEEN_RAD
+_LEAST_S = 0.03  # of its uncertainty: identification takes no damping from a release that is known no better
 _HAND_RAMP_RPM_S = 20.0  # what a hand is asked for where a test does not mind
 
 Tell = Callable[[str, float | None], None]
@@ -152,7 +158,7 @@ class DrivenRotor:
     def stop(self) -> None:
         """See Rotor."""
         drive = self._s.drive
-        if drive.actual_rpm == 0 and not drive.enabled:
+        if abs(drive.actual_rpm) <= AT_REST_RPM and not drive.enabled:
             return
         drive.set_ramp(_STOP_RAMP_RPM_S)
         if not drive.enabled:  # it coasts, perhaps since a host was killed: brake it
@@ -267,22 +273,22 @@ class HandLocks:
         if not turning or self._angles is None:
             self._operator.release()
             return self._s.clock.now_ns()
-        _, columns = self._s.newest(self._angles.topic, _THETA, _STANDS_S)
+        topic = self._angles.topic
+        _, columns = self._s.newest(topic, _THETA, _STANDS_S)
         stood = np.array([np.median(column) for column in columns])
         asked = self._s.clock.now_ns()
         self._operator.release()
-        found: list[int] = []
 
-        def both_free() -> bool:
-            time_ns, columns = self._s.recent.last(self._angles.topic if self._angles else "", _THETA, asked)
-            off = np.abs(np.column_stack(columns) - stood) > _LET_GO_RAD
-            found[:] = [int(time_ns[np.argmax(column)]) for column in off.T if column.any()]
-            return len(found) == 2
+        def moved() -> bool:
+            _, columns = self._s.recent.last(topic, _THETA, asked)
+            return bool(np.any(np.abs(np.column_stack(columns) - stood) > _FREE_RAD))
 
-        self._s.wait_for(both_free, HUMAN_S, "both pendulums to be let go")
-        let_go_ns = max(asked, min(found) - int(_EARLIER_S * 1e9))
+        self._s.wait_for(moved, HUMAN_S, "the pendulums to be let go")
+        time_ns, columns = self._s.recent.last(topic, _THETA, asked)
+        since_s, std_s = let_go((time_ns - asked) * 1e-9, np.abs(np.column_stack(columns) - stood))
+        let_go_ns = asked + int(since_s * 1e9)
         for pendulum in (0, 1):
-            facts = {"pendulum": pendulum, "state": "released", "time_ns": let_go_ns, "time_std_s": _EARLIER_S}
+            facts = {"pendulum": pendulum, "state": "released", "time_ns": let_go_ns, "time_std_s": std_s}
             self._s.note(Event("lock", HOST, f"pendulum {'AB'[pendulum]} let go by hand, as its angle shows", facts))
         return let_go_ns
 
@@ -300,3 +306,21 @@ class HandLocks:
 
 
 _THETA = ("theta3_rad", "theta4_rad")
+
+
+def let_go(time_s: Array, moved_rad: Array) -> tuple[float, float]:
+    """When pendulums that begin to move were let go, both at once.
+
+    From rest an angle grows with the square of the time at first: it takes as long again to four times an angle as it
+    took to that angle. The orbit makes the torque vary, so half of that is how far the answer may be off.
+
+    Args:
+        time_s: of the samples, shape (n,).
+        moved_rad: how far each has moved, shape (n, 2); at least one of them farther than four times `SEEN_RAD`.
+
+    Returns:
+        Time and its standard uncertainty, s.
+    """
+    farther = moved_rad.max(axis=1)
+    seen, later = (float(time_s[int(np.argmax(farther > angle))]) for angle in (SEEN_RAD, 4 * SEEN_RAD))
+    return 2 * seen - later, max(_LEAST_S, 0.5 * (later - seen))

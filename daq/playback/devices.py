@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from daq.drivers.devices import devices_of
+from daq.drivers.devices import devices_of, installed_of
 from daq.drivers.played import PlayedDevice
 from daq.errors import DeviceError, LogError
 from daq.log import Log
@@ -16,7 +16,7 @@ def played_devices(log: Log) -> dict[str, PlayedDevice]:
     Raises:
         LogError: the log does not say what its devices were.
     """
-    known, identities = devices_of(rig_of(log).devices), identities_of(log)
+    known, identities = devices_of(installed_of(rig_of(log).devices)), identities_of(log)
 
     def played(name: str) -> PlayedDevice:
         if name not in known:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from daq.drivers.contract import Line
-from daq.drivers.devices import devices_of
+from daq.drivers.devices import devices_of, installed_of
 from daq.errors import LinkLost, LogError
 from daq.log import Log
 from daq.log.snapshot import rig_of
@@ -143,5 +143,5 @@ def _named_ports(log: Log, to: str) -> Mapping[str, str]:
 
 def _lines(log: Log) -> Mapping[str, Line]:
     """What carried the bytes of each device."""
-    known = devices_of(rig_of(log).devices)
+    known = devices_of(installed_of(rig_of(log).devices))
     return {name: known[name].line if name in known else Line("", _USUAL_BAUD) for name in log.devices}

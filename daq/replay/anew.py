@@ -13,7 +13,7 @@ from typing import Any
 
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, Channel
 from daq.drivers.contract import Pipeline
-from daq.drivers.devices import channels_of, make_pipelines
+from daq.drivers.devices import channels_of
 from daq.drivers.items import Batch, joined
 from daq.errors import LogError
 from daq.log import Log, open_log
@@ -22,7 +22,7 @@ from daq.log.snapshot import identities_of, rig_of
 from daq.replay.calibration import Calibration
 from daq.replay.checking import Progress, share_of
 from daq.replay.compare import ChannelCheck, ChannelComparison
-from daq.replay.stream import decoded, pipelines_of
+from daq.replay.stream import decoded, pipelines_of, pipelines_with
 from daq.version import software_version
 
 _TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this stand together, as in a recording
@@ -79,7 +79,7 @@ def decode_anew(
         attachments.pop("calibration.toml", None)
         if calibration is not None:
             attachments["calibration.toml"] = calibration.text.encode()
-        pipelines = make_pipelines(rig.devices, identities)
+        pipelines = pipelines_with(rig, identities, str(path))
         facts = _facts(log, calibration)
         known = channels_of(rig.devices)
         new = LogFile(Path(out), facts, attachments, log.devices, time.time_ns(), known.values())

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from daq.drivers.contract import Pipeline
-from daq.drivers.devices import make_pipelines
+from daq.drivers.devices import installed_of, make_pipelines
 from daq.drivers.items import Batch, Event
 from daq.errors import DeviceError, LogError
 from daq.log import Log
@@ -39,13 +39,16 @@ def pipelines_with(rig: Rig, identities: Mapping[str, Mapping[str, Any]], source
     Args:
         source: of the identities, for a message.
 
+    Returns:
+        By device; without those of a log whose driver is not installed here.
+
     Raises:
-        LogError: no such device can have said it, or its driver is not installed.
+        LogError: no such device can have said it.
     """
     try:
-        return make_pipelines(rig.devices, identities)
+        return make_pipelines(installed_of(rig.devices), identities)
     except DeviceError as fault:
-        raise LogError(f"{source}: identities.json: {fault}: its bytes cannot be decoded") from fault
+        raise LogError(f"{source}: {fault}: its bytes cannot be decoded") from fault
 
 
 def decoded(log: Log, pipelines: Mapping[str, Pipeline]) -> Iterator[Decoded]:

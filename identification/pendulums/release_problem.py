@@ -254,6 +254,12 @@ def _release_time(run: Run) -> tuple[float, float]:
         raise NotIdentifiable(f"{run.source}: it holds no release of both pendulums")
     if abs(times[0] - times[1]) > 2e-3 + 3 * max(r.time_std_s for r in run.releases):
         raise NotIdentifiable(f"{run.source}: pendulums released {abs(times[0] - times[1]):.3g} s apart")
+    worst = max(r.time_std_s for r in run.releases)
+    if worst >= _VAGUE_S:
+        raise NotIdentifiable(
+            f"{run.source}: when the pendulums were let go is known to ± {worst:.2g} s only, as of a release by hand: too "
+            f"little for their damping, wanted below {_VAGUE_S:g} s. Record a spin-down"
+        )
     return 0.5 * (times[0] + times[1]), max(_SHIFT_STD_S, *(r.time_std_s for r in run.releases))
 
 

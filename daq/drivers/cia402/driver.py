@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq import channels
 from daq.channels import Channel
@@ -14,7 +14,9 @@ from daq.drivers.contract import Line, Pipeline, RotorGuard, SampleClock, SpeedS
 from daq.drivers.items import Event
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
-from daq.transports.host_clock import HostClock
+
+if TYPE_CHECKING:
+    from daq.transports.host_clock import HostClock
 
 _ADAPTER_BAUD = 115_200  # of the adapter's own serial port, where it has one
 
