@@ -102,7 +102,7 @@ class StoredDevice(DeviceSettings):
 
     model_config = ConfigDict(extra="allow")
 
-    stored_roles: tuple[AnyRole, ...] = ()
+    stored_roles: Annotated[tuple[AnyRole, ...], Field(strict=False)] = ()
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""

@@ -52,7 +52,7 @@ def _with_stored(log: Log, raw: dict[str, Any]) -> dict[str, Any]:
     ]  # fmt: skip
     for name in unknown:
         try:
-            devices[name] = StoredDevice.model_validate({**devices[name], "stored_roles": tuple(roles.get(name, ()))})
+            devices[name] = StoredDevice.model_validate({**devices[name], "stored_roles": roles.get(name, [])})
         except ValidationError as fault:
             raise LogError(f"{log.path}: {ROLES}: {name}: cannot be what a device is to a rig: {fault}") from fault
     return raw

@@ -367,7 +367,9 @@ def _seen_releases(log: Log, line: ClockLine) -> dict[int, tuple[float, float]]:
             i = int(opened[-1])
             before, after = line.host_s(samples.node_time_us[i : i + 2] * 1e-6)
             # flags are a block's state when it is sent: the lock opened within the block before `after`, or in a gap
-            block = int(np.percentile(np.unique(samples.log_time_ns, return_counts=True)[1], 5))  # a read has one or more
+            block = int(
+                np.percentile(np.unique(samples.log_time_ns, return_counts=True)[1], 5)
+            )  # a read has one or more
             last = min(i + max(1, block), len(samples) - 1)
             end = after + (samples.node_time_us[last] - samples.node_time_us[i + 1]) * 1e-6
             seen[pendulum] = (0.5 * (before + end), (end - before) / math.sqrt(12))

@@ -33,6 +33,7 @@ Shape = Literal["torque", "contact", "both"]
 
 SUSPENSION, _BASE = slice(11, 16), 16
 _START, _ZEROS, _SHIFT, _DISK = slice(2, 4), slice(4, 6), 6, slice(7, 11)
+_VAGUE_S = 0.03  # a release whose instant is known no better would bias the damping
 _BLOCK_S = {"fast": 0.004, "balanced": 0.004, "reference": 0.001}
 _SHIFT_STD_S, _DISK_STD_M = 1e-3, 2e-5
 _LONGEST_S, _AFTER_SETTLING_S, _MEMORY_S = 25.0, 0.5, 12.0
@@ -257,7 +258,7 @@ def _release_time(run: Run) -> tuple[float, float]:
     worst = max(r.time_std_s for r in run.releases)
     if worst >= _VAGUE_S:
         raise NotIdentifiable(
-            f"{run.source}: when the pendulums were let go is known to ± {worst:.2g} s only, as of a release by hand: too "
+            f"{run.source}: the instant of release is known to ± {worst:.2g} s only, as of one by hand: too "
             f"little for their damping, wanted below {_VAGUE_S:g} s. Record a spin-down"
         )
     return 0.5 * (times[0] + times[1]), max(_SHIFT_STD_S, *(r.time_std_s for r in run.releases))

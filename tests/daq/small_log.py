@@ -46,7 +46,9 @@ def write_small_log(path: Path, falsify: bool = False, **what: Any) -> Path:
     """Write it; with `falsify` one decoded sample is not what the raw bytes say; `what` goes to device_bytes."""
     rig = load_rig("virtual")
     pipelines = make_pipelines(rig.devices, {})
-    attachments: dict[str, bytes] = {"rig.json": rig.snapshot_json(), "identities.json": b"{}"}
+    attachments: dict[str, bytes] = {
+        "rig.json": rig.snapshot_json(), "roles.json": rig.roles_json(), "identities.json": b"{}",
+    }  # fmt: skip
     recorder = Recorder(path, HostClock(), {"test": "small"}, attachments, tuple(pipelines))
     start = 1_700_000_000_000_000_000
     for i, (device, data) in enumerate(device_bytes(**what)):

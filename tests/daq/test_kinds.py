@@ -1,0 +1,47 @@
+"""Which guided tests a rig can do: by its roles, refused with what is missing before anything is opened."""
+
+from __future__ import annotations
+
+import pytest
+
+from cli.main import run
+from daq.guided_tests import test_inputs as inputs
+from daq.guided_tests.kinds import KINDS, kind_of, possible, refusal
+from rig_configs import load_rig
+
+ONE, HAND, OTHER = (load_rig(name) for name in ("one_laser", "by_hand", "other_devices"))
+
+
+def test_one_laser_rings_down_along_its_axis_and_nothing_else() -> None:
+    assert [kind.name for kind in possible(ONE.roles)] == ["ring-down-x"]
+    assert inputs.possible_tests(ONE) == ("ring-down-x",)
+    assert refusal("ring-down-x", ONE.roles) == ""
+
+
+@pytest.mark.parametrize(
+    ("test", "missing"),
+    [
+        ("ring-down-y", "ring-down-y needs displacement along y:"),
+        ("spin-down", "spin-down needs pendulum angles:"),
+        ("run-up", "run-up needs displacement along y and rotor phase:"),
+        ("point-A", "point-A needs displacement along y and pendulum angles and rotor phase:"),
+    ],
+)
+def test_what_is_missing_is_named_before_a_device_is_opened(
+    test: str, missing: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refusal(test, ONE.roles).startswith(missing)
+    name = test.split("-") if test == "point-A" else [test]
+    assert run(["test", "one_laser", *name]) == 2  # its port is none: opening it would be an error of another kind
+    assert missing in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_rig_without_drive_and_locks_can_do_them_all_by_hand() -> None:
+    assert HAND.roles.speed is HAND.roles.locks is None
+    assert possible(HAND.roles) == possible(OTHER.roles) == tuple(KINDS.values())
+
+
+def test_a_points_kind_is_found_by_its_name() -> None:
+    assert kind_of("point-whatever") is KINDS["point"]
+    assert kind_of("dance") is None
+    assert KINDS["point"].channels == {"laser/x", "laser/y", "pendulums", "tacho"}

@@ -1,0 +1,90 @@
+"""A log keeps what its devices were to the rig: it is read where their drivers are not installed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.drivers.devices import make_pipelines
+from daq.errors import LogError
+from daq.log import open_log, snapshot
+from daq.log.file import LogFile
+from daq.log.snapshot import rig_of
+from daq.playback.devices import played_devices
+from daq.replay.stream import pipelines_of
+from daq.signals.run import load_run
+from rig_configs import load_rig
+from rig_configs.drivers import installed
+from rig_configs.roles import Displacement, OtherQuantity, PendulumAngles, PendulumLocks, Role, Roles, RotorPhase
+from tests.daq.replayed_log import START_NS
+from tests.daq.small_log import write_small_log
+
+OTHER = load_rig("other_devices")
+
+
+def without(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
+    left = {name: point for name, point in installed().items() if name not in names}
+    monkeypatch.setattr(snapshot, "installed", lambda: left)
+
+
+def test_a_log_is_read_without_the_drivers_of_its_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_small_log(tmp_path / "a.mcap")
+    with open_log(path) as log:
+        before, roles = load_run(path), rig_of(log).roles
+    without(monkeypatch, "optoncdt", "cia402")
+    with open_log(path) as log:
+        assert rig_of(log).roles == roles
+        assert list(pipelines_of(log)) == ["encoder"]
+        assert set(played_devices(log)) == set(log.devices)
+    after = load_run(path)
+    assert np.array_equal(before.x_time_s, after.x_time_s)
+    assert np.array_equal(before.x_m, after.x_m, equal_nan=True)
+    assert before.clock_rate_std == after.clock_rate_std
+
+
+def test_a_log_of_before_roles_were_kept_names_the_driver_that_is_missing(tmp_path: Path) -> None:
+    rig = OTHER.snapshot_json().replace(b'"driver":"riftek"', b'"driver":"acme"')
+    with LogFile(tmp_path / "a.mcap", {"test": "record"}, {"rig.json": rig}, (), START_NS) as log:
+        path = log.finish({"losses": {}})
+    with open_log(path) as opened, pytest.raises(LogError, match="no driver 'acme' is installed"):
+        rig_of(opened)
+
+
+@pytest.mark.parametrize("stored", [b"[]", b'{"east": 3}', b'{"east": [{"role": "dance"}]}', b'{"east": [{}]}'])
+def test_roles_that_are_none_are_refused(tmp_path: Path, stored: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    attachments = {"rig.json": OTHER.snapshot_json(), "roles.json": stored}
+    with LogFile(tmp_path / "a.mcap", {"test": "record"}, attachments, (), START_NS) as log:
+        path = log.finish({"losses": {}})
+    without(monkeypatch, "riftek")
+    with open_log(path) as opened, pytest.raises(LogError, match=r"roles\.json"):
+        rig_of(opened)
+
+
+@pytest.mark.parametrize(
+    "role",
+    [
+        Displacement(device="a", topic="laser/x", axis="x", rate_Hz=10.0, range_m=0.1, clock_tolerance_ppm=1.0),
+        PendulumAngles(device="a", topic="t", rate_Hz=1.0, counts_per_revolution=64, zero_std_deg=0.0,
+                       clock_tolerance_ppm=1.0),
+        RotorPhase(device="a", topic="t", index_angle_deg=3.0, clock_tolerance_ppm=1.0),
+        PendulumLocks(device="a"),
+        OtherQuantity(device="a", topic="t", fields=("temperature_degC",)),
+    ],
+)  # fmt: skip
+def test_every_role_comes_back_from_json(role: Role) -> None:
+    assert type(role).model_validate_json(role.model_dump_json()) == role
+    assert type(role).model_validate(role.model_dump(mode="json")) == role
+
+
+def test_two_devices_cannot_be_one_role_nor_fill_one_channel() -> None:
+    first = OtherQuantity(device="a", topic="t", fields=("x_m",))
+    with pytest.raises(ValueError, match="a and b fill the same channel 't'"):
+        Roles.of([first, first.model_copy(update={"device": "b"})])
+    with pytest.raises(ValueError, match="a and b are both the rig's pendulum locks: expected one"):
+        Roles.of([PendulumLocks(device="a"), PendulumLocks(device="b")])
+
+
+def test_pipelines_of_a_rig_file_need_all_drivers() -> None:
+    assert list(make_pipelines(OTHER.devices, {})) == ["east", "north", "rotor", "motor"]
