@@ -6,20 +6,20 @@ A driver's package has a settings class of its own, derived from one of these.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar, cast
 
-from pydantic import ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from rig_configs.roles import (
     USUAL_GAIN_STD,
     USUAL_ZERO_STD_DEG,
-    AnyRole,
     Axis,
     Displacement,
     PendulumAngles,
     PendulumLocks,
     Role,
     RotorPhase,
+    read_role,
 )
 from rig_configs.table import Finite, NotNegative, Positive, Table
 
@@ -97,12 +97,18 @@ class RotorNodeSettings(DeviceSettings):
         )  # fmt: skip
 
 
+def _read_roles(tables: object) -> object:
+    if not isinstance(tables, list | tuple):
+        raise ValueError(f"expected a list of roles, got {tables!r:.60}")
+    return tuple(read_role(table) for table in cast("list[object]", tables))
+
+
 class StoredDevice(DeviceSettings):
     """A device of a log whose driver is not installed here: settings as they stand, roles as the log keeps them."""
 
     model_config = ConfigDict(extra="allow")
 
-    stored_roles: Annotated[tuple[AnyRole, ...], Field(strict=False)] = ()
+    stored_roles: Annotated[tuple[Any, ...], BeforeValidator(_read_roles)] = ()
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""

@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import Field
 
-from rig_configs.table import Finite, NotNegative, Positive, Table
+from rig_configs.table import Finite, NotNegative, Positive
 
 Axis = Literal["x", "y"]
 USUAL_GAIN_STD, USUAL_ZERO_STD_DEG = 0.001, 0.05
 """Of a sensor of which nothing is said: also of one that recorded elsewhere and that the rig file does not know."""
 
 
-class Displacement(Table):
+@dataclass(frozen=True)
+class Displacement:
     """A sensor of the column's motion.
 
     Attributes:
@@ -34,15 +35,16 @@ class Displacement(Table):
         clock_tolerance_ppm: standard uncertainty of its clock's rate.
     """
 
-    role: Literal["displacement"] = "displacement"
+    role: ClassVar[str] = "displacement"
+
     device: str
     topic: str
     axis: Axis
     rate_Hz: Positive
     range_m: Positive
+    clock_tolerance_ppm: NotNegative
     lever_ratio: Positive = 1.0
     gain_std: NotNegative = 0.0
-    clock_tolerance_ppm: NotNegative
 
     @property
     def reach_m(self) -> float:
@@ -50,7 +52,8 @@ class Displacement(Table):
         return 0.5 * self.range_m / self.lever_ratio
 
 
-class PendulumAngles(Table):
+@dataclass(frozen=True)
+class PendulumAngles:
     """Encoders of both pendulums.
 
     Attributes:
@@ -58,7 +61,8 @@ class PendulumAngles(Table):
         zero_std_deg: standard uncertainty of each encoder's zero against the imbalance direction.
     """
 
-    role: Literal["pendulum angles"] = "pendulum angles"
+    role: ClassVar[str] = "pendulum angles"
+
     device: str
     topic: str
     rate_Hz: Positive
@@ -72,55 +76,87 @@ class PendulumAngles(Table):
         return 2 * math.pi / self.counts_per_revolution
 
 
-class RotorPhase(Table):
+@dataclass(frozen=True)
+class RotorPhase:
     """A mark once a revolution.
 
     Attributes:
         index_angle_deg: ψ (imbalance direction from +x) when the mark fires.
     """
 
-    role: Literal["rotor phase"] = "rotor phase"
+    role: ClassVar[str] = "rotor phase"
+
     device: str
     topic: str
     index_angle_deg: Finite
     clock_tolerance_ppm: NotNegative
 
 
-class SpeedSource(Table):
+@dataclass(frozen=True)
+class SpeedSource:
     """What turns the rotor as told, and tells how fast it turns.
 
     Attributes:
         ramp_rpm_per_s: how fast it speeds up where a test has no ramp of its own.
     """
 
-    role: Literal["speed source"] = "speed source"
+    role: ClassVar[str] = "speed source"
+
     device: str
     topic: str
     ramp_rpm_per_s: Positive
 
 
-class PendulumLocks(Table):
+@dataclass(frozen=True)
+class PendulumLocks:
     """What locks and releases the pendulums as told."""
 
-    role: Literal["pendulum locks"] = "pendulum locks"
+    role: ClassVar[str] = "pendulum locks"
+
     device: str
 
 
-class OtherQuantity(Table):
+@dataclass(frozen=True)
+class OtherQuantity:
     """Anything else worth recording: it is kept, plotted and exported, and no test needs it.
 
     Attributes:
         fields: what the channel's fields are, by name, with the unit in it.
     """
 
-    role: Literal["other quantity"] = "other quantity"
+    role: ClassVar[str] = "other quantity"
+
     device: str
     topic: str
-    fields: Annotated[tuple[str, ...], Field(strict=False)]
+    fields: tuple[str, ...]
 
 
 Role = Displacement | PendulumAngles | RotorPhase | SpeedSource | PendulumLocks | OtherQuantity
-AnyRole = Annotated[Role, Field(discriminator="role")]
+_KINDS: dict[str, type[Role]] = {
+    kind.role: kind for kind in (Displacement, PendulumAngles, RotorPhase, SpeedSource, PendulumLocks, OtherQuantity)
+}
+
+
+def role_table(role: Role) -> dict[str, Any]:
+    """A role as JSON can hold it."""
+    return {"role": role.role, **asdict(role)}
+
+
+def read_role(table: object) -> Role:
+    """A role from what JSON held.
+
+    Raises:
+        ValueError: no such role, or numbers that it cannot have.
+    """
+    if not isinstance(table, dict):
+        raise ValueError(f"expected a role as a table, got {table!r:.60}")
+    given = dict(cast("dict[str, Any]", table))
+    name = given.pop("role", None)
+    if name not in _KINDS:
+        raise ValueError(f"expected a role of {', '.join(_KINDS)}, got {name!r:.60}")
+    from pydantic import TypeAdapter  # noqa: PLC0415 (slow, and only logs without a driver need it)
+
+    return TypeAdapter[Role](_KINDS[name]).validate_python(given)
 
 
 @dataclass(frozen=True)

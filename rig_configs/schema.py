@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, mo
 from dynamics.parameters import Pendulum, RotorParameters
 from rig_configs.device import DeviceSettings
 from rig_configs.drivers import installed, settings_of
-from rig_configs.roles import Roles
+from rig_configs.roles import Roles, role_table
 from rig_configs.table import Finite, NotNegative, Positive, Share, Table
 
 
@@ -243,7 +243,7 @@ class Rig(Table):
 
     def roles_json(self) -> bytes:
         """What its devices are to the rig, for a reader of a log who lacks a driver: by device, their roles."""
-        roles = {name: [role.model_dump() for role in device.roles(name)] for name, device in self.devices.items()}
+        roles = {name: [role_table(role) for role in device.roles(name)] for name, device in self.devices.items()}
         return json.dumps(roles).encode()
 
     @property

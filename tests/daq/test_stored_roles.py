@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,17 @@ from daq.replay.stream import pipelines_of
 from daq.signals.run import load_run
 from rig_configs import load_rig
 from rig_configs.drivers import installed
-from rig_configs.roles import Displacement, OtherQuantity, PendulumAngles, PendulumLocks, Role, Roles, RotorPhase
+from rig_configs.roles import (
+    Displacement,
+    OtherQuantity,
+    PendulumAngles,
+    PendulumLocks,
+    Role,
+    Roles,
+    RotorPhase,
+    read_role,
+    role_table,
+)
 from tests.daq.replayed_log import START_NS
 from tests.daq.small_log import write_small_log
 
@@ -74,14 +86,20 @@ def test_roles_that_are_none_are_refused(tmp_path: Path, stored: bytes, monkeypa
     ],
 )  # fmt: skip
 def test_every_role_comes_back_from_json(role: Role) -> None:
-    assert type(role).model_validate_json(role.model_dump_json()) == role
-    assert type(role).model_validate(role.model_dump(mode="json")) == role
+    assert read_role(json.loads(json.dumps(role_table(role)))) == role
+
+
+def test_a_role_with_a_number_it_cannot_have_is_refused() -> None:
+    table = role_table(RotorPhase(device="a", topic="t", index_angle_deg=3.0, clock_tolerance_ppm=1.0))
+    for wrong in ({"clock_tolerance_ppm": -1.0}, {"index_angle_deg": float("nan")}, {"device": 3}, {"role": "dance"}):
+        with pytest.raises(ValueError, match=r"."):
+            read_role({**table, **wrong})
 
 
 def test_two_devices_cannot_be_one_role_nor_fill_one_channel() -> None:
     first = OtherQuantity(device="a", topic="t", fields=("x_m",))
     with pytest.raises(ValueError, match="a and b fill the same channel 't'"):
-        Roles.of([first, first.model_copy(update={"device": "b"})])
+        Roles.of([first, replace(first, device="b")])
     with pytest.raises(ValueError, match="a and b are both the rig's pendulum locks: expected one"):
         Roles.of([PendulumLocks(device="a"), PendulumLocks(device="b")])
 
