@@ -169,7 +169,11 @@ class RotorWatch:
     def unseen(self, now_ns: int) -> str | None:
         """Whether the drive turned on and on without an index mark: its deadline is short at speed, long near rest."""
         rpm = self.word_rpm(now_ns)
-        if math.isnan(rpm) or self._turns_unseen <= _TURNS_UNSEEN + abs(rpm) / 60.0 * self._radio_s:
+        if math.isnan(rpm):
+            return None
+        on_air = takewhile(lambda word: now_ns - word[0] <= _ns(self._radio_s), reversed(self._words))
+        fastest = max((max(-least, greatest) for _, least, greatest in on_air), default=abs(rpm))  # before it braked
+        if self._turns_unseen <= _TURNS_UNSEEN + fastest / 60.0 * self._radio_s:
             return None
         return (
             f"tacho: no index mark for {self._turns_unseen:.0f} turns of the drive ({rpm:.0f} rpm). Look at the index "

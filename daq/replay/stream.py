@@ -48,7 +48,7 @@ def pipelines_with(rig: Rig, identities: Mapping[str, Mapping[str, Any]], source
     try:
         return make_pipelines(installed_of(rig.devices), identities)
     except DeviceError as fault:
-        raise LogError(f"{source}: {fault}: its bytes cannot be decoded") from fault
+        raise LogError(f"{source}: identities.json: {fault}: its bytes cannot be decoded") from fault
 
 
 def decoded(log: Log, pipelines: Mapping[str, Pipeline]) -> Iterator[Decoded]:

@@ -193,7 +193,7 @@ def test_a_log_as_json(said: Any, tmp_path: Path) -> None:
     assert found["losses"]["source"] == "summary"
     assert found["rig"]["name"] == load_rig("virtual").name
     assert found["rig"]["physical"]["rotor"]["mass_kg"] == 7
-    assert set(found["attachments_bytes"]) == {"rig.json", "identities.json"}
+    assert set(found["attachments_bytes"]) == {"rig.json", "identities.json", "roles.json"}
     assert found["verdict"]["stale"] is True
     assert found["unreadable"] == []
     _, out, _ = said("log", path, "--events", "--json", "--no-verify")

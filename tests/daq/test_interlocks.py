@@ -368,3 +368,18 @@ def test_marks_that_are_too_fast_by_their_own_clock_are_found() -> None:
     watch = RotorWatch(1200.0, patience)
     k = np.arange(8)
     assert watch.marks_came(10**18, 10**18 + k * 57_200_000, k * 40_000_000, k) is not None
+
+
+def test_a_rotor_braked_at_once_is_not_blamed_for_marks_still_in_the_air() -> None:
+    watch = RotorWatch(1200.0, lambda s: s)
+    now = START_NS
+    for _ in range(60):  # 6 turns at 600 rpm in 0.6 s, whose marks the radio still holds
+        now += 10_000_000
+        assert watch.drive_said(now, np.array([600.0])) is None
+    now += 10_000_000
+    watch.drive_said(now, np.array([0.0]))
+    assert watch.unseen(now) is None
+    for _ in range(110):  # when they have not come after a second, they never will
+        now += 10_000_000
+        watch.drive_said(now, np.array([0.0]))
+    assert "no index mark for 6 turns" in (watch.unseen(now) or "")
