@@ -37,7 +37,7 @@ def test_waits_of_minutes_take_no_time_and_the_rig_moves_meanwhile() -> None:
             pass
     assert time.perf_counter() - began < MINUTE_S
     assert moved == sorted(moved)
-    assert max(b - a for a, b in itertools.pairwise(moved)) < 0.02
+    assert max(b - a for a, b in itertools.pairwise([0.0, *moved])) < 0.02
     assert real() == before
 
 
