@@ -47,7 +47,7 @@ def check(
 
     Args:
         name: as in `driver = "…"` of a rig file; or PACKAGE:NAME, where PACKAGE is the package it is installed from, or
-            a module that holds the driver as NAME without being registered.
+            a module that holds the driver as NAME without being registered; or PACKAGE alone, if it has but one.
     """
     chosen = _chosen(name)
     from rig_testing import cases  # noqa: PLC0415 (numba takes a third of a second to import)
@@ -118,6 +118,13 @@ def _packages(point: EntryPoint) -> set[str]:
 
 def _loaded(name: str) -> Driver:
     known = installed()
+    brought = [each for each, point in known.items() if name in _packages(point)]
+    if name not in known and len(brought) > 1:
+        raise RigConfigError(
+            f"package {name} has several drivers: expected {name}:NAME with one of {', '.join(brought)}"
+        )
+    if name not in known and brought:
+        name = brought[0]
     if name not in known:
         near = difflib.get_close_matches(name, known, 1)
         meant = f" Did you mean {near[0]!r}?" if near else ""

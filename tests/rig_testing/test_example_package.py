@@ -120,7 +120,7 @@ def rig(*arguments: str) -> list[str]:
 def test_it_is_found_and_passes(python: str, tmp_path: Path) -> None:
     listed = json.loads(ran(python, tmp_path, *rig("driver", "list", "--json")))["drivers"]
     assert {"name": "tilt", "package": "rig-driver-tilt", "roles": ["other quantity"], "verified": False} in listed
-    passed = json.loads(ran(python, tmp_path, *rig("driver", "check", "rig-driver-tilt:tilt", "--json")))
+    passed = json.loads(ran(python, tmp_path, *rig("driver", "check", "rig-driver-tilt", "--json")))
     assert passed == {"driver": "tilt", "passed": True, "failed": []}
     ran(python, tmp_path, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLE / "tests"))
 
