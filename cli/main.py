@@ -69,7 +69,20 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
 }
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # the disk, this person's share of it, what one file may hold
 _PARAMETERS = "Show identified parameters, say what changed, follow them over time."
-_USE_COMPILED = {"check", "record", "test", "log", "replay", "recover", "export", "import", "identify", "validate"}
+_DRIVER = "List the installed drivers, check one against what every driver must do."
+_USE_COMPILED = {
+    "check",
+    "record",
+    "test",
+    "log",
+    "replay",
+    "recover",
+    "export",
+    "import",
+    "identify",
+    "validate",
+    "driver",
+}
 
 
 def commands(told: Collection[str] = ()) -> App:
@@ -90,6 +103,7 @@ def commands(told: Collection[str] = ()) -> App:
             place = f"{module}:{verb}{'_' if iskeyword(verb) else ''}"
             app.command(place, name=verb, help=None if verb in told else line)
     app.command("cli.parameters:app", name="parameters", help=None if "parameters" in told else _PARAMETERS)
+    app.command("cli.drivers:app", name="driver", help=None if "driver" in told else _DRIVER)
     return app
 
 

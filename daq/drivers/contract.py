@@ -228,6 +228,36 @@ class Driver(Protocol):
         ...
 
 
+# --- what a driver may state of itself -------------------------------------------------------------------------
+#
+# A driver may have three attributes more. A test kit and a list of drivers read them; nothing else does.
+
+
+def example_of(driver: Driver) -> dict[str, Any]:
+    """The optional attribute `example`: settings of a device, by name, beside `driver` and `port`.
+
+    It is needed where the settings class has fields without a default; without it those fields are all there are.
+    """
+    return dict(getattr(driver, "example", {}))
+
+
+CLAIMS = {
+    "checksum": "every message bears a check of 16 bits or more: a damaged one gives no sample",
+    "counts exactly": 'losses["samples"] is the number of samples that are missing between two that came',
+}
+"""What a driver may claim of its device's wire, and what each claim means. A claim makes tests stricter."""
+
+
+def claims_of(driver: Driver) -> frozenset[str]:
+    """The optional attribute `claims`: words of CLAIMS; none by default."""
+    return frozenset(getattr(driver, "claims", ()))
+
+
+def is_verified(driver: Driver) -> bool:
+    """The optional attribute `verified`: whether the driver has been tried on the hardware itself; False by default."""
+    return bool(getattr(driver, "verified", False))
+
+
 # --- what a device can be asked to do --------------------------------------------------------------------------
 
 

@@ -15,7 +15,7 @@ from daq.acquisition.interlocks import Interlocks, Share, Stop
 from daq.acquisition.rotor_watch import RotorWatch
 from daq.drivers.items import Batch
 from rig_configs import load_rig
-from tests.daq.far_ends import Bench
+from tests.daq.far_ends import START_NS, Bench
 
 
 def patience(seconds: float) -> float:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
@@ -27,6 +27,7 @@ class Cia402:
     name = "cia402"
     settings = Drive
     rest_s = 0.01
+    example: ClassVar[Mapping[str, Any]] = {"node_id": 5}
 
     def line(self, settings: Drive) -> Line:
         """See Driver."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
@@ -24,6 +24,8 @@ class OptoNcdt:
     name = "optoncdt"
     settings = Laser
     rest_s = 0.02
+    example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
+    claims = frozenset({"counts exactly"})
 
     def line(self, settings: Laser) -> Line:
         """See Driver."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
@@ -24,6 +24,7 @@ class Riftek:
     name = "riftek"
     settings = RiftekLaser
     rest_s = 0.02
+    example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
 
     def line(self, settings: RiftekLaser) -> Line:
         """See Driver."""

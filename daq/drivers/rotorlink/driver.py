@@ -22,6 +22,7 @@ class RotorLink:
     name = "rotorlink"
     settings = EncoderNode
     rest_s = 0.01
+    claims = frozenset({"checksum", "counts exactly"})
 
     def line(self, settings: EncoderNode) -> Line:
         """See Driver."""

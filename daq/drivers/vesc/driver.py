@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
@@ -24,6 +24,8 @@ class VescDriver:
 
     name = "vesc"
     rest_s = 0.01
+    example: ClassVar[Mapping[str, Any]] = {"pole_pairs": 7, "timeout_s": 1.0, "brake_A": 5.0}
+    claims = frozenset({"checksum"})
     settings = Vesc
 
     def line(self, settings: Vesc) -> Line:

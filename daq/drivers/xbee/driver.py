@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
@@ -22,6 +22,8 @@ class XBee:
     name = "xbee"
     rest_s = 0.01
     settings = XBeeNode
+    example: ClassVar[Mapping[str, Any]] = {"node_address": "0013A20040522BAB"}
+    claims = frozenset({"checksum", "counts exactly"})
 
     def line(self, settings: XBeeNode) -> Line:
         """See Driver."""

@@ -1,0 +1,19 @@
+# pyright: strict
+"""The tests that every driver must pass, run on simulated time against the driver's own far end.
+
+`examine(driver)` runs all and gives a report. A driver's own package runs the same one by one in its pytest:
+
+    import pytest, rig_testing
+    from my_driver import DRIVER
+
+    @pytest.mark.parametrize("case", rig_testing.cases(DRIVER), ids=str)
+    def test_contract(case):
+        case()
+
+A test knows the contract (`daq.drivers.contract`) and no device. What does not apply is skipped, with a reason.
+"""
+
+from rig_testing.examination import Case, cases, examine
+from rig_testing.report import Failed, NotTried, Outcome, Report
+
+__all__ = ["Case", "Failed", "NotTried", "Outcome", "Report", "cases", "examine"]

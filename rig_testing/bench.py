@@ -1,0 +1,280 @@
+# pyright: strict
+"""A driver's device, simulated: its far end before a rig that moves, its pipeline, and all that went over its line."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drivers.contract import (
+    Driver,
+    MovesLocks,
+    PendulumLocks,
+    Pipeline,
+    RotorGuard,
+    SpeedSource,
+    TurnsRotor,
+    example_of,
+)
+from daq.drivers.items import RX, TX, Batch, Event
+from daq.drivers.played import PlayedDevice
+from daq.errors import LinkLost
+from daq.transports.host_clock import HostClock
+from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.world import DeviceClock, World
+from rig_configs import load_rig
+from rig_configs.device import DeviceSettings
+from rig_configs.schema import Radio, Sensors, Virtual
+from rig_testing.simulated_time import SimulatedTime
+
+NAME = "device"
+START_NS = 1_700_000_000_000_000_000
+NOISE_M = 4e-6
+PLUCK_M = (3e-3, 2e-3)
+"""How far the column is held displaced before it is let go, x and y, m."""
+_HOLD_S, _TURN_RAD_S, _RAMP_RAD_S2, _FLICK_RAD_S = 0.3, 20.0, 40.0, 4.0
+
+Items = list[Batch | Event]
+
+
+def settings_for(driver: Driver) -> DeviceSettings:
+    """Settings of the driver's example.
+
+    Raises:
+        pydantic.ValidationError: they are none.
+    """
+    return driver.settings.model_validate({"driver": driver.name, "port": "simulated", **example_of(driver)})
+
+
+class RigTime(HostClock):
+    """The host's clock, on simulated time."""
+
+    def __init__(self, time: SimulatedTime) -> None:
+        super().__init__()
+        self._time = time
+
+    def now_ns(self) -> int:
+        """See HostClock."""
+        return START_NS + round(self._time.now_s * 1e9)
+
+
+class SetClockWorld(World):
+    """A world whose device clocks show a given time at its beginning."""
+
+    clock_at_s = 0.0
+
+    def clock(self, device: str) -> DeviceClock:
+        """See World."""
+        return DeviceClock(self.clock_at_s, 2e-5)
+
+
+@dataclass
+class Tape:
+    """What went over a line, and what a fresh pipeline made of it.
+
+    Attributes:
+        identity: of the device.
+        reads: direction, bytes and host time, ns, in order.
+        items: what came of them.
+        losses: counted by the pipeline at the end.
+        motion_s, motion: what the rig did, rows as in `daq.drivers.simulated.Stretch`.
+    """
+
+    identity: Mapping[str, Any]
+    reads: list[tuple[int, bytes, int]] = field(default_factory=list[tuple[int, bytes, int]])
+    items: Items = field(default_factory=list["Batch | Event"])
+    losses: dict[str, int] = field(default_factory=dict[str, int])
+    motion_s: NDArray[np.floating[Any]] = field(default_factory=lambda: np.zeros(0))
+    motion: NDArray[np.floating[Any]] = field(default_factory=lambda: np.zeros((0, 10)))
+
+
+class Bench:
+    """One device on its line, the rig that moves before it, and whoever talks to it (see Talk).
+
+    Args:
+        driver: of the device.
+        seed: of all that is random.
+        clock_at_s: what the device's own clock shows at the beginning, s; None: what the seed draws.
+
+    Attributes:
+        time: the simulated time; it passes inside of `running`.
+        gone: the link is lost from now on.
+        items: what the pipeline has given since it is in use.
+        control: the command of the rotor, where the driver has one and `begin` was called.
+        permitted: what `control` asked permission for.
+        refuse: raised in place of a permission.
+    """
+
+    def __init__(self, driver: Driver, seed: int = 1, clock_at_s: float | None = None) -> None:
+        sensors = Sensors(laser_noise_m=NOISE_M, axis_angle_deg=0.0, draw_calibration=False)
+        virtual = Virtual(seed=seed, lock_play_deg=0.0, sensors=sensors, radio=Radio(burst_start=0.0))
+        self.driver, self.settings = driver, settings_for(driver)
+        self.time = SimulatedTime(self._moved)
+        self.clock = RigTime(self.time)
+        self.motion = Motion(load_rig("virtual").true_physics, virtual.drive.slip, virtual.drive.lag_s)
+        world = SetClockWorld if clock_at_s is not None else World
+        self.world = world(virtual, self.motion)
+        if isinstance(self.world, SetClockWorld) and clock_at_s is not None:
+            self.world.clock_at_s = clock_at_s
+        self.far = driver.far_end(NAME, self.settings, self.world)
+        self.replies: queue.Queue[str] = queue.Queue()
+        self.gone = self.closed = False
+        self.control: SpeedSource | None = None
+        self.locks: PendulumLocks | None = None
+        self.permitted: list[float | None] = []
+        self.refuse: Exception | None = None
+        self.identity: dict[str, Any] = {}
+        self._bytes_in = 0
+        self._stretches: list[tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]] = []
+        self._actions: list[tuple[float, Callable[[], object]]] = []
+        self.begin_anew()
+
+    # --- Talk --------------------------------------------------------------------------------------------------
+
+    @property
+    def bytes_in(self) -> int:
+        """See Talk."""
+        return self._bytes_in
+
+    def send(self, data: bytes) -> None:
+        """See Talk."""
+        if self.gone or self.closed:
+            raise LinkLost(f"{NAME}: the link is gone")
+        self._feed(TX, data)
+        self._came(self.far.receive(data, self.motion.time_s))
+
+    def begin_anew(self) -> None:
+        """See Talk."""
+        self.pipeline: Pipeline = self.driver.pipeline(NAME, self.settings, self.identity)
+        self.items: Items = []
+        self.reads: list[tuple[int, bytes, int]] = []
+
+    # --- the line ----------------------------------------------------------------------------------------------
+
+    def _came(self, data: bytes) -> None:
+        if data and not self.gone:
+            self._bytes_in += len(data)
+            self._feed(RX, data)
+
+    def _feed(self, direction: int, data: bytes) -> None:
+        host_ns = self.clock.now_ns()
+        self.reads.append((direction, data, host_ns))
+        found = self.pipeline.feed(direction, data, host_ns)
+        self.items += found
+        if self.control is not None and direction == RX:
+            self.control.notice(self.pipeline)
+        for item in found:
+            if isinstance(item, Event) and item.kind == "reply":
+                self.replies.put(item.text)
+            elif isinstance(item, Event) and item.kind == "acknowledge" and self.locks is not None:
+                self.locks.heard(item)
+
+    def _moved(self, now_s: float) -> None:
+        while self._actions and self._actions[0][0] <= now_s:
+            self._actions.pop(0)[1]()
+        self._came(self.far.step(self.motion.time_s))
+        stretch = self.motion.advance(now_s)
+        if stretch is not None:
+            self._stretches.append((stretch.time_s[1:], stretch.rows[1:]))
+            self._came(self.far.sample(stretch))
+
+    # --- what is done with it ----------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def running(self) -> Generator[Bench]:
+        """Time passes while somebody waits; at the end whatever still talks finds the link gone."""
+        with self.time.running():
+            try:
+                yield self
+            finally:
+                self.closed = True
+
+    def begin(self) -> None:
+        """Open the device as a session does, and begin a recording: a fresh pipeline that knows its identity."""
+        self.driver.prepare()
+        self.identity = self.driver.open(NAME, self.settings, self)
+        if isinstance(self.driver, TurnsRotor):
+            self.control = self.driver.speed_source(self.settings, self.send, self.clock, self.guard)
+            self.control.start()
+        if isinstance(self.driver, MovesLocks):
+            self.locks = self.driver.locks(self.settings, self.send)
+        self.begin_anew()
+
+    @property
+    def guard(self) -> RotorGuard:
+        """What a speed source asks: permission of the test, and the rotor itself."""
+        return RotorGuard(self._permit, self._at_rest, lambda: abs(self.motion.speed_rad_s) * 30 / np.pi)
+
+    def _permit(self, rpm: float | None) -> None:
+        self.permitted.append(rpm)
+        if self.refuse is not None:
+            raise self.refuse
+
+    def _at_rest(self) -> bool | None:
+        return abs(self.motion.speed_rad_s) < 0.05
+
+    def stir(self) -> None:
+        """Have the rig move: the column plucked, the pendulums let go and flicked, the rotor turning.
+
+        The rotor is left alone where the driver turns it.
+        """
+        at = self.time.now_s + _HOLD_S
+        self.motion.hold(*PLUCK_M)
+        flicks = [lambda j=j: (self.motion.release(j), self.motion.flick(j, _FLICK_RAD_S)) for j in (0, 1)]
+        self._actions += [(at, self.motion.let_go), *((at, flick) for flick in flicks)]
+        if self.control is None:
+            self.motion.target_rad_s, self.motion.ramp_rad_s2 = _TURN_RAD_S, _RAMP_RAD_S2
+
+    def cut_tape(self) -> Tape:
+        """All since the recording began."""
+        times = [part for part, _ in self._stretches] or [np.zeros(0)]
+        rows = [part for _, part in self._stretches] or [np.zeros((0, 10))]
+        return Tape(self.identity, list(self.reads), list(self.items), dict(self.pipeline.losses),
+                    np.concatenate(times), np.concatenate(rows))  # fmt: skip
+
+
+class PlayedTalk:
+    """The stand-in for a device of a log, as a driver talks to it (see Talk)."""
+
+    def __init__(self, bench: Bench, played: PlayedDevice) -> None:
+        self._bench, self._played = bench, played
+        self.replies: queue.Queue[str] = queue.Queue()
+        self.bytes_in = 0
+        self.control: SpeedSource | None = None
+        self.begin_anew()
+
+    def send(self, data: bytes) -> None:
+        """See Talk."""
+        if self._bench.closed:
+            raise LinkLost(f"{NAME}: the link is gone")
+        self._pipeline.feed(TX, data, self._bench.clock.now_ns())
+        answer = self._played.hear(data)
+        if not answer:
+            return
+        self.bytes_in += len(answer)
+        for item in self._pipeline.feed(RX, answer, self._bench.clock.now_ns()):
+            if isinstance(item, Event) and item.kind == "reply":
+                self.replies.put(item.text)
+        if self.control is not None:
+            self.control.notice(self._pipeline)
+
+    def begin_anew(self) -> None:
+        """See Talk."""
+        self._pipeline = self._bench.driver.pipeline(NAME, self._bench.settings, {})
+
+
+def decoded(
+    driver: Driver, settings: DeviceSettings, identity: Mapping[str, Any], reads: Sequence[tuple[int, bytes, int]]
+) -> tuple[Items, Pipeline]:
+    """What a fresh pipeline makes of reads."""
+    pipeline = driver.pipeline(NAME, settings, identity)
+    out: Items = []
+    for direction, data, host_ns in reads:
+        out += pipeline.feed(direction, data, host_ns)
+    return out, pipeline

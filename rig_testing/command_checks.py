@@ -1,0 +1,154 @@
+# pyright: strict
+"""Tests of what a device can be told: a speed source and pendulum locks."""
+
+from __future__ import annotations
+
+import math
+
+from daq.channels import LOCKS_CLOSED
+from daq.drivers.contract import MovesLocks, SpeedSource, TurnsRotor
+from daq.errors import DeviceError, LinkLost, ProcedureError
+from rig_configs.roles import PendulumAngles, PendulumLocks
+from rig_configs.roles import SpeedSource as SpeedRole
+from rig_testing.bench import Bench
+from rig_testing.report import Failed, NotTried, need
+from rig_testing.subject import RAMP_RPM_S, SPEED_RPM, Subject, together, turn
+
+_LATE_S = 1.0
+
+
+def check_speed_source(subject: Subject) -> str:
+    """Enabled, led up a ramp, followed, stopped quickly; nothing that is not permitted."""
+    _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
+    bench = Bench(subject.driver)
+    with bench.running():
+        bench.begin()
+        control = _control(bench)
+        bench.time.pass_time(0.3)
+        _refuses(bench, control)
+        control.set_ramp(RAMP_RPM_S)
+        control.enable()
+        bench.time.pass_time(0.2)
+        need(control.enabled, f"enabled is False after enable(); its state is {control.state!r}")
+        bench.refuse = ProcedureError("not permitted")
+        try:
+            control.set_speed(SPEED_RPM)
+        except ProcedureError:
+            pass
+        else:
+            raise Failed("set_speed: expected what RotorGuard.permit raises, it raised nothing")
+        bench.time.pass_time(0.5)
+        need(abs(_rpm(bench)) < 1.0, f"the rotor turns at {_rpm(bench):.0f} rpm though that was not permitted")
+        bench.refuse = None
+        control.set_speed(SPEED_RPM)
+        need(SPEED_RPM in bench.permitted, "set_speed: RotorGuard.permit was not asked")
+        bench.time.pass_time(0.5 * SPEED_RPM / RAMP_RPM_S)
+        half = _rpm(bench)
+        bench.time.pass_time(0.5 * SPEED_RPM / RAMP_RPM_S + _LATE_S)
+        need(half < 0.9 * SPEED_RPM, f"{half:.0f} rpm in the middle of a ramp to {SPEED_RPM:g} rpm: no ramp")
+        need(abs(_rpm(bench) / SPEED_RPM - 1) < 0.03, f"told {SPEED_RPM:g} rpm, the rotor turns at {_rpm(bench):.1f}")
+        told = control.actual_rpm
+        need(abs(told - _rpm(bench)) < 5.0, f"actual_rpm {told:.1f}, the rotor turns at {_rpm(bench):.1f} rpm")
+        need(control.dropped_out is None, f"dropped_out is {control.dropped_out!r} while it runs as told")
+        control.quick_stop()
+        stopped_s = _time_to_rest(bench)
+        need(not control.enabled, "enabled is True after quick_stop()")
+        control.enable()
+        control.set_speed(0.75 * SPEED_RPM)
+        bench.time.pass_time(1.0)
+        need(control.stop() is True, f"stop: expected True, the rotor turns at {_rpm(bench):.1f} rpm")
+        need(abs(_rpm(bench)) < 1.0, f"stop returned True, the rotor turns at {_rpm(bench):.1f} rpm")
+        subject.driver.stop(bench)
+        return f"quick stop in {stopped_s:.2f} s"
+
+
+def check_stops_by_itself(subject: Subject) -> str:
+    """A speed source whose host has gone stops the rotor by itself."""
+    _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
+    bench = Bench(subject.driver)
+    with bench.running():
+        bench.begin()
+        turn(bench)
+        bench.time.pass_time(SPEED_RPM / RAMP_RPM_S + _LATE_S)
+        before = _rpm(bench)
+        bench.gone = True
+        return f"in {_time_to_rest(bench, 10.0):.2f} s, from {before:.0f} rpm"
+
+
+def _refuses(bench: Bench, control: SpeedSource) -> None:
+    bench.refuse = ProcedureError("not permitted")
+    try:
+        control.enable()
+    except ProcedureError:
+        pass
+    else:
+        raise Failed("enable: expected what RotorGuard.permit raises, it raised nothing")
+    bench.time.pass_time(0.2)
+    need(not control.enabled, "enabled is True though that was not permitted")
+    bench.refuse = None
+
+
+def _time_to_rest(bench: Bench, longest_s: float = 5.0) -> float:
+    begun = bench.time.now_s
+    while abs(_rpm(bench)) > 1.0:
+        bench.time.pass_time(0.02)
+        need(bench.time.now_s - begun < longest_s, f"after {longest_s:g} s the rotor turns at {_rpm(bench):.0f} rpm")
+    return bench.time.now_s - begun
+
+
+def _control(bench: Bench) -> SpeedSource:
+    assert bench.control is not None
+    return bench.control
+
+
+def _rpm(bench: Bench) -> float:
+    return bench.motion.speed_rad_s * 30 / math.pi
+
+
+def check_locks(subject: Subject) -> str:
+    """Released and locked as told, acknowledged, and seen in the flags; given up when told to."""
+    _need_role(subject, PendulumLocks, MovesLocks, "pendulum locks", "locks")
+    bench = Bench(subject.driver)
+    with bench.running():
+        bench.begin()
+        assert bench.locks is not None
+        bench.time.pass_time(1.0)
+        for action, closed in (("release both", 0), ("lock both", LOCKS_CLOSED)):
+            bench.locks.command(action, lambda: None)
+            bench.time.pass_time(1.0)
+            if (flags := _lock_flags(subject, bench)) is not None:
+                need(flags == closed, f"{action!r} was acknowledged, the flags say {flags:#x}, expected {closed:#x}")
+        try:
+            bench.far.receive = lambda data, now_s: b""  # nobody answers
+            bench.locks.command("release both", _give_up)
+        except ProcedureError:
+            pass
+        else:
+            raise Failed("command: expected what `check` raises while it waits, it raised nothing")
+        bench.gone = True
+        try:
+            bench.locks.command("release both", lambda: None)
+        except (LinkLost, DeviceError):
+            return ""
+        raise Failed("command to a device that is gone: expected LinkLost or DeviceError, it raised nothing")
+
+
+def _give_up() -> None:
+    raise ProcedureError("given up")
+
+
+def _lock_flags(subject: Subject, bench: Bench) -> int | None:
+    """Of the newest pendulum sample; None where the device measures no angles."""
+    for role in subject.roles:
+        if isinstance(role, PendulumAngles):
+            whole = together(bench.items, role.topic)
+            return None if whole is None else int(whole.columns["flags"][-1]) & LOCKS_CLOSED
+    return None
+
+
+def _need_role(subject: Subject, role: type, protocol: type, name: str, verb: str) -> None:
+    """Whether there is anything to test; a role without its verb is a fault."""
+    plays = any(isinstance(each, role) for each in subject.roles)
+    if not plays and not isinstance(subject.driver, protocol):
+        raise NotTried(f"it is no {name}" if name.endswith("source") else f"it has no {name}")
+    need(plays == isinstance(subject.driver, protocol), f"the role {name!r} and the method `{verb}` go together")

@@ -1,0 +1,145 @@
+# pyright: strict
+"""All tests of a driver, one after the other."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+import unittest
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from types import FrameType
+
+from daq.drivers.contract import Driver
+from rig_testing import command_checks, decoding_checks, device_checks, measured_checks, mutations
+from rig_testing.report import Failed, NotTried, Outcome, Report
+from rig_testing.subject import Subject
+
+CHECKS: dict[str, Callable[[Subject], str]] = {
+    "settings": device_checks.check_settings,
+    "roles": device_checks.check_roles,
+    "opening dialogue": device_checks.check_opening,
+    "silent device": device_checks.check_silence,
+    "stream": device_checks.check_streaming,
+    "displacement": measured_checks.check_displacement,
+    "pendulum angles": measured_checks.check_angles,
+    "rotor phase": measured_checks.check_phase,
+    "speed": measured_checks.check_speed,
+    "replay": decoding_checks.check_replay,
+    "split": decoding_checks.check_split,
+    "garbage": decoding_checks.check_garbage,
+    "damage": decoding_checks.check_damage,
+    "lost reads": decoding_checks.check_lost_reads,
+    "restart": decoding_checks.check_restart,
+    "counter wrap": decoding_checks.check_counter_wrap,
+    "clock wrap": decoding_checks.check_clock_wrap,
+    "memory": decoding_checks.check_memory,
+    "mutations": mutations.check_mutations,
+    "stop": device_checks.check_stop,
+    "link lost": device_checks.check_link_lost,
+    "speed source": command_checks.check_speed_source,
+    "stops by itself": command_checks.check_stops_by_itself,
+    "locks": command_checks.check_locks,
+    "played": device_checks.check_played,
+}
+"""All tests by name; each returns what it measured, and raises Failed or NotTried."""
+
+_LONGEST_S, _LONGEST_THOROUGH_S = 120.0, 7200.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """One test of one driver.
+
+    Attributes:
+        name: of the test.
+    """
+
+    name: str
+    _subject: Subject
+
+    def __str__(self) -> str:
+        return self.name
+
+    def run(self) -> Outcome:
+        """Run it; whatever the driver raises is a failure."""
+        began = time.perf_counter()
+        passed, tried = True, True
+        try:
+            with _in_time(_LONGEST_THOROUGH_S if self._subject.thorough else _LONGEST_S):
+                why = CHECKS[self.name](self._subject)
+        except NotTried as reason:
+            tried, why = False, str(reason)
+        except Failed as failed:
+            passed, why = False, str(failed)
+        except Exception as error:
+            passed, why = False, f"{type(error).__name__}: {error} ({_where(error)})"
+        return Outcome(self.name, passed, why, time.perf_counter() - began, tried)
+
+    def __call__(self) -> None:
+        """Run it as a test of pytest or unittest.
+
+        Raises:
+            Failed: an AssertionError that says why.
+            unittest.SkipTest: it does not apply.
+        """
+        outcome = self.run()
+        if not outcome.tried:
+            raise unittest.SkipTest(outcome.why)
+        if not outcome.passed:
+            raise Failed(f"{self.name}: {outcome.why}")
+
+
+def cases(driver: Driver, *, thorough: bool = False) -> list[Case]:
+    """All tests of a driver, to be run in any order; they share what is costly.
+
+    Args:
+        thorough: 10⁶ damaged inputs in place of 10⁴.
+    """
+    subject = Subject(driver, thorough)
+    return [Case(name, subject) for name in CHECKS]
+
+
+def examine(driver: Driver, *, thorough: bool = False, told: Callable[[str], None] = lambda name: None) -> Report:
+    """Run all tests on a driver.
+
+    Args:
+        thorough: 10⁶ damaged inputs in place of 10⁴; minutes.
+        told: called with the name of each test before it begins.
+
+    Returns:
+        One outcome per test; a test that cannot be run because the driver raises is a failed one.
+    """
+    outcomes: list[Outcome] = []
+    for case in cases(driver, thorough=thorough):
+        told(case.name)
+        outcomes.append(case.run())
+    return Report(driver.name, tuple(outcomes))
+
+
+def _where(error: Exception) -> str:
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "" if trace is None else f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}"
+
+
+@contextlib.contextmanager
+def _in_time(seconds: float) -> Generator[None]:
+    """End what hangs, where the system can: in the main thread of a POSIX process."""
+    if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def too_long(number: int, frame: FrameType | None) -> None:
+        raise Failed(f"it hangs: not at its end after {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, too_long)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

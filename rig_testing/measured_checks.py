@@ -1,0 +1,120 @@
+# pyright: strict
+"""Tests of what a driver's samples say, held against the motion of the simulated rig."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig_configs.roles import Displacement, PendulumAngles, RotorPhase, SpeedSource
+from rig_testing.bench import NOISE_M, START_NS, Tape
+from rig_testing.report import Failed, NotTried, need
+from rig_testing.subject import Subject, together
+
+Array = NDArray[np.floating[Any]]
+
+_LATE_S = 0.02  # by which a sample's time may be off: what no host can know of the line's delay
+_SETTLED_S = 0.5  # the time map has learned by then
+
+
+def check_displacement(subject: Subject) -> str:
+    """Displacement is the disk centre's along its axis, m, within noise and gain, growing with the coordinate."""
+    role = next((role for role in subject.roles if isinstance(role, Displacement)), None)
+    if role is None:
+        raise NotTried("it measures no displacement")
+    value, rate = (0, 4) if role.axis == "x" else (1, 5)
+    time_s, measured = _samples(subject, role.topic, "displacement_m")
+    true, speed = _at(subject.tape, time_s, value), _at(subject.tape, time_s, rate)
+    gain, late_s, rest = _fit(measured, true, speed)
+    allowed = 3 * role.gain_std + 0.003
+    need(
+        abs(gain - 1) < allowed,
+        f"{role.topic}: {gain:.4f} times the disk centre's motion along {role.axis}, expected 1 within {allowed:.4f}: "
+        "sign, scale and lever_ratio",
+    )
+    need(abs(late_s) < _LATE_S, f"{role.topic}: its times are {late_s * 1e3:.1f} ms off")
+    spread = float(np.std(rest))
+    limit = 3 * NOISE_M / role.lever_ratio + 2 * role.range_m / 2**14 / role.lever_ratio
+    need(spread < limit, f"{role.topic}: {spread * 1e6:.1f} µm apart from the motion, expected {limit * 1e6:.1f} µm")
+    return f"gain {gain:.4f}, {late_s * 1e3:+.2f} ms, {spread * 1e6:.1f} µm"
+
+
+def check_angles(subject: Subject) -> str:
+    """Both pendulums' angles in the rotor's frame, rad, within a few counts."""
+    role = next((role for role in subject.roles if isinstance(role, PendulumAngles)), None)
+    if role is None:
+        raise NotTried("it measures no pendulum angles")
+    said: list[str] = []
+    for field, value, rate in (("theta3_rad", 2, 6), ("theta4_rad", 3, 7)):
+        time_s, measured = _samples(subject, role.topic, field)
+        true, speed = _at(subject.tape, time_s, value), _at(subject.tape, time_s, rate)
+        need(float(np.ptp(true)) > 0.2, f"{field}: the simulated pendulum did not move")
+        gain, late_s, rest = _fit(measured, true, speed)
+        need(abs(gain - 1) < 0.02, f"{field}: {gain:.4f} times the pendulum's angle, expected 1: sign and counts")
+        need(abs(late_s) < _LATE_S, f"{field}: its times are {late_s * 1e3:.1f} ms off")
+        spread = float(np.std(rest))
+        need(spread < 3 * role.step_rad, f"{field}: {spread / role.step_rad:.1f} counts apart from the pendulum")
+        zero = abs(math.remainder(float(np.median(measured - true)), 2 * math.pi))
+        need(zero < 0.05, f"{field}: zero is off by {math.degrees(zero):.2f}°")
+        said.append(f"{field} {spread / role.step_rad:.1f} counts")
+    return ", ".join(said)
+
+
+def check_phase(subject: Subject) -> str:
+    """An index mark comes once a turn, when the imbalance points where the settings say."""
+    role = next((role for role in subject.roles if isinstance(role, RotorPhase)), None)
+    if role is None:
+        raise NotTried("it measures no rotor phase")
+    whole = together(subject.tape.items, role.topic)
+    turned = float(subject.tape.motion[-1, 8] - subject.tape.motion[0, 8]) / (2 * math.pi)
+    if whole is None:
+        raise Failed(f"{role.topic}: no marks in {turned:.1f} turns")
+    need(abs(len(whole.time_ns) - turned) <= 1.5, f"{role.topic}: {len(whole.time_ns)} marks in {turned:.1f} turns")
+    steps = np.diff(np.asarray(whole.columns["revolutions"], np.int64))
+    need(bool(np.all(steps == 1)), f"{role.topic}: revolutions step by {steps.tolist()}, expected 1")
+    time_s = (whole.time_ns - START_NS) * 1e-9
+    phase, speed = _at(subject.tape, time_s, 8), _at(subject.tape, time_s, 9)
+    late_s = np.array([math.remainder(p - math.radians(role.index_angle_deg), 2 * math.pi) for p in phase]) / speed
+    worst = float(np.max(np.abs(late_s[len(late_s) // 3 :])))
+    need(worst < _LATE_S, f"{role.topic}: marks up to {worst * 1e3:.1f} ms from index_angle_deg")
+    return f"{len(whole.time_ns)} marks, {worst * 1e3:.1f} ms at most"
+
+
+def check_speed(subject: Subject) -> str:
+    """The reported speed is the rotor's, rpm."""
+    role = next((role for role in subject.roles if isinstance(role, SpeedSource)), None)
+    if role is None:
+        raise NotTried("it turns no rotor")
+    time_s, measured = _samples(subject, role.topic, "speed_rpm")
+    off = measured - _at(subject.tape, time_s, 9) * 30 / math.pi
+    need(float(np.max(measured)) > 50, "the rotor was told to turn, and the speed reported stays low")
+    worst = float(np.max(np.abs(off)))
+    need(worst < 20.0, f"{role.topic}: the speed reported is up to {worst:.1f} rpm off")
+    return f"{worst:.1f} rpm at most"
+
+
+def _samples(subject: Subject, topic: str, field: str) -> tuple[Array, Array]:
+    """Times in s since the beginning, and values, of those that are readings and whose times have settled."""
+    whole = together(subject.tape.items, topic)
+    if whole is None:
+        raise Failed(f"{topic}: no samples")
+    time_s = (whole.time_ns - START_NS) * 1e-9
+    values = np.asarray(whole.columns[field], np.float64)
+    readings = np.isfinite(values)
+    need(bool(readings.mean() > 0.95), f"{topic}: {int(np.sum(~readings))} of {len(readings)} samples are no reading")
+    kept = readings & (time_s > time_s[0] + _SETTLED_S)
+    return time_s[kept], values[kept]
+
+
+def _at(tape: Tape, time_s: Array, column: int) -> Array:
+    return np.interp(time_s, tape.motion_s, tape.motion[:, column])
+
+
+def _fit(measured: Array, true: Array, rate: Array) -> tuple[float, float, Array]:
+    """Gain, lateness (s) and what is left: measured = zero + gain · true(t − lateness)."""
+    columns = np.column_stack([np.ones_like(true), true, rate])
+    solution, *_ = np.linalg.lstsq(columns, measured, rcond=None)
+    return float(solution[1]), -float(solution[2] / solution[1]), measured - columns @ solution

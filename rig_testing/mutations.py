@@ -1,0 +1,99 @@
+# pyright: strict
+"""Recorded bytes, damaged in all ways a line can damage them: nothing breaks, and no wrong sample is believed."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from daq.drivers.items import RX
+from rig_testing.bench import Items
+from rig_testing.report import Failed, need
+from rig_testing.sizes import size_of
+from rig_testing.subject import Subject
+
+QUICK, THOROUGH = 10_000, 1_000_000
+_READS = 3  # of an excerpt
+_PER_EXCERPT = 50
+_SLOW_S = 5.0  # of one damaged excerpt
+_MOST_BYTES = 1 << 20
+_UNSEEN = 3 / 2**16  # share of inputs in which a check of 16 bits lets a damaged message pass, with a margin
+_UNSEEN_BY_CHANCE = 2
+
+
+def check_mutations(subject: Subject) -> str:
+    """10⁴ damaged inputs (10⁶ when thorough): no crash, no hang, no growing memory; where the wire has a checksum, no
+    wrong sample but those which it lets pass.
+    """
+    count = THOROUGH if subject.thorough else QUICK
+    rng = np.random.default_rng(19)
+    wrong = samples = inputs = 0
+    for begin in range(0, count, _PER_EXCERPT):
+        first = int(rng.integers(0, max(1, len(subject.tape.reads) - _READS)))
+        more = _some_wrong(subject, first, rng, min(_PER_EXCERPT, count - begin))
+        wrong, samples, inputs = wrong + more[0], samples + more[1], inputs + more[2]
+    told = f"{count} inputs: {wrong} of {samples} samples are not what was sent, in {inputs} inputs"
+    if subject.claims("checksum"):
+        need(inputs <= _UNSEEN_BY_CHANCE + _UNSEEN * count, f"{told}, and the driver claims a checksum")
+    return told
+
+
+def _some_wrong(subject: Subject, first: int, rng: np.random.Generator, count: int) -> tuple[int, int, int]:
+    """Samples of damaged copies of an excerpt that are not of the excerpt, all of them, and inputs with wrong ones."""
+    excerpt = subject.tape.reads[first : first + _READS]
+    clean, _ = subject.decode(excerpt)
+    sent = {topic: _rows(subject, clean, topic) for topic in subject.channels}
+    wrong = samples = inputs = 0
+    for number in range(count):
+        damaged = [(d, mutated(data, rng) if d == RX else data, ns) for d, data, ns in excerpt]
+        began = time.perf_counter()
+        try:
+            items, pipeline = subject.decode(damaged)
+        except Exception as error:
+            what = [data.hex() for d, data, _ in damaged if d == RX]
+            raise Failed(f"{type(error).__name__}: {error}; by {what!s:.600}") from error
+        seconds = time.perf_counter() - began
+        need(seconds < _SLOW_S, f"an input of {sum(len(r[1]) for r in damaged)} bytes took {seconds:.0f} s")
+        if number == 0:
+            size = size_of(pipeline)
+            need(size < _MOST_BYTES, f"it holds {size / 1e3:.0f} kB after three damaged reads")
+        before = wrong
+        for topic, rows in sent.items():
+            found = _rows(subject, items, topic)
+            samples += len(found)
+            wrong += len(found - rows)
+        inputs += wrong > before
+    return wrong, samples, inputs
+
+
+def _rows(subject: Subject, items: Items, topic: str) -> set[bytes]:
+    """What was measured, sample for sample; what is marked as no reading left out."""
+    rows = subject.rows(items, topic)
+    rows = np.ascontiguousarray(rows[np.all(np.isfinite(rows), axis=1)])
+    return set(rows.view(f"V{8 * rows.shape[1]}").ravel().tolist()) if rows.size else set()
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """A copy of bytes with up to three kinds of damage in it."""
+    out = bytearray(data)
+    for _ in range(int(rng.integers(0, 4))):
+        if not out:
+            break
+        at, size = int(rng.integers(0, len(out))), int(rng.integers(1, 9))
+        match int(rng.integers(0, 7)):
+            case 0:
+                out[at] ^= 1 << int(rng.integers(0, 8))
+            case 1:
+                out[at] = int(rng.integers(0, 256))
+            case 2:
+                del out[at : at + size]
+            case 3:
+                out[at:at] = rng.bytes(size)
+            case 4:
+                out[at:at] = out[at : at + size]
+            case 5:
+                out[at : at + size] = out[at : at + size][::-1]
+            case _:
+                del out[at:]
+    return bytes(out)

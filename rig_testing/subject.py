@@ -1,0 +1,165 @@
+# pyright: strict
+"""The driver under test: its settings, its roles, and a recording of it that the tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.channels import Channel
+from daq.drivers.contract import Driver, Pipeline, SampleClock, TurnsRotor, claims_of
+from daq.drivers.items import Batch, Event, joined
+from rig_configs.device import DeviceSettings
+from rig_configs.roles import (
+    Displacement,
+    OtherQuantity,
+    PendulumAngles,
+    PendulumLocks,
+    Role,
+    RotorPhase,
+    SpeedSource,
+)
+from rig_testing.bench import NAME, Bench, Items, Tape, decoded, settings_for
+from rig_testing.report import Failed
+
+SPEED_RPM, RAMP_RPM_S = 200.0, 400.0
+_TAPE_S = 3.0
+_TOLD = ("gap", "damage", "restart", "rate", "words", "foreign", "fault", "emergency")
+
+Reads = Sequence[tuple[int, bytes, int]]
+
+
+class Subject:
+    """See the module.
+
+    Args:
+        thorough: whether the tests may take long.
+    """
+
+    def __init__(self, driver: Driver, thorough: bool) -> None:
+        self.driver, self.thorough = driver, thorough
+
+    @cached_property
+    def settings(self) -> DeviceSettings:
+        """Of the driver's example."""
+        return settings_for(self.driver)
+
+    @cached_property
+    def roles(self) -> tuple[Role, ...]:
+        """The device's."""
+        return self.settings.roles(NAME)
+
+    @cached_property
+    def channels(self) -> dict[str, Channel]:
+        """All that the device may fill, by topic."""
+        driver, settings = self.driver, self.settings
+        return {channel.topic: channel for channel in (*driver.channels(settings), *driver.occasional(settings))}
+
+    @cached_property
+    def constant(self) -> tuple[str, ...]:
+        """Topics of channels that it fills all the time."""
+        return tuple(channel.topic for channel in self.driver.channels(self.settings))
+
+    @cached_property
+    def clocks(self) -> tuple[SampleClock, ...]:
+        """See Driver."""
+        return self.driver.clocks(self.settings)
+
+    def claims(self, word: str) -> bool:
+        """Whether the driver claims it."""
+        return word in claims_of(self.driver)
+
+    def measured(self) -> dict[str, tuple[str, ...]]:
+        """Fields that hold what was measured, by topic."""
+        out: dict[str, tuple[str, ...]] = {}
+        for role in self.roles:
+            if not isinstance(role, PendulumLocks):
+                out[role.topic] = _fields(role)
+        return out
+
+    @cached_property
+    def tape(self) -> Tape:
+        """Three seconds of the device before a rig that moves.
+
+        Raises:
+            Failed: it cannot be opened.
+        """
+        return self.record(_TAPE_S)
+
+    @cached_property
+    def another(self) -> Tape:
+        """The same of another device of the kind."""
+        return self.record(_TAPE_S, seed=2)
+
+    def record(self, seconds: float, seed: int = 1, clock_at_s: float | None = None) -> Tape:
+        """A recording; of a device that turns the rotor, one in which it does.
+
+        Raises:
+            Failed: the device cannot be opened, or not be told to turn.
+        """
+        bench = Bench(self.driver, seed, clock_at_s)
+        with bench.running():
+            try:
+                bench.begin()
+                bench.stir()
+                if bench.control is not None:
+                    turn(bench)
+            except Exception as error:
+                raise Failed(f"it cannot be set up: {type(error).__name__}: {error}") from error
+            bench.time.pass_time(seconds)
+            return bench.cut_tape()
+
+    def decode(self, reads: Reads) -> tuple[Items, Pipeline]:
+        """What a fresh pipeline makes of reads of the tape's device."""
+        return decoded(self.driver, self.settings, self.tape.identity, reads)
+
+    def rows(self, items: Iterable[Batch | Event], topic: str) -> NDArray[np.float64]:
+        """What was measured, shape (samples, fields)."""
+        whole = together(items, topic)
+        fields = self.measured().get(topic, ())
+        if whole is None or not fields:
+            return np.zeros((0, len(fields)))
+        return np.column_stack([np.asarray(whole.columns[name], np.float64) for name in fields])
+
+
+def turn(bench: Bench) -> None:
+    """Have a speed source turn the rotor."""
+    assert bench.control is not None
+    assert isinstance(bench.driver, TurnsRotor)
+    bench.control.set_ramp(RAMP_RPM_S)
+    bench.time.pass_time(0.2)
+    bench.control.enable()
+    bench.control.set_speed(SPEED_RPM)
+
+
+def _fields(role: Displacement | PendulumAngles | RotorPhase | SpeedSource | OtherQuantity) -> tuple[str, ...]:
+    match role:
+        case Displacement():
+            return ("displacement_m",)
+        case PendulumAngles():
+            return ("theta3_rad", "theta4_rad")
+        case RotorPhase():
+            return ("revolutions",)
+        case SpeedSource():
+            return ("speed_rpm",)
+        case OtherQuantity():
+            return role.fields
+
+
+def together(items: Iterable[Batch | Event], topic: str) -> Batch | None:
+    """All batches of a channel as one; None when there is none."""
+    batches = [item for item in items if isinstance(item, Batch) and item.channel.topic == topic]
+    return joined([(batch, 0) for batch in batches])[0] if batches else None
+
+
+def events(items: Iterable[Batch | Event], *kinds: str) -> list[Event]:
+    """Events of some kinds; without any, all that tell of something wrong."""
+    return [item for item in items if isinstance(item, Event) and item.kind in (kinds or _TOLD)]
+
+
+def lost(before: dict[str, int], after: dict[str, int]) -> dict[str, int]:
+    """Losses that were counted in the meantime, by kind."""
+    return {kind: count - before.get(kind, 0) for kind, count in after.items() if count != before.get(kind, 0)}

@@ -1,0 +1,308 @@
+"""Every test of the kit is seen red: a driver that is broken in one way fails that test, for that reason."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ConfigDict
+
+import rig_testing
+from daq import channels
+from daq.drivers.cia402.driver import Cia402
+from daq.drivers.contract import Driver, RotorGuard
+from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt.driver import OptoNcdt
+from daq.drivers.played import PlayedDevice
+from daq.drivers.rotorlink.driver import RotorLink
+from daq.drivers.rotorlink.locks import NodeLocks
+from daq.drivers.rotorlink.settings import EncoderNode
+from daq.drivers.vesc.driver import VescDriver
+from daq.drivers.vesc.far_end import SimulatedVesc
+from rig_testing.examination import CHECKS
+
+Items = list[Batch | Event]
+
+
+def with_pipeline(base: type, feed: Callable[..., Items], claims: frozenset[str] | None = None) -> Driver:
+    """A driver whose pipeline's `feed` is another: called with the pipeline, the sound feed and a read."""
+
+    class Twin(base):  # type: ignore[misc]
+        def pipeline(self, device: str, settings: Any, identity: Mapping[str, Any]) -> Any:
+            sound = super().pipeline(device, settings, identity)
+            given = sound.feed
+            sound.feed = lambda direction, data, host_ns: feed(sound, given, direction, data, host_ns)
+            return sound
+
+    if claims is not None:
+        Twin.claims = claims  # type: ignore[attr-defined]
+    return Twin()
+
+
+def on_batches(change: Callable[[Batch], Batch | None]) -> Callable[..., Items]:
+    """Every batch changed, or dropped."""
+
+    def feed(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+        out: Items = []
+        for item in given(direction, data, host_ns):
+            changed = change(item) if isinstance(item, Batch) else item
+            out += [] if changed is None else [changed]
+        return out
+
+    return feed
+
+
+def column(name: str, change: Callable[[Any], Any]) -> Callable[[Batch], Batch]:
+    def changed(batch: Batch) -> Batch:
+        if name not in batch.columns:
+            return batch
+        return replace(batch, columns={**batch.columns, name: change(batch.columns[name])})
+
+    return changed
+
+
+# --- what is broken in the device's own part -----------------------------------------------------------------------
+
+
+class WrongExample(VescDriver):
+    example = {"pole_pairs": 7}  # noqa: RUF012
+
+
+class TakesAnything(RotorLink):
+    class Lax(EncoderNode):
+        model_config = ConfigDict(extra="ignore")
+
+    settings = Lax
+
+
+class ChannelWithoutRole(RotorLink):
+    def occasional(self, settings: Any) -> tuple[channels.Channel, ...]:
+        return (channels.TACHO, channels.MOTOR)
+
+
+class RoleOfAnother(RotorLink):
+    class Astray(EncoderNode):
+        def roles(self, device: str) -> Any:
+            return super().roles("encoder")
+
+    settings = Astray
+
+
+class IdentityOfArrays(RotorLink):
+    def open(self, device: str, settings: Any, talk: Any) -> dict[str, Any]:
+        return {"serial": np.arange(3)}
+
+
+class IdentityOfTuples(RotorLink):
+    def open(self, device: str, settings: Any, talk: Any) -> dict[str, Any]:
+        return {"words": (1, 2)}
+
+
+class WaitsForever(RotorLink):
+    def open(self, device: str, settings: Any, talk: Any) -> dict[str, Any]:
+        return {"said": talk.replies.get()}
+
+
+class StopRaises(RotorLink):
+    def stop(self, talk: Any) -> None:
+        raise RuntimeError("no such command")
+
+
+class CannotBeOpenedAgain(OptoNcdt):
+    def stop(self, talk: Any) -> None:
+        talk.send(b"BAUDRATE 9600\nOUTPUT NONE\n")
+        talk.closed = True
+
+
+class StopOfALostLinkRaises(OptoNcdt):
+    def stop(self, talk: Any) -> None:
+        try:
+            super().stop(talk)
+        except Exception as error:
+            raise OSError("write failed") from error
+
+
+class AsksNobody(Cia402):
+    def speed_source(self, settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
+        return super().speed_source(settings, send, clock, replace(guard, permit=lambda rpm: None))
+
+
+class NoTimeout(VescDriver):
+    def far_end(self, device: str, settings: Any, world: Any) -> SimulatedVesc:
+        return SimulatedVesc(settings, world.motion, timeout_s=1e9)
+
+
+class LocksOnlySayThatTheyDid(RotorLink):
+    def locks(self, settings: Any, send: Any) -> Any:
+        class Idle(NodeLocks):
+            def command(self, action: str, check: Callable[[], None]) -> None:
+                check()
+                send(b"")
+
+        return Idle(send)
+
+
+class StandInSaysNothing(OptoNcdt):
+    def played(self, settings: Any, identity: Mapping[str, Any]) -> PlayedDevice:
+        return PlayedDevice()
+
+
+class UnknownClaim(RotorLink):
+    claims = frozenset({"never wrong"})
+
+
+# --- what is broken in its pipeline ----------------------------------------------------------------------------
+
+
+def drops_a_sample(batch: Batch) -> Batch:
+    if batch.channel.topic != "pendulums" or int(batch.sequence[0]) % 1000:
+        return batch
+    return replace(batch, time_ns=batch.time_ns[1:], sequence=batch.sequence[1:],
+                   columns={name: values[1:] for name, values in batch.columns.items()})  # fmt: skip
+
+
+def forgets_short_reads(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    return given(direction, data, host_ns) if direction != RX or len(data) > 2 else []
+
+
+def shares_a_count(seen: list[int]) -> Callable[..., Items]:
+    def feed(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+        seen.append(0)
+        return [
+            replace(item, sequence=item.sequence + np.uint32(len(seen))) if isinstance(item, Batch) else item
+            for item in given(direction, data, host_ns)
+        ]
+
+    return feed
+
+
+def crashes_on_damage(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    out = given(direction, data, host_ns)
+    if any(isinstance(item, Event) and item.kind == "damage" for item in out):
+        raise KeyError("unknown frame")
+    return out
+
+
+def forgets_losses(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    out = given(direction, data, host_ns)
+    pipeline.losses = dict.fromkeys(pipeline.losses, 0)
+    return out
+
+
+def miscounts(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    before = pipeline.losses["samples"]
+    out = given(direction, data, host_ns)
+    pipeline.losses["samples"] += pipeline.losses["samples"] > before
+    return out
+
+
+def keeps_quiet(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    return [item for item in given(direction, data, host_ns) if isinstance(item, Batch) or item.kind == "reply"]
+
+
+def ends_at_a_restart(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    if getattr(pipeline, "ended", False):
+        return []
+    out = given(direction, data, host_ns)
+    pipeline.ended = any(isinstance(item, Event) and item.kind == "restart" for item in out)
+    return out
+
+
+def restarts_at_a_wrap(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    out = given(direction, data, host_ns)
+    for item in list(out):
+        if isinstance(item, Batch):
+            last, pipeline.newest = getattr(pipeline, "newest", 0), int(item.sequence[-1])
+            if pipeline.newest < last:
+                out.append(Event("restart", "device", "its counter began anew"))
+    return out
+
+
+def hoards(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    pipeline.hoard = getattr(pipeline, "hoard", b"") + data
+    return given(direction, data, host_ns)
+
+
+BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
+    "an example that is none": ("settings", WrongExample, "timeout_s"),
+    "settings that take any key": ("settings", TakesAnything, "unknown key"),
+    "a claim nobody knows": ("settings", UnknownClaim, "never wrong"),
+    "a channel without a role": ("roles", ChannelWithoutRole, "expected the same"),
+    "a role of another device": ("roles", RoleOfAnother, "'encoder', expected 'device'"),
+    "an identity of arrays": ("opening dialogue", IdentityOfArrays, "no JSON"),
+    "an identity that JSON changes": ("opening dialogue", IdentityOfTuples, "through JSON"),
+    "a question without a time-out": ("silent device", WaitsForever, "without a time-out"),
+    "a sample dropped in silence": (
+        "stream", lambda: with_pipeline(RotorLink, on_batches(drops_a_sample)), "no loss was counted"),
+    "times of the device's own clock": (
+        "stream",
+        lambda: with_pipeline(RotorLink, on_batches(lambda b: replace(b, time_ns=b.time_ns - 10**12))),
+        "away from the host's"),
+    "the wrong sign": (
+        "displacement", lambda: with_pipeline(OptoNcdt, on_batches(column("displacement_m", np.negative))), "sign"),
+    "degrees in place of radians": (
+        "pendulum angles", lambda: with_pipeline(RotorLink, on_batches(column("theta3_rad", np.degrees))), "57."),
+    "every other mark": (
+        "rotor phase",
+        lambda: with_pipeline(
+            RotorLink,
+            on_batches(lambda b: None if b.channel.topic == "tacho" and int(b.columns["revolutions"][0]) % 2 else b)),
+        "marks in"),
+    "electrical speed": (
+        "speed", lambda: with_pipeline(VescDriver, on_batches(column("speed_rpm", lambda v: 7 * v))), "rpm off"),
+    "state that pipelines share": (
+        "replay", lambda: with_pipeline(RotorLink, shares_a_count([])), "differs in sequence"),
+    "short reads forgotten": ("split", lambda: with_pipeline(RotorLink, forgets_short_reads), "reads of 1 bytes"),
+    "a crash on garbage": ("garbage", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError: 'unknown frame'"),
+    "losses forgotten": ("garbage", lambda: with_pipeline(RotorLink, forgets_losses), "no loss was counted"),
+    "one loss too many": ("damage", lambda: with_pipeline(RotorLink, miscounts), "claims to count exactly"),
+    "lost bytes forgotten": ("damage", lambda: with_pipeline(Cia402, forgets_losses), "no loss was counted"),
+    "losses nobody hears of": ("lost reads", lambda: with_pipeline(RotorLink, keeps_quiet), "no event tells of it"),
+    "a claim that does not hold": (
+        "lost reads", lambda: with_pipeline(OptoNcdt, miscounts), "claims to count exactly"),
+    "deaf after a restart": (
+        "restart", lambda: with_pipeline(OptoNcdt, ends_at_a_restart), "samples came after a restart"),
+    "a wrap taken for a restart": ("counter wrap", lambda: with_pipeline(OptoNcdt, restarts_at_a_wrap), "restart"),
+    "a clock that is not unwrapped": (
+        "clock wrap",
+        lambda: with_pipeline(RotorLink, on_batches(column("node_time_us", lambda v: v % np.uint64(2**32)))),
+        "node_time_us"),
+    "all bytes kept": ("memory", lambda: with_pipeline(Cia402, hoards), "it holds"),
+    "a crash on damage": ("mutations", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError"),
+    "a checksum there is not": (
+        "mutations", lambda: with_pipeline(Cia402, on_batches(lambda b: b), frozenset({"checksum"})),
+        "claims a checksum"),
+    "a stop that raises": ("stop", StopRaises, "RuntimeError: no such command"),
+    "a stop after which nothing opens": ("stop", CannotBeOpenedAgain, "LinkLost"),
+    "another error than the contract's": ("link lost", StopOfALostLinkRaises, "got OSError"),
+    "permission not asked for": ("speed source", AsksNobody, "permit raises, it raised nothing"),
+    "no time-out of its own": ("stops by itself", NoTimeout, "turns at"),
+    "locks that do nothing": ("locks", LocksOnlySayThatTheyDid, "the flags say"),
+    "a stand-in without a word": ("played", StandInSaysNothing, "no answer"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_a_broken_driver_fails_for_the_right_reason(how: str) -> None:
+    name, make, why = BROKEN[how]
+    (case,) = [case for case in rig_testing.cases(make()) if case.name == name]
+    outcome = case.run()
+    assert not outcome.passed, f"passed: {outcome.why}"
+    assert re.search(re.escape(why), outcome.why), outcome.why
+
+
+def test_every_test_of_the_kit_has_been_seen_red() -> None:
+    assert {name for name, _, _ in BROKEN.values()} == set(CHECKS)
+
+
+def test_what_does_not_apply_is_skipped_and_a_report_says_why() -> None:
+    report = rig_testing.examine(StopRaises())
+    assert [outcome.name for outcome in report.failed] == ["stop", "link lost"]
+    assert not report.passed
+    skipped = {outcome.name: outcome.why for outcome in report.outcomes if not outcome.tried}
+    assert skipped["displacement"] == "it measures no displacement"
+    assert "wraps after" in skipped["counter wrap"]

@@ -1,0 +1,165 @@
+"""The example driver from its wheel, in a fresh virtual environment: found, passed, recorded, replayed; a twin fails.
+
+The environment sees this one's libraries, so that nothing is downloaded; the driver itself is installed only there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq import open_log
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "rig_driver_tilt"
+UV = os.environ.get("UV") or shutil.which("uv") or next(map(str, sorted(ROOT.glob(".tools/uv-*/bin/uv"))), None)
+
+TWINS = '''
+from dataclasses import replace
+from rig_driver_tilt import line
+from rig_driver_tilt.driver import TiltDriver
+from rig_driver_tilt.pipeline import TiltPipeline
+
+class Unchecked(TiltPipeline):
+    """It takes whatever looks like a line."""
+
+    def feed(self, direction, data, host_ns):
+        sound, line.parse = line.parse, lambda text: sound_or_not(sound, text)
+        try:
+            return super().feed(direction, data, host_ns)
+        finally:
+            line.parse = sound
+
+def sound_or_not(sound, text):
+    found = line._SAMPLE.match(text)
+    return line.Sample(*map(int, found.groups())) if found else sound(text)
+
+class Forgetful(TiltPipeline):
+    """It knows nothing of samples that did not come."""
+
+    def _gap(self, found):
+        return []
+
+def driver(kind):
+    class Twin(TiltDriver):
+        def pipeline(self, device, settings, identity):
+            return kind(device, self.channels(settings)[0], settings.clock_tolerance_ppm)
+    return Twin()
+
+UNCHECKED, FORGETFUL = driver(Unchecked), driver(Forgetful)
+'''
+
+RECORD = """
+import sys
+import threading
+from cli.main import run
+from cli.simulated import VirtualRigProcess
+
+rig, log = sys.argv[1:]
+over = threading.Event()
+
+def pluck(line):
+    while not over.wait(0.3):
+        line.ask("pluck", x_mm=2.0, y_mm=1.0, hold_s=0.3)
+
+with VirtualRigProcess(rig, [], 4.0) as far:
+    hand = threading.Thread(target=pluck, args=(far.line,))
+    hand.start()
+    ports = [word for setting in far.port_settings() for word in ("--set", setting)]
+    code = run(["record", rig, "--time-scale", "4", "--duration", "4", "-o", log, *ports])
+    over.set()
+    hand.join()
+sys.exit(code or run(["replay", log, "--check", "--json"]))
+"""
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Of a fresh virtual environment with the example's wheel in it."""
+    if UV is None:
+        pytest.skip("needs uv to build a wheel")
+    folder = tmp_path_factory.mktemp("example")
+    shutil.copytree(EXAMPLE, folder / "source", ignore=shutil.ignore_patterns("__pycache__"))
+    build = [UV, "build", "--wheel", "--out-dir", str(folder), str(folder / "source")]
+    if subprocess.run([*build, "--offline"], capture_output=True, check=False).returncode:
+        subprocess.run(build, capture_output=True, check=True)
+    (wheel,) = folder.glob("*.whl")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
+    scripts = "Scripts" if sys.platform == "win32" else "bin"
+    found = str(folder / "venv" / scripts / Path(sys.executable).name)
+    ask = [found, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
+    site = Path(subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip())
+    install = [UV, "pip", "install", "--offline", "--no-index", "--no-deps", "--python", found, str(wheel)]
+    subprocess.run(install, capture_output=True, check=True)
+    ours = sysconfig.get_path("purelib")
+    (site / "ours.pth").write_text(f"import site; site.addsitedir({ours!r})\n{ROOT}\n")
+    return found
+
+
+def ran(python: str, folder: Path, *arguments: str, code: int = 0) -> str:
+    done = subprocess.run(
+        [python, *arguments], capture_output=True, text=True, check=False, cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr[-3000:] + done.stdout[-2000:]
+    return done.stdout
+
+
+def rig(*arguments: str) -> list[str]:
+    return ["-m", "cli.main", *arguments]
+
+
+def test_it_is_found_and_passes(python: str, tmp_path: Path) -> None:
+    listed = json.loads(ran(python, tmp_path, *rig("driver", "list", "--json")))["drivers"]
+    assert {"name": "tilt", "package": "rig-driver-tilt", "roles": ["other quantity"], "verified": False} in listed
+    passed = json.loads(ran(python, tmp_path, *rig("driver", "check", "rig-driver-tilt", "--json")))
+    assert passed == {"driver": "tilt", "passed": True, "failed": []}
+    ran(python, tmp_path, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLE / "tests"))
+
+
+def test_broken_twins_fail_for_the_right_reason(python: str, tmp_path: Path) -> None:
+    (tmp_path / "twins.py").write_text(TWINS)
+    for name, reasons in (
+        ("UNCHECKED", {"mutations": "claims a checksum"}),
+        ("FORGETFUL", {"damage": "claims to count exactly", "lost reads": "no loss was counted"}),
+    ):
+        out = ran(python, tmp_path, *rig("driver", "check", f"twins:{name}", "--json"), code=1)
+        failed = {each["test"]: each["why"] for each in json.loads(out)["failed"]}
+        for test, why in reasons.items():
+            assert why in failed[test]
+        assert set(failed) <= {*reasons, "garbage", "damage"}
+
+
+def test_its_channel_is_recorded_and_replayed_bit_for_bit(python: str, tmp_path: Path) -> None:
+    text = (ROOT / "rig_configs" / "virtual.toml").read_text(encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(text + '\n[devices.tilt]\ndriver = "tilt"\nport = "simulated"\n')
+    (tmp_path / "record.py").write_text(RECORD)
+    checked = json.loads(ran(python, tmp_path, "record.py", "rig.toml", "a.mcap"))
+    assert checked["identical"] is True
+    (row,) = [row for row in checked["channels"] if row["topic"] == "tilt"]
+    assert row["compared"] == row["live"] > 300
+    with open_log(tmp_path / "a.mcap") as log:  # here, where the driver is not installed
+        tilt, laser = log["tilt"], log["laser/x"]
+        expected = np.interp(tilt.time_s, laser.time_s, laser["displacement_m"]) / 0.5
+    assert len(tilt.time_s) > 300
+    assert np.ptp(expected) > 2e-3
+    assert float(np.std(tilt["tilt_x_rad"] - expected)) < 0.1 * float(np.std(expected))
+
+
+def test_what_the_how_to_shows_is_the_example() -> None:
+    page = (ROOT / "docs" / "how-to" / "add_a_device.md").read_text(encoding="utf-8")
+    shown = [block.split("```")[0].strip("\n") for block in page.split("```py\n")[1:]]
+    files = [
+        path.read_text(encoding="utf-8") for path in sorted(EXAMPLE.rglob("*.*")) if path.suffix in (".py", ".toml")
+    ]
+    assert len(shown) >= 4
+    for block in shown:
+        assert any(block in text for text in files), block
