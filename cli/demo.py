@@ -166,7 +166,7 @@ def _campaign(
     progress.tell("writing the report")
     result = workbench.wait(workbench.conclude(plugged, folder / "parameters.toml", report, facts), progress.tell)
     result["truth"] = truth
-    result["radio"] = [_radio_check(path, radio) for path in logs]
+    result["radio"] = _radio_checks(logs, radio)
     result["logs"] = [str(path) for path in logs]
     result["not_reached"] = {done.test: done.missed for done in tests_done if done.missed}
     result["warnings"] += [f"{done.test}: {warning}" for done in tests_done for warning in done.warnings]
@@ -174,8 +174,25 @@ def _campaign(
     return result
 
 
-def _radio_check(path: Path, radio: Mapping[str, Any]) -> dict[str, Any]:
-    """Frames this log counted as lost against those the simulated radio dropped in the same stretch."""
+def _radio_checks(logs: list[Path], radio: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """See `_radio_check`, log by log as they were recorded: a log tells its frames' numbers modulo 65536 only."""
+    checks: list[dict[str, Any]] = []
+    last = 0
+    for path in logs:
+        checked, last = _radio_check(path, radio, last)
+        checks.append(checked)
+    return checks
+
+
+def _radio_check(path: Path, radio: Mapping[str, Any], since: int = 0) -> tuple[dict[str, Any], int]:
+    """Frames this log counted as lost against those the simulated radio dropped in the same stretch.
+
+    Args:
+        since: number of a frame before the log's first, fewer than 65536 of them earlier.
+
+    Returns:
+        The comparison, and the number of the log's last frame.
+    """
     from daq.drivers.contract import CountsFrames  # noqa: PLC0415
     from daq.replay.stream import decoded, pipelines_of  # noqa: PLC0415
 
@@ -186,14 +203,13 @@ def _radio_check(path: Path, radio: Mapping[str, Any]) -> dict[str, Any]:
             pass
         losses = loads(log.metadata["summary"]["losses"])
     counted = sum(int(losses[name]["radio_frames"]) for name in radios)
-    first, last = next((p.heard_frames for p in radios.values() if p.heard_frames is not None), (0, 0))
-    # seq counts the same frames as the radio's own number, modulo 65536
-    spread = {d % 65536 for d in radio.get("dropped", ())}
-    inside, seq = 0, first
-    while seq != last:
-        seq = (seq + 1) & 0xFFFF
-        inside += seq in spread
-    return {"log": path.name, "counted": counted, "dropped": inside}
+    heard = next((p.heard_frames for p in radios.values() if p.heard_frames is not None), None)
+    if heard is None:
+        return {"log": path.name, "counted": counted, "dropped": 0}, since
+    first = since + (heard[0] - since) % 65536
+    last = first + (heard[1] - heard[0]) % 65536
+    dropped = sum(first < number <= last for number in radio.get("dropped", ()))
+    return {"log": path.name, "counted": counted, "dropped": dropped}, last
 
 
 def _show(result: Mapping[str, Any], as_json: bool) -> None:
