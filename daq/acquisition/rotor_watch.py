@@ -58,13 +58,16 @@ class RotorWatch:
         self._mark_host_ns: int | None = None
         self._marks_after_zero = 0
         self._turns_unseen = 0.0
+        self._marks_since_told = 0
         self._node_ns: int | None = None
         self._off_since_ns: int | None = None
 
     # --- the witnesses -----------------------------------------------------------------------------------------
 
     def told(self, rpm: float) -> None:
-        """The drive is about to be told a speed."""
+        """The drive, or the operator's hand, is about to be told a speed."""
+        if not self.target_rpm:
+            self._marks_since_told = 0
         self.target_rpm = rpm
         self._highest, self._lowest = max(self._highest, rpm), min(self._lowest, rpm)
 
@@ -108,6 +111,7 @@ class RotorWatch:
             revolutions: counted by the node, shape (n,).
         """
         self._turns_unseen = 0.0
+        self._marks_since_told += len(time_ns)
         self._node_ns = host_ns
         for at, own, turn in zip(time_ns.tolist(), node_ns.tolist(), revolutions.tolist(), strict=True):
             if self._marks and not (0 < turn - self._marks[-1][2] < 1_000_000 and own > self._marks[-1][1]):
@@ -147,7 +151,8 @@ class RotorWatch:
     def at_rest(self, now_ns: int) -> bool | None:
         """Whether the rotor stands: by the drive's fresh word, unless index marks go on; without one by the marks.
 
-        None when neither is there to tell.
+        None when neither is there to tell; without a drive, when the marks of a rotor that is to turn have ceased: it is
+        more likely that the index sensor has died than that it stands.
         """
         word = self.word_rpm(now_ns)
         if not math.isnan(word):
@@ -157,7 +162,13 @@ class RotorWatch:
         if self._node_ns is None or now_ns - self._node_ns > _ns(self._radio_s):
             return None
         seen_ns = max(self._mark_host_ns or 0, self._word_ns)
-        return now_ns - seen_ns > max(_ns(_MARKLESS_S), 3 * (self._last_turn_ns() or 0.0)) + self._late_ns
+        ceased = now_ns - seen_ns > max(_ns(_MARKLESS_S), 3 * (self._last_turn_ns() or 0.0)) + self._late_ns
+        return None if ceased and self._alone else ceased
+
+    @property
+    def _alone(self) -> bool:
+        """Whether the index marks are the only witness of a rotor that is to turn, and does."""
+        return not self._driven and self.target_rpm != 0 and self._marks_since_told >= _MARKS
 
     def coasts(self, now_ns: int) -> bool:
         """Whether index marks go on although the drive says that nothing turns."""
@@ -167,7 +178,9 @@ class RotorWatch:
         return now_ns - self._mark_host_ns < 2.5 * turn_ns + self._late_ns
 
     def unseen(self, now_ns: int) -> str | None:
-        """Whether the drive turned on and on without an index mark: its deadline is short at speed, long near rest."""
+        """Whether the rotor turned on and on without an index mark: the deadline is short at speed, long near rest."""
+        if not self._driven:
+            return self._ceased(now_ns)
         rpm = self.word_rpm(now_ns)
         if math.isnan(rpm):
             return None
@@ -178,6 +191,19 @@ class RotorWatch:
         return (
             f"tacho: no index mark for {self._turns_unseen:.0f} turns of the drive ({rpm:.0f} rpm). Look at the index "
             "sensor, the node's battery and radio, and whether the rotor turns with the drive"
+        )
+
+    def _ceased(self, now_ns: int) -> str | None:
+        """Whether the marks of a rotor that a hand is to turn have ceased."""
+        turn_ns = self._last_turn_ns()
+        if not self._alone or turn_ns is None or self._mark_host_ns is None:
+            return None
+        silent_ns = now_ns - self._mark_host_ns
+        if silent_ns <= _TURNS_UNSEEN * turn_ns + _ns(self._radio_s):
+            return None
+        return (
+            f"tacho: no index mark for {silent_ns * 1e-9:.1f} s, the last came at {_RPM_PER_TURN_NS / turn_ns:.0f} rpm, "
+            "and nothing else tells whether the rotor turns. Look at the index sensor, the node's battery and radio"
         )
 
     def words(self, now_ns: int) -> str:

@@ -215,7 +215,7 @@ class Session:
         if not self._commanding:
             return ""
         try:
-            rest = self.rotor_at_rest() is not False if self._drive is None else self._drive.stop(self._say)
+            rest = not self.turning() if self._drive is None else self._drive.stop(self._say)
         except (LinkLost, DeviceError):  # its own watchdog stops it now; the index marks show it
             rest, end = False, time.monotonic() + _BY_ITSELF_S
             while self._opened and self.rotor_at_rest() is False and time.monotonic() < end:
@@ -370,7 +370,7 @@ class Session:
             with contextlib.suppress(Exception):  # the drive's own watchdog stops it when our heartbeat ends
                 self._drive.quick_stop()
             self._interlocks.told(0.0)
-        elif first and self._commanding and self._interlocks.turning(self.clock.now_ns()):
+        elif first and self._commanding and self.turning():
             self._say(f"warning: STOP THE ROTOR: {error}")
         recorder = self._recorder
         if first and recorder is not None:
@@ -408,6 +408,10 @@ class Session:
     def rotor_at_rest(self) -> bool | None:
         """Whether the rotor stands, by the drive's fresh word and the index marks; None when neither tells."""
         return self._interlocks.at_rest(self.clock.now_ns())
+
+    def turning(self) -> bool:
+        """Whether the rotor turns, or may: nobody can say that it does not."""
+        return self._interlocks.turning(self.clock.now_ns())
 
     def rotor_rpm(self) -> float:
         """How fast the rotor turns, by all that is known; NaN when nobody can tell."""

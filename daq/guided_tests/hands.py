@@ -203,7 +203,7 @@ class HandRotor:
 
     def stop(self) -> None:
         """See Rotor; a rotor of which nobody can tell whether it turns is the operator's to know."""
-        if self._s.rotor_at_rest() is not False:
+        if not self._s.turning():
             self._s.permit_by_hand(0.0)
             return
         self._tell("stop the rotor", None)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The table of guided tests: what each needs of a rig, and what can be identified from it.
+"""The table of guided tests: what each needs of a rig.
 
 A test needs signals; whoever turns the rotor and holds the pendulums may be a device or the operator's hand. Commands,
 importer and procedures read this table; a point is the kind "point", its own name behind it.
@@ -28,8 +28,6 @@ class TestKind:
         name: as in a log; a point's name stands behind "point-".
         needs: signals without which it says nothing.
         turns: whether the rotor turns.
-        gives: parameters that can be identified from it, as far as its signals show them.
-        does: what it does, a few words.
     """
 
     __test__ = False  # not a pytest class
@@ -37,8 +35,6 @@ class TestKind:
     name: str
     needs: tuple[str, ...]
     turns: bool
-    gives: tuple[str, ...]
-    does: str
 
     @property
     def channels(self) -> frozenset[str]:
@@ -46,17 +42,15 @@ class TestKind:
         return frozenset(CHANNELS[signal] for signal in self.needs)
 
 
-_SUSPENSION = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
-_DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 KINDS: Mapping[str, TestKind] = {
     kind.name: kind
     for kind in (
-        TestKind("ring-down-x", ("x",), False, _SUSPENSION, "pluck the column along x"),
-        TestKind("ring-down-y", ("y",), False, _SUSPENSION, "pluck the column along y"),
-        TestKind("spin-down", ("angles",), False, _DAMPING, "flick the released pendulums, rotor at rest"),
-        TestKind("run-up", ("x", "y", "phase"), True, (*_SUSPENSION, "SP_kg_m"), "ramp up through both resonances"),
-        TestKind("run-down", ("x", "y", "phase"), True, (*_SUSPENSION, "SP_kg_m"), "ramp down through both resonances"),
-        TestKind("point", ("x", "y", "angles", "phase"), True, _DAMPING, "release the pendulums at a steady speed"),
+        TestKind("ring-down-x", ("x",), turns=False),
+        TestKind("ring-down-y", ("y",), turns=False),
+        TestKind("spin-down", ("angles",), turns=False),
+        TestKind("run-up", ("x", "y", "phase"), turns=True),
+        TestKind("run-down", ("x", "y", "phase"), turns=True),
+        TestKind("point", ("x", "y", "angles", "phase"), turns=True),
     )
 }
 
@@ -79,8 +73,3 @@ def refusal(test: str, roles: Roles) -> str:
     if not missing:
         return ""
     return f"{test} needs {' and '.join(missing)}: no device of the rig file gives that. Nothing was turned"
-
-
-def possible(roles: Roles) -> tuple[TestKind, ...]:
-    """Kinds of tests that a rig can do."""
-    return tuple(kind for kind in KINDS.values() if not lacking(kind, roles))

@@ -218,4 +218,4 @@ class Steps:
 
         if not self.look_until(at_speed, limit_s):
             seen = f"{self.rotor.speed_rpm:.0f} rpm after {limit_s:.0f} s, expected {rpm:.0f}"
-            raise self.stopped(f"{test}: {seen}. Look at the drive")
+            raise self.stopped(f"{test}: {seen}{'' if by_hand else '. Look at the drive'}")

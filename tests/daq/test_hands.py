@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -112,6 +113,23 @@ def test_a_hand_that_turns_too_fast_is_told_to_stop(hand: tuple[VirtualRigProces
     assert any("STOP THE ROTOR: the index marks" in text for text in said)
     with pytest.raises(ProcedureError, match="nothing was turned"), Session(rig, HostClock(TIME_SCALE)) as session:
         Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).run_up(1300.0, 40.0)
+
+
+def test_an_index_sensor_that_dies_is_no_rotor_at_rest(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+    process, rig = hand
+    said: list[str] = []
+
+    class Unlucky(SimulatedOperator):
+        def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
+            super().turn(rpm, ramp_rpm_per_s)
+            if rpm > 0:
+                threading.Timer(1.5, lambda: process.line.ask("fail", device="encoder", what="marks lost")).start()
+
+    session = Session(rig, HostClock(TIME_SCALE), say=said.append)
+    with pytest.raises(DeviceError, match=r"tacho: no index mark for .* nothing else tells"), session:
+        Procedures(session, Unlucky(process.line), tmp_path, quiet).run_up(900.0, 40.0)
+    assert any("STOP THE ROTOR: tacho" in text for text in said)
+    assert any("nobody can tell whether the rotor stands" in text and "keep away" in text for text in said)
 
 
 def test_a_covered_laser_ends_no_recording_of_a_rig_that_nobody_is_known_to_turn() -> None:

@@ -383,3 +383,18 @@ def test_a_rotor_braked_at_once_is_not_blamed_for_marks_still_in_the_air() -> No
         now += 10_000_000
         watch.drive_said(now, np.array([0.0]))
     assert "no index mark for 6 turns" in (watch.unseen(now) or "")
+
+
+def test_marks_that_cease_are_no_rest_of_a_rotor_that_a_hand_turns() -> None:
+    watch, now, turn = RotorWatch(1200.0, lambda s: s, driven=False), START_NS, 0
+    watch.told(300.0)
+    for _ in range(20):  # 300 rpm
+        now, turn = now + 200_000_000, turn + 1
+        watch.marks_came(now, np.array([now]), np.array([now]), np.array([turn]))
+        assert (watch.at_rest(now), watch.unseen(now)) == (False, None)
+    now += 6_000_000_000
+    watch.node_heard(now)
+    assert watch.at_rest(now) is None  # the index sensor may be dead: nobody can tell
+    assert "no index mark for 6.0 s, the last came at 300 rpm" in (watch.unseen(now) or "")
+    watch.told(0.0)  # the hand was asked to stop it
+    assert (watch.at_rest(now), watch.unseen(now)) == (True, None)

@@ -6,14 +6,13 @@ import pytest
 
 from cli.main import run
 from daq.guided_tests import test_inputs as inputs
-from daq.guided_tests.kinds import KINDS, kind_of, possible, refusal
+from daq.guided_tests.kinds import KINDS, kind_of, refusal
 from rig_configs import load_rig
 
 ONE, HAND, OTHER = (load_rig(name) for name in ("one_laser", "by_hand", "other_devices"))
 
 
 def test_one_laser_rings_down_along_its_axis_and_nothing_else() -> None:
-    assert [kind.name for kind in possible(ONE.roles)] == ["ring-down-x"]
     assert inputs.possible_tests(ONE) == ("ring-down-x",)
     assert refusal("ring-down-x", ONE.roles) == ""
 
@@ -38,7 +37,7 @@ def test_what_is_missing_is_named_before_a_device_is_opened(
 
 def test_a_rig_without_drive_and_locks_can_do_them_all_by_hand() -> None:
     assert HAND.roles.speed is HAND.roles.locks is None
-    assert possible(HAND.roles) == possible(OTHER.roles) == tuple(KINDS.values())
+    assert inputs.possible_tests(HAND) == inputs.possible_tests(OTHER) == inputs.test_names(HAND)
 
 
 def test_a_points_kind_is_found_by_its_name() -> None:
