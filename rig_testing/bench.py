@@ -203,7 +203,7 @@ class Bench:
             self.control = self.driver.speed_source(self.settings, self.send, self.clock, self.guard)
             self.control.start()
         if isinstance(self.driver, MovesLocks):
-            self.locks = self.driver.locks(self.settings, self.send)
+            self.locks = self.driver.locks(self.settings, self.send, self.clock)
         self.begin_anew()
 
     @property
@@ -244,6 +244,7 @@ class PlayedTalk:
 
     def __init__(self, bench: Bench, played: PlayedDevice) -> None:
         self._bench, self._played = bench, played
+        self.clock = bench.clock
         self.replies: queue.Queue[str] = queue.Queue()
         self.bytes_in = 0
         self.control: SpeedSource | None = None

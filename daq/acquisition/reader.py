@@ -1,4 +1,9 @@
-"""One device being read: its link, its decoder, and the thread that takes what arrives."""
+# pyright: strict
+"""One device being read: its link, the turns in which its bytes are taken, and the thread that takes them.
+
+The turns (`DeviceReader.turns`) wait for nothing: they yield what is to be waited for. A thread waits in real time; a
+link of a simulated rig (`FollowedLink`) waits in the simulation's.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +12,10 @@ import ctypes
 import queue
 import sys
 import threading
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
-from daq.drivers.contract import Pipeline
 from daq.errors import LinkLost
 from daq.transports import HostClock, Link
 
@@ -22,6 +26,33 @@ _WAIT_S = 0.1  # wall seconds between two looks whether to end
 
 Take = Callable[[Sequence[tuple[bytes, int]], bytes, int], None]
 """Takes what went out, each with its host time in ns, then what arrived and when."""
+
+
+@dataclass(frozen=True)
+class Read:
+    """Wait for bytes, at most so long, wall s; what had arrived before counts."""
+
+    wall_s: float
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Let bytes gather for so long, rig s."""
+
+    seconds: float
+
+
+Turns = Generator[Read | Rest, bytes, None]
+"""Takes the bytes that a wait gave; LinkLost is thrown into it when the link is gone."""
+
+
+@runtime_checkable
+class FollowedLink(Protocol):
+    """A link that carries out a reader's waits itself."""
+
+    def follow(self, turns: Turns, failed: Callable[[Exception], None]) -> None:
+        """Begin; an exception that the turns raise goes to `failed` and ends them."""
+        ...
 
 
 def keep_heap_whole() -> None:
@@ -40,11 +71,11 @@ def keep_heap_whole() -> None:
 
 
 class DeviceReader:
-    """One link with its reader thread.
+    """One link and its turns.
 
     Args:
         name: the device, as in the rig file.
-        pipeline: decodes its bytes; may be exchanged between two reads, under `lock`.
+        link: an open one.
         clock: stamps arrivals.
         rest_s: rig time between two turns: what a wake-up costs counts, not the bytes.
 
@@ -52,15 +83,16 @@ class DeviceReader:
         lock: held while bytes, in either direction, go to log and pipeline: both see one order. Nothing that goes out
             waits for it.
         replies: text answers of the device.
-        heard_s: when bytes came last, `time.monotonic`.
+        bytes_in: how many bytes have come.
+        heard_s: when bytes came last, wall s of the clock.
     """
 
-    def __init__(self, name: str, link: Link, pipeline: Pipeline, clock: HostClock, rest_s: float = 0.01) -> None:
-        self.name, self.link, self.pipeline = name, link, pipeline
+    def __init__(self, name: str, link: Link, clock: HostClock, rest_s: float = 0.01) -> None:
+        self.name, self.link = name, link
         self.lock = threading.Lock()
-        self.replies: queue.Queue[str] = queue.Queue()
+        self.replies: queue.Queue[str] = clock.queue()
         self.bytes_in = 0
-        self.heard_s = time.monotonic()
+        self.heard_s = clock.wall_s()
         self._clock = clock
         self._writing, self._stamping = threading.Lock(), threading.Lock()
         self._sent: list[tuple[bytes, int]] = []  # on their way into the log
@@ -93,50 +125,72 @@ class DeviceReader:
                 the host time of the last one's arrival.
             fail: called once when the device is gone, or with a decoder's bug: either must stop the rig.
         """
-        self.heard_s = time.monotonic()
-        self._thread = threading.Thread(target=self._run, args=(take, fail), name=self.name, daemon=True)
-        self._thread.start()
+        self.heard_s = self._clock.wall_s()
+        turns = self.turns(take)
 
-    def stop(self) -> None:
-        """End the thread and let go of the link."""
-        self._ending = True
-        if self._thread is not None:
-            self._thread.join(timeout=2.0)
-        self.link.close()
-
-    def _run(self, take: Take, fail: Callable[[Exception], None]) -> None:
-        try:
-            self._read(take)
-        except Exception as error:
+        def failed(error: Exception) -> None:
             if not self._ending:
                 fail(error)
 
-    def _read(self, take: Take) -> None:
+        if isinstance(self.link, FollowedLink):
+            self.link.follow(turns, failed)
+            return
+        self._thread = threading.Thread(target=self._run, args=(turns, failed), name=self.name, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the turns and let go of the link."""
+        self._ending = True
+        if self._thread is not None and threading.current_thread() is not self._thread:
+            self._thread.join(timeout=2.0)
+        self.link.close()
+
+    def _run(self, turns: Turns, failed: Callable[[Exception], None]) -> None:
+        try:
+            self._wait_for(turns)
+        except Exception as error:
+            failed(error)
+
+    def _wait_for(self, turns: Turns) -> None:
+        wanted = next(turns)
+        while not self._ending:
+            if isinstance(wanted, Rest):
+                self._clock.sleep(wanted.seconds)
+                wanted = turns.send(b"")
+                continue
+            try:
+                data = self.link.read(wanted.wall_s)
+            except LinkLost as error:
+                turns.throw(error)
+                raise
+            wanted = turns.send(data)
+
+    def turns(self, take: Take) -> Turns:
         """Take bytes some fifty times a second, each turn stamped with the arrival of its last byte.
 
-        What came while the thread rested is not stamped as it is fetched, which would be late by an unknown part of
-        the rest: it waits for the next arrival, as long as that is near.
+        What came during a rest is not stamped as it is fetched, which would be late by an unknown part of the rest: it
+        waits for the next arrival, as long as that is near.
         """
         rested = b""
-        while not self._ending:
+        while True:
             try:
-                data = self.link.read(_NEXT_S if rested else _WAIT_S)
+                data = yield Read(_NEXT_S if rested else _WAIT_S)
             except LinkLost:
                 if rested:  # its last bytes are bytes too
                     self._arrived(rested, take)
                 raise
             if rested or data or self._sent:
                 self._arrived(rested + data, take)
-                self._clock.sleep(self._rest_s)
+                yield Rest(self._rest_s)
                 rested = b""  # not twice, should the next line fail
-                rested = self.link.read(0.0)
+                rested = yield Read(0.0)
 
     def _arrived(self, data: bytes, take: Take) -> None:
         host_ns = self._clock.now_ns()
         with self.lock:
             if data:
                 self.bytes_in += len(data)
-                self.heard_s = time.monotonic()
+                self.heard_s = self._clock.wall_s()
             if not self._sent:  # nearly always
                 take((), data, host_ns)
                 return
@@ -152,10 +206,12 @@ class OpenDevice:
 
     Attributes:
         reader: of the device.
-        begin_anew: gives the reader a fresh pipeline.
+        clock: what a dialogue waits by.
+        begin_anew: gives the device a fresh pipeline.
     """
 
     reader: DeviceReader
+    clock: HostClock
     begin_anew: Callable[[], None]
 
     @property

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import shutil
 import threading
-import time
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from daq import channels
 from daq.channels import CHANNELS, Channel
@@ -66,6 +65,38 @@ class DiskState:
         return {**vars(self), "seconds_left": self.seconds_left if known else None, "slow": self.slow}
 
 
+class Disk(Protocol):
+    """Where logs are written to."""
+
+    def free_bytes(self, folder: Path) -> int:
+        """Room that is left.
+
+        Raises:
+            OSError: the folder is gone.
+        """
+        ...
+
+    def sync(self, log: LogFile) -> None:
+        """Wait until the disk has what was handed to the system.
+
+        Raises:
+            OSError: it fails.
+        """
+        ...
+
+
+class RealDisk:
+    """See Disk."""
+
+    def free_bytes(self, folder: Path) -> int:
+        """See Disk."""
+        return shutil.disk_usage(folder).free
+
+    def sync(self, log: LogFile) -> None:
+        """See Disk."""
+        log.sync()
+
+
 class Recorder:
     """One log being written.
 
@@ -76,6 +107,7 @@ class Recorder:
         attachments: files that go in whole, by name (rig snapshot, identities).
         devices: names of the devices whose raw bytes are kept.
         sample_channels: what is decoded.
+        disk: where it is written to.
 
     Raises:
         LogError: the file or the rest of a cut one of its name exists already.
@@ -90,8 +122,9 @@ class Recorder:
         attachments: Mapping[str, bytes],
         devices: tuple[str, ...],
         sample_channels: Iterable[Channel] = tuple(CHANNELS.values()),
+        disk: Disk | None = None,
     ) -> None:
-        self._clock = clock
+        self._clock, self._disk = clock, disk or RealDisk()
         self.trouble: RecordingError | None = None
         self._failure: Exception | None = None  # the disk's: nothing more can be written
         self._log = LogFile(path, metadata, attachments, devices, clock.now_ns(), sample_channels)
@@ -99,12 +132,11 @@ class Recorder:
         self._lock = threading.RLock()
         self._backlog: list[tuple[Any, ...]] = []
         self._backlog_bytes = 0
-        self._ending = threading.Event()
         self._unsynced = threading.Event()
-        self._flushed_at = self._synced_to = time.monotonic()
+        self._flushed_at = self._synced_to = clock.wall_s()
         self._flushes = 0
         self._slow_s = 0.0
-        self._started_s = time.monotonic()
+        self._started_s = clock.wall_s()
         self._written_first = self._size()
         if self.state().free_bytes < 2 * _SPARE_BYTES:
             self._log.close()
@@ -113,10 +145,8 @@ class Recorder:
                 f"{self.path.parent}: {self.state().free_bytes / 1e6:.1f} MB of room, at least "
                 f"{2 * _SPARE_BYTES / 1e6:.1f} MB are needed to begin a log. Make room on the disk"
             )
-        self._sync_thread = threading.Thread(target=self._sync, name="sync", daemon=True)
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._sync_thread.start()
-        self._thread.start()
+        self._syncing = clock.every(_FLUSH_S, self._sync, "sync", self._fail)
+        self._writing = clock.every(_FLUSH_S, self._write_all, "recorder", self._fail)
 
     # --- from the readers --------------------------------------------------------------------------------------
 
@@ -163,11 +193,11 @@ class Recorder:
         """How the disk keeps up, now."""
         behind = self._flushed_at > self._synced_to
         written = self._size()
-        free = shutil.disk_usage(self.part.parent).free
-        rate = (written - self._written_first) / max(1e-3, time.monotonic() - self._started_s)
+        free = self._disk.free_bytes(self.part.parent)
+        rate = (written - self._written_first) / max(1e-3, self._clock.wall_s() - self._started_s)
         return DiskState(
             self._backlog_bytes,
-            time.monotonic() - self._synced_to if behind else 0.0,
+            self._clock.wall_s() - self._synced_to if behind else 0.0,
             self._slow_s,
             written,
             free,
@@ -205,15 +235,8 @@ class Recorder:
 
     # --- writing -----------------------------------------------------------------------------------------------
 
-    def _run(self) -> None:
-        """Every 50 ms, write what is there; a late turn is made good by the next one's being larger."""
-        due = time.monotonic()
-        while not self._ending.wait(max(0.0, due - time.monotonic())):
-            due = max(due + _FLUSH_S, time.monotonic())
-            self._write_all()
-        self._write_all()
-
     def _write_all(self) -> None:
+        """Write what is there; a late turn is made good by the next one's being larger."""
         with self._lock:
             items, self._backlog = self._backlog, []
             size = self._backlog_bytes
@@ -224,7 +247,7 @@ class Recorder:
             except Exception as error:  # whatever it is: it must be seen, and the backlog go on being emptied
                 self._fail(error)
             self._flushes += 1
-            self._flushed_at = time.monotonic()
+            self._flushed_at = self._clock.wall_s()
             self._unsynced.set()
         with self._lock:
             self._backlog_bytes -= size
@@ -247,19 +270,17 @@ class Recorder:
             self._log.batch(batch, host_ns)
 
     def _sync(self) -> None:
-        """Keep the disk up to date; a slow disk delays this thread and no other."""
-        while not self._ending.is_set():
-            self._unsynced.wait()
-            self._unsynced.clear()
-            if self._ending.is_set() or self._failure is not None:
-                continue
-            begun, last = time.monotonic(), self._synced_to
-            try:
-                self._log.sync()
-            except OSError as error:
-                self._fail(error)
-            self._synced_to = begun
-            self._slow_s += max(0.0, time.monotonic() - last - _SLOW_SYNC_S)
+        """Keep the disk up to date; a slow disk delays this and nothing else."""
+        if not self._unsynced.is_set() or self._failure is not None:
+            return
+        self._unsynced.clear()
+        begun, last = self._clock.wall_s(), self._synced_to
+        try:
+            self._disk.sync(self._log)
+        except OSError as error:
+            self._fail(error)
+        self._synced_to = begun
+        self._slow_s += max(0.0, self._clock.wall_s() - last - _SLOW_SYNC_S)
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or error
@@ -276,10 +297,9 @@ class Recorder:
         Raises:
             RecordingError: the disk failed; what was written until then stays readable in the .part file.
         """
-        self._ending.set()
-        self._unsynced.set()
-        self._thread.join()
-        self._sync_thread.join()
+        self._writing.stop(None)
+        self._syncing.stop(None)
+        self._write_all()
         if self._failure is None:
             try:
                 self._log.finish({**summary, "disk": {"slow_s": round(self._slow_s, 3)}})

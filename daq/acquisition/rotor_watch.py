@@ -151,8 +151,8 @@ class RotorWatch:
     def at_rest(self, now_ns: int) -> bool | None:
         """Whether the rotor stands: by the drive's fresh word, unless index marks go on; without one by the marks.
 
-        None when neither is there to tell; without a drive, when the marks of a rotor that is to turn have ceased: it is
-        more likely that the index sensor has died than that it stands.
+        None when neither is there; without a drive also when the marks of a rotor that is to turn have ceased: that the
+        index sensor has died is more likely than that the rotor stands.
         """
         word = self.word_rpm(now_ns)
         if not math.isnan(word):
@@ -202,8 +202,8 @@ class RotorWatch:
         if silent_ns <= _TURNS_UNSEEN * turn_ns + _ns(self._radio_s):
             return None
         return (
-            f"tacho: no index mark for {silent_ns * 1e-9:.1f} s, the last came at {_RPM_PER_TURN_NS / turn_ns:.0f} rpm, "
-            "and nothing else tells whether the rotor turns. Look at the index sensor, the node's battery and radio"
+            f"tacho: no index mark for {silent_ns * 1e-9:.1f} s, the last came at {_RPM_PER_TURN_NS / turn_ns:.0f} "
+            "rpm, and nothing else shows whether the rotor turns. Look at the index sensor, the node and its radio"
         )
 
     def words(self, now_ns: int) -> str:

@@ -106,6 +106,11 @@ class Talk(Protocol):
     """An open device while a driver talks to it."""
 
     @property
+    def clock(self) -> HostClock:
+        """What a dialogue waits by."""
+        ...
+
+    @property
     def replies(self) -> queue.Queue[str]:
         """Its answers, lines as the pipeline finds them."""
         ...
@@ -379,6 +384,6 @@ class TurnsRotor(Protocol):
 class MovesLocks(Protocol):
     """A driver of devices that lock and release the pendulums."""
 
-    def locks(self, settings: Any, send: Callable[[bytes], None]) -> PendulumLocks:
+    def locks(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
         """The command of an open device."""
         ...

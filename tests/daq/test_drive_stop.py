@@ -73,8 +73,8 @@ class FarEnd:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drivers.cia402.control._NO_SLOWER_S", 0.3)
-    monkeypatch.setattr("daq.drivers.cia402.control._REPEAT_S", 0.02)
+    monkeypatch.setattr("daq.drivers.running_down._NO_SLOWER_S", 0.3)
+    monkeypatch.setattr("daq.drivers.running_down._REPEAT_S", 0.02)
 
 
 def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:
@@ -116,7 +116,7 @@ def test_a_drive_that_is_gone_is_let_go_of() -> None:
     far.gone = True
     with pytest.raises(LinkLost):
         far.control.stop()
-    assert not far.control._beating.is_set()
+    assert far.control._beat is None
 
 
 def test_a_speed_has_an_age_and_a_restart_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,7 +132,7 @@ def test_a_speed_has_an_age_and_a_restart_ends_it(monkeypatch: pytest.MonkeyPatc
     assert far.control.actual_rpm != far.control.actual_rpm
     assert far.control.state == cia402.UNKNOWN
     monkeypatch.undo()
-    far.control._beating.clear()
+    far.control._beat.stop()
 
 
 def test_emergencies_stand_until_they_are_reset() -> None:

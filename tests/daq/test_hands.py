@@ -126,7 +126,7 @@ def test_an_index_sensor_that_dies_is_no_rotor_at_rest(hand: tuple[VirtualRigPro
                 threading.Timer(1.5, lambda: process.line.ask("fail", device="encoder", what="marks lost")).start()
 
     session = Session(rig, HostClock(TIME_SCALE), say=said.append)
-    with pytest.raises(DeviceError, match=r"tacho: no index mark for .* nothing else tells"), session:
+    with pytest.raises(DeviceError, match=r"tacho: no index mark for .* nothing else shows"), session:
         Procedures(session, Unlucky(process.line), tmp_path, quiet).run_up(900.0, 40.0)
     assert any("STOP THE ROTOR: tacho" in text for text in said)
     assert any("nobody can tell whether the rotor stands" in text and "keep away" in text for text in said)

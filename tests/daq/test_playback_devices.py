@@ -49,7 +49,8 @@ class Asking:
     """A host's way to a device and back, through the decoder that reads it."""
 
     def __init__(self, device: PlayedDevice) -> None:
-        self.replies: queue.Queue[str] = queue.Queue()
+        self.clock = HostClock()
+        self.replies: queue.Queue[str] = self.clock.queue()
         self.bytes_in = 0
         self._device = device
         self._decoder = optoncdt.StreamDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from daq.drivers.riftek.driver import DRIVER
 from daq.drivers.riftek.far_end import SimulatedRiftek
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.errors import DeviceError
+from daq.transports import HostClock
 from daq.virtual_rig.motion import GRID_S, Trajectory
 from daq.virtual_rig.world import DeviceClock
 
@@ -27,6 +27,20 @@ STEP_S = 0.02
 
 def laser(**other: Any) -> RiftekLaser:
     return RiftekLaser(**{"driver": "riftek", "port": "loop://", "axis": "y", "rate_Hz": 4000.0} | other)
+
+
+class BenchTime(HostClock):
+    """The bench's time, as its dialogue's."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__()
+        self._bench = bench
+
+    def wall_s(self) -> float:
+        return self._bench.now_s
+
+    def wait(self, wall_seconds: float) -> None:
+        self._bench.pass_time(max(wall_seconds, STEP_S))
 
 
 class Bench:
@@ -42,6 +56,7 @@ class Bench:
             config, np.array([0.0, 1.0]), offset_m, 0.0, DeviceClock(3.0, drift), np.random.default_rng(1), "12345"
         )
         self.pipeline = DRIVER.pipeline("laser_y", config, {})
+        self.clock = BenchTime(self)
         self.replies: queue.Queue[str] = queue.Queue()
         self.bytes_in = 0
         self.now_s = 0.0
@@ -104,8 +119,6 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
 def at_bench(monkeypatch: pytest.MonkeyPatch, config: RiftekLaser, **other: float) -> Bench:
     """A bench whose time is the dialogue's."""
     found = Bench(config, **other)
-    clock = SimpleNamespace(monotonic=lambda: found.now_s, sleep=lambda seconds: found.pass_time(max(seconds, STEP_S)))
-    monkeypatch.setattr(dialogue, "time", clock)
     monkeypatch.setattr(dialogue, "_ANSWER_S", 0.3)
     return found
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from daq.acquisition.reader import DeviceReader, OpenDevice
+from daq.drivers.contract import Pipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Event
 from daq.drivers.optoncdt import dialogue as lasers
@@ -21,6 +23,9 @@ from daq.transports.wires import TcpWire
 from rig_configs import load_rig
 
 INFO = optoncdt.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
+
+
+CLOCK = HostClock()
 
 
 class LeftStreaming:
@@ -61,17 +66,25 @@ class LeftStreaming:
         self.wire.close()
 
 
+@dataclass
+class Line:
+    """A reader and what decodes its bytes."""
+
+    reader: DeviceReader
+    pipeline: Pipeline
+
+
 @contextmanager
-def line_to(sensor: LeftStreaming) -> Iterator[tuple[DeviceReader, list[Event], list[int]]]:
+def line_to(sensor: LeftStreaming) -> Iterator[tuple[Line, list[Event], list[int]]]:
     """A reader on the sensor's line with what it decodes: events, and how many samples came."""
     rig = load_rig("virtual", settings={"devices.laser_x.port": sensor.wire.port})
-    pipeline = make_pipelines(rig.devices, {})["laser_x"]
-    device = DeviceReader("laser_x", open_link(sensor.wire.port, 921_600), pipeline, HostClock())
+    device = DeviceReader("laser_x", open_link(sensor.wire.port, 921_600), CLOCK)
+    line = Line(device, make_pipelines(rig.devices, {})["laser_x"])
     events: list[Event] = []
     samples: list[int] = []
 
     def take(sent: object, data: bytes, host_ns: int) -> None:
-        for item in device.pipeline.feed(RX, data, host_ns):
+        for item in line.pipeline.feed(RX, data, host_ns):
             if isinstance(item, Event):
                 events.append(item)
                 if item.kind == "reply":
@@ -81,7 +94,7 @@ def line_to(sensor: LeftStreaming) -> Iterator[tuple[DeviceReader, list[Event], 
 
     device.start(take, lambda error: None)
     try:
-        yield device, events, samples
+        yield line, events, samples
     finally:
         device.stop()
         sensor.close()
@@ -96,25 +109,29 @@ def wait_for(condition: object) -> None:
 
 
 def test_a_stream_left_running_is_run_dry_before_the_new_one_begins() -> None:
-    with line_to(LeftStreaming()) as (device, events, samples):
+    with line_to(LeftStreaming()) as (line, events, samples):
         wait_for(lambda: sum(samples) > 100)  # in mid-stream, as a killed host leaves it
         rig = load_rig("virtual")
 
         def forget() -> None:
-            with device.lock:
-                device.pipeline = make_pipelines(rig.devices, {})["laser_x"]
+            with line.reader.lock:
+                line.pipeline = make_pipelines(rig.devices, {})["laser_x"]
                 samples.clear()
 
-        identity = lasers.configure("laser_x", rig.devices["laser_x"], OpenDevice(device, forget))
+        identity = lasers.configure("laser_x", rig.devices["laser_x"], OpenDevice(line.reader, CLOCK, forget))
         assert identity["serial"] == "14200001"
         wait_for(lambda: sum(samples) > 400)
         assert [e.text for e in events if e.kind in ("restart", "damage", "gap")] == []
-        assert not any(device.pipeline.losses.values())
+        assert not any(line.pipeline.losses.values())
 
 
 def test_a_sensor_that_will_not_be_silent_is_said_with_what_to_look_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lasers, "_ANSWER_S", 0.3)
-    with line_to(LeftStreaming(deaf=True)) as (device, _, samples):
+    monkeypatch.setattr("daq.drivers.quiet._TRY_S", 0.3)
+    with line_to(LeftStreaming(deaf=True)) as (line, _, samples):
         wait_for(lambda: sum(samples) > 100)
-        with pytest.raises(DeviceError, match=r"told OUTPUT NONE 3 times, it goes on sending\. Does its line carry"):
-            lasers.configure("laser_x", load_rig("virtual").devices["laser_x"], OpenDevice(device, lambda: None))
+        with pytest.raises(
+            DeviceError, match=r"sent OUTPUT NONE several times, it goes on streaming\. Does its line carry"
+        ):
+            lasers.configure(
+                "laser_x", load_rig("virtual").devices["laser_x"], OpenDevice(line.reader, CLOCK, lambda: None)
+            )

@@ -36,12 +36,17 @@ class RigTime(HostClock):
     def __init__(self) -> None:
         super().__init__()
         self.rig_s = 1000.0
+        self.passes: Callable[[float], None] | None = None
 
     def now_ns(self) -> int:
         return round(self.rig_s * 1e9)
 
-    def monotonic(self) -> float:
+    def wall_s(self) -> float:
         return self.rig_s
+
+    def wait(self, wall_seconds: float) -> None:
+        assert self.passes is not None
+        self.passes(wall_seconds)
 
 
 class Bench:
@@ -124,26 +129,12 @@ class Bench:
         return [event.kind for event in self.events]
 
 
-@pytest.fixture(autouse=True)
-def on_rig_time(monkeypatch: pytest.MonkeyPatch) -> Callable[[Bench], Bench]:
+@pytest.fixture
+def on_rig_time() -> Callable[[Bench], Bench]:
     """Waits of the host's side let rig time pass."""
 
-    class Time:
-        bench: Bench | None = None
-
-        def monotonic(self) -> float:
-            assert self.bench is not None
-            return self.bench.clock.rig_s
-
-        def sleep(self, seconds: float) -> None:
-            assert self.bench is not None
-            self.bench.pass_time(seconds)
-
-    clock = Time()
-    monkeypatch.setattr("daq.drivers.vesc.control.time", clock)
-
     def install(bench: Bench) -> Bench:
-        clock.bench = bench
+        bench.clock.passes = bench.pass_time
         return bench
 
     return install
@@ -549,6 +540,7 @@ def test_its_thread_asks_and_ends() -> None:
     control = VescControl(SETTINGS, lambda data: asked.set(), HostClock())
     control.start()
     control.start()
+    asked.clear()
     assert asked.wait(10.0)
     assert [thread.name for thread in threading.enumerate()].count("vesc") == 1
     control._end()
@@ -556,13 +548,16 @@ def test_its_thread_asks_and_ends() -> None:
 
 
 def test_its_thread_ends_when_the_line_is_gone() -> None:
+    gone = threading.Event()
+
     def send(data: bytes) -> None:
-        raise LinkLost("gone")
+        if gone.is_set():
+            raise LinkLost("gone")
 
     control = VescControl(SETTINGS, send, HostClock())
     control.start()
-    thread = control._thread
-    assert thread is not None
+    (thread,) = [thread for thread in threading.enumerate() if thread.name == "vesc"]
+    gone.set()
     thread.join(10.0)
     assert not thread.is_alive()
     assert control.stop() is True
@@ -599,9 +594,8 @@ class Talk:
     """An open controller, answering at once."""
 
     def __init__(self, answers: list[bytes]) -> None:
-        import queue
-
-        self.replies: queue.Queue[str] = queue.Queue()
+        self.clock = HostClock()
+        self.replies = self.clock.queue()
         self.bytes_in, self.sent = 0, 0
         self._answers = answers
 

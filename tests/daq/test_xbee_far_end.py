@@ -19,6 +19,7 @@ from daq.drivers.xbee.driver import DRIVER
 from daq.drivers.xbee.far_end import SimulatedXBeeNode
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
+from daq.transports import HostClock
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock
 from rig_configs import load_rig
@@ -55,7 +56,8 @@ class Bench:
         )
         self.identity: dict[str, Any] = {}
         self.begin_anew()
-        self.locks = DRIVER.locks(self.config, self.send)
+        self.clock = HostClock()
+        self.locks = DRIVER.locks(self.config, self.send, self.clock)
         self.raw: list[tuple[int, bytes, int]] = []
         self.found: list[Batch | Event] = []
         self.replies: queue.Queue[str] = queue.Queue()
@@ -338,7 +340,7 @@ def command(answer: Callable[[Any, int, int], None], tries: list[int]) -> None:
         tries.append(data[4])
         answer(locks, data[4], int.from_bytes(data[19:21], "little"))
 
-    locks = DRIVER.locks(settings(api_mode=1), send)
+    locks = DRIVER.locks(settings(api_mode=1), send, HostClock())
     locks.command("release both", no_check)
 
 
@@ -387,7 +389,7 @@ def test_a_command_is_not_blamed_for_the_one_before() -> None:
             locks.heard(acknowledged(0, seqs[-1]))
         locks.heard(undelivered(1))
 
-    locks = DRIVER.locks(settings(api_mode=1), send)
+    locks = DRIVER.locks(settings(api_mode=1), send, HostClock())
     locks.command("release A", no_check)
     locks._failed = "radio frame 0: long ago"
     locks.command("release B", no_check)
@@ -406,7 +408,7 @@ def test_the_wait_can_be_ended() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        DRIVER.locks(settings(), lambda data: None).command("lock A", end)
+        DRIVER.locks(settings(), lambda data: None, HostClock()).command("lock A", end)
 
 
 def test_frame_ids_wrap_without_zero() -> None:

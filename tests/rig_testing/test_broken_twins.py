@@ -137,13 +137,13 @@ class NoTimeout(VescDriver):
 
 
 class LocksOnlySayThatTheyDid(RotorLink):
-    def locks(self, settings: Any, send: Any) -> Any:
+    def locks(self, settings: Any, send: Any, clock: Any) -> Any:
         class Idle(NodeLocks):
             def command(self, action: str, check: Callable[[], None]) -> None:
                 check()
                 send(b"")
 
-        return Idle(send)
+        return Idle(send, clock)
 
 
 class StandInSaysNothing(OptoNcdt):

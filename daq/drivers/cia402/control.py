@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import threading
-import time
+import queue
 from collections.abc import Callable
 
 import can
 import canopen
+from canopen.sdo.client import ABORT_TIMED_OUT, SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from daq.drivers.cia402 import wire as cia402
@@ -18,17 +18,15 @@ from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.cia402.settings import Drive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard
+from daq.drivers.running_down import runs_down
 from daq.errors import DeviceError
 from daq.transports import slcan
-from daq.transports.host_clock import HostClock
+from daq.transports.host_clock import HostClock, Repeated
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets is said by us, in our words
 
 _SETUP_WAIT_S = 0.3  # wall seconds to wait for an SDO answer
 _WORD_S = 0.5  # wall seconds after which the drive's word is too old
-_RUN_DOWN_S = 60.0  # rig seconds a rotor without torque may take
-_NO_SLOWER_S = 5.0  # wall seconds after which a rotor that grows no slower is given up
-_REPEAT_S, _SAY_EVERY_S = 0.25, 2.0  # wall seconds between two quick stops, between two words about the wait
 
 
 class _SendOnlyBus(can.BusABC):
@@ -46,6 +44,31 @@ class _SendOnlyBus(can.BusABC):
         """Send one frame."""
         frame = slcan.CanFrame(msg.arbitration_id, bytes(msg.data), msg.is_extended_id, msg.is_remote_frame)
         self._send_bytes(slcan.encode(frame))
+
+
+class _SdoClient(SdoClient):
+    """canopen's client of a node's objects, whose wait for an answer is the host clock's."""
+
+    RESPONSE_TIMEOUT = _SETUP_WAIT_S
+
+    def __init__(self, node_id: int, network: canopen.Network, clock: HostClock) -> None:
+        answers = cia402.cob_sdo_answer(node_id)
+        super().__init__(cia402.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
+        self.network = network
+        self.responses: queue.Queue[bytes] = clock.queue()
+        network.subscribe(answers, self.on_response)
+
+    def request_response(self, sdo_request: bytes) -> bytes:
+        """Send a request and wait for its answer; one that comes late is not taken for the next one's."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self.responses.get_nowait()
+        self.send_request(sdo_request)
+        try:
+            return self.read_response()
+        except SdoCommunicationError:
+            self.abort(ABORT_TIMED_OUT)
+            raise
 
 
 class DriveControl:
@@ -76,11 +99,8 @@ class DriveControl:
             speed_rpm=lambda: abs(self.actual_rpm),
         )
         self._network = canopen.Network(bus=_SendOnlyBus(send))
-        self._node = canopen.RemoteNode(config.node_id, canopen.ObjectDictionary())
-        self._node.sdo.RESPONSE_TIMEOUT = _SETUP_WAIT_S
-        self._network.add_node(self._node)
-        self._beating = threading.Event()
-        self._beat: threading.Thread | None = None
+        self._sdo = _SdoClient(config.node_id, self._network, clock)
+        self._beat: Repeated | None = None
         self._bus_open = self._watched = self._ordered = False
         self._statusword: int | None = None
         self._word_rpm = 0.0
@@ -151,7 +171,7 @@ class DriveControl:
     def _write(self, index: int, sub: int, value: int, size: int) -> None:
         for attempt in (1, 2, 3):
             try:
-                self._node.sdo.download(index, sub, value.to_bytes(size, "little"))
+                self._sdo.download(index, sub, value.to_bytes(size, "little"))
                 return
             except SdoCommunicationError as error:
                 if attempt == 3:
@@ -179,7 +199,7 @@ class DriveControl:
             DeviceError: it does not get there, or stands in a fault of its own.
             RigError: whatever `permit` raises.
         """
-        deadline = time.monotonic() + 3.0
+        deadline = self._clock.wall_s() + 3.0
         self._armed, self.dropped_out = False, None
         if self.state == cia402.FAULT:
             self._reset_if_only_heartbeat()
@@ -188,12 +208,12 @@ class DriveControl:
             word = cia402.towards_operation(self.state)
             if word is not None:
                 self._pdo(word, 0)
-            if time.monotonic() > deadline:
+            if self._clock.wall_s() > deadline:
                 raise DeviceError(
                     f"drive: expected OPERATION ENABLED, it stays in {self.state}{self.why()}. "
                     "Look at its display for a fault"
                 )
-            time.sleep(0.005)
+            self._clock.wait(0.005)
         self._armed = True
 
     def fault_code(self) -> int | None:
@@ -203,13 +223,13 @@ class DriveControl:
         """
         for index, sub in ((cia402.ERROR_CODE, 0), (cia402.PREDEFINED_ERROR_FIELD, 1)):
             try:
-                code = int.from_bytes(self._node.sdo.upload(index, sub)[:2], "little")
+                code = int.from_bytes(self._sdo.upload(index, sub)[:2], "little")
             except (SdoAbortedError, SdoCommunicationError):
                 continue
             if code:
                 return code
         with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
-            if self._node.sdo.upload(cia402.ERROR_REGISTER, 0)[0] & ~0x01 == cia402.REGISTER_COMMUNICATION:
+            if self._sdo.upload(cia402.ERROR_REGISTER, 0)[0] & ~0x01 == cia402.REGISTER_COMMUNICATION:
                 return cia402.HEARTBEAT_ERROR
         return None
 
@@ -252,28 +272,14 @@ class DriveControl:
         self._network.send_message(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
 
     def _start_heartbeat(self) -> None:
-        self._beating.set()
-        period = self._config.heartbeat_ms * 1e-3
-
         identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])
-        self._network.send_message(identifier, operational)
 
         def beat() -> None:
-            while self._beating.is_set():
-                self._network.send_message(identifier, operational)
-                time.sleep(period)
+            self._network.send_message(identifier, operational)
 
-        self._beat = threading.Thread(target=self._guard(beat), name="heartbeat", daemon=True)
-        self._beat.start()
-
-    def _guard(self, beat: Callable[[], None]) -> Callable[[], None]:
-        def run() -> None:
-            try:
-                beat()
-            except Exception:  # the link is gone: its reader reports it; a silent heartbeat stops the drive
-                self._beating.clear()
-
-        return run
+        beat()
+        # a link that is gone is its reader's to report; a heartbeat that ends stops the drive
+        self._beat = self._clock.every(self._config.heartbeat_ms * 1e-3, beat, "heartbeat", lambda error: None)
 
     def stop(self, told: Callable[[str], None] = lambda text: None) -> bool:
         """Stop the rotor, then let go of the drive; whether the rotor is known to stand.
@@ -299,8 +305,7 @@ class DriveControl:
     def _let_go(self, rest: bool) -> None:
         """End the heartbeat, the node's operation and the adapter's; of a rotor that may turn nothing is taken away."""
         if self._beat is not None:
-            self._beating.clear()
-            self._beat.join(timeout=2.0)
+            self._beat.stop()
             self._beat = None
             if rest:
                 self._pdo(cia402.DISABLE_VOLTAGE, 0)
@@ -314,20 +319,4 @@ class DriveControl:
         never_turned = not self._word_ns and not self._ordered  # it never said a word, nor was it told one
         if never_turned or (self._guarded.at_rest() and self.state != cia402.OPERATION_ENABLED):
             return True
-        begun = slower = said = time.monotonic()
-        next_stop, least = begun, math.inf
-        while not (rest := self._guarded.at_rest()):
-            now, speed = time.monotonic(), self._guarded.speed_rpm()
-            if not speed > least - 1.0:  # also where nobody tells it: index marks alone decide then
-                slower, least = now, speed
-            too_long = now - begun > self._clock.wall(_RUN_DOWN_S) or now - slower > _NO_SLOWER_S
-            if too_long or (rest is None and now - begun > _NO_SLOWER_S):
-                return False
-            if now >= next_stop:
-                self.quick_stop()  # again: one frame may be lost
-                next_stop = now + _REPEAT_S
-            if now - said > _SAY_EVERY_S:
-                told("waiting for the rotor to stop" + ("" if math.isnan(speed) else f", {speed:.0f} rpm"))
-                said = now
-            time.sleep(0.01)
-        return True
+        return runs_down(self._clock, self._guarded, self.quick_stop, told)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import queue
-import time
 from typing import Any
 
 from daq.drivers.contract import Talk
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
+from daq.drivers.quiet import run_dry
 from daq.errors import DeviceError
 
 _ANSWER_S = 1.0  # wall seconds
-_QUIET_S = 0.1
-_STOP_TRIES = 3
 
 
 def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
@@ -35,10 +33,10 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
             replies.get_nowait()
         send(text.encode("ascii") + b"\n")
         lines: list[str] = []
-        deadline = time.monotonic() + _ANSWER_S
-        while time.monotonic() < deadline:
+        deadline = talk.clock.wall_s() + _ANSWER_S
+        while (left := deadline - talk.clock.wall_s()) > 0:
             try:
-                text_line = replies.get(timeout=max(0.01, deadline - time.monotonic()))
+                text_line = replies.get(timeout=left)
             except queue.Empty:
                 break
             if text_line == optoncdt.PROMPT:
@@ -52,7 +50,12 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
             f"Is the baud rate {config.baud} and the sensor powered?"
         )
 
-    _run_dry(device, config, talk)
+    if not run_dry(talk, b"OUTPUT NONE\n"):
+        raise DeviceError(
+            f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. Does its line carry "
+            "our words too (both wire pairs of RS422), and is no other program or master commanding it? Switch it off "
+            "and on"
+        )
     talk.begin_anew()
     command("OUTPUT NONE")  # while it streamed, its answer may have drowned
     command("ECHO ON")
@@ -74,25 +77,3 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
         )
     command("OUTPUT RS422")
     return {**info, "words": list(words)}
-
-
-def _run_dry(device: str, config: Laser, talk: Talk) -> None:
-    """Tell the sensor to be silent, and wait until nothing has come for a while.
-
-    Raises:
-        DeviceError: it goes on sending.
-    """
-    for _ in range(_STOP_TRIES):
-        talk.send(b"OUTPUT NONE\n")
-        deadline = time.monotonic() + _ANSWER_S
-        seen, since = talk.bytes_in, time.monotonic()
-        while time.monotonic() < deadline:
-            time.sleep(_QUIET_S / 10)
-            if talk.bytes_in != seen:
-                seen, since = talk.bytes_in, time.monotonic()
-            elif time.monotonic() - since > _QUIET_S:
-                return
-    raise DeviceError(
-        f"{device} on {config.port}: told OUTPUT NONE {_STOP_TRIES} times, it goes on sending. Does its line carry our "
-        "words too (both wire pairs of RS422), and is no other program or master commanding it? Switch it off and on"
-    )

@@ -8,16 +8,15 @@ is read after it was written. Parameters go into the sensor's working memory onl
 from __future__ import annotations
 
 import queue
-import time
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.quiet import run_dry
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.errors import DeviceError
 
 _ANSWER_S = 1.0  # wall seconds
-_QUIET_S = 0.1
 _TRIES = 3
 
 
@@ -30,7 +29,12 @@ def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
         DeviceError: no answer, a parameter that does not stay as written, or a sensor that is not what the rig file
             says.
     """
-    _run_dry(device, settings, talk)
+    if not run_dry(talk, wire.request(settings.address, wire.STOP) + wire.request(wire.EVERYONE, wire.STOP)):
+        raise DeviceError(
+            f"{device} on {settings.port}: ordered several times to stop its stream, it goes on sending. Does its line "
+            "carry our words too (both wire pairs of RS422), and is no other program commanding it? Switch it "
+            "off and on"
+        )
     talk.begin_anew()
     dialogue = _Dialogue(device, settings, talk)
     info = dialogue.identify()
@@ -125,25 +129,3 @@ class _Dialogue:
             f"{_ANSWER_S:g} s. Is the sensor powered, is its baud rate {settings.baud}, its parity {settings.parity}, "
             "its address the rig file's, and its protocol RIFTEK's binary one?"
         )
-
-
-def _run_dry(device: str, settings: RiftekLaser, talk: Talk) -> None:
-    """Tell the sensor to be silent, and wait until nothing has come for a while.
-
-    Raises:
-        DeviceError: it goes on sending.
-    """
-    for _ in range(_TRIES):
-        talk.send(wire.request(settings.address, wire.STOP) + wire.request(wire.EVERYONE, wire.STOP))
-        deadline = time.monotonic() + _ANSWER_S
-        seen, since = talk.bytes_in, time.monotonic()
-        while time.monotonic() < deadline:
-            time.sleep(_QUIET_S / 10)
-            if talk.bytes_in != seen:
-                seen, since = talk.bytes_in, time.monotonic()
-            elif time.monotonic() - since > _QUIET_S:
-                return
-    raise DeviceError(
-        f"{device} on {settings.port}: told {_TRIES} times to stop its stream, it goes on sending. Does its line carry "
-        "our words too (both wire pairs of RS422), and is no other program commanding it? Switch it off and on"
-    )

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq import channels
 from daq.channels import Channel
@@ -14,6 +14,9 @@ from daq.drivers.items import Event
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink.settings import EncoderNode
 from daq.drivers.simulated import FarEnd
+
+if TYPE_CHECKING:
+    from daq.transports.host_clock import HostClock
 
 
 class RotorLink:
@@ -81,11 +84,11 @@ class RotorLink:
     def stop(self, talk: Talk) -> None:
         """See Driver; a node goes on for as long as it has power."""
 
-    def locks(self, settings: EncoderNode, send: Callable[[bytes], None]) -> PendulumLocks:
+    def locks(self, settings: EncoderNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
         """See MovesLocks."""
         from daq.drivers.rotorlink.locks import NodeLocks  # noqa: PLC0415
 
-        return NodeLocks(send)
+        return NodeLocks(send, clock)
 
 
 DRIVER = RotorLink()

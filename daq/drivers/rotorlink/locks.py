@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import queue
-import secrets
-import time
 from collections.abc import Callable
 
 from daq.drivers.items import Event
 from daq.drivers.rotorlink import wire
 from daq.errors import DeviceError
+from daq.transports.host_clock import HostClock
 
 _NODE = 1
 _TRIES, _TRY_S, _LOOK_S = 20, 0.15, 0.02  # wall seconds
@@ -22,13 +21,14 @@ class NodeLocks:
 
     Args:
         send: writes bytes to the node's dongle.
+        clock: for the waits.
     """
 
-    def __init__(self, send: Callable[[bytes], None]) -> None:
-        self._send = send
-        self._acknowledges: queue.Queue[Event] = queue.Queue()
+    def __init__(self, send: Callable[[bytes], None], clock: HostClock) -> None:
+        self._send, self._clock = send, clock
+        self._acknowledges: queue.Queue[Event] = clock.queue()
         # The node remembers the seq of past commands, also those of an earlier session, and acts once on each.
-        self._seq = secrets.randbelow(0x8000)
+        self._seq = clock.now_ns() // 1_000_000 & 0x7FFF
 
     def heard(self, event: Event) -> None:
         """See PendulumLocks."""
@@ -40,8 +40,8 @@ class NodeLocks:
         payload = wire.Command(_NODE, self._seq, wire.ACTIONS[action]).pack()
         for _ in range(_TRIES):
             self._transmit(payload)
-            deadline = time.monotonic() + _TRY_S
-            while time.monotonic() < deadline:
+            deadline = self._clock.wall_s() + _TRY_S
+            while self._clock.wall_s() < deadline:
                 check()
                 try:
                     event = self._acknowledges.get(timeout=_LOOK_S)

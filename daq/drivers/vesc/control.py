@@ -10,26 +10,23 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable
 from enum import Enum
 
 from daq.drivers.contract import Pipeline, RotorGuard
+from daq.drivers.running_down import runs_down
 from daq.drivers.vesc import stream, wire
 from daq.drivers.vesc.ramp import Ramp
 from daq.drivers.vesc.settings import Vesc
 from daq.drivers.vesc.stream import VescPipeline
-from daq.errors import DeviceError, LinkLost
-from daq.transports.host_clock import HostClock
+from daq.errors import DeviceError
+from daq.transports.host_clock import HostClock, Repeated
 
 _WORD_S = 0.5  # wall seconds after which the controller's word is too old
 _ANSWER_S = 0.1  # wall seconds after which a poll counts as unanswered and the next one goes out
 _ENABLE_S = 3.0  # wall seconds for the controller to obey
 _BEAT_S = 0.002  # wall seconds, the shortest beat: where rig time runs fast
 _STEP_S = 0.25  # wall seconds, the longest step of the ramp
-_RUN_DOWN_S = 60.0  # rig seconds a rotor without torque may take
-_NO_SLOWER_S = 5.0  # wall seconds after which a rotor that grows no slower is given up
-_SAY_EVERY_S = 2.0  # wall seconds between two words about the wait
 
 _UNKNOWN, _RESTARTED = "UNKNOWN", "RESTARTED"
 
@@ -71,8 +68,7 @@ class VescControl:
         )
         self._ramp = Ramp(settings.ramp_rpm_per_s, settings.min_rpm, clock.patience(_STEP_S))
         self._deciding, self._sending = threading.Lock(), threading.Lock()
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._repeated: Repeated | None = None
         self.mode = Mode.NOTHING
         self._armed = self._ordered = False
         self._stops = 0  # how often it was told to stop: who began before the last one has to begin anew
@@ -146,20 +142,13 @@ class VescControl:
 
     def start(self) -> None:
         """See SpeedSource: begin to ask; the motor is not commanded yet."""
-        if self._thread is None:
-            self._ending.clear()
-            self._thread = threading.Thread(target=self._run, name="vesc", daemon=True)
-            self._thread.start()
-
-    def _run(self) -> None:
-        period_s = min(self._settings.command_ms * 1e-3, 1.0 / self._settings.report_Hz)
-        wall_s = max(_BEAT_S, self._clock.wall(period_s))
-        try:
-            while not self._ending.is_set():
-                self.beat()
-                self._ending.wait(wall_s)
-        except LinkLost:  # its reader reports that; a controller that hears nothing stops by its own time-out
-            return
+        if self._repeated is None:
+            period_s = min(self._settings.command_ms * 1e-3, 1.0 / self._settings.report_Hz)
+            self.beat()
+            # a link that is gone is its reader's to report; a controller without commands stops by its own time-out
+            self._repeated = self._clock.every(
+                max(_BEAT_S, self._clock.wall(period_s)), self.beat, "vesc", lambda error: None
+            )
 
     def beat(self) -> None:
         """Send what is due: the command, a poll.
@@ -220,7 +209,7 @@ class VescControl:
             DeviceError: a fault stands, or it does not obey.
             RigError: whatever `permit` raises.
         """
-        deadline = time.monotonic() + _ENABLE_S
+        deadline = self._clock.wall_s() + _ENABLE_S
         with self._deciding:
             stops, self._armed, self.dropped_out, self.faults = self._stops, False, None, []
         begun = False
@@ -232,9 +221,9 @@ class VescControl:
                 if not begun and self._obedient() and not math.isnan(self.actual_rpm):
                     begun = self._hold(stops)
                 self.beat()
-                if time.monotonic() > deadline:
+                if self._clock.wall_s() > deadline:
                     raise DeviceError(self._disobeys())
-                time.sleep(0.005)
+                self._clock.wait(0.005)
         except BaseException:
             with self._deciding:
                 if begun and not self._armed:
@@ -323,7 +312,7 @@ class VescControl:
         Args:
             told: called with what is being waited for.
         """
-        rest = self._thread is None and not self._ordered
+        rest = self._repeated is None and not self._ordered
         try:
             rest = rest or self._rest(told)
         finally:
@@ -334,10 +323,9 @@ class VescControl:
 
     def _end(self) -> None:
         """No more commands and polls."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join(timeout=2.0)
-            self._thread = None
+        if self._repeated is not None:
+            self._repeated.stop()
+            self._repeated = None
         with self._deciding:
             self._armed, self.mode = False, Mode.NOTHING
 
@@ -345,19 +333,5 @@ class VescControl:
         """Brake, and wait until the rotor stands: as long as it grows slower, or runs down by itself."""
         if not self._ordered and (self._word is None or self._guarded.at_rest()):
             return True  # it was told nothing, and nothing is known to turn
-        begun = slower = said = time.monotonic()
-        least = math.inf
         self.quick_stop()
-        while not (rest := self._guarded.at_rest()):
-            now, speed = time.monotonic(), self._guarded.speed_rpm()
-            if not speed > least - 1.0:  # also where nobody tells it: index marks alone decide then
-                slower, least = now, speed
-            too_long = now - begun > self._clock.wall(_RUN_DOWN_S) or now - slower > _NO_SLOWER_S
-            if too_long or (rest is None and now - begun > _NO_SLOWER_S):
-                return False
-            if now - said > _SAY_EVERY_S:
-                told("waiting for the rotor to stop" + ("" if math.isnan(speed) else f", {speed:.0f} rpm"))
-                said = now
-            self.beat()  # also where the thread has ended
-            time.sleep(0.01)
-        return True
+        return runs_down(self._clock, self._guarded, self.beat, told)

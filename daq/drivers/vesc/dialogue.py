@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import queue
-import time
 from typing import Any
 
 from daq.drivers.contract import Talk
@@ -54,8 +53,8 @@ def identify(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
 
 def _answer(talk: Talk) -> wire.Firmware | None:
     """The next answer that is one, if it comes in time."""
-    deadline = time.monotonic() + _ANSWER_S
-    while (left := deadline - time.monotonic()) > 0:
+    deadline = talk.clock.wall_s() + _ANSWER_S
+    while (left := deadline - talk.clock.wall_s()) > 0:
         try:
             firmware = wire.parse_firmware(bytes.fromhex(talk.replies.get(timeout=left)))
         except queue.Empty:

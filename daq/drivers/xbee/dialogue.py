@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import queue
-import time
 from typing import Any
 
 from daq.drivers.contract import Talk
@@ -67,10 +66,10 @@ def _ask(settings: XBeeNode, talk: Talk, command: str) -> bytes | None:
     frame_id = _QUESTIONS.index(command) + 1
     for _ in range(_TRIES):
         talk.send(framing.encode(wire.at_command(frame_id, command), escaped=settings.api_mode == 2))
-        deadline = time.monotonic() + _ANSWER_S
-        while time.monotonic() < deadline:
+        deadline = talk.clock.wall_s() + _ANSWER_S
+        while (left := deadline - talk.clock.wall_s()) > 0:
             try:
-                reply = talk.replies.get(timeout=max(0.01, deadline - time.monotonic()))
+                reply = talk.replies.get(timeout=left)
             except queue.Empty:
                 break
             told_id, told_command, value, *status = reply.split(" ")

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
@@ -14,6 +14,9 @@ from daq.drivers.items import Event
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.drivers.xbee.settings import XBeeNode
+
+if TYPE_CHECKING:
+    from daq.transports.host_clock import HostClock
 
 
 class XBee:
@@ -84,11 +87,11 @@ class XBee:
     def stop(self, talk: Talk) -> None:
         """See Driver; a node goes on for as long as it has power."""
 
-    def locks(self, settings: XBeeNode, send: Callable[[bytes], None]) -> PendulumLocks:
+    def locks(self, settings: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
         """See MovesLocks."""
         from daq.drivers.xbee.locks import XBeeLocks  # noqa: PLC0415
 
-        return XBeeLocks(settings, send)
+        return XBeeLocks(settings, send, clock)
 
 
 DRIVER = XBee()

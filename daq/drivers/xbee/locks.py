@@ -10,6 +10,7 @@ from daq.drivers.rotorlink.locks import NodeLocks
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
+from daq.transports.host_clock import HostClock
 
 
 class XBeeLocks(NodeLocks):
@@ -20,10 +21,11 @@ class XBeeLocks(NodeLocks):
 
     Args:
         send: writes bytes to the host's module.
+        clock: for the waits.
     """
 
-    def __init__(self, config: XBeeNode, send: Callable[[bytes], None]) -> None:
-        super().__init__(send)
+    def __init__(self, config: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> None:
+        super().__init__(send, clock)
         self._address = wire.Address.parse(config.node_address)
         self._escaped, self._legacy = config.api_mode == 2, config.legacy_transmit
         self._frame_id = 0
