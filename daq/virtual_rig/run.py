@@ -1,24 +1,29 @@
+# pyright: strict
 """The virtual rig's edge: wires, wall clock and control port around a simulated rig."""
 
 from __future__ import annotations
 
 import contextlib
-import json
+import os
 import queue
 import secrets
 import select
 import sys
 import threading
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from daq.transports.host_clock import HostClock
 from daq.transports.wires import Wire, make_wire
 from daq.virtual_rig.control import ControlServer
 from daq.virtual_rig.rig import SimulatedRig
+from daq.virtual_rig.running import Running, leave_note
 from rig_configs.schema import Rig
 
 _TICK_S = 0.002  # wall time between two looks at the world
+_FAREWELL_S = 0.2  # wall time for the last answer to be fetched
 
 
 class VirtualRig:
@@ -28,16 +33,27 @@ class VirtualRig:
         rig: a rig file with a [virtual] table.
         time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
+
+    Attributes:
+        moved: called when a device has got another port.
     """
 
     def __init__(self, rig: Rig, time_scale: float = 1.0, link: str = "auto") -> None:
+        self._name, self._link = rig.name, link
         self._clock = HostClock(time_scale)
         self._t0_ns = self._clock.now_ns()
         self.rig = SimulatedRig(rig, self._clock.patience)
+        self.rig.motion.advance(0.001)  # compile before anyone connects
         self.wires: dict[str, Wire] = {name: make_wire(link) for name in self.rig.far_ends}
+        self._pulled: set[str] = set()
         self.token = secrets.token_urlsafe(16)
         self.control = ControlServer(self.token)
+        self.moved: Callable[[], object] = lambda: None
         self._running = True
+
+    def running(self) -> Running:
+        """What the hands need of it."""
+        return Running(self._name, os.getpid(), self.control.port, self.token, self._clock.rate, self.ports())
 
     def ports(self) -> dict[str, str]:
         """Port of each device, by its name in the rig file."""
@@ -49,16 +65,19 @@ class VirtualRig:
         self._running = False
 
     def run(self) -> None:
-        """Until told to quit."""
+        """Until it is asked to quit."""
         self._t0_ns = self._clock.now_ns() - int(self.rig.motion.time_s * 1e9)  # what compiling took is not rig time
         due = time.monotonic()
         while self._running:
             self.step()
             due = max(due + _TICK_S, time.monotonic())
             self._wait(due)
+
+    def close(self) -> None:
+        """Pull every cable and end the control port; the answer to the last request is still delivered."""
+        self.control.close(_FAREWELL_S)
         for wire in self.wires.values():
             wire.close()
-        self.control.close()
 
     def _wait(self, due: float) -> None:
         """Sleep until the next tick; a host's bytes end the sleep."""
@@ -85,38 +104,76 @@ class VirtualRig:
                 return
             try:
                 answer.put(self._do(request, now_s))
-            except (KeyError, TypeError, ValueError) as error:
+            except KeyError as error:
+                answer.put({"error": f"{request.get('do')}: expected {error!s}, which is missing"})
+            except (TypeError, ValueError, ArithmeticError, OSError) as error:
                 answer.put({"error": f"{request.get('do')}: {error!s}"})
 
     def _do(self, request: dict[str, Any], now_s: float) -> dict[str, Any]:
         match request.get("do"):
             case "unplug":
-                self.wires[str(request["device"])].close()
+                device = self._device(request)
+                self.wires[device].close()
+                self._pulled.add(device)
+            case "plug":
+                return {"ok": True, "port": self._plug(self._device(request))}
             case "quit":
                 self._running = False
             case "state":
-                facts = self.rig.do(request, now_s)
-                return {**facts, "overrun_bytes": {n: w.overrun_bytes for n, w in self.wires.items()}}
+                return self._state(self.rig.do(request, now_s))
             case _:
                 return self.rig.do(request, now_s)
         return {"ok": True}
 
+    def _device(self, request: dict[str, Any]) -> str:
+        device = str(request["device"])
+        if device not in self.wires:
+            raise ValueError(f"no device {device!r}; this rig has {', '.join(self.wires)}")
+        return device
 
-def serve(rig: Rig, time_scale: float, link: str, while_stdin_open: bool = False) -> None:
-    """Run a virtual rig until it is told to quit; prints one JSON line with its ports when it is ready.
+    def _plug(self, device: str) -> str:
+        """Plug a device in again, as the system does: perhaps under another name."""
+        if device not in self._pulled:
+            raise ValueError(f"{device} is plugged in, at {self.wires[device].port}")
+        wire = make_wire(self._link)
+        wire.overrun_bytes = self.wires[device].overrun_bytes
+        self.wires[device] = wire
+        self._pulled.discard(device)
+        self.moved()
+        return wire.port
+
+    def _state(self, facts: dict[str, Any]) -> dict[str, Any]:
+        for name, device in facts["devices"].items():
+            device |= {"port": self.wires[name].port, "plugged": name not in self._pulled}
+        return {**facts, "overrun_bytes": {name: wire.overrun_bytes for name, wire in self.wires.items()}}
+
+
+def serve(
+    virtual: VirtualRig, ready: Callable[[Path | None], None], note: Path | None, leaves_note: bool, until_eof: bool
+) -> None:
+    """Run a virtual rig until it is asked to quit, or interrupted.
 
     Args:
-        while_stdin_open: end, too, when standard input closes: whoever started it is gone.
+        virtual: the rig; it is closed at the end.
+        ready: called with the note's path before the rig runs.
+        note: where the hands find it; None: in their usual place.
+        leaves_note: whether they shall find it.
+        until_eof: end, too, when standard input closes: whoever started it is gone.
+
+    Raises:
+        OSError: the note cannot be written.
     """
-    virtual = VirtualRig(rig, time_scale, link)
-    virtual.rig.motion.advance(0.001)  # compile before anyone connects
-    ready = {"ports": virtual.ports(), "control_port": virtual.control.port, "token": virtual.token,
-             "time_scale": time_scale}  # fmt: skip
-    print(json.dumps(ready), flush=True)
-    if while_stdin_open:
-        threading.Thread(target=virtual.quit_at_end_of_input, daemon=True).start()
-    else:
-        ports = " ".join(f"--set devices.{name}.port={port}" for name, port in virtual.ports().items())
-        print(f"for example: rig check {rig.name} --time-scale {time_scale:g} {ports}", file=sys.stderr, flush=True)
-    with contextlib.suppress(KeyboardInterrupt):
-        virtual.run()
+    path = None
+    try:
+        if leaves_note:
+            path = leave_note(virtual.running(), note)
+            virtual.moved = lambda: leave_note(virtual.running(), path)
+        ready(path)
+        if until_eof:
+            threading.Thread(target=virtual.quit_at_end_of_input, daemon=True).start()
+        with contextlib.suppress(KeyboardInterrupt):
+            virtual.run()
+    finally:
+        if path is not None:
+            path.unlink(missing_ok=True)
+        virtual.close()
