@@ -1,4 +1,4 @@
-"""Commands that talk to devices: virtual, check, record, test."""
+"""Commands that talk to devices: check, record, test."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -69,20 +69,6 @@ class TerminalOperator:
         if not sys.stdin.isatty():
             raise ProcedureError(f"{text}: standard input is no terminal, so nobody can. Run the test in a terminal")
         sys.stdin.readline()
-
-
-def virtual(
-    rig: str = "virtual",
-    *,
-    time_scale: TimeScale = 1.0,
-    link: Literal["auto", "pty", "tcp"] = "auto",
-    settings: Settings = None,
-    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False,
-) -> None:
-    """Start a virtual rig and print its ports as one JSON line; Ctrl-C ends it."""
-    from daq.virtual_rig.run import serve  # noqa: PLC0415 (only this command simulates)
-
-    serve(load_rig(rig, settings=settings or []), time_scale, link, while_stdin_open)
 
 
 def check(

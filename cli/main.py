@@ -33,7 +33,6 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "reported.",
     },
     "cli.acquire": {
-        "virtual": "Start a virtual rig and print its ports as one JSON line; Ctrl-C ends it.",
         "check": "Validate a rig file, open its devices, hold what they do against it; exit 1 when a device fails a "
         "check.",
         "record": "Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and "
@@ -70,6 +69,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # the disk, this person's share of it, what one file may hold
 _PARAMETERS = "Show identified parameters, say what changed, follow them over time."
 _DRIVER = "List the installed drivers, check one against what every driver must do."
+_VIRTUAL = "Start a virtual rig; in another terminal, be the hands at it."
 _USE_COMPILED = {
     "check",
     "record",
@@ -103,6 +103,7 @@ def commands(told: Collection[str] = ()) -> App:
             place = f"{module}:{verb}{'_' if iskeyword(verb) else ''}"
             app.command(place, name=verb, help=None if verb in told else line)
     app.command("cli.parameters:app", name="parameters", help=None if "parameters" in told else _PARAMETERS)
+    app.command("cli.virtual:app", name="virtual", help=None if "virtual" in told else _VIRTUAL)
     app.command("cli.drivers:app", name="driver", help=None if "driver" in told else _DRIVER)
     return app
 

@@ -81,10 +81,16 @@ class SimulatedOperator:
     def __init__(self, line: OperatorLine) -> None:
         self._line = line
 
-    def pluck(self, axis: str) -> None:
-        """Displace mostly along the axis, as well as a hand can, and let go."""
+    def pluck(self, axis: str, mm: float | None = None) -> None:
+        """Displace mostly along the axis, as well as a hand can, and let go.
+
+        Args:
+            axis: "x" or "y".
+            mm: how far; None: as a guided test asks for.
+        """
         x, y = (2.6, 0.25) if axis == "x" else (-0.2, 2.4)
-        self._line.ask("pluck", x_mm=x, y_mm=y, hold_s=0.4)
+        share = 1.0 if mm is None else mm / max(abs(x), abs(y))
+        self._line.ask("pluck", x_mm=share * x, y_mm=share * y, hold_s=0.4)
 
     def flick(self) -> None:
         """Set the pendulums spinning, one each way."""

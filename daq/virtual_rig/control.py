@@ -3,13 +3,15 @@
 One JSON object a line over TCP on loopback; the first must carry the token that the rig printed at its start.
 Requests: {"do": "pluck", "x_mm": …, "y_mm": …, "hold_s": …}, {"do": "flick", "pendulum": 0|1, "speed_rad_s": …},
 {"do": "lock"}, {"do": "release"}, {"do": "turn", "rpm": …, "ramp_rpm_per_s": …} where no device does these,
-{"do": "set", "key": "suspension.k2_N_per_m", "value": …}, {"do": "truth"}, {"do": "state"},
-{"do": "unplug", "device": …}, {"do": "fail", "device": …, "what": …, "value": …}, {"do": "quit"}.
+{"do": "set", "key": "suspension.k2_N_per_m", "value": …}, {"do": "truth"}, {"do": "state"}, {"do": "faults"},
+{"do": "fail", "device": …, "what": …, "value": …, "seconds": …} or with "end": true,
+{"do": "unplug", "device": …}, {"do": "plug", "device": …}, {"do": "quit"}.
 Each is answered by one line.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import json
 import queue
@@ -28,6 +30,8 @@ class ControlServer:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
         self.requests: queue.Queue[tuple[dict[str, Any], queue.Queue[dict[str, Any]]]] = queue.Queue(100)
+        self._unfetched = 0
+        self._fetched = threading.Condition()
         threading.Thread(target=self._accept, name="control", daemon=True).start()
 
     def _accept(self) -> None:
@@ -39,7 +43,7 @@ class ControlServer:
             threading.Thread(target=self._serve, args=(peer,), name="operator", daemon=True).start()
 
     def _serve(self, peer: socket.socket) -> None:
-        with peer, peer.makefile("rwb") as stream:
+        with contextlib.suppress(OSError), peer, peer.makefile("rwb") as stream:  # whoever hangs up has gone
             allowed = False
             while line := stream.readline(_LINE_LIMIT):
                 try:
@@ -55,13 +59,26 @@ class ControlServer:
                     stream.flush()
                     return
                 answer: queue.Queue[dict[str, Any]] = queue.Queue(1)
+                with self._fetched:
+                    self._unfetched += 1
                 self.requests.put((request, answer))
-                stream.write(json.dumps(answer.get()).encode() + b"\n")
-                stream.flush()
+                try:
+                    stream.write(json.dumps(answer.get()).encode() + b"\n")
+                    stream.flush()
+                finally:
+                    with self._fetched:
+                        self._unfetched -= 1
+                        self._fetched.notify_all()
 
-    def close(self) -> None:
-        """Stop listening."""
+    def close(self, patience_s: float = 0.0) -> None:
+        """Stop listening.
+
+        Args:
+            patience_s: how long answers that were given may take to be sent, wall s.
+        """
         self._listener.close()
+        with self._fetched:
+            self._fetched.wait_for(lambda: self._unfetched == 0, patience_s)
 
 
 class OperatorLine:
@@ -94,6 +111,16 @@ class OperatorLine:
         if "error" in answer:
             raise ValueError(f"virtual rig: {answer['error']}")
         return answer
+
+    def wait_for_end(self) -> None:
+        """Wait until the rig has gone, once it was asked to quit.
+
+        Raises:
+            TimeoutError: it goes on for more than ten seconds.
+        """
+        with contextlib.suppress(ConnectionError):
+            while self._socket.recv(1):
+                pass
 
     def close(self) -> None:
         """Hang up."""

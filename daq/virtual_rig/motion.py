@@ -108,9 +108,7 @@ class Motion:
     """
 
     def __init__(self, physics: RotorParameters, slip: float, lag_s: float) -> None:
-        if physics.a.friction_arm_m or physics.b.friction_arm_m:
-            raise ProcedureError("the virtual rig's fixed steps can't follow dry friction: set friction_arm_m to 0")
-        self.physics = physics
+        self.change(physics)
         self.time_s = 0.0
         self.target_rad_s = 0.0
         self.ramp_rad_s2 = 1.0
@@ -127,6 +125,16 @@ class Motion:
         self._held_at = np.zeros(2)
         self._last = np.concatenate([self._state, [0.0, 0.0]])
 
+    def change(self, physics: RotorParameters) -> None:
+        """Move by other numbers from now on.
+
+        Raises:
+            ProcedureError: they have dry friction.
+        """
+        if physics.a.friction_arm_m or physics.b.friction_arm_m:
+            raise ProcedureError("the virtual rig's fixed steps can't follow dry friction: set friction_arm_m to 0")
+        self.physics = physics
+
     @property
     def speed_rad_s(self) -> float:
         """True rotor speed."""
@@ -136,6 +144,15 @@ class Motion:
     def angles_rad(self) -> NDArray[np.floating]:
         """True θ3, θ4."""
         return self._state[2:4].copy()
+
+    @property
+    def displacement_m(self) -> NDArray[np.floating]:
+        """True x, y."""
+        return self._state[:2].copy()
+
+    def held(self, pendulum: int) -> bool:
+        """Whether a pendulum is locked, or on its way there."""
+        return bool(self._free[pendulum] == 0.0)
 
     def lock(self, pendulum: int, play_rad: float) -> None:
         """Carry a pendulum to its locked position (0 for A, half a turn for B) and hold it there."""

@@ -1,58 +1,59 @@
-"""The virtual rig's loop: time passes, things move, devices talk."""
+# pyright: strict
+"""The virtual rig's edge: wires, wall clock and control port around a simulated rig."""
 
 from __future__ import annotations
 
 import contextlib
-import json
-import math
+import os
 import queue
 import secrets
 import select
 import sys
 import threading
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from daq.drivers.devices import devices_of
-from daq.drivers.simulated import FarEnd
 from daq.transports.host_clock import HostClock
 from daq.transports.wires import Wire, make_wire
 from daq.virtual_rig.control import ControlServer
-from daq.virtual_rig.motion import Motion
-from daq.virtual_rig.world import World
-from rig_configs.errors import RigConfigError
-from rig_configs.load import with_truth
+from daq.virtual_rig.rig import SimulatedRig
+from daq.virtual_rig.running import Running, leave_note
 from rig_configs.schema import Rig
 
 _TICK_S = 0.002  # wall time between two looks at the world
+_FAREWELL_S = 0.2  # wall time for the last answer to be fetched
 
 
 class VirtualRig:
-    """All simulated devices around one motion.
+    """A simulated rig whose devices are on wires and whose time passes by itself.
 
     Args:
         rig: a rig file with a [virtual] table.
         time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
+
+    Attributes:
+        moved: called when a device has got another port.
     """
 
     def __init__(self, rig: Rig, time_scale: float = 1.0, link: str = "auto") -> None:
-        if rig.virtual is None:
-            raise RigConfigError(f"rig {rig.name} has no [virtual] table: there is nothing to simulate")
-        self._rig = rig
-        virtual = rig.virtual
+        self._name, self._link = rig.name, link
         self._clock = HostClock(time_scale)
         self._t0_ns = self._clock.now_ns()
-        self.motion = Motion(rig.true_physics, virtual.drive.slip, virtual.drive.lag_s)
-        world = World(virtual, self.motion, self._clock.patience)
-        self.far_ends: dict[str, FarEnd] = {
-            name: device.far_end(world) for name, device in devices_of(rig.devices).items()
-        }
-        self.wires: dict[str, Wire] = {name: make_wire(link) for name in self.far_ends}
+        self.rig = SimulatedRig(rig, self._clock.patience)
+        self.rig.motion.advance(0.001)  # compile before anyone connects
+        self.wires: dict[str, Wire] = {name: make_wire(link) for name in self.rig.far_ends}
+        self._pulled: set[str] = set()
         self.token = secrets.token_urlsafe(16)
         self.control = ControlServer(self.token)
-        self._release_hold_s: float | None = None
+        self.moved: Callable[[], object] = lambda: None
         self._running = True
+
+    def running(self) -> Running:
+        """What the hands need of it."""
+        return Running(self._name, os.getpid(), self.control.port, self.token, self._clock.rate, self.ports())
 
     def ports(self) -> dict[str, str]:
         """Port of each device, by its name in the rig file."""
@@ -64,16 +65,19 @@ class VirtualRig:
         self._running = False
 
     def run(self) -> None:
-        """Until told to quit."""
-        self._t0_ns = self._clock.now_ns() - int(self.motion.time_s * 1e9)  # what compiling took is not rig time
+        """Until it is asked to quit."""
+        self._t0_ns = self._clock.now_ns() - int(self.rig.motion.time_s * 1e9)  # what compiling took is not rig time
         due = time.monotonic()
         while self._running:
             self.step()
             due = max(due + _TICK_S, time.monotonic())
             self._wait(due)
+
+    def close(self) -> None:
+        """Pull every cable and end the control port; the answer to the last request is still delivered."""
+        self.control.close(_FAREWELL_S)
         for wire in self.wires.values():
             wire.close()
-        self.control.close()
 
     def _wait(self, due: float) -> None:
         """Sleep until the next tick; a host's bytes end the sleep."""
@@ -86,97 +90,90 @@ class VirtualRig:
 
     def step(self) -> None:
         """One look at the world: operator, incoming bytes, motion, outgoing bytes."""
-        now = (self._clock.now_ns() - self._t0_ns) * 1e-9
-        self._operator(now)
+        now_s = (self._clock.now_ns() - self._t0_ns) * 1e-9
+        self._operator(now_s)
+        sent = self.rig.step(now_s, {name: wire.receive() for name, wire in self.wires.items()})
         for name, wire in self.wires.items():
-            if data := wire.receive():
-                wire.send(self.far_ends[name].receive(data, self.motion.time_s))
-        if self._release_hold_s is not None and now >= self._release_hold_s:
-            self.motion.let_go()
-            self._release_hold_s = None
-        for name, far_end in self.far_ends.items():
-            self.wires[name].send(far_end.step(self.motion.time_s))
-        stretch = self.motion.advance(now)
-        if stretch is None:
-            return
-        for name, far_end in self.far_ends.items():
-            self.wires[name].send(far_end.sample(stretch))
+            wire.send(sent[name])
 
-    def _operator(self, now: float) -> None:
+    def _operator(self, now_s: float) -> None:
         while True:
             try:
                 request, answer = self.control.requests.get_nowait()
             except queue.Empty:
                 return
             try:
-                answer.put(self._do(request, now))
-            except (KeyError, TypeError, ValueError) as error:
+                answer.put(self._do(request, now_s))
+            except KeyError as error:
+                answer.put({"error": f"{request.get('do')}: expected {error!s}, which is missing"})
+            except (TypeError, ValueError, ArithmeticError, OSError) as error:
                 answer.put({"error": f"{request.get('do')}: {error!s}"})
 
-    def _do(self, request: dict[str, Any], now: float) -> dict[str, Any]:
+    def _do(self, request: dict[str, Any], now_s: float) -> dict[str, Any]:
         match request.get("do"):
-            case "pluck" | "flick" | "lock" | "release" | "turn" as act:
-                self._by_hand(act, request, now)
-            case "set":
-                self._set(str(request["key"]), request["value"])
-            case "truth":
-                return {"truth": self.motion.physics.identified()}
-            case "state":
-                facts: dict[str, Any] = {"time_s": self.motion.time_s}
-                for far_end in self.far_ends.values():
-                    facts |= far_end.facts()
-                return {**facts, "overrun_bytes": {n: w.overrun_bytes for n, w in self.wires.items()}}
-            case "fail":
-                self.far_ends[str(request["device"])].fail(str(request["what"]), request.get("value", 1))
             case "unplug":
-                self.wires[str(request["device"])].close()
+                device = self._device(request)
+                self.wires[device].close()
+                self._pulled.add(device)
+            case "plug":
+                return {"ok": True, "port": self._plug(self._device(request))}
             case "quit":
                 self._running = False
-            case other:
-                raise ValueError(f"unknown request {other!r}")
+            case "state":
+                return self._state(self.rig.do(request, now_s))
+            case _:
+                return self.rig.do(request, now_s)
         return {"ok": True}
 
-    def _by_hand(self, act: str, request: dict[str, Any], now: float) -> None:
-        """What a person does at the rig; what a device holds is not the hand's."""
-        roles, motion = self._rig.roles, self.motion
-        holder = roles.locks if act in ("lock", "release") else roles.speed if act == "turn" else None
-        if holder is not None:
-            raise ValueError(f"that is {holder.device}'s to do")
-        match act:
-            case "pluck":
-                motion.hold(request.get("x_mm", 0.0) * 1e-3, request.get("y_mm", 0.0) * 1e-3)
-                self._release_hold_s = now + request.get("hold_s", 0.5)
-            case "flick":
-                if not motion.flick(int(request["pendulum"]), float(request["speed_rad_s"])):
-                    raise ValueError("this pendulum is locked")
-            case "turn":
-                motion.target_rad_s = float(request["rpm"]) * math.pi / 30
-                motion.ramp_rad_s2 = float(request["ramp_rpm_per_s"]) * math.pi / 30
-            case _:
-                for pendulum in (0, 1):
-                    motion.lock(pendulum, 0.0) if act == "lock" else motion.release(pendulum)
+    def _device(self, request: dict[str, Any]) -> str:
+        device = str(request["device"])
+        if device not in self.wires:
+            raise ValueError(f"no device {device!r}; this rig has {', '.join(self.wires)}")
+        return device
 
-    def _set(self, key: str, value: Any) -> None:
-        """Change the truth from now on (a clamp has moved, a magnet pack was replaced)."""
-        self._rig = with_truth(self._rig, key, value)
-        self.motion.physics = self._rig.true_physics
+    def _plug(self, device: str) -> str:
+        """Plug a device in again, as the system does: perhaps under another name."""
+        if device not in self._pulled:
+            raise ValueError(f"{device} is plugged in, at {self.wires[device].port}")
+        wire = make_wire(self._link)
+        wire.overrun_bytes = self.wires[device].overrun_bytes
+        self.wires[device] = wire
+        self._pulled.discard(device)
+        self.moved()
+        return wire.port
+
+    def _state(self, facts: dict[str, Any]) -> dict[str, Any]:
+        for name, device in facts["devices"].items():
+            device |= {"port": self.wires[name].port, "plugged": name not in self._pulled}
+        return {**facts, "overrun_bytes": {name: wire.overrun_bytes for name, wire in self.wires.items()}}
 
 
-def serve(rig: Rig, time_scale: float, link: str, while_stdin_open: bool = False) -> None:
-    """Run a virtual rig until it is told to quit; prints one JSON line with its ports when it is ready.
+def serve(
+    virtual: VirtualRig, ready: Callable[[Path | None], None], note: Path | None, leaves_note: bool, until_eof: bool
+) -> None:
+    """Run a virtual rig until it is asked to quit, or interrupted.
 
     Args:
-        while_stdin_open: end, too, when standard input closes: whoever started it is gone.
+        virtual: the rig; it is closed at the end.
+        ready: called with the note's path before the rig runs.
+        note: where the hands find it; None: in their usual place.
+        leaves_note: whether they shall find it.
+        until_eof: end, too, when standard input closes: whoever started it is gone.
+
+    Raises:
+        OSError: the note cannot be written.
     """
-    virtual = VirtualRig(rig, time_scale, link)
-    virtual.motion.advance(0.001)  # compile before anyone connects
-    ready = {"ports": virtual.ports(), "control_port": virtual.control.port, "token": virtual.token,
-             "time_scale": time_scale}  # fmt: skip
-    print(json.dumps(ready), flush=True)
-    if while_stdin_open:
-        threading.Thread(target=virtual.quit_at_end_of_input, daemon=True).start()
-    else:
-        ports = " ".join(f"--set devices.{name}.port={port}" for name, port in virtual.ports().items())
-        print(f"for example: rig check {rig.name} --time-scale {time_scale:g} {ports}", file=sys.stderr, flush=True)
-    with contextlib.suppress(KeyboardInterrupt):
-        virtual.run()
+    path = None
+    try:
+        if leaves_note:
+            path = leave_note(virtual.running(), note)
+            virtual.moved = lambda: leave_note(virtual.running(), path)
+        ready(path)
+        if until_eof:
+            threading.Thread(target=virtual.quit_at_end_of_input, daemon=True).start()
+        with contextlib.suppress(KeyboardInterrupt):
+            virtual.run()
+    finally:
+        if path is not None:
+            path.unlink(missing_ok=True)
+        virtual.close()

@@ -31,6 +31,10 @@ class DeviceClock:
         """Rig time at which the device's clock shows a value."""
         return (device_s - self.offset_s) / (1 + self.drift)
 
+    def begin_anew(self, now_s: float) -> None:
+        """Show 0 at a rig time, as after the device's supply came back."""
+        self.offset_s = -(1 + self.drift) * now_s
+
 
 class World:
     """All that a far end may know.

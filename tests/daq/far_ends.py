@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.far_end import SimulatedDrive
@@ -11,7 +9,7 @@ from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch, Event
 from daq.drivers.rotorlink.far_end import SimulatedNode
 from daq.transports import slcan
-from daq.virtual_rig.run import VirtualRig
+from daq.virtual_rig.rig import SimulatedRig
 from rig_configs import load_rig
 
 START_NS = 1_700_000_000_000_000_000
@@ -28,10 +26,7 @@ class Bench:
 
     def __init__(self, *settings: str, patience: float = 1.0) -> None:
         self.rig = load_rig("virtual", settings=["virtual.seed=5", *settings])
-        self.far = VirtualRig(self.rig)
-        for wire in self.far.wires.values():
-            wire.close()
-        self.far.control.close()
+        self.far = SimulatedRig(self.rig)
         drive, node = self.far.far_ends["drive"], self.far.far_ends["encoder"]
         assert isinstance(drive, SimulatedDrive)
         assert isinstance(node, SimulatedNode)
@@ -121,5 +116,4 @@ class Bench:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(OSError):
-            self.far.control.close()
+        """Nothing is open: a bench has no wires."""

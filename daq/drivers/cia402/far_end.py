@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import (
@@ -17,7 +18,7 @@ from daq.drivers.cia402.canopen_node import (
     drive_objects,
 )
 from daq.drivers.cia402.settings import Drive
-from daq.drivers.simulated import FarEnd
+from daq.drivers.simulated import FarEnd, FaultKind
 from daq.transports import slcan
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import World
@@ -28,6 +29,7 @@ _COAST_RPM_S = 30.0  # bearings and windage, when there is no torque
 _RAD_S = math.pi / 30
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
 _HEARTBEAT_ERROR = 0x8130
+_MAKERS = {(0x1018, 1): (0x0000_0A11, "<I"), (0x1018, 4): (24601, "<I"), (0x6085, 0): (int(_QUICK_STOP_RPM_S), "<I")}
 
 
 class SimulatedDrive(FarEnd):
@@ -36,6 +38,30 @@ class SimulatedDrive(FarEnd):
     Args:
         report_s: period of its speed report.
     """
+
+    fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        "emergency": FaultKind(
+            "it sends an emergency and goes on", 0x4210, end=None, meaning="the error code", limits=(0, 0xFFFF)
+        ),
+        "fault": FaultKind(
+            "it falls into FAULT: no torque", 0x4210, end=None, meaning="the error code", limits=(0, 0xFFFF)
+        ),
+        "restart": FaultKind("it starts anew at once", end=None),
+        "network": FaultKind(
+            "it is in another network state", 4, end=5, meaning="4 stopped, 5 operational", limits=(4, 5)
+        ),
+        "silent reports": FaultKind("it reports neither state nor speed; its heartbeat goes on"),
+        "reported share": FaultKind(
+            "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
+        ),
+        "speed": FaultKind(
+            "it runs away while it is in operation",
+            1000,
+            end=None,
+            meaning="to this speed, rpm",
+            limits=(-10_000, 10_000),
+        ),
+    }
 
     def __init__(self, config: Drive, motion: Motion, report_s: float) -> None:
         self._config, self._motion, self._node, self._report_s = config, motion, config.node_id, report_s
@@ -49,12 +75,8 @@ class SimulatedDrive(FarEnd):
         self._target_rpm = 0
         self._heard_s: float | None = None  # last host heartbeat; None until the first
         self._tpdo_due = self._heartbeat_due = 0.0
-        makers = {
-            (0x1018, 1): (0x0000_0A11, "<I"),
-            (0x1018, 4): (24601, "<I"),
-            (0x6085, 0): (int(_QUICK_STOP_RPM_S), "<I"),
-        }
-        self._objects = drive_objects() | makers
+        self._without_supply = False
+        self._objects = drive_objects() | _MAKERS
         measured = {
             (cia402.STATUSWORD, 0): lambda: struct.pack("<H", _STATUS[self.state]),
             (cia402.ACTUAL_VELOCITY, 0): lambda: struct.pack("<h", self._reported_rpm),
@@ -74,7 +96,7 @@ class SimulatedDrive(FarEnd):
                 "emergencies": self.emergencies, "watchdog_ms": self.watchdog_ms}  # fmt: skip
 
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd: "emergency", "fault", "restart", "network", "silent reports", "reported share", "speed"."""
+        """See FarEnd and `fault_kinds`."""
         match what:
             case "emergency":
                 self._emergency(int(value))
@@ -82,10 +104,8 @@ class SimulatedDrive(FarEnd):
                 self.state = cia402.FAULT
                 self._emergency(int(value))
             case "restart":
-                self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0, None
                 self._objects[cia402.CONSUMER_HEARTBEAT, 1] = (0, "<I")
-                self._nmt.state = cia402.Heartbeat.PRE_OPERATIONAL
-                self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP])))
+                self._start_anew()
             case "network":
                 self._nmt.state = cia402.Heartbeat(int(value))
             case "silent reports":
@@ -96,6 +116,21 @@ class SimulatedDrive(FarEnd):
                 self._target_rpm = int(value)
             case _:
                 super().fail(what, value)
+
+    def _start_anew(self) -> None:
+        self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0, None
+        self._nmt.state = cia402.Heartbeat.PRE_OPERATIONAL
+        self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP])))
+
+    def power(self, on: bool, now_s: float) -> None:
+        """See FarEnd: the drive's supply; its adapter hangs on the host's and goes on.
+
+        Without supply there is no torque. When it comes back the objects are those of a fresh drive.
+        """
+        self._without_supply = not on
+        if on:
+            self._objects.update(drive_objects() | _MAKERS)
+            self._start_anew()
 
     def _emergency(self, code: int) -> None:
         self.emergencies.append(code)
@@ -119,7 +154,7 @@ class SimulatedDrive(FarEnd):
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take slcan text from the host; returns the adapter's answers."""
         frames, answers = self._adapter.receive(data)
-        for frame in frames:
+        for frame in [] if self._without_supply else frames:
             self._frame(frame, now_s)
         return answers + self._take()
 
@@ -183,6 +218,10 @@ class SimulatedDrive(FarEnd):
 
     def step(self, now_s: float) -> bytes:
         """Drive logic up to now: watchdog, ramps, cyclic frames."""
+        if self._without_supply:
+            self._motion.target_rad_s, self._motion.ramp_rad_s2 = 0.0, _COAST_RPM_S * _RAD_S
+            self._motion.braking = False
+            return b""
         self._watch(now_s)
         enabled = self.state == cia402.OPERATION_ENABLED
         in_mode = self._objects[0x6060, 0][0] == cia402.MODE_VELOCITY

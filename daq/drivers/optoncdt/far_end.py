@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +11,10 @@ from numpy.typing import NDArray
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.drivers.optoncdt.settings import Laser
-from daq.drivers.simulated import FarEnd, Stretch
+from daq.drivers.simulated import FarEnd, FaultKind, Stretch
 from daq.virtual_rig.world import DeviceClock, World
 
-_ERROR_BEFORE, _ERROR_BEHIND, _ERROR_BAUD = 262077, 262078, 262075
+_ERROR_BEFORE, _ERROR_BEHIND, _ERROR_BAUD, _NO_PEAK = 262077, 262078, 262075, 262076
 
 
 class SimulatedLaser(FarEnd):
@@ -28,6 +29,11 @@ class SimulatedLaser(FarEnd):
         offset_m: reading at rest against mid-range.
         noise_m: standard deviation of one sample.
     """
+
+    fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        "blocked": FaultKind("something stands in the beam: every distance is the code for no peak"),
+        "code": FaultKind("every distance is an error code", _NO_PEAK, meaning="the code", limits=(0, 2**18 - 1)),
+    }
 
     def __init__(
         self,
@@ -44,10 +50,13 @@ class SimulatedLaser(FarEnd):
         self.fault_code: int | None = None
         self._next = 0  # number of the next sample on the device's clock
         self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
-        info = optoncdt.Info(name="ILD1420", serial=serial, range_m=config.range_m, version="001.019")
-        self._commands = SensorCommands(
-            [*info_lines(info), "Option: 000", "Article: 4120232"],
-            float(config.rate_Hz),
+        self._info = optoncdt.Info(name="ILD1420", serial=serial, range_m=config.range_m, version="001.019")
+        self._commands = self._fresh_commands()
+
+    def _fresh_commands(self) -> SensorCommands:
+        return SensorCommands(
+            [*info_lines(self._info), "Option: 000", "Article: 4120232"],
+            float(self._config.rate_Hz),
             rate_set=self._begin_anew,
             counter_reset=self._reset_counter,
         )
@@ -93,10 +102,22 @@ class SimulatedLaser(FarEnd):
         return optoncdt.encode_block(self._words(seen, counter, device_s))
 
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd; "code": a distance word in place of what it sees, 0 ends it."""
-        if what != "code":
-            super().fail(what, value)
-        self.fault_code = int(value) or None
+        """See FarEnd and `fault_kinds`; 0 ends either."""
+        match what:
+            case "blocked":
+                self.fault_code = _NO_PEAK if value else None
+            case "code":
+                self.fault_code = int(value) or None
+            case _:
+                super().fail(what, value)
+
+    def power(self, on: bool, now_s: float) -> None:
+        """See FarEnd: it answers commands again, sends nothing yet, and counts from 0."""
+        super().power(on, now_s)
+        if on:
+            self._clock.begin_anew(now_s)
+            self._next = self._counter = 0
+            self._commands = self._fresh_commands()
 
     def _words(
         self, seen: NDArray[np.floating], counter: NDArray[np.int_], device_s: NDArray[np.floating]

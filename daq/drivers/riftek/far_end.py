@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.settings import RiftekLaser
-from daq.drivers.simulated import FarEnd, Stretch
+from daq.drivers.simulated import FarEnd, FaultKind, Stretch
 from daq.virtual_rig.world import DeviceClock, World
 
 _NO_TARGET = 0
@@ -37,6 +38,15 @@ class SimulatedRiftek(FarEnd):
         serial: a number below 65536.
     """
 
+    fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        "blocked": FaultKind("something stands in the beam: every result is 0"),
+        "code": FaultKind("every result is the same", _NO_TARGET, end=-1, meaning="the result", limits=(-1, 16384)),
+        "lost": FaultKind("results get lost on the line", 100, end=None, meaning="how many", limits=(0, 1e6)),
+        "stale": FaultKind("its results are no new ones"),
+        "deaf": FaultKind("it heeds no request"),
+        "range": FaultKind("it is another sensor", 10, end=None, meaning="its range, mm", limits=(1, 2500)),
+    }
+
     def __init__(
         self,
         config: RiftekLaser,
@@ -50,7 +60,7 @@ class SimulatedRiftek(FarEnd):
         self._config, self._look, self._offset, self._noise = config, look, offset_m, noise_m
         self._clock, self._rng = clock, rng
         self.streaming = False
-        self.parameters = dict(_FACTORY)
+        self.parameters, self._stored = dict(_FACTORY), dict(_FACTORY)
         self.fault_code: int | None = None
         self._deaf = self._stale = False
         self._lose = 0
@@ -111,6 +121,7 @@ class SimulatedRiftek(FarEnd):
             case wire.WRITE:
                 self._write(message[0], message[1])
             case wire.STORE:
+                self._stored = dict(self.parameters)
                 return self._answer(message)
             case wire.START:
                 self.streaming, self._next = True, None
@@ -164,13 +175,10 @@ class SimulatedRiftek(FarEnd):
         return codes
 
     def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd.
-
-        Args:
-            what: "code" (a result it gives; below 0 ends it), "lost" (results that get lost on the line), "stale" (its
-                results are no new ones), "deaf" (it heeds no request), "range" (mm, it is another sensor).
-        """
+        """See FarEnd and `fault_kinds`; a code below 0 ends it."""
         match what:
+            case "blocked":
+                self.fault_code = _NO_TARGET if value else None
             case "code":
                 self.fault_code = int(value) if value >= 0 else None
             case "lost":
@@ -183,3 +191,12 @@ class SimulatedRiftek(FarEnd):
                 self._range_mm = int(value)
             case _:
                 super().fail(what, value)
+
+    def power(self, on: bool, now_s: float) -> None:
+        """See FarEnd: it has its stored parameters, sends nothing yet, and counts from 0."""
+        super().power(on, now_s)
+        if on:
+            self._clock.begin_anew(now_s)
+            self.streaming, self._next, self._number = False, None, 0
+            self.parameters = dict(self._stored)
+            self._request.clear()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.drivers.simulated import FarEnd, Stretch
+from daq.drivers.simulated import FarEnd, FaultKind, Stretch
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock, World
 from rig_configs.device import RotorNodeSettings
@@ -23,11 +23,15 @@ _TURNING_RAD_S = 0.5  # locking is refused above this speed
 
 
 class Air:
-    """Frames on the radio: lost in bursts, delayed with jitter, in order. Every loss is remembered."""
+    """Frames on the radio: lost in bursts, delayed with jitter, in order. Every loss is remembered.
+
+    Attributes:
+        silent: nothing gets through, either way.
+    """
 
     def __init__(self, config: Radio, rng: np.random.Generator) -> None:
         self._config, self._rng = config, rng
-        self._bad = False
+        self._bad = self.silent = False
         self._flying: deque[tuple[float, int, bytes]] = deque()
         self._busy_until = 0.0
         self.sent = 0
@@ -35,6 +39,8 @@ class Air:
         self.last_delivered = -1
 
     def _lost(self) -> bool:
+        if self.silent:
+            return True
         change = self._config.burst_stop if self._bad else self._config.burst_start
         if self._rng.random() < change:
             self._bad = not self._bad
@@ -86,6 +92,13 @@ class SimulatedNode(FarEnd):
     """
 
     samples_per_block: ClassVar[int] = 20
+    fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        "dead": FaultKind("the node sends nothing any more; what receives it goes on"),
+        "radio": FaultKind("nothing gets through on air, either way; the node goes on counting"),
+        "flags": FaultKind("the node reports a fault of its encoders", meaning="bit 0: A, bit 1: B", limits=(0, 3)),
+        "marks lost": FaultKind("its index sensor sees nothing"),
+        "locks stuck": FaultKind("a lock that is told to move reports a fault"),
+    }
 
     def __init__(
         self,
@@ -100,7 +113,7 @@ class SimulatedNode(FarEnd):
     ) -> None:
         self._config, self._motion, self._zero, self._noise = config, motion, zero_error_rad, noise_counts
         self._play, self._clock, self.air, self._rng = play_rad, clock, air, rng
-        self.dead = self.marks_lost = self.locks_stuck = False
+        self.dead = self.marks_lost = self.locks_stuck = self._without_supply = False
         self.fault_flags = 0
         self._period = 1.0 / config.rate_Hz
         self._next = 0
@@ -121,7 +134,7 @@ class SimulatedNode(FarEnd):
         return int(float(self._clock.device_s(time_s)) * 1e6) % 2**32
 
     def _send(self, time_s: float, build: Callable[[int], bytes]) -> None:
-        if self.dead:
+        if self.dead or self._without_supply:
             return
         payload = build(self._seq)
         self._seq = (self._seq + 1) & 0xFFFF
@@ -149,6 +162,8 @@ class SimulatedNode(FarEnd):
 
     def hear(self, frame: rotorlink.Frame, now_s: float, tries: int = 1) -> bool:
         """Take a host's frame off the air, which may lose it; whether one of the tries got through."""
+        if self._without_supply:
+            return False
         got_through = any(self.air.downlink() for _ in range(tries))
         if got_through:
             self._host_frame(frame, now_s + self.air._config.delay_s)
@@ -223,8 +238,10 @@ class SimulatedNode(FarEnd):
         return self.dongle(float(motion.time_s[-1]))
 
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd: "dead", "flags" (of faulty encoders), "marks lost", "locks stuck"."""
+        """See FarEnd and `fault_kinds`; 0 ends each."""
         match what:
+            case "radio":
+                self.air.silent = bool(value)
             case "dead":
                 self.dead = bool(value)
             case "flags":
@@ -235,6 +252,19 @@ class SimulatedNode(FarEnd):
                 self.locks_stuck = bool(value)
             case _:
                 super().fail(what, value)
+
+    def power(self, on: bool, now_s: float) -> None:
+        """See FarEnd: the node's battery; what receives it at the host goes on.
+
+        Time, index and seq begin at 0. The counters keep their zero and the locks stay as they are.
+        """
+        self._without_supply = not on
+        if on:
+            self._clock.begin_anew(now_s)
+            self._next = self._index = self._seq = 0
+            self._pending = []
+            self._acted.clear()
+            self._due.clear()
 
     def facts(self) -> dict[str, Any]:
         """See FarEnd: what the radio was given and dropped."""

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
-from daq.drivers.simulated import FarEnd
+from daq.drivers.simulated import FarEnd, FaultKind
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
 from daq.virtual_rig.motion import Motion
@@ -39,6 +40,21 @@ class SimulatedVesc(FarEnd):
         frames_sent: answers.
     """
 
+    fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        "fault": FaultKind(
+            "it has a fault, which passes by itself: no torque", 4, meaning="the fault code", limits=(0, 255)
+        ),
+        "restart": FaultKind("it starts anew at once", end=None),
+        "silent reports": FaultKind("it does not answer when it is asked for its values"),
+        "reported share": FaultKind(
+            "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
+        ),
+        "speed": FaultKind(
+            "it runs away until it is braked", 1000, end=None, meaning="to this speed, rpm", limits=(-10_000, 10_000)
+        ),
+        "deaf": FaultKind("no command reaches it; it still answers"),
+    }
+
     def __init__(
         self,
         settings: Vesc,
@@ -52,14 +68,12 @@ class SimulatedVesc(FarEnd):
         self._settings, self._motion, self._has_status = settings, motion, has_status
         self._timeout_s = settings.timeout_s if timeout_s is None else timeout_s
         self._timeout_brake_A = settings.brake_A if timeout_brake_A is None else timeout_brake_A
-        self._decoder = packets.PacketDecoder()
         self.frames_sent = 0
         self.emergencies: list[int] = []
         self._now_s = 0.0
         self._answers, self._deaf = True, False
         self._reported_share = 1.0
-        self._runaway_rpm: float | None = None
-        self._fault, self._fault_until_s = 0, 0.0
+        self._fault_until_s = 0.0
         self._start()
 
     @classmethod
@@ -76,19 +90,13 @@ class SimulatedVesc(FarEnd):
         """As it stands after power came."""
         self._command: wire.Command | None = None
         self._heard_s: float | None = None
+        self._fault = 0
+        self._runaway_rpm: float | None = None
+        self._decoder = packets.PacketDecoder()
         self._steps = self._drawn_Ah = self._drawn_Wh = 0.0
 
     def fail(self, what: str, value: Any) -> None:
-        """Something goes wrong.
-
-        Args:
-            what: "fault" (value: its code; 0 ends it), "restart", "silent reports", "reported share", "speed" (it runs
-                away to so many rpm until it is braked), "deaf" (no command reaches it; it still answers).
-            value: as told above; otherwise 0 ends it.
-
-        Raises:
-            ValueError: no such fault.
-        """
+        """See FarEnd and `fault_kinds`."""
         match what:
             case "fault":
                 self._fault, self._fault_until_s = int(value), self._now_s + _FAULT_STOP_S
@@ -106,6 +114,11 @@ class SimulatedVesc(FarEnd):
                 self._deaf = bool(value)
             case _:
                 super().fail(what, value)
+
+    def power(self, on: bool, now_s: float) -> None:
+        """See FarEnd: without supply there is no torque; then it begins as one that was never commanded."""
+        super().power(on, now_s)
+        self._start()
 
     # --- its own ------------------------------------------------------------------------------------------------
 
@@ -202,7 +215,7 @@ class SimulatedVesc(FarEnd):
 
     def _wanted(self) -> tuple[float | None, float]:
         """Speed, rpm, or None, and then the brake current, A; with neither the rotor runs down."""
-        if self._fault:
+        if self._fault or not self.line_alive:
             return None, 0.0
         if self._runaway_rpm is not None:
             return self._runaway_rpm, 0.0

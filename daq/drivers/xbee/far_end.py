@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.far_end import Air, SimulatedNode
+from daq.drivers.simulated import FaultKind
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.virtual_rig.motion import Motion
@@ -38,6 +40,14 @@ class SimulatedXBeeNode(SimulatedNode):
 
     samples_per_block: ClassVar[int] = 10
     """98 bytes of payload: what the air of an 802.15.4 module takes."""
+    fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        **SimulatedNode.fault_kinds,
+        "out of reach": FaultKind("nothing passes between the modules; the host's own one answers"),
+        "module restart": FaultKind(
+            "the host's module starts anew", end=None, meaning="its modem status", limits=(0, 255)
+        ),
+        "foreign": FaultKind("frames of another node come", 10, end=None, meaning="how many", limits=(0, 1000)),
+    }
 
     def __init__(
         self,
@@ -67,16 +77,7 @@ class SimulatedXBeeNode(SimulatedNode):
         }
 
     def fail(self, what: str, value: Any) -> None:
-        """Something goes wrong.
-
-        Args:
-            what: "dead", "flags", "marks lost", "locks stuck": as the attributes of the node; "out of reach";
-                "module restart": the host's module, with this status; "foreign": so many frames from another node.
-            value: 0 ends what lasts.
-
-        Raises:
-            ValueError: no such fault.
-        """
+        """See FarEnd and `fault_kinds`; 0 ends what lasts."""
         match what:
             case "out of reach":
                 self.out_of_reach = bool(value)
@@ -144,7 +145,7 @@ class SimulatedXBeeNode(SimulatedNode):
         """Send a payload on air; returns the transmit status."""
         if to != self._address.value.to_bytes(self._address.bits // 8, "big"):
             return unknown
-        if self.out_of_reach or self.dead:
+        if self.out_of_reach or self.dead or self._without_supply:
             return unheard
         try:
             frame = rotorlink.parse(payload)

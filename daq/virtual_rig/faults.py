@@ -1,0 +1,178 @@
+# pyright: strict
+"""What goes wrong at a simulated rig: a device's own faults, and those that any device and its line can have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from daq.drivers.simulated import FarEnd, FaultKind
+
+LINE_FAULTS: Mapping[str, FaultKind] = {
+    "power": FaultKind("its supply fails; when it is back the device begins anew"),
+    "mute": FaultKind("nothing that it sends arrives"),
+    "unheard": FaultKind("nothing that the host sends reaches it"),
+    "garbage": FaultKind(
+        "bytes that are none of its own stand in its stream", 200, meaning="bytes a second", limits=(0, 1e6)
+    ),
+    "bit errors": FaultKind("bits of its stream are wrong", 1e-3, meaning="share of its bytes"),
+    "lost bytes": FaultKind("bytes of its stream are lost", 1e-3, meaning="share of its bytes"),
+}
+"""Faults of any device; one of its own by the same name goes before."""
+
+_MOST = 1e15
+
+
+def number(request: Mapping[str, Any], key: str, default: float | None = None) -> float:
+    """A finite number of a request.
+
+    Raises:
+        ValueError: it is missing and has no default, or is none.
+    """
+    value = request.get(key, default)
+    if not isinstance(value, int | float) or not abs(value) <= _MOST:  # NaN is not, either
+        raise ValueError(f"expected a finite number for {key!r}, got {value!r}")
+    return value
+
+
+class Faults:
+    """The faults of all devices: placed, ended in time, and laid over the bytes.
+
+    Args:
+        far_ends: the devices by name.
+        random: makes an own stream of random numbers for a name.
+    """
+
+    def __init__(self, far_ends: Mapping[str, FarEnd], random: Callable[[str], np.random.Generator]) -> None:
+        self._far_ends = far_ends
+        self._random = {name: random(f"line {name}") for name in far_ends}
+        self._standing: dict[tuple[str, str], float] = {}
+        self._ends_s: dict[tuple[str, str], float] = {}
+
+    def kinds(self, device: str) -> dict[str, FaultKind]:
+        """What can go wrong with a device: its own kinds first.
+
+        Raises:
+            ValueError: no such device.
+        """
+        own = self._far_end(device).fault_kinds
+        return {**own, **{what: kind for what, kind in LINE_FAULTS.items() if what not in own}}
+
+    def standing(self, device: str) -> dict[str, float]:
+        """The faults that last now, with their values."""
+        return {what: value for (name, what), value in self._standing.items() if name == device}
+
+    def place(self, request: Mapping[str, Any], now_s: float) -> None:
+        """Place or end a fault.
+
+        Args:
+            request: "device" and "what"; "value", without it that of the kind; "end": true ends the fault; "seconds":
+                after so much rig time it ends by itself.
+            now_s: rig time, s.
+
+        Raises:
+            ValueError: no such device or fault, or one that cannot be so.
+        """
+        device, what = str(request.get("device")), str(request.get("what"))
+        far_end, kind = self._far_end(device), self.kinds(device).get(what, FaultKind(""))
+        value, seconds = request.get("value", kind.value), request.get("seconds")
+        if (request.get("end") or seconds is not None) and kind.end is None:
+            raise ValueError(f"{what!r} of {device} happens once: it can be neither ended nor timed")
+        if request.get("end"):
+            value = kind.end
+        if seconds is not None and not 0 < number(request, "seconds") <= 86_400:
+            raise ValueError(f"expected seconds above 0 and up to 86400, got {seconds!r}")
+        self._apply(device, far_end, what, value, now_s)
+        self._ends_s.pop((device, what), None)
+        if seconds is not None and (device, what) in self._standing:
+            self._ends_s[device, what] = now_s + seconds
+
+    def _far_end(self, device: str) -> FarEnd:
+        if device not in self._far_ends:
+            raise ValueError(f"no device {device!r}; this rig has {', '.join(self._far_ends)}")
+        return self._far_ends[device]
+
+    def _apply(self, device: str, far_end: FarEnd, what: str, value: Any, now_s: float) -> None:
+        kind = self.kinds(device).get(what)
+        if kind is None:  # one that it does not list may still be one it has
+            self._unlisted(device, far_end, what, value)
+            return
+        low, high = kind.limits
+        if not isinstance(value, int | float) or not low <= value <= high:
+            meant = f"{kind.meaning}, {low:g} to {high:g}" if kind.meaning else "1, or 0 to end it"
+            raise ValueError(f"{what!r} of {device} takes {meant}; got {value!r}")
+        if what in far_end.fault_kinds:
+            far_end.fail(what, value)
+        elif what == "power" and bool(value) != ((device, what) in self._standing):
+            far_end.power(not value, now_s)
+        if kind.end is None:
+            return
+        if value == kind.end:
+            self._standing.pop((device, what), None)
+        else:
+            self._standing[device, what] = value
+
+    def _unlisted(self, device: str, far_end: FarEnd, what: str, value: Any) -> None:
+        try:
+            far_end.fail(what, value)
+        except ValueError as error:
+            raise ValueError(f"{device}: no fault {what!r}; it can have: {', '.join(self.kinds(device))}") from error
+
+    def end_in_time(self, now_s: float) -> None:
+        """End the faults whose time is over."""
+        for device, what in [place for place, end_s in self._ends_s.items() if end_s <= now_s]:
+            self.place({"device": device, "what": what, "end": True}, now_s)
+
+    def heard(self, device: str, data: bytes) -> bytes:
+        """What reaches a device of what the host has sent."""
+        alive = self._far_ends[device].line_alive and not self._lasts(device, "unheard")
+        return data if alive else b""
+
+    def arrives(self, device: str, data: bytes, seconds: float) -> bytes:
+        """What the host gets of what a device has sent in some rig time."""
+        if self._standing:
+            if self._lasts(device, "mute") or not self._far_ends[device].line_alive:
+                return b""
+            if share := self._lasts(device, "lost bytes"):
+                data = self._lossy(device, data, share)
+            if share := self._lasts(device, "bit errors"):
+                data = self._flipped(device, data, share)
+            if rate := self._lasts(device, "garbage"):
+                data = self._with_garbage(device, data, rate * seconds)
+        return data
+
+    def _lasts(self, device: str, what: str) -> float:
+        """Value of a line's fault that lasts; 0 where it does not, or is the device's own of that name."""
+        return 0.0 if what in self._far_ends[device].fault_kinds else self._standing.get((device, what), 0.0)
+
+    def _lossy(self, device: str, data: bytes, share: float) -> bytes:
+        kept = self._random[device].random(len(data)) >= share
+        return np.frombuffer(data, np.uint8)[kept].tobytes()
+
+    def _flipped(self, device: str, data: bytes, share: float) -> bytes:
+        rng = self._random[device]
+        hit = rng.random(len(data)) < share
+        bits = np.left_shift(np.uint8(1), rng.integers(0, 8, len(data), np.uint8))
+        return (np.frombuffer(data, np.uint8) ^ np.where(hit, bits, np.uint8(0))).tobytes()
+
+    def _with_garbage(self, device: str, data: bytes, expected: float) -> bytes:
+        rng = self._random[device]
+        garbage = rng.bytes(int(rng.poisson(min(expected, 1e6))))
+        at = int(rng.integers(0, len(data) + 1))
+        return data[:at] + garbage + data[at:]
+
+
+def listed(kinds: Mapping[str, FaultKind]) -> dict[str, dict[str, Any]]:
+    """Kinds of faults as JSON."""
+    return {
+        what: {
+            "words": kind.words,
+            "value": kind.value,
+            "meaning": kind.meaning,
+            "limits": kind.limits,
+            "lasts": kind.end is not None,
+        }
+        for what, kind in kinds.items()
+    }

@@ -1,0 +1,162 @@
+# pyright: strict
+"""The simulated rig without wires and clock: bytes from the host in, bytes to the host out, on a time that is given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from daq.drivers.devices import devices_of
+from daq.drivers.simulated import FarEnd
+from daq.errors import ProcedureError
+from daq.virtual_rig.faults import Faults, listed, number
+from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.world import World
+from rig_configs.errors import RigConfigError
+from rig_configs.load import with_truth
+from rig_configs.schema import Rig
+
+_RPM = math.pi / 30
+_FARTHEST_MM = 50.0
+_FASTEST_RPM = 20_000.0
+
+
+class SimulatedRig:
+    """All simulated devices around one motion. It has no threads, opens nothing and reads no clock.
+
+    The same rig file, seed, times, bytes and requests yield the same bytes.
+
+    Args:
+        rig: a rig file with a [virtual] table.
+        patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
+
+    Attributes:
+        motion: of rotor, column and pendulums.
+        far_ends: the simulated device of each name in the rig file.
+
+    Raises:
+        RigConfigError: the rig file has no [virtual] table.
+    """
+
+    def __init__(self, rig: Rig, patience: Callable[[float], float] = float) -> None:
+        if rig.virtual is None:
+            raise RigConfigError(f"rig {rig.name} has no [virtual] table: there is nothing to simulate")
+        self._rig = rig
+        self.motion = Motion(rig.true_physics, rig.virtual.drive.slip, rig.virtual.drive.lag_s)
+        world = World(rig.virtual, self.motion, patience)
+        self.far_ends: dict[str, FarEnd] = {
+            name: device.far_end(world) for name, device in devices_of(rig.devices).items()
+        }
+        self._faults = Faults(self.far_ends, world.rng)
+        self._let_go_s: float | None = None
+
+    def step(self, now_s: float, received: Mapping[str, bytes]) -> dict[str, bytes]:
+        """Answer the host, then let the rig move up to now.
+
+        Args:
+            now_s: rig time, s; not before that of the last step.
+            received: what the host has sent to each device since the last step; a device may be missing.
+
+        Returns:
+            What each device sends, by its name in the rig file; every device is there.
+        """
+        motion, faults, before_s = self.motion, self._faults, self.motion.time_s
+        faults.end_in_time(now_s)
+        heard = {name: faults.heard(name, received.get(name, b"")) for name in self.far_ends}
+        sent = {
+            name: far_end.receive(heard[name], before_s) if heard[name] else b""
+            for name, far_end in self.far_ends.items()
+        }
+        if self._let_go_s is not None and now_s >= self._let_go_s:
+            motion.let_go()
+            self._let_go_s = None
+        for name, far_end in self.far_ends.items():
+            sent[name] += far_end.step(before_s)
+        stretch = motion.advance(now_s)
+        if stretch is not None:
+            for name, far_end in self.far_ends.items():
+                sent[name] += far_end.sample(stretch)
+        return {name: faults.arrives(name, data, motion.time_s - before_s) for name, data in sent.items()}
+
+    def do(self, request: Mapping[str, Any], now_s: float) -> dict[str, Any]:
+        """Carry out what a hand does at the rig, a fault, or an onlooker's question (see `daq.virtual_rig.control`).
+
+        Args:
+            request: "do" and what belongs to it.
+            now_s: rig time, s.
+
+        Returns:
+            The answer; {"ok": True} where nothing was asked.
+
+        Raises:
+            KeyError, TypeError, ValueError: no such request, or one that is incomplete or cannot be carried out.
+        """
+        match request.get("do"):
+            case "pluck" | "flick" | "lock" | "release" | "turn" as act:
+                self._by_hand(act, request, now_s)
+            case "set":
+                self._set(str(request["key"]), request["value"])
+            case "truth":
+                return {"truth": self.motion.physics.identified()}
+            case "state":
+                return self._state()
+            case "faults":
+                return {"devices": {name: listed(self._faults.kinds(name)) for name in self.far_ends}}
+            case "fail":
+                self._faults.place(request, now_s)
+            case other:
+                raise ValueError(f"unknown request {other!r}")
+        return {"ok": True}
+
+    def _state(self) -> dict[str, Any]:
+        motion = self.motion
+        facts: dict[str, Any] = {
+            "time_s": motion.time_s,
+            "speed_rpm": motion.speed_rad_s / _RPM,
+            "displacement_mm": [1e3 * each for each in motion.displacement_m],
+            "pendulums_deg": [math.degrees(each) for each in motion.angles_rad],
+            "pendulums_held": [motion.held(pendulum) for pendulum in (0, 1)],
+        }
+        own = {name: dict(far_end.facts()) for name, far_end in self.far_ends.items()}
+        for each in own.values():
+            facts |= each
+        devices = {name: {"faults": self._faults.standing(name), "facts": own[name]} for name in self.far_ends}
+        return {**facts, "devices": devices}
+
+    def _by_hand(self, act: str, request: Mapping[str, Any], now_s: float) -> None:
+        """What a person does at the rig; what a device holds is not the hand's."""
+        roles, motion = self._rig.roles, self.motion
+        holder = roles.locks if act in ("lock", "release") else roles.speed if act == "turn" else None
+        if holder is not None:
+            raise ValueError(f"that is {holder.device}'s to do, no hand is needed")
+        match act:
+            case "pluck":
+                x_mm, y_mm = number(request, "x_mm", 0.0), number(request, "y_mm", 0.0)
+                if math.hypot(x_mm, y_mm) > _FARTHEST_MM:
+                    raise ValueError(f"the column takes at most {_FARTHEST_MM:g} mm, got {x_mm:g} and {y_mm:g} mm")
+                self._let_go_s = now_s + number(request, "hold_s", 0.5)
+                motion.hold(1e-3 * x_mm, 1e-3 * y_mm)
+            case "flick":
+                pendulum = request["pendulum"]
+                if pendulum not in (0, 1):
+                    raise ValueError(f"expected pendulum 0 (A) or 1 (B), got {pendulum!r}")
+                if not motion.flick(pendulum, number(request, "speed_rad_s")):
+                    raise ValueError(f"pendulum {'AB'[pendulum]} is held: release it first")
+            case "turn":
+                rpm, ramp = number(request, "rpm"), number(request, "ramp_rpm_per_s")
+                if not (abs(rpm) <= _FASTEST_RPM and 0 < ramp <= _FASTEST_RPM):
+                    raise ValueError(f"expected at most {_FASTEST_RPM:g} rpm and a ramp above 0, got {rpm:g}, {ramp:g}")
+                motion.target_rad_s, motion.ramp_rad_s2 = rpm * _RPM, ramp * _RPM
+            case _:
+                for pendulum in (0, 1):
+                    motion.lock(pendulum, 0.0) if act == "lock" else motion.release(pendulum)
+
+    def _set(self, key: str, value: Any) -> None:
+        """Change the truth from now on (a clamp has moved, a magnet pack was replaced)."""
+        try:
+            changed = with_truth(self._rig, key, value)
+            self.motion.change(changed.true_physics)
+        except (RigConfigError, ProcedureError) as error:
+            raise ValueError(str(error)) from error
+        self._rig = changed
