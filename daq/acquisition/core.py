@@ -276,7 +276,7 @@ class Core:
             yield Note(Event("stop", "host", str(error)), now_ns)
 
     def lost(self, device: str, error: Exception, now_ns: int) -> Iterator[Order]:
-        """A device's link is gone: the run's end while the rotor turns or devices are opened, otherwise a gap.
+        """A device's link is gone: the run's end while the rotor turns or devices are opened, else a gap of one device.
 
         A link that fails with anything but LinkLost is a fault of this software, and the run's end.
         """
@@ -285,6 +285,9 @@ class Core:
             yield from self.fail(error, now_ns)
             return
         self.gone[device] = str(error)
+        if len(self.gone) == len(self._known):  # none is left to go on
+            yield from self.fail(error, now_ns)
+            return
         yield Note(Event("gone", device, str(error)), now_ns)
         yield from self.warn(f"{error}. The others go on; it is looked for")
 

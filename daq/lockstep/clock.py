@@ -1,5 +1,9 @@
 # pyright: strict
-"""A host's clock that passes only while somebody waits for it, and does then what is due."""
+"""A host's clock that passes only while somebody waits for it, and does then what is due.
+
+What is due is the world's (the rig moves, a cable is cut) or the host's (a reader wakes up, a tick). A host that is
+busy with something else does its part late; the world goes on.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from typing import Any
 from daq.transports.host_clock import HostClock, Repeated
 
 START_NS = 1_700_000_000_000_000_000
-_LOOK_NS = 1_000_000  # between two looks of a wait without an event of its own
+_LOOK_NS = 100_000  # the least that a wait takes: a loop around it comes to an end too
 _FOREVER_S = 3600.0
 
 
@@ -25,9 +29,10 @@ class SimulatedClock(HostClock):
     def __init__(self, start_ns: int = START_NS) -> None:
         super().__init__()
         self._start_ns = self._now_ns = start_ns
-        self._due: list[tuple[int, int, Callable[[], object]]] = []
+        self._due: list[tuple[int, int, bool, Callable[[], object]]] = []
         self._count = 0
         self._doing = False
+        self._busy_until_ns = start_ns
 
     # --- time --------------------------------------------------------------------------------------------------
 
@@ -36,29 +41,29 @@ class SimulatedClock(HostClock):
         return self._now_ns
 
     def wall_s(self) -> float:
-        """See HostClock."""
-        return (self._now_ns - self._start_ns) * 1e-9
-
-    @property
-    def since_start_s(self) -> float:
-        """Time since the clock's beginning, s."""
+        """See HostClock; since the clock's beginning."""
         return (self._now_ns - self._start_ns) * 1e-9
 
     # --- what is due -------------------------------------------------------------------------------------------
 
-    def at(self, when_ns: int, do: Callable[[], object]) -> None:
+    def at(self, when_ns: int, do: Callable[[], object], world: bool = False) -> None:
         """Do something at an instant; of two at the same instant the one that was asked for first.
 
         Args:
             when_ns: ns since 1970; one that has passed means at once.
             do: it must not wait.
+            world: whether it happens however busy the host is.
         """
         self._count += 1
-        heapq.heappush(self._due, (max(when_ns, self._now_ns), self._count, do))
+        heapq.heappush(self._due, (max(when_ns, self._now_ns), self._count, world, do))
 
-    def after(self, seconds: float, do: Callable[[], object]) -> None:
+    def after(self, seconds: float, do: Callable[[], object], world: bool = False) -> None:
         """The same, some time from now, s."""
-        self.at(self._now_ns + round(seconds * 1e9), do)
+        self.at(self._now_ns + round(seconds * 1e9), do, world)
+
+    def busy(self, seconds: float) -> None:
+        """The host does nothing of ours for so long, s."""
+        self._busy_until_ns = max(self._busy_until_ns, self._now_ns + round(seconds * 1e9))
 
     def pass_until(self, when_ns: int, ready: Callable[[], bool] = lambda: False) -> None:
         """Let time pass up to an instant, or until something is ready; it is asked after each thing that is done.
@@ -67,16 +72,24 @@ class SimulatedClock(HostClock):
             WaitedInVain: called by what is done meanwhile.
         """
         if self._doing:
-            raise WaitedInVain("expected something that is done at once, it waits; only the one thread may wait")
-        while not ready() and self._due and self._due[0][0] <= when_ns:
-            self._now_ns, _, do = heapq.heappop(self._due)
-            self._doing = True
-            try:
-                do()
-            finally:
-                self._doing = False
-        if not ready():
-            self._now_ns = max(self._now_ns, when_ns)
+            raise WaitedInVain("expected something that is done at once, it waits: only the one thread may wait")
+        while not ready():
+            end_ns = max(when_ns, self._busy_until_ns)  # who waits wakes up when the host does
+            if not self._due or self._due[0][0] > end_ns:
+                self._now_ns = max(self._now_ns, end_ns)
+                return
+            self._do_next()
+
+    def _do_next(self) -> None:
+        when_ns, count, world, do = heapq.heappop(self._due)
+        if not world and when_ns < self._busy_until_ns:
+            heapq.heappush(self._due, (self._busy_until_ns, count, world, do))
+            return
+        self._now_ns, self._doing = when_ns, True
+        try:
+            do()
+        finally:
+            self._doing = False
 
     # --- waiting -----------------------------------------------------------------------------------------------
 

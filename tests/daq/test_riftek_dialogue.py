@@ -191,7 +191,7 @@ def test_a_sensor_that_does_not_answer_is_said_with_what_to_look_at(bench: Bench
 def test_a_sensor_that_will_not_be_silent_is_said(bench: Bench) -> None:
     bench.sensor.receive(wire.request(0, wire.START))
     bench.sensor.fail("deaf")
-    with pytest.raises(DeviceError, match="told 3 times to stop its stream, it goes on sending"):
+    with pytest.raises(DeviceError, match="ordered several times to stop its stream, it goes on sending"):
         DRIVER.open("laser_y", bench.config, bench)
 
 
