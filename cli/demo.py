@@ -21,8 +21,8 @@ from cli.workbench import Workbench
 from daq.acquisition.session import Session
 from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.test_inputs import possible_tests
+from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
-from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig
@@ -49,6 +49,10 @@ def demo(
     settings: Settings = None,
     fault: Annotated[list[str] | None, Parameter(help="KEY=VALUE@STEP: change the truth just before a step")] = None,
     link: str = "auto",
+    lockstep: Annotated[
+        bool,
+        Parameter(negative="", help="simulate time too: repeatable bit for bit by its seed, as fast as it computes"),
+    ] = False,
     json: Json = False,
 ) -> int:
     """A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, reported."""
@@ -62,7 +66,8 @@ def demo(
     workbench = Workbench()
     try:
         with progress:
-            result = _campaign(rig, changes, loaded, faults, folder, time_scale, link, progress, workbench)
+            far = LockstepRig(loaded) if lockstep else VirtualRigProcess(rig, changes, time_scale, link)
+            result = _campaign(rig, changes, loaded, faults, folder, far, progress, workbench)
     finally:
         workbench.close()
     result["seconds"] = time.monotonic() - started
@@ -106,8 +111,7 @@ def _campaign(
     rig: Rig,
     faults: list[Fault],
     folder: Path,
-    time_scale: float,
-    link: str,
+    far: VirtualRigProcess | LockstepRig,
     progress: StepProgress,
     workbench: Workbench,
 ) -> dict[str, Any]:
@@ -117,18 +121,18 @@ def _campaign(
         progress.say(f"no device for: {', '.join(left_out)}")
     tests_done: list[TestDone] = []
     refinements: list[Future[None]] = []
-    with VirtualRigProcess(name, changes, time_scale, link) as simulated:
-        truth = simulated.line.ask("truth")["truth"]
+    with far as simulated:
+        truth = simulated.ask("truth")["truth"]
         plugged = load_rig(name, settings=[*changes, *simulated.port_settings()])
 
         def begin(step: str) -> None:
             progress.step(step)
             for fault in [f for f in faults if f.step == step]:
-                simulated.line.ask("set", key=fault.key, value=fault.value)
+                simulated.ask("set", key=fault.key, value=fault.value)
                 progress.say(f"fault: {fault.key} = {fault.value} before {step}")
 
-        with Session(plugged, HostClock(time_scale)) as session:
-            tests = Procedures(session, SimulatedOperator(simulated.line), folder / "logs", progress.tell)
+        with Session(plugged, simulated.clock, edge=simulated.edge) as session:
+            tests = Procedures(session, SimulatedOperator(simulated), folder / "logs", progress.tell)
 
             def record(rig: Rig, test: str) -> Path:
                 done = run_test(tests, rig, test)
@@ -151,7 +155,7 @@ def _campaign(
                 begin(point)
                 logs.append(record(identified, point))
                 refinements.append(workbench.refine(plugged, logs[-1]))
-        radio = simulated.line.ask("state")
+        radio = simulated.ask("state")
     progress.step("report")
     assert rig.virtual is not None
     facts = {

@@ -7,9 +7,10 @@ import json
 import subprocess
 import sys
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 from daq.errors import DeviceError
+from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
 
 
@@ -21,7 +22,13 @@ class VirtualRigProcess:
         settings: `--set` texts to lay over it.
         time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
+
+    Attributes:
+        clock: of whoever runs the rig.
+        edge: the machine's own ports and disk.
     """
+
+    edge = None
 
     def __init__(self, rig: str, settings: list[str], time_scale: float, link: str = "auto") -> None:
         command = [sys.executable, "-m", "cli.main", "virtual", rig, "--time-scale", str(time_scale), "--link", link]
@@ -32,6 +39,7 @@ class VirtualRigProcess:
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=sys.platform != "win32"
         )
+        self.clock = HostClock(time_scale)
         try:
             self.ports, self.line = self._connect()
         except BaseException:
@@ -46,6 +54,10 @@ class VirtualRigProcess:
         except ValueError:
             raise DeviceError(f"the virtual rig did not start, it said {line!r}; its reason stands above") from None
         return ready["ports"], OperatorLine(ready["control_port"], ready["token"])
+
+    def ask(self, do: str, **what: Any) -> dict[str, Any]:
+        """See OperatorLine."""
+        return self.line.ask(do, **what)
 
     def port_settings(self) -> list[str]:
         """Settings that point a rig file's devices at this process."""
@@ -75,10 +87,18 @@ class VirtualRigProcess:
             self._process.wait()
 
 
+class Asked(Protocol):
+    """A simulated rig, however far away."""
+
+    def ask(self, do: str, **what: Any) -> dict[str, Any]:
+        """See OperatorLine."""
+        ...
+
+
 class SimulatedOperator:
     """Does at the virtual rig what a person does by hand at a real one."""
 
-    def __init__(self, line: OperatorLine) -> None:
+    def __init__(self, line: Asked) -> None:
         self._line = line
 
     def pluck(self, axis: str, mm: float | None = None) -> None:

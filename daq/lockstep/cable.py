@@ -23,6 +23,7 @@ class Cable:
         port: its name; another one after it was plugged in again.
         sent: by the host, not yet at the device.
         overrun_bytes: that came while no room was left.
+        asked: called when the host has written.
     """
 
     def __init__(self, device: str, clock: SimulatedClock, random: np.random.Generator) -> None:
@@ -32,6 +33,7 @@ class Cable:
         self.sent = bytearray()
         self.overrun_bytes = 0
         self.link: LockstepLink | None = None
+        self.asked: Callable[[], None] = lambda: None
 
     def open(self, port: str) -> LockstepLink:
         """Open the port.
@@ -97,6 +99,7 @@ class LockstepLink:
         if self._lost or self._closed:
             raise LinkLost(f"{self.name}: lost while writing. Look at cable and power")
         self._cable.sent += data
+        self._cable.asked()
 
     def close(self) -> None:
         """See Link."""

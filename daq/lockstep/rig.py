@@ -14,13 +14,14 @@ from daq.acquisition.edge import Edge
 from daq.drivers.contract import Line
 from daq.errors import LinkLost
 from daq.lockstep.cable import Cable, LockstepLink
-from daq.lockstep.clock import SimulatedClock
+from daq.lockstep.clock import START_NS, SimulatedClock
 from daq.log.file import LogFile
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs.schema import Rig
 
-STEP_S = 0.002
-"""Between two looks of the world at its cables, s."""
+STEP_S = 0.005
+"""How often devices send, at least: what an adapter gathers before it hands bytes to the host, s."""
+_LINE_S = 0.3e-3  # for the host's bytes to reach a device
 
 
 class SimulatedDisk:
@@ -42,7 +43,7 @@ class SimulatedDisk:
 
 
 class LockstepRig:
-    """See the module. It ends when nobody refers to it any more: it holds no port and no thread.
+    """See the module.
 
     Args:
         rig: a rig file with a [virtual] table; its seed is that of all that is random here too.
@@ -66,7 +67,16 @@ class LockstepRig:
         }
         self.edge = Edge(self._connect, self._places, self.disk)
         self._steps = 0
+        self._asked = False
+        for cable in self.cables.values():
+            cable.asked = self._look_soon
         self._step()
+
+    def __enter__(self) -> LockstepRig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is held that has to be given back."""
 
     def port_settings(self) -> list[str]:
         """Settings that point a rig file's devices at this rig."""
@@ -83,16 +93,26 @@ class LockstepRig:
         return () if cable is None else (cable.port,)
 
     def _step(self) -> None:
+        self._look()
+        self._steps += 1
+        self.clock.at(START_NS + round(self._steps * STEP_S * 1e9), self._step, world=True)
+
+    def _look_soon(self) -> None:
+        """The host has written: devices that answer do not wait for the next regular look."""
+        if not self._asked:
+            self._asked = True
+            self.clock.after(_LINE_S, self._look, world=True)
+
+    def _look(self) -> None:
         """The world looks at its cables and moves on."""
+        self._asked = False
         received = {name: bytes(cable.sent) for name, cable in self.cables.items() if cable.sent}
         for name in received:
             self.cables[name].sent.clear()
-        sent = self.far.step(self._steps * STEP_S, received)
+        sent = self.far.step(self.clock.wall_s(), received)
         for name, data in sent.items():
             if data:
                 self.cables[name].arrive(data)
-        self._steps += 1
-        self.clock.after(STEP_S, self._step, world=True)
 
     def ask(self, do: str, **what: Any) -> dict[str, Any]:
         """What a hand does at the rig, or an onlooker asks (see `daq.virtual_rig.control`).

@@ -77,6 +77,20 @@ def _advance(y, rotor, phase, target, ramp, slip, lag, n, substeps, p, free, hel
     phase[:] = ph[0]
 
 
+@njit(cache=True, error_model="numpy")
+def _hermite(time_s, first_s, rows, value, rate):
+    """See Trajectory.at."""
+    out = np.empty(time_s.shape[0])
+    for k in range(time_s.shape[0]):
+        past = (time_s[k] - first_s) / GRID_S
+        i = min(max(int(past), 0), rows.shape[0] - 2)
+        u = (time_s[k] - (first_s + i * GRID_S)) / GRID_S
+        a, b = rows[i, value], rows[i + 1, value]
+        da, db = rows[i, rate] * GRID_S, rows[i + 1, rate] * GRID_S
+        out[k] = a + u * (da + u * (3 * (b - a) - 2 * da - db + u * (2 * (a - b) + da + db)))
+    return out
+
+
 @dataclass
 class Trajectory:
     """The motion over the last step, on the grid, its first row being the last of the step before.
@@ -91,11 +105,7 @@ class Trajectory:
 
     def at(self, time_s: NDArray[np.floating], value: int, rate: int) -> NDArray[np.floating]:
         """Cubic Hermite interpolation of one column with its rate's column; shape of time_s."""
-        i = np.clip(((time_s - self.time_s[0]) / GRID_S).astype(int), 0, len(self.time_s) - 2)
-        u = (time_s - self.time_s[i]) / GRID_S
-        a, b = self.rows[i, value], self.rows[i + 1, value]
-        da, db = self.rows[i, rate] * GRID_S, self.rows[i + 1, rate] * GRID_S
-        return a + u * (da + u * (3 * (b - a) - 2 * da - db + u * (2 * (a - b) + da + db)))
+        return _hermite(np.asarray(time_s, np.float64), float(self.time_s[0]), self.rows, value, rate)
 
 
 class Motion:
