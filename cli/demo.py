@@ -51,7 +51,7 @@ def demo(
     link: str = "auto",
     lockstep: Annotated[
         bool,
-        Parameter(negative="", help="simulate time too: repeatable bit for bit by its seed, as fast as it computes"),
+        Parameter(negative="", help="simulated time: repeatable bit for bit by its seed, as fast as it computes"),
     ] = False,
     json: Json = False,
 ) -> int:

@@ -14,13 +14,17 @@ from daq.acquisition.edge import Edge
 from daq.drivers.contract import Line
 from daq.errors import LinkLost
 from daq.lockstep.cable import Cable, LockstepLink
-from daq.lockstep.clock import START_NS, SimulatedClock
+from daq.lockstep.clock import SimulatedClock
 from daq.log.file import LogFile
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs.schema import Rig
 
-STEP_S = 0.005
-"""How often devices send, at least: what an adapter gathers before it hands bytes to the host, s."""
+STEP_S = (0.002, 0.008)
+"""What an adapter gathers before it hands bytes to the host, s: at random between these, as real ones and their hosts.
+
+At a fixed rate its turns and the devices' clocks would beat: bytes that wait for the next turn, a little longer each
+time, look like a clock that is off.
+"""
 _LINE_S = 0.3e-3  # for the host's bytes to reach a device
 
 
@@ -66,7 +70,7 @@ class LockstepRig:
             for number, name in enumerate(self.far.far_ends)
         }
         self.edge = Edge(self._connect, self._places, self.disk)
-        self._steps = 0
+        self._pace = np.random.default_rng([seed, 78])
         self._asked = False
         for cable in self.cables.values():
             cable.asked = self._look_soon
@@ -94,8 +98,7 @@ class LockstepRig:
 
     def _step(self) -> None:
         self._look()
-        self._steps += 1
-        self.clock.at(START_NS + round(self._steps * STEP_S * 1e9), self._step, world=True)
+        self.clock.after(self._pace.uniform(*STEP_S), self._step, world=True)
 
     def _look_soon(self) -> None:
         """The host has written: devices that answer do not wait for the next regular look."""
