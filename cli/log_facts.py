@@ -11,7 +11,6 @@ from daq.catalogue.facts import counted_losses, has_end, one_line, origin_of, ou
 from daq.errors import LogError
 from daq.log import Log
 from daq.log.content import EventContent, channel_content, event_content, events_of, last_health, raw_content
-from daq.log.outcome import TRIP
 from daq.log.samples import Missing
 from daq.log.snapshot import identities_of, snapshot_of
 from daq.log.verdicts import digest_of, verdict_of
@@ -71,7 +70,7 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
         "events": dict(sorted(happened.kinds.items())),
         "events_alike": [vars(line) for line in happened.lines],
         "events_alike_left_out": happened.more,
-        "trips": readable(lambda: [event for event in events_of(log) if event.get("kind") == TRIP], []),
+        "trips": happened.trips,
         "devices": readable(lambda: identities_of(log), {}),
         "rig": {"name": snapshot.get("name", run.get("rig", "")), **_physical(snapshot)},
         "attachments_bytes": {name: len(data) for name, data in log.attachments.items()},

@@ -96,7 +96,7 @@ def _state(row: Interlock, found: InterlockReplay) -> str:
     if row.judge == "session":
         return "a session alone judges it"
     if not row.has_role(found.roles):
-        return f"not judged: no {row.role}" if row.name != "stuck sensor" else "not judged: no second displacement"
+        return f"not judged: no {'second ' if row.name == 'stuck sensor' else ''}{row.role or row.guards}"
     times = [_s(trip.time_ns, found.start_ns) for trip in found.trips if trip.interlock == row.name]
     if not times:
         return "quiet"

@@ -80,6 +80,8 @@ class Interlock:
         }  # fmt: skip
         if self.name == "stuck sensor":
             return len(roles.displacements) > 1
+        if self.name == "overspeed":
+            return bool(roles.speed or roles.phase)
         return bool(played[self.role])
 
 

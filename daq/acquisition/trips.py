@@ -8,6 +8,7 @@ first reason belongs to the trip; what comes later is named beside it. No clock 
 from __future__ import annotations
 
 import math
+import re
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ POINTS = 99
 """The most points of one field."""
 _READ_S = 0.1  # wall seconds that the last samples may be under way
 _MOST_REASONS = 24
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,13 @@ class Reason:
 
     @property
     def of(self) -> tuple[str, str]:
-        """What tells it from others: a fault that is found again has other numbers in its text."""
-        return self.interlock, self.text.partition(":")[0]
+        """What tells it from others; see `finding_of`."""
+        return finding_of(self.interlock, self.text)
+
+
+def finding_of(interlock: str, text: str) -> tuple[str, str]:
+    """What tells one finding from others: the same one, found again, has other numbers in its text."""
+    return interlock, _NUMBER.sub("#", text)
 
 
 class Trips:

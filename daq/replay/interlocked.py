@@ -15,6 +15,7 @@ from typing import Any
 
 from daq.acquisition.interlock_table import LOOK_S, TOGETHER_S
 from daq.acquisition.interlocks import Interlocks, Stop
+from daq.acquisition.trips import finding_of
 from daq.drivers.items import Batch, Event
 from daq.log import Log
 from daq.log.snapshot import identities_of, rig_of
@@ -143,7 +144,7 @@ class _Run:
         if self._roles.speed is None:
             tell_hand(self._locks.told, self._facts, self._rig.limits.speed_rpm)
         self._orders = Orders(self._locks.told, whole=whole, standing=standing if whole else None)
-        self._tick_ns = now_ns + self._period_ns
+        self._tick_ns, self._stood = now_ns + self._period_ns, False
         self.now_ns = max(self.now_ns, now_ns)
 
     def take(self, arrival: Arrival) -> bool:
@@ -156,6 +157,7 @@ class _Run:
         speed = self._roles.speed
         if arrival.wrote and speed is not None and arrival.device == speed.device:
             self._orders.sent()
+        self._stood = not self._locks.turning(arrival.host_ns)  # what comes may take away all that tells so
         for item in arrival.items:
             if isinstance(item, Batch):
                 self._note_newest(item)
@@ -217,13 +219,13 @@ class _Run:
                 self._tripped(item, now_ns)
 
     def _tripped(self, stop: Stop, now_ns: int) -> None:
-        if now_ns >= self._closing_ns and not self._locks.turning(now_ns) and not self._orders.rpm:
+        if now_ns >= self._closing_ns and self._stood and not self._orders.rpm:
             self._let_go += 1
             return
-        subject = stop.text.partition(":")[0]
+        finding = finding_of(stop.interlock, stop.text)
         for number in range(len(self.trips) - 1, -1, -1):
             known = self.trips[number]
-            if known.interlock == stop.interlock and known.text.partition(":")[0] == subject:
+            if finding_of(known.interlock, known.text) == finding:
                 if now_ns - known.last_ns <= _ns(_AGAIN_S) or not self._all:
                     self.trips[number] = replace(known, last_ns=now_ns, found=known.found + 1)
                     return
