@@ -70,6 +70,7 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
         "events": dict(sorted(happened.kinds.items())),
         "events_alike": [vars(line) for line in happened.lines],
         "events_alike_left_out": happened.more,
+        "trips": happened.trips,
         "devices": readable(lambda: identities_of(log), {}),
         "rig": {"name": snapshot.get("name", run.get("rig", "")), **_physical(snapshot)},
         "attachments_bytes": {name: len(data) for name, data in log.attachments.items()},

@@ -8,6 +8,7 @@ from typing import Any
 from rich.text import Text
 
 from cli.log_table import STATES, VERDICTS
+from cli.trip_page import trip_lines
 from cli.words import length, local_time, printable, size, stdout_console
 from daq.log.content import seconds
 from daq.log.outcome import not_reached
@@ -46,6 +47,8 @@ def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
     yield from _channel_lines(facts)
     yield from _health_lines(facts["health"])
     yield from _event_lines(facts)
+    for trip in facts["trips"]:
+        yield from trip_lines(trip, facts["start_ns"])
     for device, identity in facts["devices"].items():
         told = identity.items() if isinstance(identity, Mapping) else [("says", identity)]
         yield "device", f"{device}: " + ", ".join(f"{name} {value}" for name, value in told), ""
@@ -154,7 +157,7 @@ def _event_lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
 
 
 def _event_style(kind: str) -> str:
-    return "red" if kind in ("gap", "damage", "fault", "restart", "emergency", "disk") else ""
+    return "red" if kind in ("gap", "damage", "fault", "restart", "emergency", "disk", "stop", "trip") else ""
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:

@@ -1,4 +1,4 @@
-"""`rig replay`: a log decoded again and compared, corrected, watched at its own pace, or played to other programs."""
+"""`rig replay`: a log decoded again and compared, corrected, judged by interlocks, watched, or played to programs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say, share_progress, show
 from cli.numbers import SecondsOrNone
-from cli.options import Json
+from cli.options import Json, Settings
+from cli.replay_interlocks import show_interlocks
 from cli.replay_view import ReplayView
 from daq.errors import LogError
 from daq.log import Log, open_log
@@ -36,6 +37,13 @@ def replay(
     speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None,
     to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None,
     linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None,
+    interlocks: Annotated[bool, Parameter(negative="", help="when interlocks would have tripped")] = False,
+    all_trips: Annotated[
+        bool, Parameter(name="--all", negative="", help="with --interlocks: go on after the first trip")
+    ] = False,
+    settings: Annotated[
+        Settings, Parameter(help="with --interlocks: other limits, e.g. limits.amplitude_m=0.004")
+    ] = None,
     json: Json = False,
 ) -> int:
     """Decode a log's raw bytes again through the same pipelines.
@@ -43,9 +51,14 @@ def replay(
     Alone it compares with what was decoded live and prints the result; with --check a difference is exit code 1.
     With -o it writes a new log, with --calibration by corrected numbers. With --speed it shows the log at that pace.
     With --to it plays the bytes to other programs, at --speed (1 if not given); one that configures its devices first
-    is answered as they would answer.
+    is answered as they would answer. With --interlocks it shows when they would have tripped, exit code 1 when one
+    would.
     """
-    _refuse_contradictions(check, calibration, output, speed, to, linger)
+    _refuse_contradictions(check, calibration, output, speed, to, linger, interlocks)
+    if interlocks:
+        return show_interlocks(log, settings or [], all_trips=all_trips, json=json)
+    if settings or all_trips:
+        raise LogError(f"{'--set' if settings else '--all'}: expected --interlocks with it; nothing else here takes it")
     if output is not None:
         return _anew(log, output, calibration, json)
     if to is not None:
@@ -56,13 +69,19 @@ def replay(
 
 
 def _refuse_contradictions(
-    check: bool, calibration: Path | None, output: Path | None, speed: str | None, to: str | None, linger: float | None
+    check: bool,
+    calibration: Path | None,
+    output: Path | None,
+    speed: str | None,
+    to: str | None,
+    linger: float | None,
+    interlocks: bool,
 ) -> None:
     if calibration is not None and output is None:
         raise LogError("--calibration: expected -o NEW.mcap with it; a log is never changed, a new one is written")
     if linger is not None and to is None:
         raise LogError("--linger: expected --to with it; there are no ports to keep open")
-    jobs = {"--check": check, "-o": output is not None, "--to": to is not None}
+    jobs = {"--interlocks": interlocks, "--check": check, "-o": output is not None, "--to": to is not None}
     given = [name for name, there in jobs.items() if there]
     if len(given) > 1 or (speed is not None and given and given != ["--to"]):
         named = [*given, *(["--speed"] if speed is not None else [])]

@@ -18,6 +18,7 @@ from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
+from daq.acquisition.trips import Trips
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import channels_of, devices_of
 from daq.drivers.items import RX, Batch, Event
@@ -133,6 +134,8 @@ class Core:
         notices: what the operator learnt: a run with any is not a clean one.
         bytes_in: from each device so far.
         gone: devices whose link is lost, each with why.
+        mute: devices whose link stands, and that have sent nothing for long.
+        trips: what interlocks found while the log is recorded.
     """
 
     def __init__(self, rig: Rig, patience: Callable[[float], float], *, driving: bool) -> None:
@@ -150,12 +153,16 @@ class Core:
         self._past = {name: _Past() for name in self._known}
         self._undecodable: set[str] = set()
         self._heard_ns: dict[str, int] = {}
-        self._silent: set[str] = set()
+        self.mute: set[str] = set()
         self._suspect: set[str] = set()
         self._watch_ns = self._health_ns = 0
         self._dropped_ns: int | None = None
         self._disk_slow = False
         self._first = threading.Lock()
+        self.trips = self._no_trips()
+
+    def _no_trips(self) -> Trips:
+        return Trips(channels_of(self._rig.devices).values(), self._rig.roles, self._patience)
 
     # --- a log begins ------------------------------------------------------------------------------------------
 
@@ -174,6 +181,7 @@ class Core:
         self.recent.clear()
         self.rates = RateWatches(self._rig.devices)
         self.interlocks.begin(now_ns)
+        self.trips = self._no_trips()
         for name in self._known:
             self._heard_ns.setdefault(name, now_ns)
         since = now_ns - int(before_s * 1e9)
@@ -187,13 +195,19 @@ class Core:
                         self.recent.add(item)
         return sorted(out, key=lambda order: order.host_ns if isinstance(order, Keep) else 0)
 
-    def end(self, now_ns: int) -> tuple[dict[str, dict[str, int]], str, list[Event]]:
+    def end(self, now_ns: int) -> tuple[dict[str, Any], list[Event]]:
         """The log ends.
 
         Returns:
-            Its losses, which channels were off their rate, and what else belongs into it.
+            Facts for its summary: losses, channels that were off their rate, what the operator learnt; and what else
+            belongs into it.
         """
-        return self.losses(now_ns), self.rates.summary(), self.interlocks.end(now_ns)
+        facts: dict[str, Any] = {"losses": self.losses(now_ns)}  # a silence counts as its event reports it
+        if wrong_rates := self.rates.summary():
+            facts["rates"] = wrong_rates
+        if self.notices:
+            facts["warnings"] = self.notices
+        return facts, [*self.interlocks.end(now_ns), *self.trips.end(now_ns, self.recent)]
 
     def renew(self, device: str, pipeline: Pipeline) -> None:
         """A fresh pipeline for one device; it is not fed meanwhile."""
@@ -250,7 +264,9 @@ class Core:
                 continue
             elif not self.commanding or self.lenient:
                 yield from self.warn(item.text)
-            elif self.trouble is None:  # later ones change nothing
+                continue
+            self.trips.tripped(item.interlock, item.text, host_ns)
+            if self.trouble is None:  # later ones change nothing
                 kind = DeviceError if item.cause == "device" else ProcedureError
                 turning = self.interlocks.turning(host_ns)
                 yield from self.fail(kind(f"{item.text}; {self._stopped}" if turning else item.text), host_ns)
@@ -332,6 +348,8 @@ class Core:
             disk_trouble: why the recording has to end; None as long as it is fine.
         """
         yield from self._heed(self.interlocks.tick(now_ns), now_ns)
+        for event in self.trips.tick(now_ns, self.recent):
+            yield Note(event, now_ns)
         if drive is not None and self.guarding:
             yield from self._look_at_drive(drive, now_ns)
         if disk is not None and disk.slow != self._disk_slow:
@@ -383,13 +401,13 @@ class Core:
         limit_ns = self._patience(_SILENCE_S) * 1e9
         still = {name for name, heard in self._heard_ns.items() if now_ns - heard > limit_ns} - set(self.gone)
         certain = still & self._suspect if self.commanding and self.guarding else set[str]()
-        for name in sorted(certain - self._silent):  # seen twice: no host that was asleep
+        for name in sorted(certain - self.mute):  # seen twice: no host that was asleep
             text = f"{name}: silent for {_SILENCE_S:g} s. Look at its cable, its power, its battery"
             yield Note(Event("silent", name, text), now_ns)
             yield from self.warn(text)
-        for name in sorted(self._silent - still - set(self.gone)):
+        for name in sorted(self.mute - still - set(self.gone)):
             yield Note(Event("heard", name, f"{name}: heard again"), now_ns)
-        self._suspect, self._silent = still, (self._silent | certain) & still
+        self._suspect, self.mute = still, (self.mute | certain) & still
 
     # --- what is known -----------------------------------------------------------------------------------------
 

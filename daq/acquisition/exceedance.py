@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_TOGETHER = 64  # samples within which a second one beyond the limit confirms the first
+TOGETHER = 64
+"""Samples within which a second one beyond the limit confirms the first."""
 
 
 class Look(NamedTuple):
@@ -38,13 +39,13 @@ class Exceedance:
 
     def __init__(self, limit: float) -> None:
         self._limit = float(limit)
-        self._since = _TOGETHER + 1  # samples since the last one beyond the limit
+        self._since = TOGETHER + 1  # samples since the last one beyond the limit
 
     def look(self, values: NDArray[np.floating[Any]]) -> Look:
         """Take the next samples, NaN for none; shape (n,)."""
         own = np.ascontiguousarray(values, np.float64)
         invalid, last, newest, largest, apart, self._since = _look(own, self._limit, self._since)
-        return Look(invalid, last, newest, largest if apart <= _TOGETHER else None)
+        return Look(invalid, last, newest, largest if apart <= TOGETHER else None)
 
     def feed(self, values: NDArray[np.floating[Any]]) -> float | None:
         """Take the next samples; returns what `Look.beyond` says."""
@@ -58,7 +59,7 @@ def _look(
     """Look's numbers, the largest magnitude, the least distance of two beyond the limit, samples since the last."""
     invalid = invalid_last = 0
     newest, largest = np.nan, 0.0
-    apart = _TOGETHER + 1
+    apart = TOGETHER + 1
     for value in values:
         if np.isnan(value):
             invalid += 1

@@ -21,19 +21,23 @@ from numpy.typing import NDArray
 
 from daq.acquisition.channel_watch import HOST, ChannelWatch
 from daq.acquisition.exceedance import Exceedance
-from daq.acquisition.rotor_watch import AT_REST_RPM, RotorWatch
+from daq.acquisition.interlock_table import (
+    ANGLES_S,
+    AT_REST_S,
+    BLIND_S,
+    DISPLACEMENT_S,
+    FAULTY_S,
+    GONE_SAMPLES,
+    HOST_S,
+    LARGE,
+    SPEED_S,
+)
+from daq.acquisition.rotor_watch import AT_REST_RPM, Finding, RotorWatch
 from daq.acquisition.stuck_watch import StuckWatch
 from daq.drivers.items import Batch, Event
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits
 
-_DISPLACEMENT_S, _ANGLES_S, _SPEED_S = 0.3, 1.0, 0.3  # rig time without a sample while the rotor turns …
-_AT_REST_S = 2.0  # … and at rest, for a channel that a test needs
-_HOST_S = 0.3  # wall time that the host's threads may add
-_BLIND_S = 0.25  # of samples, more than half of them invalid; a flash is shorter
-_GONE_SAMPLES = 5  # invalid ones in a row after a large displacement
-_LARGE = 0.7  # of the amplitude limit
-_FAULTY_S = 0.1  # of samples, more than half of them with a fault flag
 _FAULTS = {1: "encoder A", 2: "encoder B"}  # flags of a pendulum sample
 
 
@@ -43,10 +47,12 @@ class Stop:
 
     Attributes:
         cause: "device" when a device failed, "procedure" when the run went where it must not.
+        interlock: name of its row in `daq.acquisition.interlock_table`.
     """
 
     cause: Literal["device", "procedure"]
     text: str
+    interlock: str = ""
 
 
 class Share:
@@ -110,28 +116,31 @@ class Interlocks:
         self._angles, self._marks, self._speed = (
             role and role.topic for role in (roles.angles, roles.phase, roles.speed)
         )
-        known = [(topic, _DISPLACEMENT_S) for topic in self._lasers]
-        known += [(topic, s) for topic, s in ((self._angles, _ANGLES_S), (self._speed, _SPEED_S)) if topic]
-        self._rest_s = _AT_REST_S + patience(_HOST_S)
-        late_s = patience(_HOST_S)
-        deadlines = {t: (self._device_of[t], (s if driving else _AT_REST_S) + late_s) for t, s in known}
+        known = [(topic, DISPLACEMENT_S) for topic in self._lasers]
+        known += [(topic, s) for topic, s in ((self._angles, ANGLES_S), (self._speed, SPEED_S)) if topic]
+        self._silences = dict.fromkeys(self._lasers, "silent displacement")
+        self._silences |= {t: n for t, n in ((self._angles, "silent angles"), (self._speed, "silent speed")) if t}
+        self._rest_s = AT_REST_S + patience(HOST_S)
+        late_s = patience(HOST_S)
+        deadlines = {t: (self._device_of[t], (s if driving else AT_REST_S) + late_s) for t, s in known}
         self._due = tuple(deadlines)
         self._node_s = deadlines[self._angles][1] if self._angles else math.inf
         if self._marks:
             deadlines[self._marks] = (self._device_of[self._marks], math.inf)
         self.channels = ChannelWatch(deadlines, patience)
         self.rotor = RotorWatch(limits.speed_rpm, patience, driven=self._speed is not None)
-        self._sight = {topic: Share(_BLIND_S) for topic in self._lasers}
+        self._sight = {topic: Share(BLIND_S) for topic in self._lasers}
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
         self._stuck = StuckWatch(self._lasers)
         self._seen_m = dict.fromkeys(self._lasers, 0.0)
         self._code = dict.fromkeys(self._lasers, 0)
         self._blind = dict.fromkeys(self._lasers, False)
-        self._sound = {bit: Share(_FAULTY_S) for bit in _FAULTS}
+        self._sound = {bit: Share(FAULTY_S) for bit in _FAULTS}
         self._faulty = dict.fromkeys(_FAULTS, False)
         self._faulty_samples = 0
         self._needed: frozenset[str] = frozenset()
         self._ours = False  # the rotor was told to turn, and has not been seen at rest since
+        self._rests = False  # at the last tick
         self._lock = threading.RLock()
 
     # --- what happens ------------------------------------------------------------------------------------------
@@ -186,13 +195,15 @@ class Interlocks:
             if event.kind in ("fault", "restart"):
                 if event.device == self._device_of.get(self._speed or ""):
                     self.rotor.drive_unknown()
-                return [Stop("device", f"{event.device}: {event.text}")]
+                elif event.kind == "restart" and self._rests and event.device not in self._needed_devices():
+                    return []  # a sensor that lost power while nothing turned: a gap
+                return [Stop("device", f"{event.device}: {event.text}", event.kind)]
             if event.kind == "network" and event.facts.get("operational") is False:
                 self.rotor.drive_unknown()
-                return [Stop("device", f"{event.device}: {event.text}")]
+                return [Stop("device", f"{event.device}: {event.text}", "left operation")]
             if event.kind == "lock" and event.facts.get("state") == "fault":
                 text = f"{event.device}: {event.text}: the lock did not do as told. Look at its mechanism"
-                return [Stop("device", text)]
+                return [Stop("device", text, "lock fault")]
             return []
 
     def tick(self, now_ns: int) -> list[Event | Stop]:
@@ -201,23 +212,24 @@ class Interlocks:
             if self.rotor.at_rest(now_ns) and not self.rotor.target_rpm:
                 self._ours = False
             turning = self.turning(now_ns)
+            self._rests = not turning
             out: list[Event | Stop] = [*self.channels.tick(now_ns)]
             if self._marks is None:
                 pass
             elif turning and (why := self.rotor.unseen(now_ns)) is not None:
                 out += self.channels.miss(self._marks, now_ns, why.removeprefix("tacho: "))
                 if not self._node_late(now_ns):  # else it is not the index sensor, and soon said
-                    out.append(Stop("device", why))
+                    out.append(Stop("device", why, "no index mark"))
             elif not turning:
                 out += self.channels.excuse(self._marks, now_ns)
                 self.rotor.turns_begin()
             if not self._driving:
                 return [item for item in out if isinstance(item, Event)]
-            out += [Stop("device", text) for text in self._silent(now_ns, turning)]
+            out += self._silent(now_ns, turning)
             if turning:
-                out += [Stop("device", text) for text in self._unguarded()]
+                out += self._unguarded()
             elif self._angles in self._needed:
-                out += [Stop("device", text) for text in self._unsound()]
+                out += self._unsound()
             return out
 
     # --- what is known -----------------------------------------------------------------------------------------
@@ -250,7 +262,7 @@ class Interlocks:
     def obstacles(self, now_ns: int) -> list[str]:
         """Why the rotor must not be turned now; empty when all that guards it is there."""
         with self._lock:
-            return [*self._silent(now_ns, turning=True), *self._unguarded()]
+            return [stop.text for stop in (*self._silent(now_ns, turning=True), *self._unguarded())]
 
     def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
         """By device: silences of this log so far in ms, and pendulum samples with a faulty encoder."""
@@ -260,36 +272,45 @@ class Interlocks:
                 out.setdefault(self._device_of[self._angles or ""], {})["faulty"] = self._faulty_samples
             return out
 
+    def _needed_devices(self) -> set[str]:
+        return {self._device_of[topic] for topic in self._needed if topic in self._device_of}
+
     # --- parts -------------------------------------------------------------------------------------------------
 
     def _node_late(self, now_ns: int) -> bool:
         return self._angles is not None and 2 * self.channels.silent_s(self._angles, now_ns) > self._node_s
 
-    def _silent(self, now_ns: int, turning: bool) -> list[str]:
+    def _silent(self, now_ns: int, turning: bool) -> list[Stop]:
         due = set(self._due) if turning else self._needed & set(self._due)
         least_s = 0.0 if turning else self._rest_s
         return [
-            f"{topic}: silent for {self.channels.silent_s(topic, now_ns):.1f} s. Look at the device, its cable, its "
-            "power or battery, its radio"
+            Stop(
+                "device",
+                f"{topic}: silent for {self.channels.silent_s(topic, now_ns):.1f} s. Look at the device, its cable, "
+                "its power or battery, its radio",
+                self._silences[topic],
+            )
             for topic in self._due
             if topic in due and self.channels.silent(topic) and self.channels.silent_s(topic, now_ns) >= least_s
         ]
 
-    def _unguarded(self) -> list[str]:
-        return [self._blind_words(topic) for topic in self._lasers if self._sight[topic].mostly_bad] + self._unsound()
+    def _unguarded(self) -> list[Stop]:
+        return [self._is_blind(topic) for topic in self._lasers if self._sight[topic].mostly_bad] + self._unsound()
 
-    def _unsound(self) -> list[str]:
+    def _unsound(self) -> list[Stop]:
+        words = "pendulums: the node reports a fault of {}. Look at the encoder and its cable on the rotor"
         return [
-            f"pendulums: the node reports a fault of {_FAULTS[bit]}. Look at the encoder and its cable on the rotor"
+            Stop("device", words.format(_FAULTS[bit]), "encoder fault")
             for bit, share in self._sound.items()
             if share.mostly_bad
         ]
 
-    def _blind_words(self, topic: str) -> str:
-        return (
-            f"{topic}: no valid sample in most of the last {_BLIND_S:g} s (code {self._code[topic]}): the guard of the "
+    def _is_blind(self, topic: str) -> Stop:
+        text = (
+            f"{topic}: no valid sample in most of the last {BLIND_S:g} s (code {self._code[topic]}): the guard of the "
             "amplitude is blind. Look at the sensor's window, its target and what stands between"
         )
+        return Stop("device", text, "blind sensor")
 
     def _look(self, topic: str, batch: Batch, host_ns: int) -> list[Event | Stop]:
         """A laser: too far, blind, or stuck."""
@@ -302,7 +323,7 @@ class Interlocks:
             self._seen_m[topic] = abs(newest_m)
         blind, limit = share.mostly_bad, self._limits.amplitude_m
         out: list[Event | Stop] = [*self._blindness(topic, blind)]
-        gone = share.in_a_row >= _GONE_SAMPLES and self._seen_m[topic] > _LARGE * limit
+        gone = share.in_a_row >= GONE_SAMPLES and self._seen_m[topic] > LARGE * limit
         hangs = self._stuck.feed(topic, batch.time_ns, displacement)
         if not (blind or gone or beyond_m is not None or hangs is not None) or not self._driving:
             return out
@@ -315,11 +336,12 @@ class Interlocks:
                 if beyond_m is None
                 else f"{beyond_m * 1e3:.1f} mm"
             )
-            out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm"))
+            name = "out of sight" if beyond_m is None else "amplitude"
+            out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm", name))
         elif blind or hangs is None:
-            out.append(Stop("device", self._blind_words(topic)))
+            out.append(self._is_blind(topic))
         else:
-            out.append(Stop("device", hangs))
+            out.append(Stop("device", hangs, "stuck sensor"))
         return out
 
     def _blindness(self, topic: str, blind: bool) -> list[Event]:
@@ -350,5 +372,5 @@ class Interlocks:
                 out.append(Event("encoder", HOST, f"pendulums: {_FAULTS[bit]} {words}", facts))
         return out
 
-    def _wrong(self, why: str | None) -> list[Stop]:
-        return [Stop("procedure", why)] if why is not None and self._driving else []
+    def _wrong(self, why: Finding | None) -> list[Stop]:
+        return [Stop("procedure", why.text, why.interlock)] if why is not None and self._driving else []

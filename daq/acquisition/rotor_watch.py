@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import takewhile
 
 import numpy as np
@@ -19,14 +20,34 @@ AT_REST_RPM = 1.0
 """A drive's reading of a standing rotor may flicker by one count."""
 _RPM_PER_TURN_NS = 60e9
 _MARKLESS_S = 3.0  # a rotor that gave no index mark for so long, and for three of its last turns, stands
-_TURNS_UNSEEN = 2.5  # turns of the drive without an index mark
-_RUNAWAY = (0.10, 20.0)  # share and rpm beyond what was commanded …
-_OVERSPEED = (0.05, 10.0)  # … beyond the limit …
-_DISAGREE = (0.20, 15.0)  # … and between drive and marks: surely wrong, not slip or lag
-_ROWS_BEYOND = 3
+TURNS_UNSEEN = 2.5
+"""Turns of the drive without an index mark."""
+RADIO_S = 1.0
+"""How long the radio may hold index marks back, wall s."""
+RUNAWAY = (0.10, 20.0)
+"""Share and rpm beyond what was commanded …"""
+OVERSPEED = (0.05, 10.0)
+"""… beyond the limit …"""
+DISAGREE = (0.20, 15.0)
+"""… and between drive and marks: surely wrong, not slip or lag."""
+ROWS_BEYOND = 3
+"""So many reports of the drive in a row beyond the limit."""
 _HISTORY_S = 12.0
 _MARKS_S = 1.0  # least time, and …
 _MARKS = 5  # … least index marks over which their rate is compared with the drive's word
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is surely wrong with the rotor's speed.
+
+    Attributes:
+        interlock: name of its row in `daq.acquisition.interlock_table`.
+        text: with the speeds, for the operator.
+    """
+
+    interlock: str
+    text: str
 
 
 class RotorWatch:
@@ -46,7 +67,7 @@ class RotorWatch:
         self._word_age_ns = _ns(patience(0.5))
         self._late_ns = _ns(patience(0.3))  # how late a host may notice something
         self._settled_ns = _ns(patience(0.1))
-        self._radio_s = patience(1.0)  # how long the radio may be silent
+        self._radio_s = patience(RADIO_S)
         self._word: float | None = None
         self._word_ns = 0
         self._zero_since_ns: int | None = None
@@ -71,7 +92,7 @@ class RotorWatch:
         self.target_rpm = rpm
         self._highest, self._lowest = max(self._highest, rpm), min(self._lowest, rpm)
 
-    def drive_said(self, host_ns: int, rpm: NDArray[np.float64]) -> str | None:
+    def drive_said(self, host_ns: int, rpm: NDArray[np.float64]) -> Finding | None:
         """The drive's reports of one read, actual speeds, shape (n,), n ≥ 1; returns what is surely wrong with them."""
         said: list[float] = rpm.tolist()  # a handful: quicker than arrays
         least, greatest, last = min(said), max(said), said[-1]
@@ -102,7 +123,7 @@ class RotorWatch:
 
     def marks_came(
         self, host_ns: int, time_ns: NDArray[np.int64], node_ns: NDArray[np.int64], revolutions: NDArray[np.integer]
-    ) -> str | None:
+    ) -> Finding | None:
         """Index marks of one read; returns what is surely wrong with them.
 
         Args:
@@ -186,7 +207,7 @@ class RotorWatch:
             return None
         on_air = takewhile(lambda word: now_ns - word[0] <= _ns(self._radio_s), reversed(self._words))
         fastest = max((max(-least, greatest) for _, least, greatest in on_air), default=abs(rpm))  # before it braked
-        if self._turns_unseen <= _TURNS_UNSEEN + fastest / 60.0 * self._radio_s:
+        if self._turns_unseen <= TURNS_UNSEEN + fastest / 60.0 * self._radio_s:
             return None
         return (
             f"tacho: no index mark for {self._turns_unseen:.0f} turns of the drive ({rpm:.0f} rpm). Look at the index "
@@ -199,7 +220,7 @@ class RotorWatch:
         if not self._alone or turn_ns is None or self._mark_host_ns is None:
             return None
         silent_ns = now_ns - self._mark_host_ns
-        if silent_ns <= _TURNS_UNSEEN * turn_ns + _ns(self._radio_s):
+        if silent_ns <= TURNS_UNSEEN * turn_ns + _ns(self._radio_s):
             return None
         return (
             f"tacho: no index mark for {silent_ns * 1e-9:.1f} s, the last came at {_RPM_PER_TURN_NS / turn_ns:.0f} "
@@ -229,35 +250,35 @@ class RotorWatch:
         (_, before, first), (_, after, last) = self._marks[-2], self._marks[-1]
         return (after - before) / (last - first)
 
-    def _too_fast(self, rpm: float, rows: int) -> str | None:
-        share, more = _OVERSPEED
+    def _too_fast(self, rpm: float, rows: int) -> Finding | None:
+        share, more = OVERSPEED
         self._beyond = self._beyond + rows if rpm > (1 + share) * self._limit_rpm + more else 0
-        if self._beyond < _ROWS_BEYOND:
+        if self._beyond < ROWS_BEYOND:
             return None
-        return f"the drive reports {rpm:.0f} rpm, limits.speed_rpm is {self._limit_rpm:.0f}"
+        return Finding("overspeed", f"the drive reports {rpm:.0f} rpm, limits.speed_rpm is {self._limit_rpm:.0f}")
 
-    def _marks_too_fast(self) -> str | None:
+    def _marks_too_fast(self) -> Finding | None:
         if len(self._marks) < 4:
             return None
         (_, before, first), (_, after, last) = self._marks[-4], self._marks[-1]
         rpm = _RPM_PER_TURN_NS * (last - first) / max(1, after - before)
-        share, more = _OVERSPEED
+        share, more = OVERSPEED
         if rpm <= (1 + share) * self._limit_rpm + more:
             return None
-        return f"the index marks come at {rpm:.0f} rpm, limits.speed_rpm is {self._limit_rpm:.0f}"
+        return Finding("overspeed", f"the index marks come at {rpm:.0f} rpm, limits.speed_rpm is {self._limit_rpm:.0f}")
 
-    def _ran_away(self, least: float, greatest: float, last: float) -> str | None:
+    def _ran_away(self, least: float, greatest: float, last: float) -> Finding | None:
         """A drive may be on its way to what it was told, or to rest; it may never run away from both."""
         highest, lowest, target = self._highest, self._lowest, self.target_rpm
         self._highest, self._lowest = max(0.0, target, min(highest, last)), min(0.0, target, max(lowest, last))
-        share, more = _RUNAWAY
+        share, more = RUNAWAY
         if greatest > highest + share * abs(highest) + more:
-            return f"the drive reports {greatest:.0f} rpm, it was told {target:.0f}"
+            return Finding("runaway", f"the drive reports {greatest:.0f} rpm, it was told {target:.0f}")
         if least < lowest - share * abs(lowest) - more:
-            return f"the drive reports {least:.0f} rpm, it was told {target:.0f}"
+            return Finding("runaway", f"the drive reports {least:.0f} rpm, it was told {target:.0f}")
         return None
 
-    def _disagree(self, host_ns: int) -> str | None:
+    def _disagree(self, host_ns: int) -> Finding | None:
         """Index marks that come much faster or slower than any word of the drive around that time, twice."""
         last = self._marks[-1]
         first = next((mark for number, mark in enumerate(reversed(self._marks), 1)
@@ -273,7 +294,7 @@ class RotorWatch:
             return None
         rpm = _RPM_PER_TURN_NS * (last[2] - first[2]) / (last[1] - first[1])
         speeds = [abs(value) for pair in around for value in pair]
-        share, more = _DISAGREE
+        share, more = DISAGREE
         if (1 - share) * min(speeds) - more <= rpm <= (1 + share) * max(speeds) + more:
             self._off_since_ns = None
             return None
@@ -281,7 +302,8 @@ class RotorWatch:
             self._off_since_ns = host_ns
         if host_ns - self._off_since_ns < self._late_ns + _ns(0.5):
             return None
-        return f"the index marks come at {rpm:.0f} rpm, the drive reports {min(speeds):.0f} to {max(speeds):.0f} rpm"
+        text = f"the index marks come at {rpm:.0f} rpm, the drive reports {min(speeds):.0f} to {max(speeds):.0f} rpm"
+        return Finding("speed disagreement", text)
 
 
 def _ns(seconds: float) -> int:

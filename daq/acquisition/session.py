@@ -34,6 +34,7 @@ from daq.drivers.devices import channels_of, devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
 from daq.errors import DeviceError, LinkLost, RigError
 from daq.log.file import ReservedName
+from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
 from daq.transports.host_clock import Repeated
 from daq.version import software_version
@@ -42,7 +43,7 @@ from rig_configs.schema import Rig
 _ALIVE_S = 3.0  # wall seconds
 _LOOK_S = 0.1  # wall seconds between two ticks of the core
 _NEWEST_S = 20.0  # how far back the newest stretch of a channel may lie
-_AGAIN_S = 1.0  # wall seconds between two attempts to open a device that was unplugged
+_AGAIN_S = 2.0  # wall seconds between two attempts to open a device that was unplugged
 
 
 class Session:
@@ -311,13 +312,21 @@ class Session:
     # --- devices that come back ----------------------------------------------------------------------------------
 
     def _attend(self) -> None:
-        """Look for devices that were unplugged; called by whoever waits, so that no other thread talks to a device."""
-        if not self._core.gone or self._attending or not self._opened or self.clock.wall_s() < self._again_s:
+        """Look for devices that were unplugged, or have lost power; called by whoever waits for something.
+
+        So no other thread talks to a device. A device that streams anew by itself is only waited for.
+        """
+        core = self._core
+        missed = core.gone or (core.mute and core.commanding)
+        if not missed or self._attending or not self._opened or self.clock.wall_s() < self._again_s:
             return
         self._attending = True
         try:
-            for name in list(self._core.gone):
+            for name in list(core.gone):
                 self._reopen(name)
+            for name in sorted(core.mute) if core.commanding else ():
+                with contextlib.suppress(DeviceError, LinkLost):
+                    self._set_up_again(name)
         finally:
             self._attending = False
             self._again_s = self.clock.wall_s() + _AGAIN_S
@@ -537,15 +546,13 @@ class Session:
         assert recorder is not None
         with self._between_reads():
             now_ns = self.clock.now_ns()
-            losses, wrong_rates, events = self._core.end(now_ns)  # a silence counts as its event says
+            facts, events = self._core.end(now_ns)
             for event in events:
                 recorder.event(event, now_ns)
             self._recorder = None
-        ended = {"ended": self._ended(None) or "the test's end"}
-        extra: dict[str, Any] = {"rates": wrong_rates} if wrong_rates else {}
-        if self.notices:
-            extra["warnings"] = self.notices
-        return recorder.close({"losses": losses, **extra, **ended, **summary})
+        facts = {**facts, ENDED: self._ended(None) or "the test's end", **summary}
+        reasons = [(reason.interlock, reason.text) for reason in self._core.trips.reasons]
+        return recorder.close({**facts, **tripping(facts[ENDED], reasons)})
 
     # --- waiting and commands ------------------------------------------------------------------------------------
 

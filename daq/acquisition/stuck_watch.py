@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_STILL_S = 0.5
-_SWING_M = 50e-6  # over a hundred steps of a sensor
+STILL_S = 0.5
+"""How long a reading stands still …"""
+SWING_M = 50e-6
+"""… while another one moves by so much: over a hundred steps of a sensor."""
 
 
 @dataclass
@@ -60,7 +62,7 @@ class StuckWatch:
             own.still = True
             swing_m = own.high_m - own.low_m
             still_s = (int(time_ns[-1]) - own.since_ns) * 1e-9
-            if still_s >= _STILL_S and swing_m >= _SWING_M:
+            if still_s >= STILL_S and swing_m >= SWING_M:
                 return (
                     f"{topic}: reads {newest * 1e3:.4f} mm without any change for {still_s:.1f} s, while the column "
                     f"moves by {swing_m * 1e3:.2f} mm across it: the sensor hangs. Switch it off and on"

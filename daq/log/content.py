@@ -11,6 +11,7 @@ from typing import Any
 
 from daq.channels import HEALTH_TOPIC, RX, raw_topic
 from daq.log import Log
+from daq.log.outcome import TRIP
 
 _ALL_BEFORE, _ALL_AFTER = -(2**63), 2**63 - 1
 _STRETCH_MESSAGES = 400_000
@@ -18,6 +19,7 @@ _EDGE_NS = 10**9  # first window in which the end of a channel is looked for …
 _WIDER = 8  # … and how much wider the next one is
 _READS_COUNTED = 100_000
 _MOST_LINES = 200
+_MOST_TRIPS = 16  # a session ends with its first
 _NUMBERS = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -71,12 +73,14 @@ class EventContent:
         lines: events alike taken together, in the order of their first.
         more: events beyond the lines there is room for.
         lost: by device and kind ("gap", "damage", "silence"): how many events, and the seconds they tell of.
+        trips: events of what interlocks found, whole; the first ones where there are many.
     """
 
     kinds: Counter[str] = field(default_factory=Counter)
     lines: list[EventLine] = field(default_factory=list)
     more: int = 0
     lost: dict[str, dict[str, tuple[int, float]]] = field(default_factory=dict)
+    trips: list[dict[str, Any]] = field(default_factory=list)
 
 
 def stretches(log: Log) -> Iterator[tuple[float, Log]]:
@@ -147,6 +151,8 @@ def event_content(events: Iterable[dict[str, Any]], start_ns: int) -> EventConte
             content.lines.append(known[alike])
         else:
             content.more += 1
+        if kind == TRIP and len(content.trips) < _MOST_TRIPS:
+            content.trips.append(event)
         if kind == "silence":
             device = str(event.get("of", device))
         if kind in ("gap", "damage") or (kind == "silence" and "span_s" in event):  # a silence counts when it ends

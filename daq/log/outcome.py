@@ -2,19 +2,22 @@
 """What a guided test said of its own end, in the summary of its log: whether it was reached, and what was not.
 
 A test writes `reached` and, where that is false, `ended` with what was not reached. Logs of earlier versions have only
-the test's own condition (`rung_down`, `settled` …); those of tests that were broken off have only `ended`.
+the test's own condition (`rung_down`, `settled` …); those of tests that were broken off have only `ended`. A log that
+interlocks ended names them in `tripped`, and every reason in `ended`.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from daq.log.opened import Log
 
-REACHED, ENDED = "reached", "ended"
+REACHED, ENDED, TRIPPED = "reached", "ended", "tripped"
+TRIP = "trip"
+"""Kind of the event that holds what interlocks found, and the seconds around it."""
 _CONDITIONS = {  # the end of each test in logs that do not say `reached`
     "rung_down": "the column did not ring down",
     "slowed_down": "the pendulums did not slow down",
@@ -32,6 +35,20 @@ def ending(missed: str) -> dict[str, Any]:
         missed: what was not reached; empty when the test reached its end.
     """
     return {REACHED: not missed, ENDED: f"not reached: {missed}" if missed else "done"}
+
+
+def tripping(ended: str, reasons: Iterable[tuple[str, str]]) -> dict[str, Any]:
+    """The summary's facts about a log that interlocks ended: all that tripped together, by name and with its reason.
+
+    Args:
+        ended: what ended the log, as its session says it: the first reason, and what was done.
+        reasons: interlock and text of each, the first one first.
+    """
+    found = list(reasons)
+    if not found:
+        return {ENDED: ended}
+    others = [text for _, text in found if text not in ended]
+    return {TRIPPED: ", ".join(dict.fromkeys(name for name, _ in found)), ENDED: "; also ".join([ended, *others])}
 
 
 def not_reached(test: str, outcome: Mapping[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import ValidationError
@@ -12,7 +13,7 @@ from daq.log import Log
 from rig_configs.device import StoredDevice
 from rig_configs.drivers import installed
 from rig_configs.errors import RigConfigError
-from rig_configs.load import validate
+from rig_configs.load import apply_setting, parse_setting, validate
 from rig_configs.schema import Rig
 
 RIG, IDENTITIES, ROLES = "rig.json", "identities.json", "roles.json"
@@ -28,15 +29,24 @@ def snapshot_of(log: Log) -> dict[str, Any]:
     return _table(log, RIG)
 
 
-def rig_of(log: Log) -> Rig:
+def rig_of(log: Log, settings: Sequence[str] = ()) -> Rig:
     """The rig as it was when the log was recorded.
+
+    Args:
+        settings: "key=value" laid over it, for a what-if.
 
     Raises:
         LogError: the log has none, or one that this version cannot read.
+        RigFileError: a setting that no rig file can have.
     """
+    raw = snapshot_of(log)
+    for text in settings:
+        apply_setting(raw, *parse_setting(text), str(log.path))
     try:
-        return validate(_with_stored(log, snapshot_of(log)), f"{log.path}: {RIG}")
+        return validate(_with_stored(log, raw), f"{log.path}: {RIG}")
     except RigConfigError as fault:
+        if settings:
+            raise
         raise LogError(f"{fault}\nThe log was recorded with another version of the rig file") from fault
 
 

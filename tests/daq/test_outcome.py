@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.log.numbering import next_number, one_at_a_time
-from daq.log.outcome import ending, not_reached
+from daq.log.outcome import ending, not_reached, tripping
 
 
 @given(missed=st.text(max_size=40))
@@ -59,3 +59,17 @@ def test_two_tests_at_once_never_get_the_same_number(tmp_path: Path) -> None:
         thread.join()
     numbers = sorted(int(p.name.split("-")[0]) for p in tmp_path.iterdir())
     assert numbers == list(range(1, 41))
+
+
+def test_a_log_that_interlocks_ended_names_them_all() -> None:
+    stopped = "laser/x: 12.1 mm; the rotor was stopped"
+    reasons = [
+        ("amplitude", "laser/x: 12.1 mm"),
+        ("amplitude", "laser/y: 11.9 mm"),
+        ("runaway", "the drive reports 7 rpm"),
+    ]
+    facts = tripping(stopped, reasons)
+    assert facts["tripped"] == "amplitude, runaway"
+    assert facts["ended"] == f"{stopped}; also laser/y: 11.9 mm; also the drive reports 7 rpm"
+    assert not_reached("run-up", facts) == f"broken off: {facts['ended']}"
+    assert tripping("Ctrl-C", []) == {"ended": "Ctrl-C"}

@@ -278,6 +278,8 @@ class DriveControl:
             self._network.send_message(identifier, operational)
 
         beat()
+        if self._beat is not None:  # of a line that was lost
+            self._beat.stop()
         # a link that is gone is its reader's to report; a heartbeat that ends stops the drive
         self._beat = self._clock.every(self._config.heartbeat_ms * 1e-3, beat, "heartbeat", lambda error: None)
 

@@ -142,13 +142,14 @@ class VescControl:
 
     def start(self) -> None:
         """See SpeedSource: begin to ask; the motor is not commanded yet."""
-        if self._repeated is None:
-            period_s = min(self._settings.command_ms * 1e-3, 1.0 / self._settings.report_Hz)
-            self.beat()
-            # a link that is gone is its reader's to report; a controller without commands stops by its own time-out
-            self._repeated = self._clock.every(
-                max(_BEAT_S, self._clock.wall(period_s)), self.beat, "vesc", lambda error: None
-            )
+        if self._repeated is not None:  # of a line that was lost, or of a second start
+            self._repeated.stop()
+        period_s = min(self._settings.command_ms * 1e-3, 1.0 / self._settings.report_Hz)
+        self.beat()
+        # a link that is gone is its reader's to report; a controller without commands stops by its own time-out
+        self._repeated = self._clock.every(
+            max(_BEAT_S, self._clock.wall(period_s)), self.beat, "vesc", lambda error: None
+        )
 
     def beat(self) -> None:
         """Send what is due: the command, a poll.

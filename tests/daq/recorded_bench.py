@@ -1,0 +1,76 @@
+"""A bench whose bytes go into a log, as a session leaves it: what trips live and in a replay can be compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.devices import make_pipelines
+from daq.drivers.items import RX, TX, Batch, Event
+from daq.log.file import LogFile
+from daq.transports import slcan
+from rig_configs import load_rig
+from tests.daq.far_ends import START_NS, Bench
+
+
+class RecordedBench(Bench):
+    """See Bench.
+
+    Args:
+        path: of the log.
+        settings: laid over the virtual rig's file.
+        test: as the log names it.
+        facts: more facts of the run.
+        listened: nothing that goes to the drive is in the log, as for one who only listened to a line of its own.
+        raw: whether bytes are kept; otherwise samples and events alone.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *settings: str,
+        test: str = "record",
+        facts: dict[str, str] | None = None,
+        listened: bool = False,
+        raw: bool = True,
+    ) -> None:
+        self._listened, self._raw = listened, raw
+        rig = load_rig("virtual", settings=["virtual.seed=5", *settings])
+        self._decoders = make_pipelines(rig.devices, {})
+        attachments = {"rig.json": rig.snapshot_json(), "roles.json": rig.roles_json()}
+        known = {"test": test, "rig": rig.name, "clock_rate": "1.0", **(facts or {})}
+        self.log = LogFile(path, known, attachments, tuple(rig.devices) if raw else (), START_NS)
+        super().__init__(*settings)
+
+    def _hear(self, name: str, data: bytes) -> None:
+        if data and name not in self.muted:
+            self._keep(name, RX, data)
+        super()._hear(name, data)
+
+    def _to_drive(self, identifier: int, data: bytes) -> None:
+        self._keep("drive", TX, slcan.encode(slcan.CanFrame(identifier, data)))
+        super()._to_drive(identifier, data)
+
+    def _keep(self, name: str, direction: int, data: bytes) -> None:
+        if direction == TX and self._listened:
+            return
+        if self._raw:
+            self.log.raw(name, direction, data, self.now_ns)
+        for item in self._decoders[name].feed(direction, data, self.now_ns):
+            if isinstance(item, Batch):
+                self.log.batch(item, self.now_ns)
+            else:
+                self.log.event(item, self.now_ns)
+
+    def beat(self) -> None:
+        """The host's heartbeat: a session that is open sends bytes to its drive all the time."""
+        self._keep("drive", TX, slcan.encode(slcan.CanFrame(cia402.cob_heartbeat(1), b"\x05")))
+
+    def note(self, event: Event) -> None:
+        """What a session leaves in its log."""
+        self.log.event(event, self.now_ns)
+
+    def finish(self, ended: str = "duration") -> Path:
+        """The log, whole."""
+        self.log.flush()
+        return self.log.finish({"losses": {}, "ended": ended})

@@ -1,0 +1,198 @@
+"""A trip is one event: all reasons that came together, and an excerpt that is bounded and keeps what matters."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from daq import channels
+from daq.acquisition.recent import Recent
+from daq.acquisition.trips import POINTS, Trips, kept_rows
+from daq.channels import LASER_X, MOTOR, TACHO
+from daq.drivers.items import Batch, Event
+from daq.log import open_log
+from daq.log.file import LogFile
+from rig_configs import load_rig
+from tests.daq.far_ends import Bench
+
+T0 = 1_700_000_000_000_000_000
+S = 1_000_000_000
+ROLES = load_rig("virtual").roles
+
+
+def patience(seconds: float) -> float:
+    return seconds
+
+
+def made(roles=ROLES) -> Trips:
+    return Trips(channels.CHANNELS.values(), roles, patience)
+
+
+def laser(start_ns: int, seconds: float, displacement_m: np.ndarray | None = None) -> Batch:
+    n = round(4000 * seconds)
+    k = np.arange(n)
+    seen = 1e-3 * np.sin(0.05 * k) if displacement_m is None else displacement_m
+    columns = {"displacement_m": seen, "code": 30_000 + k % 7, "counter": k, "device_ticks": 25 * k,
+               "flags": np.zeros(n, np.uint32)}  # fmt: skip
+    return Batch(LASER_X, start_ns + 250_000 * k, k.astype(np.uint32), columns)
+
+
+def motor(at_ns: int, rpm: float) -> Batch:
+    columns = {"speed_rpm": np.array([rpm]), "target_rpm": np.array([600.0]), "statusword": np.array([0x237])}
+    return Batch(MOTOR, np.array([at_ns]), np.zeros(1, np.uint32), columns)
+
+
+def only(events: list[Event]) -> Event:
+    (event,) = events
+    assert (event.kind, event.device) == ("trip", "host")
+    return event
+
+
+def test_nothing_tripped_is_no_event() -> None:
+    trips, recent = made(), Recent(10.0)
+    assert trips.tick(T0, recent) == trips.end(T0, recent) == []
+    assert trips.reasons == ()
+
+
+def test_the_event_waits_for_the_second_behind_it_and_comes_once() -> None:
+    trips, recent = made(), Recent(10.0)
+    recent.add(laser(T0 - 3 * S, 5.0))
+    trips.tripped("amplitude", "laser/x: 12.1 mm", T0)
+    assert trips.tick(T0 + S, recent) == []
+    event = only(trips.tick(T0 + 2 * S, recent))
+    times = event.facts["excerpt"]["laser/x"]["displacement_m"]["t_ms"]
+    assert (min(times), max(times)) == (pytest.approx(-1000, abs=20), pytest.approx(1000, abs=20))
+    assert (event.facts["time_ns"], event.facts["until_ms"]) == (T0, 1000.0)
+    trips.tripped("blind sensor", "laser/y: nothing", T0 + 3 * S)
+    assert trips.tick(T0 + 9 * S, recent) == trips.end(T0 + 9 * S, recent) == []
+    assert [reason.interlock for reason in trips.reasons] == ["amplitude"]
+
+
+def test_a_log_that_ends_sooner_has_the_trip_as_far_as_it_goes() -> None:
+    trips, recent = made(), Recent(10.0)
+    recent.add(laser(T0 - S // 2, 1.0))
+    trips.tripped("amplitude", "laser/x: 12.1 mm", T0)
+    event = only(trips.end(T0 + S // 4, recent))
+    times = event.facts["excerpt"]["laser/x"]["displacement_m"]["t_ms"]
+    assert (min(times), max(times)) == (pytest.approx(-500, abs=20), pytest.approx(250, abs=20))
+    assert event.facts["until_ms"] == 250.0
+    assert trips.end(T0 + S, recent) == []
+
+
+def test_all_that_came_together_is_named_and_what_came_later_beside_it() -> None:
+    trips, recent = made(), Recent(10.0)
+    trips.tripped("amplitude", "laser/x: 12.1 mm, limits.amplitude_m is 11 mm", T0)
+    trips.tripped("amplitude", "laser/x: 12.4 mm, limits.amplitude_m is 11 mm", T0 + 20_000_000)  # the same, again
+    trips.tripped("amplitude", "laser/y: 11.9 mm, limits.amplitude_m is 11 mm", T0 + 100_000_000)
+    trips.tripped("runaway", "the drive reports 700 rpm, it was told 600", T0 + 300_000_000)
+    trips.tripped("silent angles", "pendulums: silent for 1.4 s", T0 + 400_000_000)
+    trips.tripped("silent angles", "pendulums: silent for 1.5 s", T0 + 500_000_000)
+    event = only(trips.end(T0 + S, recent))
+    assert event.facts["interlocks"] == ["amplitude", "runaway"]
+    assert [(r["text"][:13], r["after_ms"]) for r in event.facts["reasons"]] == [
+        ("laser/x: 12.1", 0.0), ("laser/y: 11.9", 100.0), ("the drive rep", 300.0),
+    ]  # fmt: skip
+    assert event.facts["later"] == ["silent angles"]
+    assert event.text.startswith("amplitude, runaway: laser/x: 12.1 mm")
+    assert "; also the drive reports 700 rpm" in event.text
+    assert [reason.text for reason in trips.reasons] == [r["text"] for r in event.facts["reasons"]]
+
+
+def test_time_together_is_the_host_s() -> None:
+    trips = Trips(channels.CHANNELS.values(), ROLES, lambda seconds: 8 * seconds)
+    trips.tripped("amplitude", "a", T0)
+    trips.tripped("runaway", "b", T0 + 2 * S)
+    assert len(trips.reasons) == 2
+    assert trips.tick(T0 + S + 7 * S // 10, Recent(1.0)) == []
+    only(trips.tick(T0 + S + 9 * S // 10, Recent(1.0)))
+
+
+def test_the_speed_is_the_last_word_before_the_trip() -> None:
+    trips, recent = made(), Recent(10.0)
+    for at, rpm in ((-2, 590.0), (-1, 601.5), (1, 3.0)):
+        recent.add(motor(T0 + at * S // 10, rpm))
+    trips.tripped("runaway", "x", T0)
+    assert only(trips.end(T0 + S, recent)).facts["speed_rpm"] == 601.5
+
+
+def test_without_a_drive_the_index_marks_tell_the_speed() -> None:
+    roles = load_rig("by_hand").roles
+    for marks, speed in (([], None), ([-100], None), ([-300, -100, 200], 300.0)):
+        trips, recent = made(roles), Recent(10.0)
+        for number, ms in enumerate(marks):
+            at = np.array([T0 + ms * 1_000_000])
+            columns = {"revolutions": np.array([number]), "node_time_us": at // 1000}
+            recent.add(Batch(TACHO, at, np.zeros(1, np.uint32), columns))
+        trips.tripped("no index mark", "x", T0)
+        assert only(trips.end(T0 + S, recent)).facts["speed_rpm"] == speed
+
+
+@given(st.integers(0, 9000), st.integers(1, 300), st.integers(0, 2**31))
+def test_the_excerpt_is_bounded_and_is_json_and_keeps_peaks_and_gaps(n: int, none: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    seen = rng.standard_normal(8000) * 1e-3
+    seen[n : n + none] = np.nan
+    trips, recent = made(), Recent(10.0)
+    recent.add(laser(T0 - S, 2.0, seen))
+    trips.tripped("blind sensor", "laser/x: nothing", T0)
+    event = only(trips.end(T0 + S, recent))
+    packed = channels.pack_note({"kind": event.kind, "device": "host", "text": event.text, **event.facts})
+    assert len(packed) < 16_000
+    series = json.loads(packed)["excerpt"]["laser/x"]["displacement_m"]
+    assert len(series["value"]) == len(series["t_ms"]) <= POINTS
+    assert series["t_ms"] == sorted(series["t_ms"])
+    numbers = [value for value in series["value"] if value is not None]
+    assert max(numbers) == pytest.approx(np.nanmax(seen), rel=1e-5)
+    assert min(numbers) == pytest.approx(np.nanmin(seen), rel=1e-5)
+    assert (None in series["value"]) == bool(np.isnan(seen).any())
+    assert event.facts["excerpt"]["laser/x"]["counter"]["value"] == [0, 7999]  # a counter's ends say it all
+    assert event.facts["excerpt"]["laser/x"]["flags"]["value"] == [0, 0]
+
+
+VALUES = arrays(np.float64, st.integers(1, 700), elements=st.floats(-1e3, 1e3) | st.just(np.nan))
+
+
+@given(VALUES)
+def test_kept_rows_are_few_and_ascend_and_hold_the_extremes(values: np.ndarray) -> None:
+    rows = kept_rows(values)
+    assert len(rows) <= max(POINTS, 2)
+    assert np.all(np.diff(rows) > 0)
+    assert rows[0] >= 0
+    assert rows[-1] < len(values)
+    if not np.isnan(values).all():
+        assert np.nanmax(values[rows]) == np.nanmax(values)
+        assert np.nanmin(values[rows]) == np.nanmin(values)
+    assert np.isnan(values[rows]).any() == np.isnan(values).any()
+
+
+def test_a_whole_trip_on_the_bench_goes_into_a_log_and_back(tmp_path: Path) -> None:
+    """Every channel of a rig that turns, one laser lost: the reasons are the interlocks' own."""
+    with Bench() as bench:
+        recent = Recent(10.0)
+        hear = bench.interlocks.feed
+        bench.interlocks.feed = lambda batch, ns: (recent.add(batch), hear(batch, ns))[1]  # type: ignore[method-assign]
+        trips = Trips(channels.CHANNELS.values(), bench.rig.roles, patience)
+        bench.turn(600)
+        bench.fails("laser_x", "code", 262076)
+        bench.pass_time(0.5)
+        for at_s, stop in bench.stops:
+            trips.tripped(stop.interlock, stop.text, bench.now_ns + round((at_s - bench.now_s) * 1e9))
+        bench.pass_time(1.0)
+        event = only(trips.tick(bench.now_ns, recent))
+    with LogFile(tmp_path / "a.mcap", {"test": "record"}, {}, (), T0) as log:
+        log.event(event, T0)
+        path = log.finish({})
+    with open_log(path) as opened:
+        (stored,) = opened.events
+    assert stored["interlocks"] == ["blind sensor"]
+    assert stored["time_ns"] == event.facts["time_ns"]
+    assert stored["speed_rpm"] == pytest.approx(600, abs=20)
+    assert set(stored["excerpt"]) == {"laser/x", "laser/y", "pendulums", "tacho", "motor"}
+    assert None in stored["excerpt"]["laser/x"]["displacement_m"]["value"]
+    assert len(json.dumps(stored)) < 60_000
