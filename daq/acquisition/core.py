@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
@@ -247,7 +248,7 @@ class Core:
             except Exception as error:  # a decoder's bug
                 self._undecodable.add(device)
                 text = f"{device}: its bytes are kept, but no longer decoded ({type(error).__name__}: {error})"
-                found = [Event("undecodable", device, text)]
+                found = [Event("undecodable", HOST, text, {"of": device})]
         return Keep(device, direction, data, tuple(found), host_ns)
 
     def _emergency(self, event: Event) -> Iterator[Order]:
@@ -260,16 +261,18 @@ class Core:
         for item in found:
             if isinstance(item, Event):
                 yield Note(item, host_ns)
-            elif not self.guarding:
-                continue
-            elif not self.commanding or self.lenient:
+            elif self.guarding and self.commanding and not self.lenient:
+                yield from self._tripped(item, host_ns)
+            elif self.guarding:
                 yield from self.warn(item.text)
-                continue
-            self.trips.tripped(item.interlock, item.text, host_ns)
-            if self.trouble is None:  # later ones change nothing
-                kind = DeviceError if item.cause == "device" else ProcedureError
-                turning = self.interlocks.turning(host_ns)
-                yield from self.fail(kind(f"{item.text}; {self._stopped}" if turning else item.text), host_ns)
+
+    def _tripped(self, stop: Stop, host_ns: int) -> Iterator[Order]:
+        """The first one ends the run; those that come with it are named too."""
+        self.trips.tripped(stop.interlock, stop.text, host_ns)
+        if self.trouble is None:
+            kind = DeviceError if stop.cause == "device" else ProcedureError
+            turning = self.interlocks.turning(host_ns)
+            yield from self.fail(kind(f"{stop.text}; {self._stopped}" if turning else stop.text), host_ns)
 
     @property
     def _stopped(self) -> str:
@@ -289,7 +292,7 @@ class Core:
         elif first and self.commanding and self.interlocks.turning(now_ns):
             yield Warn(f"STOP THE ROTOR: {error}")
         if first:
-            yield Note(Event("stop", "host", str(error)), now_ns)
+            yield Note(Event("stop", HOST, str(error)), now_ns)
 
     def lost(self, device: str, error: Exception, now_ns: int) -> Iterator[Order]:
         """A device's link is gone: the run's end while the rotor turns or devices are opened, else a gap of one device.
@@ -304,14 +307,14 @@ class Core:
         if len(self.gone) == len(self._known):  # none is left to go on
             yield from self.fail(error, now_ns)
             return
-        yield Note(Event("gone", device, str(error)), now_ns)
+        yield Note(Event("gone", HOST, str(error), {"of": device}), now_ns)
         yield from self.warn(f"{error}. The others go on; it is looked for")
 
     def back(self, device: str, port: str, now_ns: int) -> Iterator[Order]:
         """A device that was gone streams again."""
         self.gone.pop(device, None)
         self._heard_ns[device] = now_ns
-        yield Note(Event("back", device, f"{device}: streams again, on {port}", {"port": port}), now_ns)
+        yield Note(Event("back", HOST, f"{device}: streams again, on {port}", {"of": device, "port": port}), now_ns)
 
     def warn(self, text: str) -> Iterator[Order]:
         """The operator learns something, once; it stays on record."""
@@ -394,7 +397,7 @@ class Core:
             if disk.slow
             else "the disk keeps up again"
         )
-        return Note(Event("disk", "host", text, disk.facts()), now_ns)
+        return Note(Event("disk", HOST, text, disk.facts()), now_ns)
 
     def _look_for_silence(self, now_ns: int) -> Iterator[Order]:
         """The operator learns of a device that sends nothing at all; interlocks decide whether that ends the run."""
@@ -403,10 +406,10 @@ class Core:
         certain = still & self._suspect if self.commanding and self.guarding else set[str]()
         for name in sorted(certain - self.mute):  # seen twice: no host that was asleep
             text = f"{name}: silent for {_SILENCE_S:g} s. Look at its cable, its power, its battery"
-            yield Note(Event("silent", name, text), now_ns)
+            yield Note(Event("silent", HOST, text, {"of": name}), now_ns)
             yield from self.warn(text)
         for name in sorted(self.mute - still - set(self.gone)):
-            yield Note(Event("heard", name, f"{name}: heard again"), now_ns)
+            yield Note(Event("heard", HOST, f"{name}: heard again", {"of": name}), now_ns)
         self._suspect, self.mute = still, (self.mute | certain) & still
 
     # --- what is known -----------------------------------------------------------------------------------------

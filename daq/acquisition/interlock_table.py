@@ -41,6 +41,7 @@ LINE_S = 2.0
 
 Judge = Literal["channels", "session"]
 _STOP = "rotor stopped, test ended"
+_GOES_ON = "said and kept, exit 3; the run goes on, the device is opened again"
 
 
 @dataclass(frozen=True)
@@ -164,9 +165,9 @@ def _session_rows() -> Iterator[Interlock]:
     yield Interlock("emergency", "speed source", "an emergency message that ends no operation", "the device's word",
                     "at once", "said and kept, exit 3; the run goes on", SpeedSource.role, "session")  # fmt: skip
     yield Interlock("silent line", "every device", f"no byte for {LINE_S:g} s wall, seen twice", "constant",
-                    _within(0, LINE_S + 0.5), judge="session")  # fmt: skip
+                    _within(0, LINE_S + 0.5), _GOES_ON, judge="session")  # fmt: skip
     yield Interlock("lost device", "every device", "its port fails, or its bytes make its decoder fail", "the device",
-                    "at once", judge="session")  # fmt: skip
+                    "at once", f"{_STOP}; {_GOES_ON} where nothing turns", judge="session")  # fmt: skip
     yield Interlock("disk", "the log", "the disk full, gone, or 64 MB behind", "constant", _within(0, 0.25),
                     f"{_STOP}; the log is whole", judge="session")  # fmt: skip
     yield Interlock("operator", "Ctrl-C, SIGTERM, SIGHUP", "any", "the operator", "at once", f"{_STOP}, exit 130",

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.acquisition.channel_watch import HOST
 from daq.acquisition.core import Core, Happened, Keep, Note, Order, Report, StopRotor, Warn
 from daq.acquisition.edge import Edge, real_edge
 from daq.acquisition.exceedance import compile_look
@@ -350,7 +351,7 @@ class Session:
                     self._set_up_again(name)
             except (DeviceError, LinkLost) as error:
                 self._devices[name].stop()
-                self.note(Event("other", name, f"{port}: {error}"))
+                self.note(Event("other", HOST, f"{port}: {error}", {"of": name}))
                 continue
             self._carry_out(self._core.back(name, port, self.clock.now_ns()))
             return

@@ -49,12 +49,12 @@ def has_an_emergency(session: Session, far_end: VirtualRigProcess, _: pytest.Mon
 
 def falls_silent(session: Session, _: VirtualRigProcess, __: pytest.MonkeyPatch) -> None:
     session.send("laser_x", b"OUTPUT NONE\n")
-    waits_for_trouble(session)
+    session.wait_for(lambda: bool(session.notices), 8.0, "the silence")
 
 
 def is_lost(session: Session, _: VirtualRigProcess, __: pytest.MonkeyPatch) -> None:
     session._devices["laser_y"].link.close()
-    waits_for_trouble(session)
+    session.wait_for(lambda: bool(session.notices), 8.0, "the loss")
 
 
 def fills_the_disk(session: Session, _: VirtualRigProcess, patch: pytest.MonkeyPatch) -> None:

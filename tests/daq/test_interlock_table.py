@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition import session
+from daq.acquisition import core, session
 from daq.acquisition.interlock_table import CHANNELS, INTERLOCKS, LINE_S, LOOK_S, SESSION, interlock
 from daq.acquisition.recorder import BACKLOG_BYTES
 from daq.drivers.items import Event
@@ -109,7 +109,7 @@ def test_a_row_asks_for_its_role() -> None:
 
 
 def test_the_session_looks_and_waits_as_the_table_says() -> None:
-    assert (LOOK_S, LINE_S) == (session._LOOK_S, session._SILENCE_S)
+    assert (LOOK_S, LINE_S) == (session._LOOK_S, core._SILENCE_S)
     assert f"{BACKLOG_BYTES / 2**20:g} MB" in interlock("disk").threshold
 
 
