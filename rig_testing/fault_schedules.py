@@ -1,0 +1,355 @@
+# pyright: strict
+"""Randomised faults under simulated time: what a whole session does on a bad day, and whether it was right.
+
+A schedule is drawn from its seed: what the operator does, which faults of which device and line begin when and how long
+they last, when the host is busy with something else. The same session, drivers and recorder that run a rig run it in
+lockstep. What must hold afterwards is asked of the log, of the simulated rig's truth and of the drive, for any rig file
+and any driver: this module names no device.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.acquisition.session import Session
+from daq.drivers.contract import SampleClock, claims_of
+from daq.drivers.devices import devices_of
+from daq.errors import RigError
+from daq.lockstep.rig import LockstepRig
+from daq.log import Log, open_log
+from daq.replay import check
+from daq.virtual_rig.faults import LINE_FAULTS
+from daq.virtual_rig.motion import Motion, Trajectory
+from daq.virtual_rig.world import DeviceClock, World
+from rig_configs import load_rig
+from rig_configs.schema import Rig
+
+Array = NDArray[np.floating[Any]]
+
+STOP_WITHIN_S = 0.5
+"""Behind the limit of a needed channel the stop is ordered within this, s."""
+_RPM = math.pi / 30
+_TURNS_RPM = 20.0  # a rotor that surely turns
+_SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults behind which a line without a checksum proves nothing
+_AFTER_S = 20.0  # the world goes on for so long behind the session's end
+_CALM = ["virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=false"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault of a schedule.
+
+    Attributes:
+        at_s, seconds: when it begins, how long it lasts; 0: it happens once.
+        device: whose; empty: the host's.
+        what: its kind: one of the far end's, of the line's, "unplug", or "busy" for the host.
+        value: of the kind.
+    """
+
+    at_s: float
+    seconds: float
+    device: str
+    what: str
+    value: float = 1.0
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What happens in one run.
+
+    Attributes:
+        seed: of all that is random in it.
+        rpm: to which the rotor is turned; 0: not at all.
+        seconds: of the recording.
+        faults: in order of time; s since the recording began.
+    """
+
+    seed: int
+    rpm: float
+    seconds: float
+    faults: tuple[Fault, ...]
+
+
+@dataclass
+class Result:
+    """What came of a schedule.
+
+    Attributes:
+        schedule: of it.
+        wrong: what did not hold, sentences; empty when all did.
+        ended: what ended the run; empty when it came to its end.
+        digest: of the log's bytes.
+        rig_s: simulated time of it all, s.
+        stop_s: from the fault to the order to stop, s; NaN where none was needed.
+    """
+
+    schedule: Schedule
+    wrong: list[str] = field(default_factory=list[str])
+    ended: str = ""
+    digest: str = ""
+    rig_s: float = 0.0
+    stop_s: float = math.nan
+
+
+def draw(rig: Rig, seed: int, calm: bool = False) -> Schedule:
+    """A schedule from its seed.
+
+    Args:
+        rig: with far ends; its faults are drawn from those that they can have.
+        seed: any.
+        calm: without faults.
+    """
+    dice = np.random.default_rng([seed, 4711])
+    rpm = float(dice.choice([0.0, dice.uniform(60, 450)])) if rig.roles.speed is not None else 0.0
+    seconds = float(dice.uniform(5.0, 9.0))
+    count = 0 if calm else int(dice.choice([0, 1, 1, 2, 3]))
+    faults = tuple(sorted((_fault(rig, dice, seconds) for _ in range(count)), key=lambda fault: fault.at_s))
+    return Schedule(seed, rpm, seconds, faults)
+
+
+def _fault(rig: Rig, dice: np.random.Generator, seconds: float) -> Fault:
+    at_s, lasts_s = float(dice.uniform(0.2, seconds - 0.5)), float(10 ** dice.uniform(-1.7, 0.8))
+    device = str(dice.choice([*rig.devices, ""]))
+    if not device:
+        return Fault(at_s, float(10 ** dice.uniform(-2.5, 0.0)), "", "busy")
+    own = LockstepRig(rig).far.far_ends[device].fault_kinds
+    kinds = {**LINE_FAULTS, **own}
+    what = str(dice.choice([*kinds, "unplug"]))
+    if what == "unplug":
+        return Fault(at_s, lasts_s, device, what)
+    kind = kinds[what]
+    low, high = kind.limits
+    values = [kind.value, kind.value, low, high] if kind.meaning and high < 1e5 else [kind.value]
+    return Fault(at_s, 0.0 if kind.end is None else lasts_s, device, what, float(dice.choice(values)))
+
+
+class _Watched:
+    """A simulated rig whose true motion and speeds are kept."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.sim = LockstepRig(rig)
+        self.stretches: list[Trajectory] = []
+        motion = self.sim.far.motion
+        advance = motion.advance
+
+        def kept(until_s: float) -> Trajectory | None:
+            stretch = advance(until_s)
+            if stretch is not None:
+                self.stretches.append(stretch)
+            return stretch
+
+        motion.advance = kept
+
+    def truth(self) -> tuple[Array, Array]:
+        """Times and rows of the whole motion."""
+        return (
+            np.concatenate([stretch.time_s[1:] for stretch in self.stretches]),
+            np.concatenate([stretch.rows[1:] for stretch in self.stretches]),
+        )
+
+
+def run(rig_name: str, schedule: Schedule, folder: Path, settings: tuple[str, ...] = ()) -> Result:
+    """Run a schedule and look at what came of it.
+
+    Args:
+        rig_name: a rig file, or a shipped rig.
+        schedule: for that rig.
+        folder: where the log goes.
+        settings: laid over the rig file.
+    """
+    result = Result(schedule)
+    changes = [f"virtual.seed={schedule.seed}", *_CALM, *settings]
+    watched = _Watched(load_rig(rig_name, settings=changes))
+    sim = watched.sim
+    rig = load_rig(rig_name, settings=[*changes, *sim.port_settings()])
+    path = folder / f"schedule-{schedule.seed}.mcap"
+    session = Session(rig, sim.clock, edge=sim.edge)
+    try:
+        with session:
+            session.start_recording(path, {"test": "record"})
+            _place(sim, schedule)
+            _operate(session, schedule)
+            session.stop_recording({})
+    except RigError as error:
+        result.ended = str(error)
+    except Exception as error:
+        result.wrong.append(f"ended with {type(error).__name__}: {error}")
+        result.ended = str(error)
+    closed_s = sim.clock.wall_s()
+    sim.clock.wait(_AFTER_S)
+    result.rig_s = closed_s
+    if path.exists():
+        result.digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        result.wrong += _judged(path, watched, rig, schedule, result)
+    else:
+        result.wrong.append("there is no finished log")
+    result.wrong += _left_behind(watched, session)
+    return result
+
+
+def _place(sim: LockstepRig, schedule: Schedule) -> None:
+    for fault in schedule.faults:
+        sim.clock.after(fault.at_s, lambda fault=fault: _begin(sim, fault), world=True)
+
+
+def _begin(sim: LockstepRig, fault: Fault) -> None:
+    match fault.what:
+        case "busy":
+            sim.clock.busy(fault.seconds)
+        case "unplug":
+            sim.ask("unplug", device=fault.device)
+            sim.clock.after(fault.seconds, lambda: sim.ask("plug", device=fault.device), world=True)
+        case _:
+            lasts: dict[str, Any] = {"seconds": fault.seconds} if fault.seconds else {}
+            with contextlib.suppress(ValueError):  # one that stands already
+                sim.ask("fail", device=fault.device, what=fault.what, value=fault.value, **lasts)
+
+
+def _operate(session: Session, schedule: Schedule) -> None:
+    """What the operator does: turn the rotor, or nothing; then wait."""
+    end = session.clock.wall_s() + schedule.seconds
+    if schedule.rpm:
+        session.drive.enable()
+        session.drive.set_ramp(300.0)
+        session.drive.set_speed(schedule.rpm)
+    while session.clock.wall_s() < end:
+        session.check()
+        session.clock.wait(0.05)
+
+
+# --- what must hold ----------------------------------------------------------------------------------------------
+
+
+def _judged(path: Path, watched: _Watched, rig: Rig, schedule: Schedule, result: Result) -> Iterator[str]:
+    """What the log says, against the truth."""
+    truth_s, truth = watched.truth()
+    with open_log(path) as log:
+        if not log.complete:
+            yield "the log is not complete"
+        yield from _replays(path, schedule)
+        yield from _samples_right(log, rig, schedule, watched.sim, truth_s, truth)
+        yield from _stopped_in_time(log, rig, schedule, result, truth_s, truth, watched.sim)
+    if not schedule.faults and result.ended:
+        yield f"without a fault it ended: {result.ended}"
+
+
+def _replays(path: Path, schedule: Schedule) -> Iterator[str]:
+    for row in check(path):
+        if row.difference:
+            yield f"decoded again, {row.topic} differs: {row.difference}"
+
+
+def _spoilt(schedule: Schedule) -> set[str]:
+    """Devices whose bytes were damaged."""
+    return {fault.device for fault in schedule.faults if fault.what in _SPOILING}
+
+
+def _begun_anew(schedule: Schedule) -> set[str]:
+    """Devices whose clock and counter may have begun anew."""
+    return {fault.device for fault in schedule.faults if fault.what in ("power", "restart", "stale", "lost", "range")}
+
+
+def _device_times(log: Log, clock: SampleClock, own: DeviceClock, zero_ns: int) -> Array:
+    """When the samples of a channel were made, by the device's own ticks, rig s."""
+    samples = log[clock.topic]
+    period_s = 2.0**32 * clock.tick_ns * 1e-9
+    ticks = np.unwrap(samples[clock.field].astype(np.float64), period=2.0**32)
+    at_s = (ticks * clock.tick_ns * 1e-9 - own.offset_s) / (1 + own.drift)
+    logged_s = float(samples.time_ns[0] - zero_ns) * 1e-9
+    return at_s + period_s * round((logged_s - float(at_s[0])) / period_s)
+
+
+def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock]]:
+    """Channels on a device's own clock whose samples must be right, whatever else went wrong."""
+    for name, device in devices_of(rig.devices).items():
+        checked = "checksum" in claims_of(device.driver)
+        if name not in _begun_anew(schedule) and (checked or name not in _spoilt(schedule)):
+            yield from ((name, clock) for clock in device.clocks)
+
+
+def _samples_right(
+    log: Log, rig: Rig, schedule: Schedule, sim: LockstepRig, truth_s: Array, truth: Array
+) -> Iterator[str]:
+    """Every valid displacement and angle is what was there at its time; every sample that is missing was counted."""
+    virtual = rig.virtual
+    assert virtual is not None
+    world, zero_ns = World(virtual, Motion(rig.true_physics, 0.0, 0.1)), log_zero_ns(sim)
+    fields = {sensor.topic: [("displacement_m", "xy".index(sensor.axis), 8 * virtual.sensors.laser_noise_m + 8e-6)]
+              for sensor in rig.roles.displacements}  # fmt: skip
+    if rig.roles.angles is not None:
+        step = 4 * rig.roles.angles.step_rad
+        fields[rig.roles.angles.topic] = [("theta3_rad", 2, step), ("theta4_rad", 3, step)]
+    counted = json.loads(log.metadata["summary"]["losses"])
+    for name, clock in _trusted(rig, schedule):
+        if clock.topic not in log or log.count(clock.topic) < 2:
+            continue
+        own = world.clock(name)
+        at_s = _device_times(log, clock, own, zero_ns)
+        late = (log[clock.topic].time_ns - zero_ns) * 1e-9 - at_s
+        if np.min(late) < -2e-3 or np.median(late) > 0.05:
+            yield f"{clock.topic}: times are {late.min() * 1e3:.1f} to {late.max() * 1e3:.1f} ms off"
+        lost = round(float(at_s[-1] - at_s[0]) * (1 + own.drift) * clock.rate_Hz) + 1 - len(at_s)
+        if lost != counted[name].get("samples", 0):
+            yield f"{name}: {counted[name].get('samples', 0)} samples counted as lost, {lost} were"
+        for field_name, column, tolerance in fields.get(clock.topic, ()):
+            off = log[clock.topic][field_name].astype(np.float64) - np.interp(at_s, truth_s, truth[:, column])
+            off -= np.nanmedian(off) if np.isfinite(off).any() else 0.0
+            if len(far := np.flatnonzero(np.abs(off) > tolerance)):  # NaN is no sample
+                yield f"{clock.topic} {field_name}: {len(far)} samples are wrong, the first by {off[far[0]]:.3g}"
+
+
+def log_zero_ns(sim: LockstepRig) -> int:
+    """The clock's beginning, ns since 1970."""
+    return sim.clock.now_ns() - round(sim.clock.wall_s() * 1e9)
+
+
+def _stopped_in_time(
+    log: Log, rig: Rig, schedule: Schedule, result: Result, truth_s: Array, truth: Array,
+    sim: LockstepRig,
+) -> Iterator[str]:  # fmt: skip
+    """A guard that was blind while the rotor turned: the stop came in time."""
+    stops = [event["time_ns"] for event in log.events if event["kind"] == "stop"]
+    stop_ns = stops[0] if stops else None
+    zero_ns = log_zero_ns(sim)
+    speed = np.abs(truth[:, 9]) / _RPM
+    turning = truth_s[speed > _TURNS_RPM]
+    if not len(turning):
+        return
+    begin_ns, end_ns = zero_ns + int(turning[0] * 1e9), zero_ns + int(turning[-1] * 1e9)
+    guards = {sensor.topic: 0.3 for sensor in rig.roles.displacements}
+    if rig.roles.angles is not None:
+        guards[rig.roles.angles.topic] = 1.0
+    if rig.roles.speed is not None:
+        guards[rig.roles.speed.topic] = 0.3
+    busy_s = sum(fault.seconds for fault in schedule.faults if fault.what == "busy")
+    for topic, limit_s in guards.items():
+        times = log[topic].time_ns if topic in log and log.count(topic) else np.zeros(0, np.int64)
+        if topic in log and log.count(topic) and "displacement_m" in log.channel(topic).names:
+            times = times[np.isfinite(log[topic]["displacement_m"])]
+        until_ns = min(end_ns, stop_ns if stop_ns is not None else end_ns)
+        edges = np.concatenate([[begin_ns], times[(times > begin_ns) & (times < until_ns)], [until_ns]])
+        longest = float(np.max(np.diff(edges))) * 1e-9 if len(edges) > 1 else 0.0
+        allowed = limit_s + 0.3 + STOP_WITHIN_S + busy_s
+        if longest > allowed:
+            yield f"{topic}: blind for {longest:.2f} s while the rotor turned; a stop was due within {allowed:.2f} s"
+        result.stop_s = longest if math.isnan(result.stop_s) else max(result.stop_s, longest)
+
+
+def _left_behind(watched: _Watched, session: Session) -> Iterator[str]:
+    """The rotor stands in the end, or the operator was warned of it."""
+    motion = watched.sim.far.motion
+    warned = any("keep away" in notice for notice in session.notices)
+    if abs(motion.speed_rad_s) > 1.0 and not warned:
+        yield f"the rotor turns at {motion.speed_rad_s / _RPM:.0f} rpm {_AFTER_S:g} s after the end, without a warning"
+    if abs(motion.target_rad_s) > 0:
+        yield f"the drive was left with a target of {motion.target_rad_s / _RPM:.0f} rpm"
