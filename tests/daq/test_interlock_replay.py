@@ -411,7 +411,7 @@ def test_reads_that_stand_the_wrong_way_round_are_put_in_order(tmp_path: Path) -
     with open_log(path) as log:
         rig = rig_of(log)
         stood = [chunk.host_ns for _, chunk in log.raw_in_order()]
-        arrivals = Arrivals(log, lambda: pipelines_of(log), rig.roles.device_of, (), 0.2)
+        arrivals = Arrivals(log, pipelines_of(log), rig.roles.device_of, 0.2)
         came = list(arrivals)
         again = {device: [a.host_ns for a in came if a.device == device] for device in log.devices}
     assert stood != sorted(stood)
