@@ -3,13 +3,13 @@
 otherwise as its samples stand in the log.
 
 A recorder writes what its threads leave behind, so that neighbouring reads of two devices may stand the wrong way
-round; they are put in order here. Where messages are missing in the middle, decoding begins anew behind the hole.
+round; they are put in order here.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,9 +73,8 @@ class Arrivals:
 
     Args:
         log: open.
-        pipelines: makes fresh ones, by device; asked once, and again behind every hole.
+        pipelines: fresh ones, by device.
         device_of: which device fills a channel, by topic.
-        holes: see `holes_of`.
         disorder_s: how far apart in host time two reads may stand the wrong way round.
 
     Attributes:
@@ -86,13 +85,11 @@ class Arrivals:
     def __init__(
         self,
         log: Log,
-        pipelines: Callable[[], Mapping[str, Pipeline]],
+        pipelines: Mapping[str, Pipeline],
         device_of: Mapping[str, str],
-        holes: tuple[Hole, ...],
         disorder_s: float,
     ) -> None:
-        self._log, self._fresh, self._holes = log, pipelines, list(holes)
-        self._pipelines = dict(pipelines())
+        self._log, self._pipelines = log, pipelines
         self._disorder_ns = int(disorder_s * 1e9)
         self.again = tuple(name for name in self._pipelines if log.count(raw_topic(name)))
         self._device_of = {topic: name for topic, name in device_of.items() if name not in self.again}
@@ -116,19 +113,8 @@ class Arrivals:
             yield heapq.heappop(waiting)[2]
 
     def _decoded(self) -> Iterator[Arrival]:
-        holes = list(self._holes)
-        for device, chunk, found in decoded(self._log, self._pipelines):
-            items = found
-            if holes and chunk.host_ns >= holes[0].end_ns:
-                while holes and chunk.host_ns >= holes[0].end_ns:
-                    holes.pop(0)
-                self._pipelines |= self._fresh()  # the decoding above reads the same table
-                items = self._fed_anew(device, chunk.direction, chunk.data, chunk.host_ns)
+        for device, chunk, items in decoded(self._log, self._pipelines):
             yield Arrival(chunk.host_ns, device, chunk.direction == TX, tuple(items))
-
-    def _fed_anew(self, device: str, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
-        pipeline = self._pipelines.get(device)
-        return [] if pipeline is None else pipeline.feed(direction, data, host_ns)
 
     def _events(self) -> Iterator[Arrival]:
         """Events of devices whose bytes are not decoded again."""

@@ -122,11 +122,8 @@ class _Run:
         self._holes = list(holes_of(log.missing))
         self._unplaced = [place for place in log.missing if place.messages != 0 and place.start_ns is None]
         self._whole_holes = tuple(self._holes)
-        identities = identities_of(log)
-        self.arrivals = Arrivals(
-            log, lambda: pipelines_with(rig, identities, str(log.path)), roles.device_of, self._whole_holes,
-            patience(_DISORDER_S),
-        )  # fmt: skip
+        pipelines = pipelines_with(rig, identities_of(log), str(log.path))
+        self.arrivals = Arrivals(log, pipelines, roles.device_of, patience(_DISORDER_S))
         self._closing_ns = closing_ns(log, patience)
         self._looked_ns = sorted(note["time_ns"] for note in stops_of(log))  # a session looked then, that is known
         self._let_go = 0

@@ -289,6 +289,20 @@ def test_stored_samples_stand_in_for_bytes_that_are_not_there(tmp_path: Path) ->
     assert judged(path, "limits.amplitude_m=0.0001").trips[0].interlock == "amplitude"
 
 
+def test_a_device_that_was_recorded_and_never_spoke_is_silent(tmp_path: Path) -> None:
+    class WithoutOneLaser(RecordedBench):
+        def _keep(self, name: str, direction: int, data: bytes) -> None:
+            if name != "laser_x":
+                super()._keep(name, direction, data)
+
+    with WithoutOneLaser(tmp_path / "a.mcap") as bench:
+        bench.beat()
+        bench.turn(600)
+        path = bench.finish()
+    (trip,) = judged(path).trips
+    assert (trip.interlock, trip.text[:15]) == ("silent displacement", "laser/x: silent")
+
+
 def test_a_device_s_events_count_where_its_driver_is_not_installed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -397,7 +411,7 @@ def test_reads_that_stand_the_wrong_way_round_are_put_in_order(tmp_path: Path) -
     with open_log(path) as log:
         rig = rig_of(log)
         stood = [chunk.host_ns for _, chunk in log.raw_in_order()]
-        arrivals = Arrivals(log, lambda: pipelines_of(log), rig.roles.device_of, (), 0.2)
+        arrivals = Arrivals(log, pipelines_of(log), rig.roles.device_of, 0.2)
         came = list(arrivals)
         again = {device: [a.host_ns for a in came if a.device == device] for device in log.devices}
     assert stood != sorted(stood)
