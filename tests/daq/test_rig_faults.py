@@ -192,8 +192,8 @@ def test_a_node_without_supply_counts_frames_and_time_from_nothing_and_a_mute_ra
     [
         ({"device": "laser_z", "what": "mute"}, "no device 'laser_z'; this rig has laser_x, laser_y, encoder, drive"),
         ({"device": "laser_x", "what": "tired"}, "no fault 'tired'; it can have: blocked, code, power, mute"),
-        ({"device": "drive", "what": "restart", "seconds": 1.0}, "happens once"),
-        ({"device": "drive", "what": "restart", "end": True}, "happens once"),
+        ({"device": "drive", "what": "restart", "seconds": 1.0}, "cannot be ended or timed: it happens once"),
+        ({"device": "drive", "what": "restart", "end": True}, "cannot be ended or timed: it happens once"),
         ({"device": "laser_x", "what": "mute", "seconds": 0}, "seconds above 0"),
         ({"device": "laser_x", "what": "mute", "seconds": "long"}, "a finite number for 'seconds'"),
     ],
@@ -235,6 +235,8 @@ def test_a_far_end_that_lists_nothing_has_the_faults_of_every_line_and_its_own()
     assert list(faults.kinds("it")) == list(LINE_FAULTS)
     faults.place({"device": "it", "what": "tired", "value": 3}, 0.0)
     assert strange.tired == 3
+    with pytest.raises(ValueError, match="cannot be ended or timed"):
+        faults.place({"device": "it", "what": "tired", "seconds": 3}, 0.0)
     faults.place({"device": "it", "what": "power", "seconds": 2}, 1.0)
     assert (faults.heard("it", b"a"), faults.arrives("it", b"b", 0.1)) == (b"", b"")
     faults.end_in_time(2.9)
