@@ -31,6 +31,7 @@ class ControlServer:
         self.port = self._listener.getsockname()[1]
         self.requests: queue.Queue[tuple[dict[str, Any], queue.Queue[dict[str, Any]]]] = queue.Queue(100)
         self._unfetched = 0
+        self._peers: set[socket.socket] = set()
         self._fetched = threading.Condition()
         threading.Thread(target=self._accept, name="control", daemon=True).start()
 
@@ -43,7 +44,16 @@ class ControlServer:
             threading.Thread(target=self._serve, args=(peer,), name="operator", daemon=True).start()
 
     def _serve(self, peer: socket.socket) -> None:
-        with contextlib.suppress(OSError), peer, peer.makefile("rwb") as stream:  # whoever hangs up has gone
+        self._peers.add(peer)
+        try:
+            with contextlib.suppress(OSError):  # whoever hangs up has gone
+                self._converse(peer)
+        finally:
+            self._peers.discard(peer)
+            peer.close()
+
+    def _converse(self, peer: socket.socket) -> None:
+        with peer.makefile("rwb") as stream:
             allowed = False
             while line := stream.readline(_LINE_LIMIT):
                 try:
@@ -71,7 +81,7 @@ class ControlServer:
                         self._fetched.notify_all()
 
     def close(self, patience_s: float = 0.0) -> None:
-        """Stop listening.
+        """Stop listening and hang up.
 
         Args:
             patience_s: how long answers that were given may take to be sent, wall s.
@@ -79,6 +89,9 @@ class ControlServer:
         self._listener.close()
         with self._fetched:
             self._fetched.wait_for(lambda: self._unfetched == 0, patience_s)
+        for peer in list(self._peers):
+            with contextlib.suppress(OSError):
+                peer.shutdown(socket.SHUT_RDWR)
 
 
 class OperatorLine:

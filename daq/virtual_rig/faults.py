@@ -76,10 +76,13 @@ class Faults:
             ValueError: no such device or fault, or one that cannot be so.
         """
         device, what = str(request.get("device")), str(request.get("what"))
-        far_end, kind = self._far_end(device), self.kinds(device).get(what, FaultKind(""))
+        far_end = self._far_end(device)
+        kind = self.kinds(device).get(what, FaultKind("not listed", end=None))
         value, seconds = request.get("value", kind.value), request.get("seconds")
         if (request.get("end") or seconds is not None) and kind.end is None:
-            raise ValueError(f"{what!r} of {device} happens once: it can be neither ended nor timed")
+            raise ValueError(
+                f"{what!r} of {device} cannot be ended or timed: it happens once, or is none that the device lists"
+            )
         if request.get("end"):
             value = kind.end
         if seconds is not None and not 0 < number(request, "seconds") <= 86_400:

@@ -118,7 +118,9 @@ class Motion:
     """
 
     def __init__(self, physics: RotorParameters, slip: float, lag_s: float) -> None:
-        self.change(physics)
+        if physics.a.friction_arm_m or physics.b.friction_arm_m:
+            raise ProcedureError("the virtual rig's fixed steps can't follow dry friction: set friction_arm_m to 0")
+        self.physics = physics
         self.time_s = 0.0
         self.target_rad_s = 0.0
         self.ramp_rad_s2 = 1.0
@@ -134,16 +136,6 @@ class Motion:
         self._held = False
         self._held_at = np.zeros(2)
         self._last = np.concatenate([self._state, [0.0, 0.0]])
-
-    def change(self, physics: RotorParameters) -> None:
-        """Move by other numbers from now on.
-
-        Raises:
-            ProcedureError: they have dry friction.
-        """
-        if physics.a.friction_arm_m or physics.b.friction_arm_m:
-            raise ProcedureError("the virtual rig's fixed steps can't follow dry friction: set friction_arm_m to 0")
-        self.physics = physics
 
     @property
     def speed_rad_s(self) -> float:

@@ -9,7 +9,6 @@ from typing import Any
 
 from daq.drivers.devices import devices_of
 from daq.drivers.simulated import FarEnd
-from daq.errors import ProcedureError
 from daq.virtual_rig.faults import Faults, listed, number
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import World
@@ -154,9 +153,5 @@ class SimulatedRig:
 
     def _set(self, key: str, value: Any) -> None:
         """Change the truth from now on (a clamp has moved, a magnet pack was replaced)."""
-        try:
-            changed = with_truth(self._rig, key, value)
-            self.motion.change(changed.true_physics)
-        except (RigConfigError, ProcedureError) as error:
-            raise ValueError(str(error)) from error
-        self._rig = changed
+        self._rig = with_truth(self._rig, key, value)
+        self.motion.physics = self._rig.true_physics

@@ -72,7 +72,7 @@ def leave_note(running: Running, path: Path | None = None) -> Path:
 
     Args:
         running: the rig.
-        path: of the note; None: in `notes_folder`, named after the process.
+        path: of the note; None: in `notes_folder`, named after the control port, which no two rigs share.
 
     Returns:
         The note's path.
@@ -80,7 +80,7 @@ def leave_note(running: Running, path: Path | None = None) -> Path:
     Raises:
         OSError: it cannot be written there.
     """
-    path = notes_folder() / f"virtual-{running.pid}.json" if path is None else path
+    path = notes_folder() / f"virtual-{running.control_port}.json" if path is None else path
     fresh = path.with_name(f"{path.name}.{running.pid}")
     fresh.unlink(missing_ok=True)
     with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:

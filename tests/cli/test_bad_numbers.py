@@ -24,6 +24,9 @@ NEEDED = {  # what else a command needs to come as far as its numbers; nothing o
     "demo": ("--rig", f"{ABSENT}.toml"),
     "diff": (f"{ABSENT}.toml", f"{ABSENT}.toml"),
     "plan": (f"{ABSENT}.toml", "--want", "zeta1=1%"),
+    "pluck": ("x", "--control", f"{ABSENT}.json"),
+    "turn": ("60", "--control", f"{ABSENT}.json"),
+    "fault": ("mute", "laser_x", "--control", f"{ABSENT}.json"),
 }
 TEXTS = ["nan", "-inf", "1e999", "*e", "%", "=", ":", "a=b", "1:2:nan", "[" * 3000, "9" * 5000]
 

@@ -1,0 +1,137 @@
+"""The operator's how-to, word by word: the commands of its rehearsal run as processes, on ports of the system.
+
+The indented commands of a guided test are the second person's: each is given when the test asks for a hand.
+"""
+
+from __future__ import annotations
+
+import glob
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "operator.md"
+TIME_SCALE = "8"
+OPENS_PORTS = ("check", "test", "record")
+LATE_BEATS = ["--set", "devices.drive.heartbeat_timeout_ms=800"]  # a busy machine may keep the host waiting
+PATIENCE_S = 300
+
+
+@dataclass
+class Line:
+    """A command of the page, the exit code it is to have, and the hand's commands that belong to it."""
+
+    words: list[str]
+    code: int
+    hands: list[list[str]] = field(default_factory=list)
+
+
+def rehearsals() -> list[list[Line]]:
+    """The commands of the page's rehearsal; each rehearsal ends with the rig's."""
+    section = re.search(r"## To rehearse without hardware\n(.*?)(?:\n## |\Z)", PAGE.read_text("utf-8"), re.DOTALL)
+    assert section is not None
+    found: list[list[Line]] = [[]]
+    for indent, text in re.findall(r"^( {4,})(rig .*)$", section[1], re.MULTILINE):
+        command, _, comment = text.partition("#")
+        words = shlex.split(command)[1:]
+        if len(indent) > 4:
+            found[-1][-1].hands.append(words)
+            continue
+        code = re.search(r"exit (\d)", comment)
+        found[-1].append(Line(words, int(code[1]) if code else 0))
+        if words == ["virtual", "stop"]:
+            found.append([])
+    return [each for each in found if each]
+
+
+class Terminal:
+    """A command in a terminal of its own, what it writes on standard error read as it comes.
+
+    Attributes:
+        result: the first line of its standard output, where that was asked for.
+    """
+
+    def __init__(self, folder: Path, words: list[str], answers: bool = False) -> None:
+        self.words = words
+        environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
+        environment["PYTHONPATH"] = str(PAGE.parents[2])
+        expanded = [name for word in words for name in (sorted(glob.glob(word, root_dir=folder)) or [word])]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "cli.main", *expanded], cwd=folder, env=environment, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE if answers else subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )  # fmt: skip
+        self.watchdog = threading.Timer(PATIENCE_S, self.process.kill)
+        self.watchdog.start()
+        self.said: list[str] = []
+        self.result = ""
+        if self.process.stdout is not None:
+            with self.process.stdout:
+                self.result = self.process.stdout.readline()
+
+    def prompts(self) -> Iterator[str]:
+        """Each prompt for a hand when it comes; ends with the command."""
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.said.append(line)
+            if line.startswith(">>>"):
+                yield line
+
+    def end(self) -> int:
+        for _ in self.prompts():
+            pass
+        return self.process.wait()
+
+    def __enter__(self) -> Terminal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.watchdog.cancel()
+        self.process.kill()
+        self.process.wait()
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+
+def carried_out(folder: Path, line: Line) -> None:
+    """One command, with the second person at hand; it ends as the page says."""
+    opens = line.words[0] in OPENS_PORTS
+    hands = iter(line.hands)
+    with Terminal(folder, [*line.words, *(["--time-scale", TIME_SCALE] if opens else [])]) as terminal:
+        for prompt in terminal.prompts():
+            words = next(hands, None)
+            assert words is not None, f"{' '.join(line.words)}: no hand for {prompt!r}"
+            carried_out(folder, Line(words, 0))
+        code = terminal.end()
+    assert code == line.code, f"rig {' '.join(line.words)}: exit {code}\n{''.join(terminal.said)}"
+    assert list(hands) == [], f"{' '.join(line.words)}: not every hand was asked for"
+
+
+def test_the_page_has_its_rehearsals() -> None:
+    first, by_hand = rehearsals()
+    assert [line.words[:2] for line in first[:3]] == [["virtual", "-o"], ["check", "my.toml"], ["test", "my.toml"]]
+    assert len(by_hand[1].hands) == 4
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.skipif(sys.platform == "win32", reason="a page for ptys; TCP ports have tests of their own")
+def test_the_rehearsal_can_be_followed_word_by_word(number: int, tmp_path: Path) -> None:
+    start, *lines = rehearsals()[number]
+    tmp_path.chmod(0o700)
+    words = [*start.words, "--time-scale", TIME_SCALE, *(LATE_BEATS if number == 0 else [])]
+    with Terminal(tmp_path, words, answers=True) as rig:
+        ready = json.loads(rig.result)
+        for line in lines:
+            carried_out(tmp_path, line)
+        assert rig.end() == 0
+    assert not Path(ready["control"]).exists()
+    assert (tmp_path / ready["rig_file"]).exists()
