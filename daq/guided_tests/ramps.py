@@ -61,7 +61,7 @@ def _down(asked: Asked) -> Table:
         State(
             "ramp", does=f"ramp to rest in {duration:g} s", enter=lambda orders: orders.turn(0.0, top / duration),
             actor="rotor", asks=f"bring the rotor to rest, steadily, by {top / duration:.0f} rpm a second",
-            waits_for=f"{_SLOW_SHARE * top:.0f} rpm", look=slow, usual_s=duration, limit_s=1.5 * duration,
+            waits_for=f"{_SLOW_SHARE * top:.0f} rpm", look=slow, period_s=0.2, usual_s=duration, limit_s=1.5 * duration,
             missed=lambda view: f"the rotor to come to rest: still {view.rpm:.0f} rpm after {1.5 * duration:g} s",
             fact="reached_rest", no_pause=_THROUGH,
         ),
