@@ -92,12 +92,16 @@ def test_whatever_happens_a_test_ends_at_rest_with_its_log_ended_and_no_wrong_or
         assert bench.locked or "release" not in bench.orders or aborted_at is not None  # the operator gave it up
 
 
+@pytest.mark.parametrize("during", ["orders", "looks"])
 @pytest.mark.parametrize("name", list(KINDS))
-def test_an_abort_at_any_instant_skips_neither_the_logs_end_nor_the_rest(name: str, tmp_path: Path) -> None:
+def test_an_abort_at_any_instant_skips_neither_the_logs_end_nor_the_rest(
+    name: str, during: str, tmp_path: Path
+) -> None:
     for number in range(1, 20):
         controls, bench = Controls(), Bench(RIG)
-        bench.while_ordered = lambda now, at=number, c=controls: c.abort("smoke") if now >= at else None
-        look = plays(["done"] * (number - 1) + ["abort and done"] * 20, controls, bench)
+        if during == "orders":
+            bench.while_ordered = lambda now, at=number, c=controls: c.abort("smoke") if now >= at else None
+        look = plays(["done"] * (number - 1) + [f"{'abort and ' * (during == 'looks')}done"] * 20, controls, bench)
         finished(bench, ASKED[name], scripted(table_of(name), look), controls, tmp_path)
         assert not bench.turning
         assert not bench.recording
