@@ -59,6 +59,11 @@ class Measures:
         _, (x,) = self._s.recent.last(topic, ("displacement_m",), since_ns)
         return float(np.nanmax(np.abs(x - rest_m), initial=0.0))
 
+    def revolutions_since(self, since_ns: int) -> float:
+        """Whole revolutions of the rotor since an instant, by its index marks."""
+        _, (turns,) = self._s.recent.last("tacho", ("revolutions",), since_ns)
+        return float(int(turns[-1]) - int(turns[0])) if len(turns) else 0.0
+
     def turned_since(self, since_ns: int) -> tuple[Array, Array]:
         """How far the pendulums have turned since an instant, rad, and their largest speeds, rad/s; shapes (2,)."""
         time_ns, columns = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
