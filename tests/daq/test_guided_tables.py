@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from daq.errors import DeviceError
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.frame import FINISH, STOP, framed
 from daq.guided_tests.kinds import KINDS, Asked
+from daq.guided_tests.procedure import Procedures
 from daq.guided_tests.runner import NotReached, TestDone
 from daq.guided_tests.table import END, FAULT, Look, Outcome, State, Table, View
 from daq.guided_tests.test_inputs import asked
@@ -301,3 +303,25 @@ def test_the_operators_orders_are_the_same_where_no_device_turns_the_rotor() -> 
         assert all(
             row.asks for row in hands if row.actor in ("rotor", "locks") and row.name not in ("begin", "make ready")
         ), name
+
+
+@pytest.mark.parametrize(("state", "runs"), [("settle", 2), ("spin up", 1)])
+def test_an_abort_ends_a_series_and_keeps_the_runs_before_it(state: str, runs: int, tmp_path: Path) -> None:
+    bench, wanted, seen = Bench(RIG), ASKED["start-ups"], list[str]()
+
+    def look(row: State, view: View) -> Look:
+        seen.append(row.name)
+        if row.name == state and seen.count(state) == 2:
+            tests.controls.abort("enough")
+            return Look(False)
+        return Look(True)
+
+    tests = Procedures(bench, bench, tmp_path, lambda text, share: None)  # type: ignore[arg-type]
+    tests._orders.rotor, tests._orders.locks = bench, bench  # type: ignore[assignment]
+    kind = replace(wanted.kind, table=lambda asked: scripted(wanted.kind.table(asked), look))
+    done = tests.carry_out(replace(wanted, kind=kind))
+    assert (len(done.runs), done.aborted) == (runs, True)
+    assert done.missed == f"aborted by the operator in {state!r}: enough"
+    assert [log["run"] for log in bench.logs] == ["1 of 20", "2 of 20"][:runs]
+    assert bench.locked
+    assert not bench.turning
