@@ -11,13 +11,13 @@ from analysis.errors import NotEnoughData
 from analysis.order_tracking import order_track
 from daq.signals.run import Run
 from daq.signals.settling import Settling, settled
+from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from rig_configs import Rig
 
 AVERAGE_S = 6.0  # the last seconds that are averaged
 DRIFTING_AVERAGE_S = 2.0  # the same while an end drift shows: a long mean would lag behind it
 LOCK_TOLERANCE_RAD = math.radians(2.0)
-BALANCED_SHARE = 0.15  # of S_P: below this rest the pendulums balance (Type I)
 _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
 _DRIFTING_RAD, _DRIFTING_M = math.radians(0.01), 0.2e-6
 _LEAST_SPEED_TOLERANCE = 5e-4  # a revolution further off the plateau's speed belongs to the stop
@@ -112,16 +112,6 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
         from_s=start,
         to_s=end,
     )
-
-
-def classify(theta_rad: tuple[float, float], physics: RotorParameters) -> str:
-    """Type by the angles: "I" when the pendulums balance S_P to 15 %, else "II" opposed or "III" together."""
-    a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
-    whole = physics.imbalance_moment_kg_m
-    rest = abs(whole + a * np.exp(1j * theta_rad[0]) + b * np.exp(1j * theta_rad[1]))
-    if whole > 0 and rest < BALANCED_SHARE * whole:
-        return "I"
-    return "II" if math.cos(theta_rad[0] - theta_rad[1]) < 0 else "III"
 
 
 def plateau_end(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: float) -> float:
@@ -270,4 +260,4 @@ def _rms_radius(x: np.ndarray, y: np.ndarray, std_x: float, std_y: float) -> Int
 def _state(settling: Settling, theta: tuple[float, float], physics: RotorParameters) -> str:
     if settling.slipping:
         return "slipping"
-    return classify(theta, physics) if settling.settled else "not settled"
+    return state_type(theta, physics) if settling.settled else "not settled"

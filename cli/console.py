@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Self
 from unicodedata import category
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -108,10 +108,16 @@ class StepProgress:
 
 
 class LiveTable:
-    """A context in which a subclass shows how work goes: on a terminal in place, elsewhere by lines."""
+    """A context in which a subclass shows how work goes: on a terminal in place, elsewhere by lines.
 
-    def __init__(self) -> None:
-        self._live = Live(console=STDERR, auto_refresh=False, transient=True) if STDERR.is_terminal else None
+    Args:
+        page: what the terminal shows, asked four times a second; None: the subclass updates it itself.
+    """
+
+    def __init__(self, page: Callable[[], RenderableType] | None = None) -> None:
+        self._live: Live | None = None
+        if STDERR.is_terminal:
+            self._live = Live(console=STDERR, transient=True, auto_refresh=page is not None, get_renderable=page)
 
     def __enter__(self) -> Self:
         if self._live is not None:

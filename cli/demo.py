@@ -12,8 +12,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from cli.acquire import ending_words, run_test
 from cli.console import StepProgress, print_json, say
+from cli.guided_test import ending_words, run_test
 from cli.numbers import TimeScale
 from cli.options import Json, Settings
 from cli.simulated import SimulatedOperator, VirtualRigProcess

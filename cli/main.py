@@ -37,7 +37,9 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "check.",
         "record": "Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and "
         "the disk.",
-        "test": "Run one guided test: ring-down-x, ring-down-y, spin-down, run-up, run-down, or point NAME.",
+    },
+    "cli.guided_test": {
+        "test": "Run one guided test, or show its plan; without a name, which tests a rig can do and which are done.",
     },
     "cli.offline": {
         "identify": "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.",

@@ -35,9 +35,12 @@ SEEN_RAD = math.radians(0.35)
 """A pendulum that has moved this far moves: four steps of an ordinary encoder."""
 _FREE_RAD = 5 * SEEN_RAD
 _LEAST_S = 0.03  # of its uncertainty: identification takes no damping from a release that is known no better
-_HAND_RAMP_RPM_S = 20.0  # what a hand is asked for where a test does not mind
+HAND_RAMP_RPM_S = 20.0
+"""What a hand is asked for where a test has no ramp of its own."""
 
 Tell = Callable[[str, float | None], None]
+Wait = Callable[[Callable[[], bool], float, str], None]
+"""Wait for a condition, at most so many wall seconds, in words for what, as `Session.wait_for`."""
 
 
 class Operator(Protocol):
@@ -181,7 +184,7 @@ class HandRotor:
         tell: told what is waited for.
     """
 
-    ramp_rpm_per_s = _HAND_RAMP_RPM_S
+    ramp_rpm_per_s = HAND_RAMP_RPM_S
 
     def __init__(self, session: Session, operator: Operator, tell: Tell) -> None:
         self._s, self._operator, self._tell = session, operator, tell
@@ -207,7 +210,7 @@ class HandRotor:
             self._s.permit_by_hand(0.0)
             return
         self._tell("stop the rotor", None)
-        self._operator.turn(0.0, _HAND_RAMP_RPM_S)
+        self._operator.turn(0.0, HAND_RAMP_RPM_S)
         self._s.permit_by_hand(0.0)
         self._s.wait_for_rest(HUMAN_S)
 
@@ -219,8 +222,8 @@ class HandRotor:
 class CommandedLocks:
     """See Locks: the rig's own, which tell their state in the flags of the pendulum samples."""
 
-    def __init__(self, session: Session) -> None:
-        self._s = session
+    def __init__(self, session: Session, wait: Wait) -> None:
+        self._s, self._wait_for = session, wait
 
     def lock(self) -> None:
         """See Locks."""
@@ -238,7 +241,7 @@ class CommandedLocks:
             _, (flags,) = self._newest(0.1)
             return len(flags) > 0 and flags[-1] & LOCKS_CLOSED == (LOCKS_CLOSED if closed else 0)
 
-        self._s.wait_for(there, _LOCK_S, f"both locks to {'close' if closed else 'open'}")
+        self._wait_for(there, _LOCK_S, f"both locks to {'close' if closed else 'open'}")
 
     def _opened_ns(self) -> int:
         """Time of the first sample with both locks open, after the last one with a lock closed."""
@@ -253,8 +256,8 @@ class CommandedLocks:
 class HandLocks:
     """See Locks: the operator's hand, seen by the encoders where there are any."""
 
-    def __init__(self, session: Session, operator: Operator, tell: Tell) -> None:
-        self._s, self._operator, self._tell = session, operator, tell
+    def __init__(self, session: Session, operator: Operator, tell: Tell, wait: Wait) -> None:
+        self._s, self._operator, self._tell, self._wait_for = session, operator, tell, wait
         self._angles: PendulumAngles | None = session.rig.roles.angles
 
     def lock(self) -> None:
@@ -266,7 +269,7 @@ class HandLocks:
             return
         self._tell("lock both pendulums: A at 0°, B at 180°", None)
         self._operator.lock(seen=True)
-        self._s.wait_for(lambda: self._wrong() == "", HUMAN_S, "both pendulums to stand at their places")
+        self._wait_for(lambda: self._wrong() == "", HUMAN_S, "both pendulums to stand at their places")
 
     def release(self, turning: bool) -> int:
         """See Locks; at rest nothing shows it."""
@@ -283,7 +286,7 @@ class HandLocks:
             _, columns = self._s.recent.last(topic, _THETA, asked)
             return bool(np.any(np.abs(np.column_stack(columns) - stood) > _FREE_RAD))
 
-        self._s.wait_for(moved, HUMAN_S, "the pendulums to be let go")
+        self._wait_for(moved, HUMAN_S, "the pendulums to be let go")
         time_ns, columns = self._s.recent.last(topic, _THETA, asked)
         since_s, std_s = let_go((time_ns - asked) * 1e-9, np.abs(np.column_stack(columns) - stood))
         let_go_ns = asked + int(since_s * 1e9)

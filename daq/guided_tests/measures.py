@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from daq.acquisition.session import Session
 from daq.signals.settling import Settling, locked_settled, settled
+from daq.signals.window_means import amplitude_means, whole_revolutions
+
+Array = NDArray[np.float64]
 
 
 class Measures:
@@ -22,6 +25,21 @@ class Measures:
     def since(self, seconds: float) -> int:
         """An instant so long ago, rig s, ns since 1970."""
         return self._s.clock.now_ns() - int(seconds * 1e9)
+
+    def patience_s(self, wall_s: float) -> float:
+        """A time-out in wall seconds as rig time, s."""
+        return self._s.clock.patience(wall_s)
+
+    def angles_described(self) -> bool:
+        """Whether the device of the pendulum angles has described itself; true where there is none."""
+        role = self._s.rig.roles.angles
+        return role is None or self._s.told(role.device)[0]
+
+    def rest_m(self, topic: str, seconds: float) -> float:
+        """Median of a laser's newest stretch, m; NaN without valid samples."""
+        _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
+        known: Array = x[np.isfinite(x)]
+        return float(np.median(known)) if len(known) else math.nan
 
     def peak_to_peak(self, topic: str, seconds: float) -> float:
         """Of a laser over its newest stretch, m; NaN where much of it is missing or invalid."""
@@ -41,7 +59,12 @@ class Measures:
         _, (x,) = self._s.recent.last(topic, ("displacement_m",), since_ns)
         return float(np.nanmax(np.abs(x - rest_m), initial=0.0))
 
-    def turned_since(self, since_ns: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    def revolutions_since(self, since_ns: int) -> float:
+        """Whole revolutions of the rotor since an instant, by its index marks."""
+        _, (turns,) = self._s.recent.last("tacho", ("revolutions",), since_ns)
+        return float(int(turns[-1]) - int(turns[0])) if len(turns) else 0.0
+
+    def turned_since(self, since_ns: int) -> tuple[Array, Array]:
         """How far the pendulums have turned since an instant, rad, and their largest speeds, rad/s; shapes (2,)."""
         time_ns, columns = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
         step = 50
@@ -51,14 +74,15 @@ class Measures:
         rates = (angles[step:] - angles[:-step]) / ((time_ns[step:] - time_ns[:-step]) * 1e-9)[:, None]
         return np.ptp(angles, axis=0), np.max(np.abs(rates), axis=0)
 
-    def rates(self) -> NDArray[np.floating]:
+    def rates(self) -> Array:
         """Pendulum speeds over the newest fifth of a second of samples, rad/s, shape (2,); NaN without samples."""
         time_ns, (a, b) = self._s.newest("pendulums", ("theta3_rad", "theta4_rad"), 0.2)
         if len(time_ns) < 10:
             return np.full(2, np.nan)
-        return np.array([a[-1] - a[0], b[-1] - b[0]]) / ((time_ns[-1] - time_ns[0]) * 1e-9)
+        turned: Array = np.array([a[-1] - a[0], b[-1] - b[0]], np.float64)
+        return turned / float((time_ns[-1] - time_ns[0]) * 1e-9)
 
-    def signals(self, since_ns: int, lasers_since_ns: int | None = None) -> tuple[NDArray[np.floating], ...]:
+    def signals(self, since_ns: int, lasers_since_ns: int | None = None) -> tuple[Array, ...]:
         """Angle times and angles, marks and (perhaps later) lasers since an instant, times in s from it."""
         recent = self._s.recent
         t, (a, b) = recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
@@ -66,8 +90,8 @@ class Measures:
         tx, (x,) = recent.last("laser/x", ("displacement_m",), lasers_since_ns or since_ns)
         ty, (y,) = recent.last("laser/y", ("displacement_m",), lasers_since_ns or since_ns)
 
-        def seconds(ns: NDArray[np.int64]) -> NDArray[np.floating]:
-            return (ns - since_ns) * 1e-9
+        def seconds(ns: NDArray[np.int64]) -> Array:
+            return np.asarray((ns - since_ns) * 1e-9, np.float64)
 
         return (
             seconds(t), np.column_stack([a, b]), seconds(m), 2 * np.pi * turns.astype(float),
@@ -90,3 +114,16 @@ class Measures:
         since = released_ns - 1_500_000_000  # some of the time before, to know how the pendulums stood
         signals = self.signals(since, max(since, self.since(15.0)))
         return settled(*signals, release_time_s=(released_ns - since) * 1e-9, angle_step_rad=step_rad, **tolerances)
+
+    def mean_angles_rad(self, seconds: float = 2.0) -> tuple[float, float]:
+        """Mean pendulum angles over the newest stretch, rad."""
+        _, (a, b) = self._s.newest("pendulums", ("theta3_rad", "theta4_rad"), seconds)
+        means: Array = np.column_stack([a, b]).mean(axis=0)
+        return float(means[0]), float(means[1])
+
+    def amplitudes_m(self, seconds: float = 2.0) -> tuple[float, float]:
+        """Order-1 amplitudes of x and y over whole revolutions of the newest stretch, m; NaN without marks."""
+        _, _, marks, phase, tx, x, ty, y = self.signals(self.since(seconds + 3.0))
+        edges = whole_revolutions(marks, phase, seconds, 1)
+        found = amplitude_means(tx, x, ty, y, marks, phase, edges, 1) if len(edges) == 2 else None
+        return (math.nan, math.nan) if found is None else (float(found.means[-1, 0]), float(found.means[-1, 1]))

@@ -4,10 +4,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
-from daq.guided_tests import test_inputs
-from daq.guided_tests.steps import Steps, TestDone
+from daq.guided_tests.frame import framed, near_resonance, spin_up
+from daq.guided_tests.kinds import Asked, Number, TestKind
+from daq.guided_tests.orders import Orders
+from daq.guided_tests.table import MOTION, Look, State, Table, View, after
+from daq.guided_tests.test_inputs import speed_refusal
 from daq.signals.settling import Settling
+from rig_configs.schema import Rig
 
 _RPM = math.pi / 30
 _POINT_LIMIT_S = 90.0
@@ -15,55 +21,90 @@ _LOCKED_STEADY_S = 60.0  # rig time
 # Stricter than the analysis, which asks the same again of the whole log: what is called steady here is so there.
 _STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2e-6}
 _BEFORE_RELEASE_S = 4.0
+_AFTER_RELEASE_S = 3.0  # too early to look
 _AFTER_STEADY_S = 2.5  # of steady state in the log; asked again after it with the analysis's own tolerances
 
 
-def point(steps: Steps, name: str, speed_rad_s: float) -> TestDone:
-    """See above."""
-    test, rpm = f"point-{name}", speed_rad_s / _RPM
-    steps.refuse(test, test_inputs.speed_refusal(steps.session.rig, rpm))
-    step_rad = steps.angles.step_rad
-    steps.at_rest_and_locked()
-    steps.spin_up(test, rpm)
+def point_states(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool]) -> tuple[State, ...]:
+    """The states from the spin-up to the steady state after a release.
 
-    def orbit_steady() -> bool:
-        found = steps.look.locked_steady()
-        steps.tell(f"{test}: waiting for a steady orbit, {found.why}", None)
-        return found.settled
+    Args:
+        rpm: the speed.
+        ends: whether an answer that is not "settled" ends the wait, too.
+    """
+    angles = asked.rig.roles.angles
+    step_rad = math.nan if angles is None else angles.step_rad
+    waiting = near_resonance(asked.rig, rpm)
 
-    steady = steps.look_until(orbit_steady, _LOCKED_STEADY_S)
-    if not steady:
-        steps.warn(f"the orbit was not steady {_LOCKED_STEADY_S:g} s after the spin-up, the release follows anyway")
-    steps.begin(test, {"point": name, "speed_rpm": f"{rpm:.3f}"})
-    steps.clock.sleep(_BEFORE_RELEASE_S)
-    steps.tell(f"{test}: releasing the pendulums", None)
-    released_ns = steps.locks.release(turning=True)
-    last: Settling | None = None
+    def orbit_steady(view: View) -> Look:
+        found = view.measures.locked_steady()
+        facts = {"steady_before_release": found.settled}
+        return Look(found.settled, f"waiting for a steady orbit, {found.why}", facts=facts)
 
-    def all_steady() -> bool:
-        nonlocal last
-        since = (steps.clock.now_ns() - released_ns) * 1e-9
-        if since < 3.0:
-            return False
-        last = steps.look.steady(released_ns, step_rad, _STEADY)
-        steps.tell(f"{test}: {since:.0f} s after release, {last.why}", None)
-        return last.settled
+    def all_steady(view: View) -> Look:
+        released_ns = int(view.memory["released_ns"])
+        since = (view.now_ns - released_ns) * 1e-9
+        steady_ns = view.memory.get("steady_ns")
+        if since < _AFTER_RELEASE_S or (steady_ns and view.now_ns < steady_ns + _AFTER_STEADY_S * 1e9):
+            return Look(False, f"{since:.0f} s after release")
+        again = steady_ns is not None
+        last = view.measures.steady(released_ns, step_rad, {} if again else _STEADY)
+        over = (again and last.settled) or (not last.settled and ends(view, last))
+        seen: dict[str, Any] = {"last": last, "steady_ns": view.now_ns if last.settled and not again else None}
+        facts = {"settled": over and last.settled, "why": last.why}
+        return Look(over, f"{since:.0f} s after release, {last.why}", remember=seen, facts=facts)
 
-    limit_ns = released_ns + int(_POINT_LIMIT_S * 1e9)
-    reached = False
-    while not reached and steps.look_until(all_steady, (limit_ns - steps.clock.now_ns()) * 1e-9):
-        steps.clock.sleep(_AFTER_STEADY_S)
-        last = steps.look.steady(released_ns, step_rad, {})
-        reached = last.settled
-    why = last.why if last else "no data"
-    found = reached or (_expects_slipping(steps, name) and last is not None and last.slipping)
-    missed = "" if found else f"the steady state within {_POINT_LIMIT_S:g} s of the release: {why}"
-    done = steps.end(test, {"steady_before_release": steady, "settled": reached, "why": why}, missed)
-    steps.rotor.stop()
-    steps.locks.lock()
-    return done
+    return (
+        *spin_up(asked, rpm),
+        State(
+            "steady orbit", waits_for="an orbit of steady amplitude", look=orbit_steady, rpm=rpm, usual_s=12.0,
+            limit_s=_LOCKED_STEADY_S, late="before the release", no_pause=waiting,
+            late_warning=f"the orbit was not steady {_LOCKED_STEADY_S:g} s after the spin-up; the release follows",
+        ),
+        State(
+            "before the release", does="begin the log", enter=Orders.begin,
+            waits_for=f"{_BEFORE_RELEASE_S:g} s of the locked orbit", look=after(_BEFORE_RELEASE_S), rpm=rpm,
+            usual_s=_BEFORE_RELEASE_S, limit_s=60.0, period_s=0.1, no_pause=waiting,
+        ),
+        State(
+            "release", does="let both pendulums go", enter=lambda orders: orders.let_go(turning=True), actor="locks",
+            asks="release both pendulums, both at once", rpm=rpm, usual_s=0.3, no_pause=MOTION,
+        ),
+        State(
+            "settle", waits_for="pendulums and orbit to be steady, and a second look", look=all_steady, rpm=rpm,
+            usual_s=30.0, limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S, missed=lambda view: _not_steady(asked, view),
+            no_pause=MOTION,
+        ),
+    )  # fmt: skip
 
 
-def _expects_slipping(steps: Steps, name: str) -> bool:
-    known = steps.session.rig.points.get(name)
-    return known is not None and known.expected == "slipping"
+def _not_steady(asked: Asked, view: View) -> str:
+    """What a point did not reach at its limit; one that is expected to slip, and does, has reached its end."""
+    last: Settling | None = view.memory.get("last")
+    known = asked.rig.points.get(asked.point)
+    if last is not None and last.slipping and known is not None and known.expected == "slipping":
+        return ""
+    return f"the steady state within {_POINT_LIMIT_S:g} s of the release: {last.why if last else 'no data'}"
+
+
+def _table(asked: Asked) -> Table:
+    states = point_states(asked, asked.numbers["speed_rpm"], lambda view, last: False)
+    return framed(asked, *states, releases=True)
+
+
+def point_speed_rpm(rig: Rig, point: str) -> float | None:
+    """The speed of a rig's point, by its (identified) k1; None without a point."""
+    return rig.physics.speed_rad_s(rig.points[point].speed_ratio) / _RPM if point in rig.points else None
+
+
+def refusal(asked: Asked) -> str:
+    """Why the speed is not run."""
+    return speed_refusal(asked.rig, asked.numbers["speed_rpm"])
+
+
+SPEED = {"speed_rpm": Number("speed, rpm", point_speed_rpm)}
+KIND = TestKind(
+    "point", "spin up with locked pendulums, release, record until all is steady", ("x", "y", "angles", "phase"),
+    turns=True, table=_table, takes=("c3_Nms_per_rad", "c4_Nms_per_rad"), point="named", numbers=SPEED,
+    refusal=refusal,
+)  # fmt: skip

@@ -3,54 +3,89 @@
 
 from __future__ import annotations
 
-from daq.guided_tests import test_inputs
-from daq.guided_tests.steps import Steps, TestDone
+from daq.guided_tests.frame import framed, share_of, spin_up
+from daq.guided_tests.kinds import Asked, Number, TestKind
+from daq.guided_tests.orders import Orders
+from daq.guided_tests.table import Look, State, Table, View, after
+from daq.guided_tests.test_inputs import default_top_rpm, ramp_refusal, ramp_warning
 
 _SLOW_SHARE = 0.03  # of the top speed: below it a run-down has too few index marks to go on
+_RAMP_S = 40.0
+_THROUGH = "the rotor passes through resonances"
 
 
-def run_up(steps: Steps, top_rpm: float, duration_s: float) -> TestDone:
-    """Ramp from rest to above both resonances."""
-    test, rotor = "run-up", steps.rotor
-    steps.refuse(test, test_inputs.ramp_refusal(steps.session.rig, top_rpm, duration_s))
-    steps.at_rest_and_locked()
-    steps.warn(test_inputs.ramp_warning(steps.session.rig, top_rpm))
-    steps.warn(rotor.begin())
-    steps.begin(test, {"top_rpm": f"{top_rpm:.0f}", "duration_s": f"{duration_s:g}"})
-    steps.clock.sleep(0.5)
-    rotor.go(top_rpm, top_rpm / duration_s)
+def _up(asked: Asked) -> Table:
+    top, duration = asked.numbers["top_rpm"], asked.numbers["duration_s"]
 
-    def there() -> bool:
-        now = rotor.speed_rpm
-        steps.tell(f"{test}: {now:.0f} rpm", now / top_rpm)
-        return now > 0.985 * top_rpm
+    def there(view: View) -> Look:
+        return Look(view.rpm > 0.985 * top, f"{view.rpm:.0f} rpm", share_of(view.rpm, top))
 
-    reached = steps.look_until(there, 1.5 * duration_s)
-    steps.clock.sleep(1.0)
-    seen = f"{rotor.speed_rpm:.0f} of {top_rpm:.0f} rpm after {1.5 * duration_s:g} s"
-    done = steps.end(test, {"reached_top": reached}, "" if reached else f"the top speed: {seen}")
-    rotor.stop()
-    return done
+    def begin(orders: Orders) -> None:
+        orders.make_ready()
+        orders.begin()
+
+    return framed(
+        asked,
+        State(
+            "begin", does="make ready to turn the rotor, begin the log", enter=begin, actor="rotor",
+            waits_for="half a second at rest", look=after(0.5), usual_s=0.7, limit_s=60.0, period_s=0.1,
+        ),
+        State(
+            "ramp", does=f"ramp to {top:.0f} rpm in {duration:g} s", actor="rotor", rpm=top,
+            enter=lambda orders: orders.turn(top, top / duration),
+            asks=f"turn the rotor up to {top:.0f} rpm, steadily, by {top / duration:.0f} rpm a second",
+            waits_for=f"{0.985 * top:.0f} rpm", look=there, usual_s=duration, limit_s=1.5 * duration,
+            missed=lambda view: f"the top speed: {view.rpm:.0f} of {top:.0f} rpm after {1.5 * duration:g} s",
+            fact="reached_top", no_pause=_THROUGH,
+        ),
+        State(
+            "top", waits_for="a second at the top", look=after(1.0), usual_s=1.0, limit_s=60.0, rpm=top,
+            no_pause="the ramp is being recorded and does not wait",
+        ),
+    )  # fmt: skip
 
 
-def run_down(steps: Steps, top_rpm: float, duration_s: float) -> TestDone:
-    """Ramp from above both resonances to rest."""
-    test, rotor = "run-down", steps.rotor
-    steps.refuse(test, test_inputs.ramp_refusal(steps.session.rig, top_rpm, duration_s))
-    steps.at_rest_and_locked()
-    steps.warn(test_inputs.ramp_warning(steps.session.rig, top_rpm))
-    steps.spin_up(test, top_rpm)
-    steps.begin(test, {"top_rpm": f"{top_rpm:.0f}", "duration_s": f"{duration_s:g}"})
-    steps.clock.sleep(1.0)
-    rotor.go(0.0, top_rpm / duration_s)
+def _down(asked: Asked) -> Table:
+    top, duration = asked.numbers["top_rpm"], asked.numbers["duration_s"]
 
-    def slow() -> bool:
-        now = rotor.speed_rpm
-        steps.tell(f"{test}: {now:.0f} rpm", 1 - now / top_rpm)
-        return now < _SLOW_SHARE * top_rpm
+    def slow(view: View) -> Look:
+        return Look(view.rpm < _SLOW_SHARE * top, f"{view.rpm:.0f} rpm", share_of(top - view.rpm, top))
 
-    reached = steps.look_until(slow, 1.5 * duration_s)
-    seen = f"still {rotor.speed_rpm:.0f} rpm after {1.5 * duration_s:g} s"
-    done = steps.end(test, {"reached_rest": reached}, "" if reached else f"the rotor to come to rest: {seen}")
-    rotor.stop()
-    return done
+    return framed(
+        asked,
+        *spin_up(asked, top),
+        State(
+            "top", does="begin the log", enter=Orders.begin, waits_for="a second at the top", look=after(1.0),
+            usual_s=1.0, limit_s=60.0, rpm=top, no_pause="the ramp is being recorded and does not wait",
+        ),
+        State(
+            "ramp", does=f"ramp to rest in {duration:g} s", enter=lambda orders: orders.turn(0.0, top / duration),
+            actor="rotor", asks=f"bring the rotor to rest, steadily, by {top / duration:.0f} rpm a second",
+            waits_for=f"{_SLOW_SHARE * top:.0f} rpm", look=slow, period_s=0.2, usual_s=duration, limit_s=1.5 * duration,
+            missed=lambda view: f"the rotor to come to rest: still {view.rpm:.0f} rpm after {1.5 * duration:g} s",
+            fact="reached_rest", no_pause=_THROUGH,
+        ),
+    )  # fmt: skip
+
+
+def _refusal(asked: Asked) -> str:
+    return ramp_refusal(asked.rig, asked.numbers["top_rpm"], asked.numbers["duration_s"])
+
+
+def _warning(asked: Asked) -> str:
+    return ramp_warning(asked.rig, asked.numbers["top_rpm"])
+
+
+_NUMBERS = {
+    "top_rpm": Number("top speed, rpm", lambda rig, point: default_top_rpm(rig)),
+    "duration_s": Number("how long the ramp takes, s", _RAMP_S),
+}
+_TAKES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
+RUN_UP = TestKind(
+    "run-up", "ramp from rest through both resonances with locked pendulums", ("x", "y", "phase"), turns=True,
+    table=_up, takes=_TAKES, numbers=_NUMBERS, refusal=_refusal, warning=_warning,
+)  # fmt: skip
+RUN_DOWN = TestKind(
+    "run-down", "ramp from above both resonances to rest with locked pendulums", ("x", "y", "phase"), turns=True,
+    table=_down, takes=_TAKES, numbers=_NUMBERS, refusal=_refusal, warning=_warning,
+)  # fmt: skip

@@ -5,50 +5,78 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
+from daq.guided_tests import orders as recording
+from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
-from daq.guided_tests.kinds import CHANNELS
-from daq.guided_tests.steps import Steps, TestDone
+from daq.guided_tests.kinds import CHANNELS, Asked, Number, TestKind
+from daq.guided_tests.table import FAULT, MOTION, Look, State, Table, View, no_orders
 
-_ANSWER_S = 5.0  # how long a device may take, wall seconds
+_ANSWER_S = 5.0  # how long a device may take, wall s
 _SEEN_S = 10.0  # how far back to look for what a person did; a person may take minutes, the signals must stay few
+_BEFORE_S, _AFTER_PLUCK_S, _WINDOW_S = 0.7, 0.8, 0.6
 _RING_DOWN_S = 60.0  # rig time
 _PLUCKED_M = 3e-4  # a displacement that is no longer vibration of the building
+_STILL_M = 4e-5  # peak to peak
+
+PRE_TRIGGER = Number("s in the log before the motion; 0: the log begins with the wait", 0.0, 0.0, 60.0)
 
 
-def ring_down(steps: Steps, axis: str) -> TestDone:
-    """See above."""
-    test, topic, look = f"ring-down-{axis}", CHANNELS[axis], steps.look
-    steps.refuse(test)
-    steps.at_rest_and_locked(angles_needed=False)
-    steps.begin(test, {})
-    steps.clock.sleep(0.7)
-    steps.tell(f"{test}: pluck the column along {axis} by 2 to 3 mm and let go", None)
-    steps.until(lambda: look.valid(topic, 0.5) > 0.4, _ANSWER_S, f"half a second of valid samples of {topic}")
-    rest = float(np.nanmedian(steps.session.newest(topic, ("displacement_m",), 0.5)[1][0]))
-    asked = steps.clock.now_ns()
-    steps.operator.pluck(axis)
-    steps.until(
-        lambda: look.largest_since(topic, max(asked, look.since(_SEEN_S)), rest) > _PLUCKED_M,
-        HUMAN_S,
-        f"the column to be plucked along {axis}",
-    )
-    steps.clock.sleep(0.8)
-    peak = 0.0
+def _table(axis: str, asked: Asked) -> Table:
+    topic, before_s = CHANNELS[axis], asked.numbers["pre_trigger_s"]
+    later = before_s > 0 and recording.LOOKS_BACK
 
-    def rung_down() -> bool:
-        nonlocal peak
-        now = look.peak_to_peak(topic, 0.6)
-        if not math.isfinite(now):
-            return False  # a blocked sensor says nothing about the column
-        peak = max(peak, now)
-        share = math.log(max(peak, 1e-9) / max(now, 1e-9)) / math.log(50)
-        steps.tell(f"{test}: {now * 1e3:.2f} mm peak to peak", min(1.0, share))
-        return now < peak / 50 or now < 4e-5
+    def quiet(view: View) -> Look:
+        enough = view.in_state_s >= _BEFORE_S and view.measures.valid(topic, 0.5) > 0.4
+        return Look(enough, "looking at the column at rest", remember={"rest_m": view.measures.rest_m(topic, 0.5)})
 
-    reached = steps.look_until(rung_down, _RING_DOWN_S)
-    left = look.peak_to_peak(topic, 0.6)
-    seen = "the sensor sees nothing" if math.isnan(left) else f"{left * 1e3:.2f} of {peak * 1e3:.2f} mm were left"
-    missed = "" if reached else f"the column to ring down to a fiftieth within {_RING_DOWN_S:g} s: {seen}"
-    return steps.end(test, {"rung_down": reached}, missed)
+    def plucked(view: View) -> Look:
+        since = max(view.entered_ns, view.measures.since(_SEEN_S))
+        farthest = view.measures.largest_since(topic, since, view.memory["rest_m"])
+        return Look(farthest > _PLUCKED_M, f"pluck the column along {axis} by 2 to 3 mm and let go")
+
+    def rung_down(view: View) -> Look:
+        now = view.measures.peak_to_peak(topic, _WINDOW_S)
+        if view.in_state_s < _AFTER_PLUCK_S or not math.isfinite(now):
+            return Look(False)  # a blocked sensor shows nothing of the column
+        peak = max(view.memory.get("peak_m", 0.0), now)
+        share = min(1.0, math.log(max(peak, 1e-9) / max(now, 1e-9)) / math.log(50))
+        words = f"{now * 1e3:.2f} mm peak to peak"
+        return Look(now < peak / 50 or now < _STILL_M, words, share, {"peak_m": peak})
+
+    def left(view: View) -> str:
+        now, peak = view.measures.peak_to_peak(topic, _WINDOW_S), view.memory.get("peak_m", 0.0)
+        seen = "the sensor sees nothing" if math.isnan(now) else f"{now * 1e3:.2f} of {peak * 1e3:.2f} mm were left"
+        return f"the column to ring down to a fiftieth within {_RING_DOWN_S:g} s: {seen}"
+
+    return framed(
+        asked,
+        State(
+            "quiet", does="" if later else "begin the log",
+            enter=no_orders if later else lambda orders: orders.begin(before_s),
+            waits_for="half a second of valid samples", look=quiet, period_s=0.1, usual_s=1.0,
+            limit_s=_ANSWER_S, wall=True, late=FAULT,
+            missed=lambda view: f"waited {_ANSWER_S:g} s for half a second of valid samples of {topic}",
+        ),
+        State(
+            "pluck", does="ask for the pluck", enter=lambda orders: orders.operator.pluck(axis), actor="operator",
+            asks=f"displace the column by 2 to 3 mm along {axis} and let go",
+            waits_for=f"{_PLUCKED_M * 1e3:g} mm from rest", look=plucked, period_s=0.02, usual_s=10.0,
+            limit_s=HUMAN_S, wall=True, missed=lambda view: f"a pluck along {axis} within {HUMAN_S:g} s",
+        ),
+        State(
+            "ring", does="begin the log" if later else "", waits_for="a fiftieth of the largest motion, or 0.04 mm",
+            enter=(lambda orders: orders.begin(before_s)) if later else no_orders, look=rung_down, usual_s=15.0,
+            limit_s=_RING_DOWN_S, missed=left, fact="rung_down", no_pause=MOTION,
+        ),
+    )  # fmt: skip
+
+
+def _kind(axis: str, takes: tuple[str, ...]) -> TestKind:
+    return TestKind(
+        f"ring-down-{axis}", f"pluck the column along {axis}, record until it has rung down to a fiftieth", (axis,),
+        turns=False, table=lambda asked: _table(axis, asked), takes=takes, numbers={"pre_trigger_s": PRE_TRIGGER},
+    )  # fmt: skip
+
+
+KIND_X = _kind("x", ("k1_N_per_m", "zeta1"))
+KIND_Y = _kind("y", ("k2_N_per_m", "zeta2"))

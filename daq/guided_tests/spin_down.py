@@ -7,44 +7,72 @@ import math
 
 import numpy as np
 
+from daq.guided_tests import orders as recording
+from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
-from daq.guided_tests.steps import Steps, TestDone
+from daq.guided_tests.kinds import Asked, TestKind
+from daq.guided_tests.ring_down import PRE_TRIGGER
+from daq.guided_tests.table import MOTION, Look, State, Table, View, after, no_orders
 
 _SEEN_S = 10.0  # how far back to look for what a person did
+_BEFORE_S = 0.7
 _SPIN_DOWN_S = 120.0  # rig time
 _FLICKED_RAD = 0.5
 
 
-def spin_down(steps: Steps) -> TestDone:
-    """See above."""
-    test, look = "spin-down", steps.look
-    steps.refuse(test)
-    steps.at_rest_and_locked()
-    steps.locks.release(turning=False)
-    steps.begin(test, {})
-    steps.clock.sleep(0.7)
-    steps.tell(f"{test}: flick both pendulums, slower than two turns a second", None)
-    asked = steps.clock.now_ns()
-    steps.operator.flick()
-    steps.until(
-        lambda: bool(np.all(look.turned_since(max(asked, look.since(_SEEN_S)))[0] > _FLICKED_RAD)),
-        HUMAN_S,
-        "both pendulums to be flicked",
-    )
+def _flicked(view: View) -> Look:
+    since = max(view.entered_ns, view.measures.since(_SEEN_S))
+    turned = view.measures.turned_since(since)[0]
+    words = "flick both pendulums, slower than two turns a second"
+    return Look(bool(np.all(turned > _FLICKED_RAD)), words, remember={"asked_ns": view.entered_ns})
 
-    def slowed() -> bool:
-        rates = np.abs(look.rates())
-        _, peak = look.turned_since(asked)
-        if not np.all(np.isfinite(rates)):
-            return False  # radio silence says nothing about the pendulums
-        share = float(np.min(np.log(peak / np.maximum(rates, 1e-3)))) / 5.0
-        steps.tell(f"{test}: {rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
-        return share >= 1.0
 
-    reached = steps.look_until(slowed, _SPIN_DOWN_S)
-    a, b = np.abs(look.rates())
+def _slowed(view: View) -> Look:
+    rates, (_, peak) = np.abs(view.measures.rates()), view.measures.turned_since(view.memory["asked_ns"])
+    if not np.all(np.isfinite(rates)):
+        return Look(False)  # radio silence shows nothing of the pendulums
+    share = float(np.min(np.log(peak / np.maximum(rates, 1e-3)))) / 5.0
+    return Look(share >= 1.0, f"{rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
+
+
+def _left(view: View) -> str:
+    a, b = np.abs(view.measures.rates())
     seen = "their angles are missing" if math.isnan(a + b) else f"{a:.2f} and {b:.2f} rad/s were left"
-    missed = "" if reached else f"the pendulums to slow down by e⁵ within {_SPIN_DOWN_S:g} s: {seen}"
-    done = steps.end(test, {"slowed_down": reached}, missed)
-    steps.locks.lock()
-    return done
+    return f"the pendulums to slow down by e⁵ within {_SPIN_DOWN_S:g} s: {seen}"
+
+
+def _table(asked: Asked) -> Table:
+    before_s = asked.numbers["pre_trigger_s"]
+    later = before_s > 0 and recording.LOOKS_BACK
+    return framed(
+        asked,
+        State(
+            "release", does="let both pendulums go, rotor at rest", enter=lambda orders: orders.let_go(turning=False),
+            actor="locks", asks="release both pendulums", usual_s=0.5,
+        ),
+        State(
+            "quiet", does="" if later else "begin the log",
+            enter=no_orders if later else lambda orders: orders.begin(before_s),
+            waits_for=f"{_BEFORE_S:g} s at rest", look=after(_BEFORE_S, "the pendulums at rest"), period_s=0.1,
+            limit_s=60.0, usual_s=_BEFORE_S,
+        ),
+        State(
+            "flick", does="ask for the flick", enter=lambda orders: orders.operator.flick(), actor="operator",
+            asks="flick both pendulums, slower than two turns a second", waits_for="half a radian of both",
+            look=_flicked, period_s=0.02, usual_s=10.0, limit_s=HUMAN_S, wall=True,
+            missed=lambda view: f"a flick of both pendulums within {HUMAN_S:g} s",
+        ),
+        State(
+            "swing", does="begin the log" if later else "",
+            enter=(lambda orders: orders.begin(before_s)) if later else no_orders,
+            waits_for="both slower by e⁵", look=_slowed, usual_s=25.0, limit_s=_SPIN_DOWN_S, missed=_left,
+            fact="slowed_down", no_pause=MOTION,
+        ),
+        releases=True,
+    )  # fmt: skip
+
+
+KIND = TestKind(
+    "spin-down", "flick both pendulums, record until they have slowed by e⁵", ("angles",), turns=False, table=_table,
+    takes=("c3_Nms_per_rad", "c4_Nms_per_rad"), numbers={"pre_trigger_s": PRE_TRIGGER},
+)  # fmt: skip

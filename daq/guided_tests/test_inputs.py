@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from daq.guided_tests import kinds
-from daq.guided_tests.kinds import KINDS
+from daq.guided_tests.kinds import KINDS, Asked, Refused, TestKind
 from rig_configs.schema import Rig
 
 _LEAST_RPM = 1.0  # whole rpm on the drive's wire; the schema keeps limits.speed_rpm far within its 16 bits
@@ -16,7 +17,11 @@ _RPM = math.pi / 30
 
 def test_names(rig: Rig) -> tuple[str, ...]:
     """Every guided test of a rig, its points as "point-NAME"."""
-    return (*(name for name in KINDS if name != "point"), *(f"point-{point}" for point in rig.points))
+    return tuple(
+        name
+        for kind in KINDS.values()
+        for name in ((f"{kind.name}-{point}" for point in rig.points) if kind.point == "named" else (kind.name,))
+    )
 
 
 def possible_tests(rig: Rig) -> tuple[str, ...]:
@@ -74,21 +79,65 @@ def default_top_rpm(rig: Rig) -> float:
     return min(1.3 * max(rig.physics.natural_frequencies_rad_s) / _RPM, rig.limits.speed_rpm)
 
 
-def refusal(rig: Rig, test: str, top_rpm: float, duration_s: float) -> str:
-    """Why a guided test is not begun; empty when it may be.
+def asked(rig: Rig, test: str, given: Mapping[str, float] | None = None, point: str = "") -> Asked:
+    """A test with all its numbers, judged before a device is opened.
 
     Args:
-        test: one of `test_names`.
-        top_rpm, duration_s: of a run-up or a run-down; the other tests have none.
+        rig: whose parameters, points and limits count.
+        test: one of `test_names`, or a kind's name with `point`.
+        given: numbers by name; the others are the kind's own.
+        point: name of a point.
+
+    Raises:
+        Refused: the rig has no such test, no signals for it, or it cannot be run with these numbers.
     """
-    if test not in test_names(rig):
-        known = ", ".join(test_names(rig)).replace("point-", "point ")
-        return f"{test!r}: no such test. Known: {known}"
-    if why := kinds.refusal(test, rig.roles):
-        return why
-    if test in ("run-up", "run-down"):
-        return ramp_refusal(rig, top_rpm, duration_s)
-    if test.startswith("point-"):
-        ratio = rig.points[test.removeprefix("point-")].speed_ratio
-        return speed_refusal(rig, rig.physics.speed_rad_s(ratio) / _RPM)
+    kind = KINDS.get(test) if point else kinds.kind_of(test)
+    named = kind is not None and kind.point == "named"
+    name = f"{test}-{point}" if named and point else test
+    if kind is None or (named and name not in test_names(rig)):
+        raise Refused(f"{name!r}: no such test. Known: {', '.join(test_names(rig)).replace('point-', 'point ')}")
+    point = point or (name.removeprefix(f"{kind.name}-") if named else "")
+    if point and (not kind.point or point not in rig.points):
+        takes = f"one of {', '.join(rig.points)}" if kind.point else "no point"
+        raise Refused(f"{test} {point}: the test takes {takes}. Nothing was turned")
+    if why := kinds.refusal(name, rig.roles):
+        raise Refused(why)
+    found = Asked(rig, kind, name, point, _numbers(rig, kind, name, dict(given or {}), point))
+    if why := kind.refusal(found) or _out_of_range(found):
+        raise Refused(why)
+    return found
+
+
+def _numbers(rig: Rig, kind: TestKind, test: str, given: Mapping[str, float], point: str) -> Mapping[str, float]:
+    """A value for each of a kind's numbers."""
+    if unknown := sorted(given.keys() - kind.numbers.keys()):
+        takes = ", ".join(kind.numbers) or "none"
+        raise Refused(f"{test} takes no {' and no '.join(unknown)}; the numbers it takes: {takes}. Nothing was turned")
+    found: dict[str, float] = {}
+    for name, number in kind.numbers.items():
+        value = given[name] if name in given else number.value(rig, point)
+        if value is None:
+            or_point = " or a point of the rig" if kind.point == "optional" else ""
+            raise Refused(f"{test}: expected {name} ({number.words}){or_point}, got none. Nothing was turned")
+        found[name] = float(value)
+    return found
+
+
+def _out_of_range(found: Asked) -> str:
+    for name, number in found.kind.numbers.items():
+        value = found.numbers[name]
+        whole = not number.whole or value == round(value)
+        if not (number.low <= value <= number.high and whole):
+            kind = "a whole number" if number.whole else "a number"
+            wanted = f"{kind} from {number.low:g} to {number.high:g}"
+            return f"{found.test}: expected {wanted} as {name} ({number.words}), got {value:g}: nothing was turned"
+    return ""
+
+
+def refusal(rig: Rig, test: str, given: Mapping[str, float] | None = None) -> str:
+    """Why a guided test is not begun; empty when it may be. Arguments as of `asked`."""
+    try:
+        asked(rig, test, given)
+    except Refused as why:
+        return str(why)
     return ""

@@ -25,7 +25,7 @@ _CONDITIONS = {  # the end of each test in logs that do not say `reached`
     "reached_rest": "the rotor did not come to rest",
     "settled": "the steady state was not reached",
 }
-_GUIDED = ("ring-down", "spin-down", "run-up", "run-down", "point-")
+_GUIDED = ("ring-down", "spin-down", "run-up", "run-down", "point-", "start-ups")
 
 
 def ending(missed: str) -> dict[str, Any]:
@@ -58,11 +58,11 @@ def not_reached(test: str, outcome: Mapping[str, Any]) -> str:
         test: as the log names it.
         outcome: the summary's values, not their JSON texts.
     """
+    said = str(outcome.get(ENDED) or "")
+    if REACHED in outcome:  # of any guided test, also one of another package
+        return "" if outcome[REACHED] is True else said.removeprefix("not reached: ") or "the test's end"
     if not test.startswith(_GUIDED):
         return ""
-    said = str(outcome.get(ENDED) or "")
-    if REACHED in outcome:
-        return "" if outcome[REACHED] is True else said.removeprefix("not reached: ") or "the test's end"
     for condition, words in _CONDITIONS.items():
         if outcome.get(condition) is False:
             why = outcome.get("why")

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from daq.guided_tests.steps import Steps
 
 from daq.acquisition.interlock_table import CHANNELS, LOOK_S
 from daq.channels import LASER_X, MOTOR, TACHO
 from daq.drivers.items import Batch, Event
 from daq.errors import LogError
 from daq.guided_tests.kinds import KINDS
-from daq.guided_tests.steps import Steps
 from daq.log import open_log, recover, snapshot
 from daq.log.file import LogFile
 from daq.log.snapshot import rig_of

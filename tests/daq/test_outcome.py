@@ -30,6 +30,7 @@ def test_what_is_written_is_what_is_read(missed: str) -> None:
         ("unknown", {}, ""),
         ("run-up", {}, ""),
         ("run-up", {"reached": 0, "ended": ""}, "the test's end"),
+        ("of-another-package", {"reached": False, "ended": "not reached: five turns"}, "five turns"),
     ],
 )
 def test_logs_of_earlier_versions_and_broken_off_tests(test: str, outcome: dict, words: str) -> None:

@@ -32,18 +32,21 @@ RIG = load_rig("virtual")
     ],
 )
 def test_what_cannot_be_run_is_refused_with_what_can(test: str, top_rpm: float, duration_s: float, words: str) -> None:
-    assert words in test_inputs.refusal(RIG, test, top_rpm, duration_s)
+    ramp = {"top_rpm": top_rpm, "duration_s": duration_s} if test.startswith("run-") else {}
+    assert words in test_inputs.refusal(RIG, test, ramp)
 
 
 def test_what_the_rig_has_is_not_refused() -> None:
     top = test_inputs.default_top_rpm(RIG)
-    assert [test_inputs.refusal(RIG, test, top, 40.0) for test in test_inputs.test_names(RIG)] == [""] * 10
+    one_speed = {"start-ups": {"speed_rpm": 300.0}}
+    refused = [test_inputs.refusal(RIG, test, one_speed.get(test)) for test in test_inputs.test_names(RIG)]
+    assert refused == [""] * 11
     assert test_inputs.ramp_warning(RIG, top) == ""
-    assert test_inputs.refusal(RIG, "run-up", 600.0, 40.0) == ""
+    assert test_inputs.refusal(RIG, "run-up", {"top_rpm": 600.0}) == ""
     assert "below the resonance expected at 695 rpm" in test_inputs.ramp_warning(RIG, 600.0)
 
 
 def test_a_point_beyond_the_limit_is_refused() -> None:
     stiff = load_rig("virtual", settings={"limits.speed_rpm": 300.0})
-    assert test_inputs.refusal(stiff, "point-A", 0.0, 1.0) == ""
-    assert "limits.speed_rpm is 300" in test_inputs.refusal(stiff, "point-E", 0.0, 1.0)
+    assert test_inputs.refusal(stiff, "point-A") == ""
+    assert "limits.speed_rpm is 300" in test_inputs.refusal(stiff, "point-E")

@@ -1,0 +1,93 @@
+# pyright: strict
+"""Start-ups: the same spin-up and release again and again, each into its own log, each steady state classed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from daq.guided_tests.frame import framed
+from daq.guided_tests.kinds import Asked, Number, TestKind
+from daq.guided_tests.orders import Orders
+from daq.guided_tests.point import SPEED, point_states, refusal
+from daq.guided_tests.table import State, Table, View, not_missed
+from daq.signals.settling import Settling
+from daq.signals.state_type import state_type
+
+_SLIPS_S = 30.0  # a pendulum that slips so long after the release is taken to go on
+_CLASSES = {"I": "balanced"}
+
+
+def _slips(view: View, last: Settling) -> bool:
+    return last.slipping and view.now_ns - int(view.memory["released_ns"]) > _SLIPS_S * 1e9
+
+
+def _class(orders: Orders) -> None:
+    """What the start-up came to: "balanced", "slipping" or "other", with angles and amplitudes where it settled."""
+    last: Settling | None = orders.memory.get("last")
+    state, facts = "not settled", dict[str, Any]()
+    if last is not None and last.settled:
+        a, b = orders.measures.mean_angles_rad()
+        x, y = orders.measures.amplitudes_m()
+        state = state_type((a, b), orders.asked.rig.physics)
+        facts = {"theta3_deg": math.degrees(a) % 360, "theta4_deg": math.degrees(b) % 360}
+        facts |= {"amplitude_x_mm": 1e3 * x, "amplitude_y_mm": 1e3 * y}
+    elif last is not None and last.slipping:
+        state = "slipping"
+    kind = state if state == "slipping" else _CLASSES.get(state, "other")
+    orders.facts |= {"class": kind, "state": state, **facts}
+
+
+def _table(asked: Asked) -> Table:
+    states = point_states(asked, asked.numbers["speed_rpm"], _slips)
+    classed = State("class", does="class the steady state: balanced, slipping or other", enter=_class)
+    *before, settle = states
+    settle = replace(settle, missed=not_missed, late=classed.name)
+    return framed(asked, *before, settle, classed, releases=True)
+
+
+def summed(runs: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """How often each class came, and the mean and range of what was measured in it.
+
+    Args:
+        runs: the summaries of the logs; those of runs that were broken off lack `class` and are not counted.
+    """
+    classed = [run for run in runs if "class" in run]
+    counts = Counter(str(run["class"]) for run in classed)
+    states = Counter(str(run["state"]) for run in classed)
+    return {
+        "start_ups": len(classed),
+        "classes": {name: counts[name] for name in ("balanced", "slipping", "other")},
+        "states": dict(states),
+        "measured": {state: _ranges([run for run in classed if run["state"] == state]) for state in sorted(states)},
+    }
+
+
+def _ranges(runs: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """Mean, least and largest of each quantity; angles about their direction's mean, in degrees."""
+    found: dict[str, Any] = {}
+    for key in ("theta3_deg", "theta4_deg", "amplitude_x_mm", "amplitude_y_mm"):
+        values = [float(run[key]) for run in runs if key in run]
+        if not values:
+            continue
+        middle = _direction(values) if key.endswith("_deg") else sum(values) / len(values)
+        off = [(v - middle + 180) % 360 - 180 if key.endswith("_deg") else v - middle for v in values]
+        mean = middle + sum(off) / len(off)
+        found[key] = {"mean": mean, "least": middle + min(off), "largest": middle + max(off)}
+    return found
+
+
+def _direction(degrees: Sequence[float]) -> float:
+    turned = [math.radians(v) for v in degrees]
+    return math.degrees(math.atan2(sum(map(math.sin, turned)), sum(map(math.cos, turned)))) % 360
+
+
+KIND = TestKind(
+    "start-ups", "spin up and release again and again, class every steady state", ("x", "y", "angles", "phase"),
+    turns=True, table=_table, takes=("c3_Nms_per_rad", "c4_Nms_per_rad"), point="optional",
+    numbers={**SPEED, "count": Number("how many start-ups", 20, 1, 10_000, whole=True)}, refusal=refusal,
+    summed=summed,
+)  # fmt: skip

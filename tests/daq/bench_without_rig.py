@@ -1,0 +1,206 @@
+"""A guided test's surroundings without a rig, a thread or a wall clock: session, rotor and locks that record orders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.channels import LOCKS_CLOSED
+from daq.drivers.items import Event
+from daq.errors import DeviceError, ProcedureError
+from daq.guided_tests.controls import Controls
+from daq.guided_tests.kinds import Asked
+from daq.guided_tests.orders import Orders
+from daq.guided_tests.runner import Runner, TestDone
+from daq.guided_tests.table import Look, State, Table, View
+from rig_configs.schema import Rig
+
+
+class Clock:
+    """Time that passes only where somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.ns = 1_700_000_000_000_000_000
+
+    def now_ns(self) -> int:
+        return self.ns
+
+    def sleep(self, seconds: float) -> None:
+        self.ns += int(seconds * 1e9)
+
+    def patience(self, wall_s: float) -> float:
+        return wall_s
+
+
+class NoRates:
+    def summary(self) -> str:
+        return ""
+
+
+@dataclass
+class Bench:
+    """Session, rotor, locks and operator in one: what they were ordered, and what must never be.
+
+    Attributes:
+        orders: in words, as they came.
+        wrong: what no test may do.
+        fails_at: number of the order that ends in an error.
+        fault: what `check` raises from now on.
+        while_ordered: called with the number of each order while it is carried out.
+    """
+
+    rig: Rig
+    fails_at: int | None = None
+    clock: Clock = field(default_factory=Clock)
+    orders: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+    turning: bool = False
+    locked: bool = False
+    recording: bool = False
+    fault: Exception | None = None
+    trouble: Exception | None = None
+    rates = NoRates()
+    ramp_rpm_per_s = 100.0
+    while_ordered: Callable[[int], None] = lambda number: None
+    notes: list[Event] = field(default_factory=list)
+    logs: list[dict[str, Any]] = field(default_factory=list)
+
+    def _order(self, text: str) -> None:
+        self.orders.append(text)
+        self.while_ordered(len(self.orders))
+        if self.fails_at == len(self.orders):
+            raise DeviceError(f"{text} failed")
+
+    # --- session
+    def check(self) -> None:
+        if self.fault is not None:
+            raise self.fault
+
+    def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
+        end = self.clock.ns + wall_s * 1e9
+        while not condition():
+            self.check()
+            if self.clock.ns > end:
+                raise DeviceError(f"waited {wall_s:g} s for {what}; it did not come")
+            self.clock.sleep(1.0)
+
+    def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[Any, list[Any]]:
+        values = {"theta3_rad": 0.0, "theta4_rad": np.pi, "flags": LOCKS_CLOSED if self.locked else 0}
+        return np.zeros(1, np.int64), [np.array([values.get(name, 0)]) for name in fields]
+
+    def told(self, device: str) -> tuple[bool, str]:
+        return True, ""
+
+    def need(self, *topics: str) -> None:
+        pass
+
+    def note(self, event: Event) -> None:
+        self.notes.append(event)
+
+    def start_recording(self, path: Path, metadata: Mapping[str, str]) -> None:
+        self._order("begin the log")
+        self.recording = True
+        self.logs.append({"path": path, **metadata})
+
+    def stop_recording(self, summary: Mapping[str, Any]) -> Path:
+        self.recording = False
+        self.logs[-1] |= {"summary": dict(summary)}
+        self._order("end the log")
+        return self.logs[-1]["path"]
+
+    # --- rotor
+    @property
+    def speed_rpm(self) -> float:
+        return 300.0 if self.turning else 0.0
+
+    def begin(self) -> str:
+        self._order("make ready")
+        return ""
+
+    def go(self, rpm: float, ramp_rpm_per_s: float) -> None:
+        if rpm and not self.locked and not self.turning:
+            self.wrong.append("spun up with pendulums that are not locked")
+        self.turning = self.turning or rpm > 0
+        self._order(f"turn at {rpm:.0f} rpm")
+
+    def stop(self) -> None:
+        self._order("rest")
+        self.turning = False
+
+    def quick_stop(self) -> None:
+        self.orders.append("quick stop")
+        self.turning = False
+
+    # --- locks
+    def lock(self) -> None:
+        if self.turning:
+            self.wrong.append("locked while the rotor turned")
+        self._order("lock")
+        self.locked = True
+
+    def release(self, turning: bool) -> int:
+        if turning != self.turning:
+            self.wrong.append("released at rest" if turning else "released while the rotor turned")
+        self._order("release")
+        self.locked = False
+        return self.clock.ns
+
+    # --- operator
+    def pluck(self, axis: str) -> None:
+        self._order(f"pluck {axis}")
+
+    def flick(self) -> None:
+        self._order("flick")
+
+
+def runner_of(bench: Bench, controls: Controls, folder: Path) -> Runner:
+    orders = Orders(bench, bench, folder, lambda text, share: None)  # type: ignore[arg-type]
+    orders.rotor, orders.locks = bench, bench  # type: ignore[assignment]
+    return Runner(orders, controls)
+
+
+def scripted(table: Table, look: Callable[[State, View], Look], looks: int = 4) -> Table:
+    """The table with looks that are played, a few of them until a state's limit."""
+
+    def played(row: State) -> State:
+        if not row.waits_for:
+            return row
+        return replace(row, look=lambda view: look(row, view), period_s=max(0.01, row.limit_s / looks), missed=_missed)
+
+    return Table(tuple(map(played, table.states)), tuple(map(played, table.ending)))
+
+
+def _missed(view: View) -> str:
+    return "what was waited for"
+
+
+def finished(bench: Bench, asked: Asked, table: Table, controls: Controls, folder: Path) -> TestDone | Exception:
+    """What a run of a table came to."""
+    try:
+        return runner_of(bench, controls, folder).run(asked, table, {})
+    except (DeviceError, ProcedureError) as error:
+        return error
+
+
+def plays(script: Iterable[str], controls: Controls, bench: Bench) -> Callable[[State, View], Look]:
+    """A look that carries out a script: "done" ends the state, "wait" looks on, the others come from outside."""
+    steps = iter(script)
+
+    def look(state: State, view: View) -> Look:
+        step = next(steps, "wait")
+        if step == "fault":
+            bench.fault = DeviceError("a channel is silent")
+        elif step in ("abort", "abort and done"):
+            controls.abort("smoke")
+        elif step == "note":
+            controls.note("a word")
+        elif step == "pause":
+            controls.pause()
+            controls.resume()  # a pause that nobody ends does not end
+        return Look(step.endswith("done"), remember={"released_ns": view.memory.get("released_ns", 1)})
+
+    return look

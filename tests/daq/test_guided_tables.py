@@ -1,0 +1,327 @@
+"""The tables of all guided tests: every way through them ends with the rotor at rest, the log ended, no wrong order."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.errors import DeviceError
+from daq.guided_tests.controls import Controls
+from daq.guided_tests.frame import FINISH, STOP, framed
+from daq.guided_tests.kinds import KINDS, Asked
+from daq.guided_tests.procedure import Procedures
+from daq.guided_tests.runner import NotReached, TestDone
+from daq.guided_tests.table import END, FAULT, Look, Outcome, State, Table, View
+from daq.guided_tests.test_inputs import asked
+from rig_configs import load_rig
+from tests.daq.bench_without_rig import Bench, finished, plays, scripted
+
+RIG, HAND = load_rig("virtual"), load_rig("by_hand")
+ASKED = {
+    name: asked(RIG, "point-B" if name == "point" else name, {"speed_rpm": 288.0} if name == "start-ups" else {})
+    for name in KINDS
+}
+STEPS = ("wait", "done", "done", "done", "abort", "abort and done", "pause", "note", "fault")
+
+
+def table_of(name: str) -> Table:
+    return ASKED[name].kind.table(ASKED[name])
+
+
+@pytest.mark.parametrize("name", list(KINDS))
+def test_every_outcome_leads_forward_and_every_wait_has_a_limit(name: str) -> None:
+    table = table_of(name)
+    place = {row.name: number for number, row in enumerate(table.rows)} | {END: 99, FAULT: 99}
+    for (row, outcome), target in table.transitions.items():
+        assert place[target] > place[row], (row, outcome, target)
+    assert [row.name for row in table.rows if row.waits_for and row.limit_s <= 0] == []
+
+
+@pytest.mark.parametrize("name", list(KINDS))
+def test_an_abort_leads_to_the_ending_from_every_state(name: str) -> None:
+    table = table_of(name)
+    for row in table.states:
+        assert table.transitions[row.name, Outcome.ABORT] == FINISH.name
+    assert [row.name for row in table.ending][:2] == [FINISH.name, STOP.name]
+
+
+@pytest.mark.parametrize("name", [name for name in KINDS if KINDS[name].turns])
+def test_no_test_waits_while_the_rotor_passes_through_resonances_or_comes_to_rest(name: str) -> None:
+    table = table_of(name)
+    for row in table.rows:
+        if row.actor == "rotor" and (row.rpm or row.does.startswith("ramp") or row.name == STOP.name):
+            assert row.no_pause
+
+
+def test_a_point_in_a_resonance_is_not_paused_there() -> None:
+    second_rpm = max(RIG.physics.natural_frequencies_rad_s) * 30 / 3.14159265
+    for rpm, waits in ((second_rpm, False), (0.7 * second_rpm, True)):
+        there = asked(RIG, "point-B", {"speed_rpm": rpm})
+        assert (there.kind.table(there).row("steady orbit").no_pause == "") is waits
+
+
+@given(
+    name=st.sampled_from(sorted(KINDS)),
+    script=st.lists(st.sampled_from(STEPS), max_size=25),
+    fails_at=st.none() | st.integers(1, 14),
+    aborted_at=st.none() | st.integers(1, 14),
+)
+def test_whatever_happens_a_test_ends_at_rest_with_its_log_ended_and_no_wrong_order(
+    name: str, script: list[str], fails_at: int | None, aborted_at: int | None
+) -> None:
+    controls, bench = Controls(), Bench(RIG, fails_at)
+    bench.while_ordered = lambda number: controls.abort("again") if number == aborted_at else None
+    table = scripted(table_of(name), plays(script, controls, bench))
+    with tempfile.TemporaryDirectory() as folder:
+        done = finished(bench, ASKED[name], table, controls, Path(folder))
+    assert bench.wrong == []
+    assert not bench.turning
+    broken = bench.fault is not None or (fails_at is not None and fails_at <= len(bench.orders))
+    if isinstance(done, TestDone):
+        summary = bench.logs[-1]["summary"]
+        assert summary["reached"] is (done.missed == "")
+        assert done.aborted is ("aborted by the operator" in summary["ended"])
+    elif not broken:
+        assert isinstance(done, NotReached) or str(done) == "what was waited for"
+    if not broken and not isinstance(done, DeviceError):  # an error leaves the log to the session
+        assert not bench.recording
+        assert bench.orders.count("begin the log") == bench.orders.count("end the log") <= 1
+        assert bench.locked or "release" not in bench.orders or aborted_at is not None  # the operator gave it up
+
+
+@pytest.mark.parametrize("during", ["orders", "looks"])
+@pytest.mark.parametrize("name", list(KINDS))
+def test_an_abort_at_any_instant_skips_neither_the_logs_end_nor_the_rest(
+    name: str, during: str, tmp_path: Path
+) -> None:
+    for number in range(1, 20):
+        controls, bench = Controls(), Bench(RIG)
+        if during == "orders":
+            bench.while_ordered = lambda now, at=number, c=controls: c.abort("smoke") if now >= at else None
+        look = plays(["done"] * (number - 1) + [f"{'abort and ' * (during == 'looks')}done"] * 20, controls, bench)
+        finished(bench, ASKED[name], scripted(table_of(name), look), controls, tmp_path)
+        assert not bench.turning
+        assert not bench.recording
+
+
+@pytest.mark.parametrize("name", list(KINDS))
+def test_a_test_that_goes_well_reaches_its_end(name: str, tmp_path: Path) -> None:
+    controls, bench = Controls(), Bench(RIG)
+    table = scripted(table_of(name), plays(["done"] * 30, controls, bench))
+    done = finished(bench, ASKED[name], table, controls, tmp_path)
+    assert isinstance(done, TestDone)
+    assert (done.missed, done.aborted, done.summary["reached"]) == ("", False, True)
+    assert bench.logs[-1]["test"] == ASKED[name].test
+
+
+def test_an_abort_keeps_the_log_with_its_reason_and_brings_the_rotor_to_rest_before_the_locks_close(
+    tmp_path: Path,
+) -> None:
+    controls, bench = Controls(), Bench(RIG)
+
+    def look(state: State, view: View) -> Look:
+        if state.name == "settle":
+            controls.abort("smoke")
+        return Look(state.name != "settle")
+
+    done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
+    assert isinstance(done, TestDone)
+    assert done.summary["ended"] == "not reached: aborted by the operator in 'settle': smoke"
+    assert bench.orders[-4:] == ["release", "end the log", "rest", "lock"]
+
+
+def test_a_test_that_ends_before_its_log_says_so_and_keeps_none(tmp_path: Path) -> None:
+    controls, bench = Controls(), Bench(RIG)
+    table = scripted(table_of("point"), lambda state, view: Look(state.name != "spin up"))
+    done = finished(bench, ASKED["point"], table, controls, tmp_path)
+    assert isinstance(done, NotReached)
+    assert str(done) == "what was waited for"
+    assert bench.logs == []
+    assert not bench.turning
+
+
+def test_locks_that_do_not_close_after_an_abort_are_a_warning_and_otherwise_an_error(tmp_path: Path) -> None:
+    for aborted in (True, False):
+        controls, bench = Controls(), Bench(RIG)
+
+        def look(state: State, view: View, bench: Bench = bench, controls: Controls = controls) -> Look:
+            if state.name == "swing":
+                bench.fails_at = len(bench.orders) + 3  # the log's end, rest, lock
+            if state.name == "swing" and aborted:  # noqa: B023 (used within this turn)
+                controls.abort("smoke")
+            return Look(not (state.name == "swing" and aborted))  # noqa: B023
+
+        done = finished(bench, ASKED["spin-down"], scripted(table_of("spin-down"), look), controls, tmp_path)
+        if aborted:
+            assert isinstance(done, TestDone)
+            assert done.warnings == ("the pendulums are not locked: lock failed",)
+        else:
+            assert isinstance(done, DeviceError)
+
+
+def test_a_pause_stops_the_clock_of_the_limit_and_interlocks_go_on(tmp_path: Path) -> None:
+    controls, bench = Controls(), Bench(RIG)
+    seen: list[str] = []
+    looks: list[int] = []
+    bench_sleep = bench.clock.sleep
+
+    def sleep(seconds: float) -> None:
+        bench_sleep(seconds)
+        if controls.status.paused:
+            seen.append(controls.status.state)
+            bench_sleep(3600.0)
+            controls.resume() if len(seen) == 3 else None
+
+    bench.clock.sleep = sleep  # type: ignore[method-assign]
+
+    def look(state: State, view: View) -> Look:
+        if state.name != "pluck":
+            return Look(True)
+        looks.append(view.now_ns)
+        if not seen:
+            controls.pause()
+        return Look(len(looks) == 3)
+
+    done = finished(bench, ASKED["ring-down-x"], scripted(table_of("ring-down-x"), look), controls, tmp_path)
+    assert isinstance(done, TestDone)
+    assert done.missed == ""
+    assert seen == ["pluck"] * 3
+
+
+def test_a_fault_ends_a_pause(tmp_path: Path) -> None:
+    controls, bench = Controls(), Bench(RIG)
+
+    def look(state: State, view: View) -> Look:
+        if state.name == "steady orbit":
+            controls.pause()
+        return Look(state.name != "steady orbit")
+
+    sleep, slept = bench.clock.sleep, list[float]()
+
+    def slept_through(seconds: float) -> None:
+        sleep(seconds)
+        slept.append(seconds)
+        assert len(slept) < 1000
+        if controls.status.paused:
+            bench.fault = DeviceError("laser/x: silent")
+
+    bench.clock.sleep = slept_through  # type: ignore[method-assign]
+
+    done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
+    assert str(done) == "laser/x: silent"
+    assert bench.orders[-1] == "quick stop"
+
+
+def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(tmp_path: Path) -> None:
+    controls, bench = Controls(), Bench(RIG)
+    answers: list[str] = []
+    paused: list[str] = []
+    sleep = bench.clock.sleep
+
+    def slept(seconds: float) -> None:
+        sleep(seconds)
+        answers.append(controls.status.answer)
+        if controls.status.paused:
+            paused.append(controls.status.state)
+            controls.resume()
+
+    bench.clock.sleep = slept  # type: ignore[method-assign]
+
+    def look(state: State, view: View) -> Look:
+        if state.name == "spin up" and not answers:
+            controls.pause()
+            return Look(False)
+        return Look(not (state.name == "spin up" and len(answers) < 2))
+
+    finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
+    assert any(answer.startswith("not here: the rotor passes through resonances") for answer in answers)
+    assert paused[:1] == ["steady orbit"]
+
+
+def test_notes_stand_in_the_log_with_their_time_also_those_made_before_it_begins(tmp_path: Path) -> None:
+    controls, bench = Controls(), Bench(RIG)
+    controls.note("before")
+
+    def look(state: State, view: View) -> Look:
+        if state.name == "ring" and view.in_state_s == 0:
+            controls.note("while it rings")
+        return Look(state.name != "ring" or view.in_state_s > 0)
+
+    start_ns = bench.clock.ns
+    finished(bench, ASKED["ring-down-x"], scripted(table_of("ring-down-x"), look), controls, tmp_path)
+    assert [(event.kind, event.text) for event in bench.notes] == [("note", "before"), ("note", "while it rings")]
+    assert bench.notes[0].facts["time_ns"] == start_ns
+    assert bench.notes[1].facts["time_ns"] > start_ns
+
+
+def test_a_table_with_a_transition_to_nowhere_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"a: done leads to 'b'; expected one of a, finish"):
+        Table((State("a", done="b"),), (FINISH,))
+    with pytest.raises(ValueError, match="different names"):
+        Table((State("a"), State("a")), (FINISH,))
+
+
+def test_orders_that_would_turn_unlocked_or_release_at_rest_are_refused(tmp_path: Path) -> None:
+    kind = ASKED["point"].kind
+    for name, wrong in (("turn", "not locked"), ("let go", "not released")):
+        order = {"turn": lambda orders: orders.turn(100.0, 10.0), "let go": lambda orders: orders.let_go(True)}[name]
+        opened = State("open", enter=lambda orders: orders.locks.release(False))
+        forgets = State("forgets", enter=lambda orders: setattr(orders, "_held", False))
+        bench, asked_ = Bench(RIG), Asked(RIG, kind, "point-B", "B", ASKED["point"].numbers)
+        table = framed(asked_, opened, forgets, State(name, enter=order))
+        assert wrong in str(finished(bench, asked_, table, Controls(), tmp_path))
+        assert bench.wrong == []
+
+
+@pytest.mark.parametrize(("before_s", "looks_back"), [(0.0, True), (2.0, False), (2.0, True)])
+def test_a_log_with_a_pre_trigger_begins_when_the_motion_was_seen(
+    before_s: float, looks_back: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("daq.guided_tests.orders.LOOKS_BACK", looks_back)
+    for name, motion in (("ring-down-x", "pluck x"), ("spin-down", "flick")):
+        wanted = asked(RIG, name, {"pre_trigger_s": before_s})
+        controls, bench = Controls(), Bench(RIG)
+        table = scripted(wanted.kind.table(wanted), lambda state, view: Look(True))
+        done = finished(bench, wanted, table, controls, tmp_path)
+        assert isinstance(done, TestDone)
+        after = bench.orders.index("begin the log") > bench.orders.index(motion)
+        assert after is (before_s > 0 and looks_back)
+        assert bool(done.warnings) is (before_s > 0 and not looks_back)
+
+
+def test_the_operators_orders_are_the_same_where_no_device_turns_the_rotor() -> None:
+    for name in KINDS:
+        numbers = {"speed_rpm": 288.0} if name == "start-ups" else {}
+        by_hand = asked(HAND, "point-B" if name == "point" else name, numbers)
+        rows, hands = table_of(name).rows, by_hand.kind.table(by_hand).rows
+        assert [row.name for row in rows] == [row.name for row in hands]
+        assert all(
+            row.asks for row in hands if row.actor in ("rotor", "locks") and row.name not in ("begin", "make ready")
+        ), name
+
+
+@pytest.mark.parametrize(("state", "runs"), [("settle", 2), ("spin up", 1)])
+def test_an_abort_ends_a_series_and_keeps_the_runs_before_it(state: str, runs: int, tmp_path: Path) -> None:
+    bench, wanted, seen = Bench(RIG), ASKED["start-ups"], list[str]()
+
+    def look(row: State, view: View) -> Look:
+        seen.append(row.name)
+        if row.name == state and seen.count(state) == 2:
+            tests.controls.abort("enough")
+            return Look(False)
+        return Look(True)
+
+    tests = Procedures(bench, bench, tmp_path, lambda text, share: None)  # type: ignore[arg-type]
+    tests._orders.rotor, tests._orders.locks = bench, bench  # type: ignore[assignment]
+    kind = replace(wanted.kind, table=lambda asked: scripted(wanted.kind.table(asked), look))
+    done = tests.carry_out(replace(wanted, kind=kind))
+    assert (len(done.runs), done.aborted) == (runs, True)
+    assert done.missed == f"aborted by the operator in {state!r}: enough"
+    assert [log["run"] for log in bench.logs] == ["1 of 20", "2 of 20"][:runs]
+    assert bench.locked
+    assert not bench.turning
