@@ -28,6 +28,7 @@ class TestKind:
         name: as in a log; a point's name stands behind "point-".
         needs: signals without which it says nothing.
         turns: whether the rotor turns.
+        gives: parameters, named as in parameters.toml, that identification may take from it.
     """
 
     __test__ = False  # not a pytest class
@@ -35,6 +36,7 @@ class TestKind:
     name: str
     needs: tuple[str, ...]
     turns: bool
+    gives: tuple[str, ...] = ()
 
     @property
     def channels(self) -> frozenset[str]:
@@ -42,15 +44,18 @@ class TestKind:
         return frozenset(CHANNELS[signal] for signal in self.needs)
 
 
+_SUSPENSION = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
+_DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
+
 KINDS: Mapping[str, TestKind] = {
     kind.name: kind
     for kind in (
-        TestKind("ring-down-x", ("x",), turns=False),
-        TestKind("ring-down-y", ("y",), turns=False),
-        TestKind("spin-down", ("angles",), turns=False),
-        TestKind("run-up", ("x", "y", "phase"), turns=True),
-        TestKind("run-down", ("x", "y", "phase"), turns=True),
-        TestKind("point", ("x", "y", "angles", "phase"), turns=True),
+        TestKind("ring-down-x", ("x",), turns=False, gives=_SUSPENSION),
+        TestKind("ring-down-y", ("y",), turns=False, gives=_SUSPENSION),
+        TestKind("spin-down", ("angles",), turns=False, gives=_DAMPING),
+        TestKind("run-up", ("x", "y", "phase"), turns=True, gives=(*_SUSPENSION, "SP_kg_m")),
+        TestKind("run-down", ("x", "y", "phase"), turns=True, gives=(*_SUSPENSION, "SP_kg_m")),
+        TestKind("point", ("x", "y", "angles", "phase"), turns=True, gives=_DAMPING),
     )
 }
 
