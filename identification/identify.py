@@ -17,6 +17,7 @@ from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import told, with_shared_friction
+from identification.methods import advice, passed_over, runs_for, taken, turns
 from identification.pendulums.friction import Friction
 from identification.pendulums.open_friction import pooled
 from identification.pendulums.release import ReleaseLeftOut, fit_release
@@ -88,11 +89,14 @@ class _Work:
         if not fit.settled:
             self.warnings.append(f"{run.test} left out: its fit had not settled, so its values are none to quote")
             return
-        self.keep(estimate)
+        self.keep(estimate, [run.test])
 
-    def keep(self, estimate: Estimate) -> None:
-        """Take an estimate into the joint one, without what no rig can have."""
-        physical, told = keep_physical(estimate, self.rig)
+    def keep(self, estimate: Estimate, tests: Sequence[str]) -> None:
+        """Take an estimate into the joint one, without what the rows of its tests do not give and no rig can have."""
+        given = taken(estimate, tests)
+        if given is None:
+            return
+        physical, told = keep_physical(given, self.rig)
         self.warnings += told
         if physical is not None:
             self.estimates.append(physical)
@@ -109,7 +113,7 @@ class _Work:
 
     def _friction(self) -> Friction | None:
         """What all tests so far show of it, where that is sure; else what a release found, or a spin-down."""
-        found = [(f.test != "spin-down", f.fit) for f in self.fits if isinstance(f.fit, TransientFit)]
+        found = [(turns(f.test), f.fit) for f in self.fits if isinstance(f.fit, TransientFit)]
         opens = [o for _, fit in found if (o := fit.open_friction) is not None]
         if len(opens) > 1 and (sure := Friction.sure(pooled(opens))) is not None:
             return sure
@@ -128,7 +132,7 @@ def identify(
     """Find k1, k2, ζ1, ζ2, c3, c4, S_P from whatever runs there are.
 
     Args:
-        runs: ring-downs, spin-downs, run-ups and points in any number and order.
+        runs: tests of any kind, number and order; what is taken from each stands in its row of test kinds.
         rig: masses, lengths, gains' and zeros' uncertainties; its k, ζ, c, S_P are start values at most.
         progress: told one line before each fit.
         earlier: an identification of some of these runs with the same rig; their fits are taken from it.
@@ -141,14 +145,13 @@ def identify(
     runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += missing_warnings(runs)
-    _ring_downs([r for r in runs if r.test.startswith("ring-down")], work)
-    for run in runs:
-        if run.test in ("run-up", "run-down"):
-            _one(run, work, _run_up)
-    for run in runs:
-        if run.test == "spin-down":
-            _one(run, work, _spin_down)
-    points = [r for r in runs if r.test.startswith("point-") and r.releases]
+    work.warnings += passed_over(runs)
+    _ring_downs(runs_for("ring-down", runs), work)
+    for run in runs_for("passage", runs):
+        _one(run, work, _run_up)
+    for run in runs_for("spin-down", runs):
+        _one(run, work, _spin_down)
+    points = [r for r in runs_for("release", runs) if r.releases]
     # short transients first; each sharpens the start of the next
     for run in sorted(points, key=lambda r: r.angle_time_s[-1] if len(r.angle_time_s) else 0.0):
         _one(run, work, _release)
@@ -259,7 +262,7 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
         try:
             together = fit_ring_down_runs([run for run, _ in alone], mass, setting=work.setting)
             work.add(_joined([run for run, _ in alone]), together, None)
-            work.keep(ring_down_estimate(_joined([run for run, _ in alone]), together))
+            work.keep(ring_down_estimate(_joined([run for run, _ in alone]), together), [run.test for run, _ in alone])
             return
         except IdentificationError as error:
             work.warnings.append(f"joint fit of the ring-downs failed: {error}")
@@ -284,7 +287,7 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     warnings += told
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
     if missing:
-        warnings.append(f"not identified: {', '.join(missing)}; {_advice(missing, runs)}")
+        warnings.append(f"not identified: {', '.join(missing)}; {advice(missing, runs, work.rig.roles)}")
     facts = _provenance(runs, work, rows)
     angle, std = _axis_angle(work.fits)
     found = Identification(
@@ -313,23 +316,6 @@ def _left_out(releases: list[tuple[str, ReleaseLeftOut]]) -> list[str]:
             "at the speed's marks and at what may have touched a pendulum"
         )
     return told
-
-
-def _advice(missing: list[str], given: Sequence[Run]) -> str:
-    """What to record; a test that was given is to be repeated, for the reason told above."""
-    wanted = {}
-    if any(n.startswith(("k", "zeta")) for n in missing):
-        wanted["ring-downs along x and y"] = "ring-down"
-    if any(n.startswith("c") for n in missing):
-        wanted["a spin-down"] = "spin-down"
-    if "SP_kg_m" in missing:
-        wanted["a run-up"] = "run-"
-    tests = [run.test for run in given]
-    new = [name for name, test in wanted.items() if not any(t.startswith(test) for t in tests)]
-    again = sorted({t for test in wanted.values() for t in tests if t.startswith(test)})
-    parts = ["record " + ", ".join(new)] if new else []
-    parts += [f"the given {', '.join(again)} did not show them: the warnings say why"] if again else []
-    return "; ".join(parts)
 
 
 def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.signals.run import Run
 from identification.errors import NotIdentifiable
+from identification.methods import pulled_along
 from identification.ring_down.fit import fit_ring_down
 from identification.ring_down.result import RingDownFit
 from identification.setting import Setting
@@ -34,8 +35,8 @@ def fit_one_laser(run: Run, mass: float, setting: Setting) -> RingDownFit:
         NotIdentifiable, FitFailed: as fit_ring_down; the laser there does not work.
     """
     seen = "x" if len(run.x_time_s) else "y"
-    pulled = run.test.removeprefix("ring-down-")
-    if pulled in ("x", "y") and pulled != seen:  # what laser x sees of a pull along y may be either direction
+    pulled = pulled_along(run.test)
+    if pulled is not None and pulled != seen:  # what laser x sees of a pull along y may be either direction
         raise NotIdentifiable(f"{run.source}: pulled along {pulled}, but only laser {seen} works in it")
     if len(run.x_time_s):
         return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting)
