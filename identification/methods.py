@@ -104,13 +104,26 @@ def advice(missing: Sequence[str], given: Sequence[Run], roles: Roles | None = N
 
 
 def _wanted(missing: Sequence[str], roles: Roles | None) -> dict[Method, list[str]]:
-    """Tests by estimator: for each missing parameter the first estimator that finds it, one test per set of signals."""
-    kinds = [kind for kind in KINDS.values() if roles is None or not lacking(kind, roles)]
+    """Tests by estimator: for each missing parameter the first estimator that finds it."""
     wanted: dict[Method, list[str]] = {}
     for name in missing:
         for method, _, stems in _METHODS:
-            able = [kind for kind in kinds if method in methods_of(kind) and name in kind.gives]
+            able = [kind.name for kind in kinds_for(method, [name], roles)]
             if name.startswith(stems) and able:
-                wanted.setdefault(method, list({kind.needs: kind.name for kind in reversed(able)}.values())[::-1])
+                wanted.setdefault(method, able)
                 break
     return wanted
+
+
+def kinds_for(method: Method, names: Iterable[str], roles: Roles | None = None) -> list[TestKind]:
+    """Kinds of test that an estimator finds some of the parameters from: the table's first for each set of signals.
+
+    Args:
+        roles: of the rig; kinds whose signals it lacks are left out. None takes any.
+    """
+    wanted, found = set(names), dict[tuple[str, ...], TestKind]()
+    for kind in KINDS.values():
+        able = method in methods_of(kind) and wanted & set(kind.gives)
+        if able and (roles is None or not lacking(kind, roles)):
+            found.setdefault(kind.needs, kind)
+    return list(found.values())
