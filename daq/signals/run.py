@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from daq.channels import DEVICE_TICK_S, LOCK_A_CLOSED, LOCK_B_CLOSED, suspects
 from daq.clock import ClockLine, fit_line
 from daq.errors import LogError
+from daq.guided_tests.kinds import KINDS, kind_of
 from daq.log import Log, open_log
 from daq.log.losses import losses_of
 from daq.log.outcome import not_reached_of
@@ -52,7 +53,7 @@ class Run:
     """One recorded test. A channel the log does not have is empty.
 
     Attributes:
-        test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down" or "point-NAME".
+        test: its name in the table of test kinds (`daq.guided_tests.kinds`); at a point "point-NAME".
         source: the log's path, for messages.
         start_s: the run's start in seconds since 1970; every other time counts from it.
         x_time_s, x_m: laser x, shape (n,), disk-centre displacement; NaN where the sensor said "invalid"
@@ -94,6 +95,12 @@ class Run:
     phase_time_s: np.ndarray = field(default_factory=lambda: np.empty(0))
     phase_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
     phase_absolute: bool = True
+
+
+def point_of(test: str) -> str:
+    """Name of the validation point that a test is run at; empty for any other test."""
+    kind, _, name = test.partition("-")
+    return name if kind in KINDS and kind_of(test) is KINDS[kind] else ""
 
 
 def load_run(path: str | Path) -> Run:
