@@ -46,7 +46,12 @@ class DeviceSettings(Table):
 
 
 class DisplacementSettings(DeviceSettings):
-    """A sensor of the column's motion; see Displacement for what each is."""
+    """A sensor of the column's motion; see Displacement for what each is.
+
+    Attributes:
+        witness: name of its channel, `laser/NAME`, where another sensor measures along its axis for the rig; "" for
+            the one that does.
+    """
 
     calibration: ClassVar[tuple[str, ...]] = ("range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm")
 
@@ -56,14 +61,20 @@ class DisplacementSettings(DeviceSettings):
     lever_ratio: Positive = 1.0
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
     clock_tolerance_ppm: Positive = 30.0
+    witness: Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]{0,30})?$")] = ""
+
+    @property
+    def topic(self) -> str:
+        """Of its channel."""
+        return f"laser/{self.witness or self.axis}"
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""
         return (
             Displacement(
-                device=device, topic=f"laser/{self.axis}", axis=self.axis, rate_Hz=float(self.rate_Hz),
+                device=device, topic=self.topic, axis=self.axis, rate_Hz=float(self.rate_Hz),
                 range_m=self.range_m, lever_ratio=self.lever_ratio, gain_std=self.gain_std,
-                clock_tolerance_ppm=self.clock_tolerance_ppm,
+                clock_tolerance_ppm=self.clock_tolerance_ppm, witness=bool(self.witness),
             ),
         )  # fmt: skip
 

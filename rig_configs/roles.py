@@ -33,6 +33,7 @@ class Displacement:
         lever_ratio: its displacement over the disk centre's.
         gain_std: relative standard uncertainty of calibration and lever together.
         clock_tolerance_ppm: standard uncertainty of its clock's rate.
+        witness: whether another sensor measures the displacement along the axis for the rig, and this one checks it.
     """
 
     role: ClassVar[str] = "displacement"
@@ -45,6 +46,7 @@ class Displacement:
     clock_tolerance_ppm: NotNegative
     lever_ratio: Positive = 1.0
     gain_std: NotNegative = 0.0
+    witness: bool = False
 
     @property
     def reach_m(self) -> float:
@@ -164,9 +166,10 @@ class Roles:
     """All roles that the devices of a rig play.
 
     Attributes:
-        displacements: by their axes, each at most once.
+        displacements: those that measure for the rig, by their axes, each at most once.
         angles, phase, speed, locks: who plays the role; None where no device does.
         others: whatever else is recorded.
+        witnesses: further displacements along an axis; each is recorded and held against the axis' own sensor.
     """
 
     displacements: tuple[Displacement, ...] = ()
@@ -175,6 +178,7 @@ class Roles:
     speed: SpeedSource | None = None
     locks: PendulumLocks | None = None
     others: tuple[OtherQuantity, ...] = ()
+    witnesses: tuple[Displacement, ...] = ()
 
     @classmethod
     def of(cls, played: Iterable[Role]) -> Roles:
@@ -184,14 +188,18 @@ class Roles:
             ValueError: two devices play one role, or fill one channel.
         """
         displacements: list[Displacement] = []
+        witnesses: list[Displacement] = []
         others: list[OtherQuantity] = []
         single: dict[str, Any] = {}
         for role in played:
-            if isinstance(role, Displacement):
+            if isinstance(role, Displacement) and role.witness:
+                witnesses.append(role)
+            elif isinstance(role, Displacement):
                 _refuse_second(
                     next((d for d in displacements if d.axis == role.axis), None),
                     role,
                     f"displacement along {role.axis}",
+                    '; a second sensor of an axis is a witness of the first: witness = "NAME" in its table',
                 )
                 displacements.append(role)
             elif isinstance(role, OtherQuantity):
@@ -199,7 +207,8 @@ class Roles:
             else:
                 _refuse_second(single.get(_PLACES[role.role]), role, role.role)
                 single[_PLACES[role.role]] = role
-        found = cls(tuple(sorted(displacements, key=lambda d: d.axis)), others=tuple(others), **single)
+        mains = tuple(sorted(displacements, key=lambda d: d.axis))
+        found = cls(mains, others=tuple(others), witnesses=tuple(witnesses), **single)
         topics = [topic for topic, _ in found._filled()]
         if twice := next((topic for topic in topics if topics.count(topic) > 1), None):
             both = " and ".join(device for topic, device in found._filled() if topic == twice)
@@ -207,7 +216,7 @@ class Roles:
         return found
 
     def along(self, axis: str) -> Displacement | None:
-        """The sensor along an axis."""
+        """The sensor that measures along an axis for the rig."""
         return next((d for d in self.displacements if d.axis == axis), None)
 
     @property
@@ -227,7 +236,7 @@ class Roles:
         return dict(self._filled())
 
     def _filled(self) -> Iterator[tuple[str, str]]:
-        for role in (*self.displacements, self.angles, self.phase, self.speed, *self.others):
+        for role in (*self.displacements, *self.witnesses, self.angles, self.phase, self.speed, *self.others):
             if role is not None:
                 yield role.topic, role.device
 
@@ -235,6 +244,6 @@ class Roles:
 _PLACES = {"pendulum angles": "angles", "rotor phase": "phase", "speed source": "speed", "pendulum locks": "locks"}
 
 
-def _refuse_second(first: Role | None, second: Role, what: str) -> None:
+def _refuse_second(first: Role | None, second: Role, what: str, advice: str = "") -> None:
     if first is not None:
-        raise ValueError(f"{first.device} and {second.device} are both the rig's {what}: expected one")
+        raise ValueError(f"{first.device} and {second.device} are both the rig's {what}: expected one{advice}")

@@ -26,6 +26,7 @@ from daq.log.losses import losses_of
 from daq.log.outcome import not_reached_of
 from daq.log.samples import Samples
 from daq.log.snapshot import identities_of, rig_of
+from daq.signals.witnesses import Agreement, Witness, agreement
 from rig_configs.roles import Displacement, PendulumAngles, Roles, RotorPhase
 
 ASSUMED_TOLERANCE_PPM = 50.0
@@ -73,6 +74,7 @@ class Run:
         phase_time_s, phase_rad: ψ between the marks too, shape (l,), where a recording has it.
         phase_absolute: whether ψ = 0 is where the imbalance points along +x; False where a speed was integrated, which
             leaves one unknown angle between ψ and the laboratory.
+        witnesses: further sensors along an axis; x and y are those of the sensors that measure for the rig.
     """
 
     test: str
@@ -95,6 +97,12 @@ class Run:
     phase_time_s: np.ndarray = field(default_factory=lambda: np.empty(0))
     phase_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
     phase_absolute: bool = True
+    witnesses: tuple[Witness, ...] = ()
+
+    def agreements(self) -> list[Agreement]:
+        """Every witness held against the sensor that measures along its axis for the rig."""
+        beside = {"x": (self.x_time_s, self.x_m), "y": (self.y_time_s, self.y_m)}
+        return [agreement(witness, *beside[witness.axis]) for witness in self.witnesses if witness.beside]
 
 
 def point_of(test: str) -> str:
@@ -138,6 +146,7 @@ def load_run(path: str | Path) -> Run:
             phase_time_s=phase_time_s,
             phase_rad=phase_rad,
             phase_absolute=run.get("phase_reference") != "none",
+            witnesses=_witnesses(log, roles, start_s),
             releases=_releases(log, angle_line, start_s),
             angle_step_rad=roles.angles.step_rad if roles.angles else Run.angle_step_rad,
             clock_rate_std={name: line.rate_std for name, line in lines.items()},
@@ -252,6 +261,19 @@ def _laser(
     device_s = samples.device_ticks * DEVICE_TICK_S
     line = _line(device_s, samples.log_time_ns, start_s, _tolerance_ppm(role))
     return (line.host_s(device_s), displacement), line
+
+
+def _witnesses(log: Log, roles: Roles, start_s: float) -> tuple[Witness, ...]:
+    """Those with samples in the log; a recording made elsewhere has none."""
+    found: list[Witness] = []
+    for role in roles.witnesses:
+        (time_s, value_m), _ = _laser(log, role.topic, role, start_s, _NO_DEVICE)
+        main = roles.along(role.axis)
+        if len(time_s):
+            gain_std = math.hypot(role.gain_std, main.gain_std if main else 0.0)
+            times, values = np.asarray(time_s, np.float64), np.asarray(value_m, np.float64)
+            found.append(Witness(role.device, role.axis, main.device if main else "", times, values, gain_std))
+    return tuple(found)
 
 
 def _rotor_lines(log: Log, roles: Roles, start_s: float, shared: ClockLine) -> tuple[ClockLine, ClockLine]:
