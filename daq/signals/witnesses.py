@@ -4,7 +4,7 @@
 Both give the disk centre's displacement along one axis, so the ratio of their readings is 1 within what calibration and
 lever leave uncertain. The ratio is a regression of one on the other. The clocks of both differ by a delay and a rate,
 which the regression finds too. The noise of the regressor would make the ratio too small: both are averaged over blocks
-short against the motion, and what noise is left there is taken out of the sums. Blocks and splines leave the ratio wrong
+short against the motion, and what noise is left there is taken out of the sums. Blocks and splines leave the ratio off
 by less than 1e-4, a tenth of an ordinary calibration.
 """
 
