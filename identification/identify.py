@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from daq.signals.completeness import missing_warnings
-from daq.signals.run import Run
+from daq.signals.run import Run, disagreements
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import told, with_shared_friction
 from identification.methods import advice, passed_over, runs_for, taken, turns
+from identification.mounting import as_mounted
 from identification.pendulums.friction import Friction
 from identification.pendulums.open_friction import pooled
 from identification.pendulums.release import ReleaseLeftOut, fit_release
@@ -145,6 +146,7 @@ def identify(
     runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += missing_warnings(runs)
+    work.warnings += [f"{Path(run.source).name}: {text}" for run in runs for text in disagreements(run)]
     work.warnings += passed_over(runs)
     _ring_downs(runs_for("ring-down", runs), work)
     for run in runs_for("passage", runs):
@@ -209,7 +211,7 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
         run = replace(run, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
     if not len(run.angle_rad):
         work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
-    fit = fit_run_up_run(run, setting=work.setting)
+    fit = as_mounted(fit_run_up_run(run, setting=work.setting), run.turn_deg)
     gains = work.rig.roles.gain_stds
     estimate = run_up_estimate(run, fit, work.rig.physics, gains)
     estimate, told = run_up_sides(run, fit, estimate, work.rig, gains)
@@ -252,7 +254,8 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
         work.warnings += dead
         try:
             if len(run.x_time_s) and len(run.y_time_s):
-                alone.append((run, fit_ring_down_runs([run], mass, setting=work.setting)))
+                both = fit_ring_down_runs([run], mass, setting=work.setting)
+                alone.append((run, as_mounted(both, run.turn_deg)))
             else:
                 fit = fit_one_laser(run, mass, work.setting)
                 work.add(run, fit, ring_down_estimate(run, fit))
@@ -260,7 +263,8 @@ def _ring_downs(runs: list[Run], work: _Work) -> None:
             work.warnings.append(f"{run.test} left out: {error}")
     if len(alone) > 1 and any(not _tells_directions_apart(fit) for _, fit in alone):
         try:
-            together = fit_ring_down_runs([run for run, _ in alone], mass, setting=work.setting)
+            both = fit_ring_down_runs([run for run, _ in alone], mass, setting=work.setting)
+            together = as_mounted(both, alone[0][0].turn_deg)
             work.add(_joined([run for run, _ in alone]), together, None)
             work.keep(ring_down_estimate(_joined([run for run, _ in alone]), together), [run.test for run, _ in alone])
             return

@@ -51,9 +51,12 @@ class DisplacementSettings(DeviceSettings):
     Attributes:
         witness: name of its channel, `laser/NAME`, where another sensor measures along its axis for the rig; "" for
             the one that does.
+        direction_deg: where it does not look along its axis.
     """
 
-    calibration: ClassVar[tuple[str, ...]] = ("range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm")
+    calibration: ClassVar[tuple[str, ...]] = (
+        "range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm", "direction_deg",
+    )  # fmt: skip
 
     axis: Axis
     rate_Hz: Positive
@@ -61,6 +64,7 @@ class DisplacementSettings(DeviceSettings):
     lever_ratio: Positive = 1.0
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
     clock_tolerance_ppm: Positive = 30.0
+    direction_deg: Finite | None = None
     witness: Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]{0,30})?$")] = ""
 
     @property
@@ -75,6 +79,7 @@ class DisplacementSettings(DeviceSettings):
                 device=device, topic=self.topic, axis=self.axis, rate_Hz=float(self.rate_Hz),
                 range_m=self.range_m, lever_ratio=self.lever_ratio, gain_std=self.gain_std,
                 clock_tolerance_ppm=self.clock_tolerance_ppm, witness=bool(self.witness),
+                direction_deg=self.direction_deg,
             ),
         )  # fmt: skip
 

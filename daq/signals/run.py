@@ -75,6 +75,8 @@ class Run:
         phase_absolute: whether ψ = 0 is where the imbalance points along +x; False where a speed was integrated, which
             leaves one unknown angle between ψ and the laboratory.
         witnesses: further sensors along an axis; x and y are those of the sensors that measure for the rig.
+        turn_deg: by the rig file, from the x axis to the sensor of x, and from y to that of y: these stand at right
+            angles, and x and y are what they see.
     """
 
     test: str
@@ -98,11 +100,17 @@ class Run:
     phase_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
     phase_absolute: bool = True
     witnesses: tuple[Witness, ...] = ()
+    turn_deg: float = 0.0
 
     def agreements(self) -> list[Agreement]:
         """Every witness held against the sensor that measures along its axis for the rig."""
         beside = {"x": (self.x_time_s, self.x_m), "y": (self.y_time_s, self.y_m)}
         return [agreement(witness, *beside[witness.axis]) for witness in self.witnesses if witness.beside]
+
+
+def disagreements(run: Run) -> list[str]:
+    """A sentence for each witness that does not show what the sensor beside it shows."""
+    return [found.text for found in run.agreements() if found.verdict == "disagree"]
 
 
 def point_of(test: str) -> str:
@@ -147,6 +155,7 @@ def load_run(path: str | Path) -> Run:
             phase_rad=phase_rad,
             phase_absolute=run.get("phase_reference") != "none",
             witnesses=_witnesses(log, roles, start_s),
+            turn_deg=roles.turn_deg,
             releases=_releases(log, angle_line, start_s),
             angle_step_rad=roles.angles.step_rad if roles.angles else Run.angle_step_rad,
             clock_rate_std={name: line.rate_std for name, line in lines.items()},
@@ -268,7 +277,7 @@ def _witnesses(log: Log, roles: Roles, start_s: float) -> tuple[Witness, ...]:
     found: list[Witness] = []
     for role in roles.witnesses:
         (time_s, value_m), _ = _laser(log, role.topic, role, start_s, _NO_DEVICE)
-        main = roles.along(role.axis)
+        main = roles.beside(role)
         if len(time_s):
             gain_std = math.hypot(role.gain_std, main.gain_std if main else 0.0)
             times, values = np.asarray(time_s, np.float64), np.asarray(value_m, np.float64)
