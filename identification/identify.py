@@ -27,8 +27,8 @@ from identification.pendulums.spin_down_run import damping_estimate, fit_spin_do
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
 from identification.physical import keep_physical, physical_parameters, run_up_sides
-from identification.ring_down.fit import RingDownFit, fit_ring_down_runs, ring_down_estimate
-from identification.ring_down.one_laser import fit_one_laser, living_lasers
+from identification.ring_down.fit import RingDownFit
+from identification.ring_down.together import fit_ring_downs
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.setting import Setting
 from identification.threads import on_one_thread
@@ -82,17 +82,15 @@ class _Work:
     effort: Effort = field(default_factory=Effort)
     left_out: list[tuple[str, ReleaseLeftOut]] = field(default_factory=list)
 
-    def add(self, run: Run, fit: Fit, estimate: Estimate | None) -> None:
+    def add(self, run: Run, fit: Fit, estimate: Estimate, tests: Sequence[str] = ()) -> None:
         self.fits.append(NamedFit(run.test, run.source, fit))
         self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
-        if estimate is None:
-            return
         if not fit.settled:
             self.warnings.append(f"{run.test} left out: its fit had not settled, so its values are none to quote")
             return
-        self.keep(estimate, [run.test])
+        self._keep(estimate, tests or [run.test])
 
-    def keep(self, estimate: Estimate, tests: Sequence[str]) -> None:
+    def _keep(self, estimate: Estimate, tests: Sequence[str]) -> None:
         """Take an estimate into the joint one, without what the rows of its tests do not give and no rig can have."""
         given = taken(estimate, tests)
         if given is None:
@@ -148,7 +146,10 @@ def identify(
     work.warnings += missing_warnings(runs)
     work.warnings += [f"{Path(run.source).name}: {text}" for run in runs for text in disagreements(run)]
     work.warnings += passed_over(runs)
-    _ring_downs(runs_for("ring-down", runs), work)
+    ring_downs, told_of = fit_ring_downs(runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.tell)
+    work.warnings += told_of
+    for found in ring_downs:
+        work.add(found.run, found.fit, found.estimate, found.tests)
     for run in runs_for("passage", runs):
         _one(run, work, _run_up)
     for run in runs_for("spin-down", runs):
@@ -242,47 +243,6 @@ def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 
     fit = fit_release(run, work.knowledge(), zero_std, setting=work.setting, tell=tell, effort=work.effort)
     return fit, damping_estimate(run, fit, "transient after release, nonlinear least squares over growing horizons")
-
-
-def _ring_downs(runs: list[Run], work: _Work) -> None:
-    """Each ring-down alone where it tells both directions apart, otherwise all of them in one fit."""
-    mass = work.rig.physics.total_mass_kg
-    alone: list[tuple[Run, RingDownFit]] = []
-    for recorded in runs:
-        work.tell(f"{recorded.test}: fitting {Path(recorded.source).name}")
-        run, dead = living_lasers(recorded)
-        work.warnings += dead
-        try:
-            if len(run.x_time_s) and len(run.y_time_s):
-                both = fit_ring_down_runs([run], mass, setting=work.setting)
-                alone.append((run, as_mounted(both, run.turn_deg)))
-            else:
-                fit = fit_one_laser(run, mass, work.setting)
-                work.add(run, fit, ring_down_estimate(run, fit))
-        except IdentificationError as error:
-            work.warnings.append(f"{run.test} left out: {error}")
-    if len(alone) > 1 and any(not _tells_directions_apart(fit) for _, fit in alone):
-        try:
-            both = fit_ring_down_runs([run for run, _ in alone], mass, setting=work.setting)
-            together = as_mounted(both, alone[0][0].turn_deg)
-            work.add(_joined([run for run, _ in alone]), together, None)
-            work.keep(ring_down_estimate(_joined([run for run, _ in alone]), together), [run.test for run, _ in alone])
-            return
-        except IdentificationError as error:
-            work.warnings.append(f"joint fit of the ring-downs failed: {error}")
-    for run, fit in alone:
-        work.add(run, fit, ring_down_estimate(run, fit))
-
-
-def _tells_directions_apart(fit: RingDownFit) -> bool:
-    return "axis_angle_deg" in fit.values and fit.std["axis_angle_deg"] < 1.0
-
-
-def _joined(runs: list[Run]) -> Run:
-    """The first run under all runs' names, for the joint fit's provenance; the least certain clock counts."""
-    rates = {d: max(r.clock_rate_std.get(d, 20e-6) for r in runs) for d in ("x", "y", "angles", "phase")}
-    source = " + ".join(r.source for r in runs)
-    return replace(runs[0], test="ring-down", source=source, clock_rate_std=rates)
 
 
 def _finished(runs: Sequence[Run], work: _Work) -> Identification:
