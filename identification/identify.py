@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from daq.signals.completeness import missing_warnings
-from daq.signals.run import Run, disagreements
+from daq.signals.run import Run
+from daq.signals.witnesses import Agreement
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
@@ -58,6 +59,7 @@ class Identification:
         fits: per test, with curves.
         consistency: per parameter and test, where at least two tests found it.
         warnings: what a reader must know; empty when all is well.
+        witnesses: further sensors along an axis, held against those that measure for the rig, by run.
     """
 
     parameters: IdentifiedParameters
@@ -67,6 +69,7 @@ class Identification:
     fits: list[NamedFit]
     consistency: list[ConsistencyRow]
     warnings: list[str]
+    witnesses: list[Agreement] = field(default_factory=list[Agreement])
 
 
 @dataclass
@@ -144,7 +147,12 @@ def identify(
     runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += missing_warnings(runs)
-    work.warnings += [f"{Path(run.source).name}: {text}" for run in runs for text in disagreements(run)]
+    compared = [(run, agreement) for run in given for agreement in run.agreements()]
+    work.warnings += [
+        f"{Path(r.source).name}: {a.text}"
+        for r, a in compared
+        if any(r is run for run in runs) and a.verdict == "disagree"
+    ]
     work.warnings += passed_over(runs)
     ring_downs, told_of = fit_ring_downs(runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.tell)
     work.warnings += told_of
@@ -162,7 +170,7 @@ def identify(
     work.warnings += _left_out(work.left_out)
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
-    return _finished(given, work)
+    return replace(_finished(given, work), witnesses=[agreement for _, agreement in compared])
 
 
 def _once_each(runs: Sequence[Run], work: _Work) -> list[Run]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, cast
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field, field_validator
 
 from rig_configs.roles import (
     USUAL_GAIN_STD,
@@ -52,11 +52,14 @@ class DisplacementSettings(DeviceSettings):
         witness: name of its channel, `laser/NAME`, where another sensor measures along its axis for the rig; "" for
             the one that does.
         direction_deg: where it does not look along its axis.
+        names_its_channel: whether the driver records in the channel `topic`; one that does not can have no witness.
     """
 
     calibration: ClassVar[tuple[str, ...]] = (
         "range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm", "direction_deg",
     )  # fmt: skip
+
+    names_its_channel: ClassVar[bool] = False
 
     axis: Axis
     rate_Hz: Positive
@@ -66,6 +69,15 @@ class DisplacementSettings(DeviceSettings):
     clock_tolerance_ppm: Positive = 30.0
     direction_deg: Finite | None = None
     witness: Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]{0,30})?$")] = ""
+
+    @field_validator("witness", mode="after")
+    @classmethod
+    def _has_a_channel(cls, witness: str) -> str:
+        if witness in ("x", "y"):
+            raise ValueError(f"expected the name of a channel of its own, got {witness!r}: that is an axis' channel")
+        if witness and not cls.names_its_channel:
+            raise ValueError("this driver records in the channel of its axis alone, so its device can be no witness")
+        return witness
 
     @property
     def topic(self) -> str:

@@ -244,6 +244,16 @@ class Roles:
         return angles[0] + 0.5 * math.remainder(angles[-1] - angles[0], 360.0) if angles else 0.0
 
     @property
+    def duties(self) -> dict[str, str]:
+        """What each displacement sensor measures, in words, by device."""
+        words = {d.device: f"{d.axis}{_direction(d)}" for d in self.displacements}
+        for witness in self.witnesses:
+            beside = self.beside(witness)
+            against = f", held against {beside.device}" if beside else ", held against no other: none looks its way"
+            words[witness.device] = f"witness of {witness.axis}{_direction(witness)}{against}"
+        return words
+
+    @property
     def gain_stds(self) -> tuple[float, float]:
         """Relative standard uncertainties of the displacements along x and y; the usual one where no sensor looks."""
         x, y = (USUAL_GAIN_STD if (d := self.along(axis)) is None else d.gain_std for axis in "xy")
@@ -266,6 +276,10 @@ class Roles:
 
 
 _PLACES = {"pendulum angles": "angles", "rotor phase": "phase", "speed source": "speed", "pendulum locks": "locks"}
+
+
+def _direction(sensor: Displacement) -> str:
+    return "" if sensor.direction_deg is None else f", looking along {sensor.direction_deg:g}°"
 
 
 def _refuse_directions(sensors: tuple[Displacement, ...]) -> None:

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cli.main import run as main
+from daq.channels import LASER_X, Channel
+from daq.drivers.items import Batch
+from daq.log.file import LogFile
+from daq.signals.run import disagreements, load_run
 from daq.signals.witnesses import Agreement, Witness, agreement
+from identification import identify
+from rig_configs import load_rig
+from rig_configs.roles import Displacement, role_table
 
 Floats = NDArray[np.float64]
 NOISE_M = 4e-6
@@ -70,3 +81,49 @@ def test_noise_of_the_sensor_beside_it_does_not_make_the_ratio_small() -> None:
     ratios = [compared(seed, size_m=3e-4, noise_m=4e-5).ratio for seed in range(30)]
     assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.std(ratios) / np.sqrt(30))
     assert abs(np.mean(ratios) - 1) < 2e-3
+
+
+def test_a_log_s_witness_is_read_held_against_its_sensor_and_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = witnessed_log(tmp_path / "a.mcap", gain=1.03)
+    run = load_run(path)
+    (witness,) = run.witnesses
+    assert (witness.device, witness.axis, witness.beside) == ("top", "x", "laser_x")
+    assert witness.gain_std == pytest.approx(np.hypot(0.001, 0.002))
+    (found,) = run.agreements()
+    assert found.verdict == "disagree"
+    assert found.ratio == pytest.approx(1.03, abs=3e-4)
+    told = identify([run], load_rig("virtual"))
+    assert told.witnesses == [found]
+    assert f"a.mcap: {found.text}" in told.warnings
+    assert main(["log", str(path)]) == 0
+    page = capsys.readouterr().out
+    assert "laser_x: measures x" in page
+    assert "top: measures witness of x, held against laser_x" in page
+    sound = load_run(witnessed_log(tmp_path / "b.mcap", gain=1.0))
+    assert [one.verdict for one in sound.agreements()] == ["agree"]
+    assert disagreements(sound) == []
+
+
+def witnessed_log(path: Path, gain: float) -> Path:
+    """A ring-down seen by laser x and by another laboratory's sensor above it, whose driver is not here."""
+    rig = load_rig("virtual")
+    snapshot, roles = json.loads(rig.snapshot_json()), json.loads(rig.roles_json())
+    snapshot["devices"]["top"] = {"driver": "acme", "port": "p"}
+    top = Displacement("top", "laser/top", "x", 4000.0, 0.025, 30.0, lever_ratio=1.3, gain_std=0.002, witness=True)
+    roles["top"] = [role_table(top)]
+    attachments = {"rig.json": json.dumps(snapshot).encode(), "roles.json": json.dumps(roles).encode()}
+    start, rng = 1_700_000_000_000_000_000, np.random.default_rng(3)
+    channels = (LASER_X, Channel("laser/top", "rig.LaserSample", LASER_X.fields, LASER_X.later))
+    with LogFile(path, {"test": "ring-down-x"}, attachments, (), start, channels) as log:
+        for block in range(300):
+            for channel, scale in zip(channels, (1.0, gain), strict=True):
+                number = 160 * block + np.arange(160)
+                value = scale * motion(number / 4000.0, 2.5e-3) + NOISE_M * rng.normal(size=160)
+                columns = {name: np.zeros(160) for name in channel.names} | {
+                    "displacement_m": value, "device_ticks": 25 * number,
+                }  # fmt: skip
+                time = start + 250_000 * number.astype(np.int64)
+                log.batch(Batch(channel, time, number.astype(np.uint32), columns), int(time[-1]) + 100_000)
+        return log.finish({"losses": {}})
