@@ -82,20 +82,25 @@ def predict_point(
     if not states:
         raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
     state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
-    beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, axis_angle_deg))
+    beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, axis_angle_deg, rig.roles.turn_deg))
     covariance, values = _propagate(physics, identified, state, speed_rad_s, speed_std_rad_s, beta, beta_std)
     response = _per_radian(physics, speed_rad_s, beta)
     return Prediction(state, speed_rad_s, values, covariance, response)
 
 
 def known_axis_angle(
-    identified: IdentifiedParameters, given_deg: tuple[float, float] | None = None
+    identified: IdentifiedParameters, given_deg: tuple[float, float] | None = None, turn_deg: float = 0.0
 ) -> tuple[float, float]:
-    """The angle and its deviation in degrees: as given, else as identified, else 0 ± 3°; nan is not given."""
+    """The angle and its deviation in degrees: as given, else as identified, else as mounted ± 3°; nan is not given.
+
+    Args:
+        turn_deg: how the sensors stand by the rig file.
+    """
     for angle in (given_deg, identified.axis_angle_deg):
         if angle is not None and all(map(math.isfinite, angle)):
             return angle
-    return UNKNOWN_AXIS_ANGLE_DEG
+    value, std = UNKNOWN_AXIS_ANGLE_DEG
+    return value + turn_deg, std
 
 
 def _distance(state: SteadyState, near: Sequence[float]) -> float:

@@ -20,7 +20,7 @@ from scipy.special import ndtri_exp
 from analysis.errors import NoStableState, NotEnoughData
 from analysis.prediction import QUANTITIES, Prediction, predict_point
 from analysis.steady_state import SteadyMeasurement, measure
-from daq.signals.run import Run
+from daq.signals.run import Run, point_of
 from rig_configs import IdentifiedParameters, Rig
 
 Z_LIMIT = 4.0
@@ -148,7 +148,7 @@ def validate(
     identified: IdentifiedParameters,
     axis_angle_deg: tuple[float, float] | None = None,
 ) -> Validation:
-    """Compare every "point-NAME" run with the model; other runs are left alone.
+    """Compare every run at a point with the model; other runs are left alone.
 
     Args:
         runs: recorded tests, any order; a point recorded twice appears as "A" and "A (2)".
@@ -159,8 +159,8 @@ def validate(
     Source: docs/theory/validation.md.
     """
     results: dict[str, PointResult] = {}
-    for run in sorted((r for r in runs if r.test.startswith("point-")), key=lambda r: (r.test, r.start_s)):
-        name = run.test.removeprefix("point-")
+    for run in sorted((r for r in runs if point_of(r.test)), key=lambda r: (r.test, r.start_s)):
+        name = point_of(run.test)
         taken = sum(1 for key in results if key == name or key.startswith(f"{name} ("))
         results[f"{name} ({taken + 1})" if taken else name] = validate_point(run, rig, identified, axis_angle_deg)
     return Validation(results)
@@ -170,7 +170,7 @@ def validate_point(
     run: Run, rig: Rig, identified: IdentifiedParameters, axis_angle_deg: tuple[float, float] | None = None
 ) -> PointResult:
     """Compare one run with the model; arguments as in `validate`. Never raises for what a log may hold."""
-    name = run.test.removeprefix("point-")
+    name = point_of(run.test)
     point = rig.points.get(name)
     expected = point.expected if point else None
     try:

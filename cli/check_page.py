@@ -15,8 +15,9 @@ from rich.text import Text
 from cli.words import printable, stdout_console
 from daq.acquisition.device_check import AnglesSeen, Checks, Look, SpeedSeen, passed
 from daq.acquisition.session import Session
+from daq.drivers.checks import Check
 from daq.drivers.items import Event
-from rig_configs.roles import PendulumAngles
+from rig_configs.roles import PendulumAngles, Roles
 
 _LOCKED_S = 0.1  # how far back the pendulums' newest angles are looked at
 _TOLD_S = 3.0  # a device that tells of itself does so each second; wait for it so long, rig time
@@ -45,8 +46,16 @@ def look_at(session: Session, seconds: float) -> Look:
         },
         angles=roles.angles and _angles(session, roles.angles, started),
         speed=speed,
-        own=session.own_checks(events),
+        own=_with_duties(session.own_checks(events), roles),
     )
+
+
+def _with_duties(own: Mapping[str, Checks], roles: Roles) -> dict[str, Checks]:
+    """What the devices' drivers looked at, and what each displacement sensor measures for the rig."""
+    out = {name: dict(checks) for name, checks in own.items()}
+    for device, words in roles.duties.items():
+        out.setdefault(device, {})["measures"] = Check(words, None, True)
+    return out
 
 
 def _angles(session: Session, role: PendulumAngles, started_ns: int) -> AnglesSeen:

@@ -23,7 +23,7 @@ def print_plan(plan: Plan) -> None:
     times = f", {plan.repeats} times" if plan.repeats > 1 else ""
     show(f"{plan.test}: {plan.line}{times}; about {length(plan.usual_s)}")
     show(f"  needs    {', '.join(f'{signal} ({device})' for signal, device in plan.needs.items()) or 'nothing'}")
-    show(f"  gives    {', '.join(plan.takes) or 'nothing that is identified'}")
+    show(f"  gives    {', '.join(plan.gives) or 'nothing that is identified'}")
     show(f"  numbers  {', '.join(f'{name}={value:.6g}' for name, value in plan.numbers.items()) or 'none'}")
     show(f"  limits   {plan.limit_rpm:.0f} rpm (the test turns at {plan.top_rpm:.0f}), {plan.limit_m * 1e3:g} mm")
     if plan.warning:
@@ -64,7 +64,7 @@ def campaign(rig: Rig, folder: Path) -> dict[str, Any]:
         finished = [path for path, missed in mine if not missed]
         state = "refused" if why else "done" if finished else "not reached" if mine else "missing"
         path = str((finished or [path for path, _ in mine] or [""])[-1])
-        tests.append({"test": name, "line": kind.line, "takes": kind.takes, "state": state, "log": path, "why": why})
+        tests.append({"test": name, "line": kind.line, "gives": kind.gives, "state": state, "log": path, "why": why})
     return {"rig": rig.name, "folder": str(folder), "tests": tests}
 
 

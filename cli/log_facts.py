@@ -12,7 +12,7 @@ from daq.errors import LogError
 from daq.log import Log
 from daq.log.content import EventContent, channel_content, event_content, events_of, last_health, raw_content
 from daq.log.samples import Missing
-from daq.log.snapshot import identities_of, snapshot_of
+from daq.log.snapshot import identities_of, rig_of, snapshot_of
 from daq.log.verdicts import digest_of, verdict_of
 
 _PHYSICAL = ("rotor", "imbalance", "pendulums", "suspension")
@@ -73,11 +73,20 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
         "trips": happened.trips,
         "devices": readable(lambda: identities_of(log), {}),
         "rig": {"name": snapshot.get("name", run.get("rig", "")), **_physical(snapshot)},
+        "sensors": _sensors(log),
         "attachments_bytes": {name: len(data) for name, data in log.attachments.items()},
     }
     if all_events:
         facts["all_events"] = readable(lambda: list(events_of(log)), [])
     return {**facts, "unreadable": unreadable}
+
+
+def _sensors(log: Log) -> dict[str, str]:
+    """What each displacement sensor measured for the rig, in words, by device; empty where it is not stated."""
+    try:
+        return rig_of(log).roles.duties
+    except (LogError, RecursionError):
+        return {}
 
 
 def _physical(snapshot: Mapping[str, Any]) -> dict[str, Any]:

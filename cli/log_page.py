@@ -52,6 +52,8 @@ def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
     for device, identity in facts["devices"].items():
         told = identity.items() if isinstance(identity, Mapping) else [("says", identity)]
         yield "device", f"{device}: " + ", ".join(f"{name} {value}" for name, value in told), ""
+    for device, words in facts["sensors"].items():
+        yield "sensor", f"{device}: measures {words}", ""
     for name, value in _flat(facts["rig"]["physical"]):
         yield "physical", f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}", ""
     if facts["attachments_bytes"]:

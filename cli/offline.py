@@ -73,6 +73,7 @@ def validate(
     from analysis.validation import validate as compare  # noqa: PLC0415
     from cli.runs import keep_verdicts, load_runs  # noqa: PLC0415
     from daq.signals.completeness import missing_warnings  # noqa: PLC0415
+    from daq.signals.run import disagreements  # noqa: PLC0415
 
     _need(logs, "rig validate RIG LOG…")
     need_place("rig validate: --report", report)
@@ -87,9 +88,9 @@ def validate(
         what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
     runs = load_runs(logs)
     found = compare(runs, loaded, known, given)
-    warnings = missing_warnings(runs)
+    warnings = missing_warnings(runs) + [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
     if given is None and known.axis_angle_deg is None:
-        value, std = known_axis_angle(known)
+        value, std = known_axis_angle(known, turn_deg=loaded.roles.turn_deg)
         warnings.append(
             f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is taken; identify "
             "again, or give --axis-angle-deg and --axis-angle-std-deg"

@@ -29,10 +29,14 @@ def print_plan(rig: str, found: Plan) -> None:
 
 def _sensors(found: Plan) -> str:
     s = found.sensors
-    noise = " and ".join(dict.fromkeys(f"{1e6 * n:.2g} µm" for n in s.laser_noise_m))
-    gain = " and ".join(dict.fromkeys(percent(g) for g in s.gain_std))
+    there = ["xy".index(axis) for axis in s.axes]
+    if not there:
+        return "no sensor of displacements"
+    noise = " and ".join(dict.fromkeys(f"{1e6 * s.laser_noise_m[i]:.2g} µm" for i in there))
+    gain = " and ".join(dict.fromkeys(percent(s.gain_std[i]) for i in there))
+    rate = " and ".join(dict.fromkeys(f"{s.laser_rate_Hz[i]:.0f} Hz" for i in there))
     source = "as measured in the log" if s.measured else "usual values: --log LOG measures this rig's"
-    return f"lasers: {noise} noise at {s.laser_rate_Hz[0]:.0f} Hz ({source}), gain known to {gain}"
+    return f"displacements along {' and '.join(s.axes)}: {noise} noise at {rate} ({source}), gain known to {gain}"
 
 
 def _steps(found: Plan) -> Table:
@@ -48,12 +52,12 @@ def _steps(found: Plan) -> Table:
 
 def _how(experiment: Experiment) -> str:
     s = experiment.settings
-    if experiment.test.startswith("ring-down"):
+    if experiment.method == "ring-down":
         return f"pluck by {s['pluck_mm']:.2g} mm, let it ring"
-    if experiment.test == "run-up":
+    if experiment.method == "passage":
         largest = f", up to {1e3 * experiment.largest_m:.2g} mm"
         return f"ramp to {s['top_rpm']:.0f} rpm at {s['rate_rpm_per_s']:.2g} rpm/s{largest}"
-    if experiment.test == "spin-down":
+    if experiment.method == "spin-down":
         return f"flick both to {s['flick_rad_per_s']:.2g} rad/s, against each other"
     return f"let go at {s['speed_rpm']:.0f} rpm"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from daq.version import software_version
@@ -42,6 +42,7 @@ def identification_json(found: Identification) -> dict[str, Any]:
             for e in found.estimates
         ],
         "consistency": [{"parameter": r.parameter, "test": r.test, "z": r.z, "p": r.p} for r in found.consistency],
+        "witnesses": [asdict(one) for one in found.witnesses],
         "warnings": found.warnings,
     }
 

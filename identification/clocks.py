@@ -28,6 +28,16 @@ def clock_of(run: Run, signal: str) -> str:
     return run.clocks.get(signal, signal)
 
 
+def clock_label(clock: str) -> str:
+    """Under which errors of a clock's rate are kept, by the clock's name."""
+    return f"clock {clock}"
+
+
+def gain_label(axis: str) -> str:
+    """Under which errors of the displacement's gain along an axis are kept."""
+    return f"gain {axis}"
+
+
 def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     """Shared errors of an estimate, by clock.
 
@@ -40,7 +50,7 @@ def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[st
     """
     shared: dict[str, NDArray[np.float64]] = {}
     for signal, slope in slopes.items():
-        label = f"clock {clock_of(run, signal)}"
+        label = clock_label(clock_of(run, signal))
         shift = slope * clock_rate_std(run.clock_rate_std, signal)
         shared[label] = shared[label] + shift if label in shared else shift
     return shared

@@ -12,11 +12,14 @@ import numpy as np
 
 from daq.signals.completeness import missing_warnings
 from daq.signals.run import Run
+from daq.signals.witnesses import Agreement
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import told, with_shared_friction
+from identification.methods import advice, passed_over, runs_for, taken, turns
+from identification.mounting import as_mounted
 from identification.pendulums.friction import Friction
 from identification.pendulums.open_friction import pooled
 from identification.pendulums.release import ReleaseLeftOut, fit_release
@@ -25,8 +28,8 @@ from identification.pendulums.spin_down_run import damping_estimate, fit_spin_do
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
 from identification.physical import keep_physical, physical_parameters, run_up_sides
-from identification.ring_down.fit import RingDownFit, fit_ring_down_runs, ring_down_estimate
-from identification.ring_down.one_laser import fit_one_laser, living_lasers
+from identification.ring_down.fit import RingDownFit
+from identification.ring_down.together import fit_ring_downs
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.setting import Setting
 from identification.threads import on_one_thread
@@ -56,6 +59,7 @@ class Identification:
         fits: per test, with curves.
         consistency: per parameter and test, where at least two tests found it.
         warnings: what a reader must know; empty when all is well.
+        witnesses: further sensors along an axis, held against those that measure for the rig, by run.
     """
 
     parameters: IdentifiedParameters
@@ -65,6 +69,7 @@ class Identification:
     fits: list[NamedFit]
     consistency: list[ConsistencyRow]
     warnings: list[str]
+    witnesses: list[Agreement] = field(default_factory=list[Agreement])
 
 
 @dataclass
@@ -80,19 +85,20 @@ class _Work:
     effort: Effort = field(default_factory=Effort)
     left_out: list[tuple[str, ReleaseLeftOut]] = field(default_factory=list)
 
-    def add(self, run: Run, fit: Fit, estimate: Estimate | None) -> None:
+    def add(self, run: Run, fit: Fit, estimate: Estimate, tests: Sequence[str] = ()) -> None:
         self.fits.append(NamedFit(run.test, run.source, fit))
         self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
-        if estimate is None:
-            return
         if not fit.settled:
             self.warnings.append(f"{run.test} left out: its fit had not settled, so its values are none to quote")
             return
-        self.keep(estimate)
+        self._keep(estimate, tests or [run.test])
 
-    def keep(self, estimate: Estimate) -> None:
-        """Take an estimate into the joint one, without what no rig can have."""
-        physical, told = keep_physical(estimate, self.rig)
+    def _keep(self, estimate: Estimate, tests: Sequence[str]) -> None:
+        """Take an estimate into the joint one, without what the rows of its tests do not give and no rig can have."""
+        given = taken(estimate, tests)
+        if given is None:
+            return
+        physical, told = keep_physical(given, self.rig)
         self.warnings += told
         if physical is not None:
             self.estimates.append(physical)
@@ -109,7 +115,7 @@ class _Work:
 
     def _friction(self) -> Friction | None:
         """What all tests so far show of it, where that is sure; else what a release found, or a spin-down."""
-        found = [(f.test != "spin-down", f.fit) for f in self.fits if isinstance(f.fit, TransientFit)]
+        found = [(turns(f.test), f.fit) for f in self.fits if isinstance(f.fit, TransientFit)]
         opens = [o for _, fit in found if (o := fit.open_friction) is not None]
         if len(opens) > 1 and (sure := Friction.sure(pooled(opens))) is not None:
             return sure
@@ -128,7 +134,7 @@ def identify(
     """Find k1, k2, ζ1, ζ2, c3, c4, S_P from whatever runs there are.
 
     Args:
-        runs: ring-downs, spin-downs, run-ups and points in any number and order.
+        runs: tests of any kind, number and order; what is taken from each stands in its row of test kinds.
         rig: masses, lengths, gains' and zeros' uncertainties; its k, ζ, c, S_P are start values at most.
         progress: told one line before each fit.
         earlier: an identification of some of these runs with the same rig; their fits are taken from it.
@@ -141,14 +147,22 @@ def identify(
     runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += missing_warnings(runs)
-    _ring_downs([r for r in runs if r.test.startswith("ring-down")], work)
-    for run in runs:
-        if run.test in ("run-up", "run-down"):
-            _one(run, work, _run_up)
-    for run in runs:
-        if run.test == "spin-down":
-            _one(run, work, _spin_down)
-    points = [r for r in runs if r.test.startswith("point-") and r.releases]
+    compared = [(run, agreement) for run in given for agreement in run.agreements()]
+    work.warnings += [
+        f"{Path(r.source).name}: {a.text}"
+        for r, a in compared
+        if any(r is run for run in runs) and a.verdict == "disagree"
+    ]
+    work.warnings += passed_over(runs)
+    ring_downs, told_of = fit_ring_downs(runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.tell)
+    work.warnings += told_of
+    for found in ring_downs:
+        work.add(found.run, found.fit, found.estimate, found.tests)
+    for run in runs_for("passage", runs):
+        _one(run, work, _run_up)
+    for run in runs_for("spin-down", runs):
+        _one(run, work, _spin_down)
+    points = [r for r in runs_for("release", runs) if r.releases]
     # short transients first; each sharpens the start of the next
     for run in sorted(points, key=lambda r: r.angle_time_s[-1] if len(r.angle_time_s) else 0.0):
         _one(run, work, _release)
@@ -156,7 +170,7 @@ def identify(
     work.warnings += _left_out(work.left_out)
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
-    return _finished(given, work)
+    return replace(_finished(given, work), witnesses=[agreement for _, agreement in compared])
 
 
 def _once_each(runs: Sequence[Run], work: _Work) -> list[Run]:
@@ -206,7 +220,7 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
         run = replace(run, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
     if not len(run.angle_rad):
         work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
-    fit = fit_run_up_run(run, setting=work.setting)
+    fit = as_mounted(fit_run_up_run(run, setting=work.setting), run.turn_deg)
     gains = work.rig.roles.gain_stds
     estimate = run_up_estimate(run, fit, work.rig.physics, gains)
     estimate, told = run_up_sides(run, fit, estimate, work.rig, gains)
@@ -239,52 +253,13 @@ def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     return fit, damping_estimate(run, fit, "transient after release, nonlinear least squares over growing horizons")
 
 
-def _ring_downs(runs: list[Run], work: _Work) -> None:
-    """Each ring-down alone where it tells both directions apart, otherwise all of them in one fit."""
-    mass = work.rig.physics.total_mass_kg
-    alone: list[tuple[Run, RingDownFit]] = []
-    for recorded in runs:
-        work.tell(f"{recorded.test}: fitting {Path(recorded.source).name}")
-        run, dead = living_lasers(recorded)
-        work.warnings += dead
-        try:
-            if len(run.x_time_s) and len(run.y_time_s):
-                alone.append((run, fit_ring_down_runs([run], mass, setting=work.setting)))
-            else:
-                fit = fit_one_laser(run, mass, work.setting)
-                work.add(run, fit, ring_down_estimate(run, fit))
-        except IdentificationError as error:
-            work.warnings.append(f"{run.test} left out: {error}")
-    if len(alone) > 1 and any(not _tells_directions_apart(fit) for _, fit in alone):
-        try:
-            together = fit_ring_down_runs([run for run, _ in alone], mass, setting=work.setting)
-            work.add(_joined([run for run, _ in alone]), together, None)
-            work.keep(ring_down_estimate(_joined([run for run, _ in alone]), together))
-            return
-        except IdentificationError as error:
-            work.warnings.append(f"joint fit of the ring-downs failed: {error}")
-    for run, fit in alone:
-        work.add(run, fit, ring_down_estimate(run, fit))
-
-
-def _tells_directions_apart(fit: RingDownFit) -> bool:
-    return "axis_angle_deg" in fit.values and fit.std["axis_angle_deg"] < 1.0
-
-
-def _joined(runs: list[Run]) -> Run:
-    """The first run under all runs' names, for the joint fit's provenance; the least certain clock counts."""
-    rates = {d: max(r.clock_rate_std.get(d, 20e-6) for r in runs) for d in ("x", "y", "angles", "phase")}
-    source = " + ".join(r.source for r in runs)
-    return replace(runs[0], test="ring-down", source=source, clock_rate_std=rates)
-
-
 def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     parameters, rows, warnings = combine(work.estimates)
     parameters, told = physical_parameters(parameters, work.rig)
     warnings += told
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
     if missing:
-        warnings.append(f"not identified: {', '.join(missing)}; {_advice(missing, runs)}")
+        warnings.append(f"not identified: {', '.join(missing)}; {advice(missing, runs, work.rig.roles)}")
     facts = _provenance(runs, work, rows)
     angle, std = _axis_angle(work.fits)
     found = Identification(
@@ -313,23 +288,6 @@ def _left_out(releases: list[tuple[str, ReleaseLeftOut]]) -> list[str]:
             "at the speed's marks and at what may have touched a pendulum"
         )
     return told
-
-
-def _advice(missing: list[str], given: Sequence[Run]) -> str:
-    """What to record; a test that was given is to be repeated, for the reason told above."""
-    wanted = {}
-    if any(n.startswith(("k", "zeta")) for n in missing):
-        wanted["ring-downs along x and y"] = "ring-down"
-    if any(n.startswith("c") for n in missing):
-        wanted["a spin-down"] = "spin-down"
-    if "SP_kg_m" in missing:
-        wanted["a run-up"] = "run-"
-    tests = [run.test for run in given]
-    new = [name for name, test in wanted.items() if not any(t.startswith(test) for t in tests)]
-    again = sorted({t for test in wanted.values() for t in tests if t.startswith(test)})
-    parts = ["record " + ", ".join(new)] if new else []
-    parts += [f"the given {', '.join(again)} did not show them: the warnings say why"] if again else []
-    return "; ".join(parts)
 
 
 def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, cast
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field, field_validator
 
 from rig_configs.roles import (
     USUAL_GAIN_STD,
@@ -46,9 +46,20 @@ class DeviceSettings(Table):
 
 
 class DisplacementSettings(DeviceSettings):
-    """A sensor of the column's motion; see Displacement for what each is."""
+    """A sensor of the column's motion; see Displacement for what each is.
 
-    calibration: ClassVar[tuple[str, ...]] = ("range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm")
+    Attributes:
+        witness: name of its channel, `laser/NAME`, where another sensor measures along its axis for the rig; "" for
+            the one that does.
+        direction_deg: where it does not look along its axis.
+        names_its_channel: whether the driver records in the channel `topic`; one that does not can have no witness.
+    """
+
+    calibration: ClassVar[tuple[str, ...]] = (
+        "range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm", "direction_deg",
+    )  # fmt: skip
+
+    names_its_channel: ClassVar[bool] = False
 
     axis: Axis
     rate_Hz: Positive
@@ -56,14 +67,31 @@ class DisplacementSettings(DeviceSettings):
     lever_ratio: Positive = 1.0
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
     clock_tolerance_ppm: Positive = 30.0
+    direction_deg: Finite | None = None
+    witness: Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]{0,30})?$")] = ""
+
+    @field_validator("witness", mode="after")
+    @classmethod
+    def _has_a_channel(cls, witness: str) -> str:
+        if witness in ("x", "y"):
+            raise ValueError(f"expected the name of a channel of its own, got {witness!r}: that is an axis' channel")
+        if witness and not cls.names_its_channel:
+            raise ValueError("this driver records in the channel of its axis alone, so its device can be no witness")
+        return witness
+
+    @property
+    def topic(self) -> str:
+        """Of its channel."""
+        return f"laser/{self.witness or self.axis}"
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""
         return (
             Displacement(
-                device=device, topic=f"laser/{self.axis}", axis=self.axis, rate_Hz=float(self.rate_Hz),
+                device=device, topic=self.topic, axis=self.axis, rate_Hz=float(self.rate_Hz),
                 range_m=self.range_m, lever_ratio=self.lever_ratio, gain_std=self.gain_std,
-                clock_tolerance_ppm=self.clock_tolerance_ppm,
+                clock_tolerance_ppm=self.clock_tolerance_ppm, witness=bool(self.witness),
+                direction_deg=self.direction_deg,
             ),
         )  # fmt: skip
 

@@ -17,6 +17,8 @@ from pydantic import Field
 from rig_configs.table import Finite, NotNegative, Positive
 
 Axis = Literal["x", "y"]
+AXIS_TOLERANCE_DEG, SQUARE_TOLERANCE_DEG = 10.0, 3.0
+"""How far a sensor may look off its axis before that is more than mounting; how far two may be off a right angle."""
 USUAL_GAIN_STD, USUAL_ZERO_STD_DEG = 0.001, 0.05
 """Of a sensor of which nothing is said: also of one that recorded elsewhere and that the rig file does not know."""
 
@@ -27,12 +29,14 @@ class Displacement:
 
     Attributes:
         topic: the channel its samples are in.
-        axis: the direction it looks along.
+        axis: which of the two displacements it measures, "x" or "y".
         rate_Hz: samples a second.
         range_m: what it measures over; its middle is displacement 0.
         lever_ratio: its displacement over the disk centre's.
         gain_std: relative standard uncertainty of calibration and lever together.
         clock_tolerance_ppm: standard uncertainty of its clock's rate.
+        witness: whether another sensor measures the displacement along the axis for the rig, and this one checks it.
+        direction_deg: angle from +x, counter-clockwise, of the direction in which its reading grows; None: its axis'.
     """
 
     role: ClassVar[str] = "displacement"
@@ -45,6 +49,14 @@ class Displacement:
     clock_tolerance_ppm: NotNegative
     lever_ratio: Positive = 1.0
     gain_std: NotNegative = 0.0
+    witness: bool = False
+    direction_deg: Finite | None = None
+
+    @property
+    def off_axis_deg(self) -> float:
+        """Angle from its axis to its direction, -180 to 180."""
+        own = 0.0 if self.axis == "x" else 90.0
+        return 0.0 if self.direction_deg is None else math.remainder(self.direction_deg - own, 360.0)
 
     @property
     def reach_m(self) -> float:
@@ -164,9 +176,10 @@ class Roles:
     """All roles that the devices of a rig play.
 
     Attributes:
-        displacements: by their axes, each at most once.
+        displacements: those that measure for the rig, by their axes, each at most once.
         angles, phase, speed, locks: who plays the role; None where no device does.
         others: whatever else is recorded.
+        witnesses: further displacements along an axis; each is recorded and held against the axis' own sensor.
     """
 
     displacements: tuple[Displacement, ...] = ()
@@ -175,6 +188,7 @@ class Roles:
     speed: SpeedSource | None = None
     locks: PendulumLocks | None = None
     others: tuple[OtherQuantity, ...] = ()
+    witnesses: tuple[Displacement, ...] = ()
 
     @classmethod
     def of(cls, played: Iterable[Role]) -> Roles:
@@ -184,14 +198,18 @@ class Roles:
             ValueError: two devices play one role, or fill one channel.
         """
         displacements: list[Displacement] = []
+        witnesses: list[Displacement] = []
         others: list[OtherQuantity] = []
         single: dict[str, Any] = {}
         for role in played:
-            if isinstance(role, Displacement):
+            if isinstance(role, Displacement) and role.witness:
+                witnesses.append(role)
+            elif isinstance(role, Displacement):
                 _refuse_second(
                     next((d for d in displacements if d.axis == role.axis), None),
                     role,
                     f"displacement along {role.axis}",
+                    '; a second sensor of an axis is a witness of the first: witness = "NAME" in its table',
                 )
                 displacements.append(role)
             elif isinstance(role, OtherQuantity):
@@ -199,7 +217,9 @@ class Roles:
             else:
                 _refuse_second(single.get(_PLACES[role.role]), role, role.role)
                 single[_PLACES[role.role]] = role
-        found = cls(tuple(sorted(displacements, key=lambda d: d.axis)), others=tuple(others), **single)
+        mains = tuple(sorted(displacements, key=lambda d: d.axis))
+        _refuse_directions(mains)
+        found = cls(mains, others=tuple(others), witnesses=tuple(witnesses), **single)
         topics = [topic for topic, _ in found._filled()]
         if twice := next((topic for topic in topics if topics.count(topic) > 1), None):
             both = " and ".join(device for topic, device in found._filled() if topic == twice)
@@ -207,8 +227,31 @@ class Roles:
         return found
 
     def along(self, axis: str) -> Displacement | None:
-        """The sensor along an axis."""
+        """The sensor that measures along an axis for the rig."""
         return next((d for d in self.displacements if d.axis == axis), None)
+
+    def beside(self, witness: Displacement) -> Displacement | None:
+        """The sensor that measures for the rig what a witness sees too; None where none looks in its direction."""
+        main = self.along(witness.axis)
+        if main is None or abs(math.remainder(main.off_axis_deg - witness.off_axis_deg, 360.0)) > SQUARE_TOLERANCE_DEG:
+            return None
+        return main
+
+    @property
+    def turn_deg(self) -> float:
+        """Angle from the x axis to sensor x, and from y to sensor y; of one sensor alone, its own."""
+        angles = [sensor.off_axis_deg for sensor in self.displacements]
+        return angles[0] + 0.5 * math.remainder(angles[-1] - angles[0], 360.0) if angles else 0.0
+
+    @property
+    def duties(self) -> dict[str, str]:
+        """What each displacement sensor measures, in words, by device."""
+        words = {d.device: f"{d.axis}{_direction(d)}" for d in self.displacements}
+        for witness in self.witnesses:
+            beside = self.beside(witness)
+            against = f", held against {beside.device}" if beside else ", held against no other: none looks its way"
+            words[witness.device] = f"witness of {witness.axis}{_direction(witness)}{against}"
+        return words
 
     @property
     def gain_stds(self) -> tuple[float, float]:
@@ -227,7 +270,7 @@ class Roles:
         return dict(self._filled())
 
     def _filled(self) -> Iterator[tuple[str, str]]:
-        for role in (*self.displacements, self.angles, self.phase, self.speed, *self.others):
+        for role in (*self.displacements, *self.witnesses, self.angles, self.phase, self.speed, *self.others):
             if role is not None:
                 yield role.topic, role.device
 
@@ -235,6 +278,28 @@ class Roles:
 _PLACES = {"pendulum angles": "angles", "rotor phase": "phase", "speed source": "speed", "pendulum locks": "locks"}
 
 
-def _refuse_second(first: Role | None, second: Role, what: str) -> None:
+def _direction(sensor: Displacement) -> str:
+    return "" if sensor.direction_deg is None else f", looking along {sensor.direction_deg:g}°"
+
+
+def _refuse_directions(sensors: tuple[Displacement, ...]) -> None:
+    """Two sensors may stand turned, at right angles; one alone looks along its axis."""
+    if len(sensors) == 2:
+        x, y = sensors
+        skew = math.remainder(y.off_axis_deg - x.off_axis_deg, 360.0)
+        if abs(skew) > SQUARE_TOLERANCE_DEG:
+            raise ValueError(
+                f"{x.device} and {y.device}: expected direction_deg of the sensor of y 90° beyond that of x, within "
+                f"{SQUARE_TOLERANCE_DEG:g}°, got {90 + skew:g}°. Where it is about 270°, exchange their axis"
+            )
+    elif sensors and abs(sensors[0].off_axis_deg) > AXIS_TOLERANCE_DEG:
+        raise ValueError(
+            f"{sensors[0].device}: a single sensor must look along its axis within {AXIS_TOLERANCE_DEG:g}°, got "
+            f"direction_deg = {sensors[0].direction_deg:g}: alone it sees both directions mixed. Add a second one at "
+            "right angles, or turn it"
+        )
+
+
+def _refuse_second(first: Role | None, second: Role, what: str, advice: str = "") -> None:
     if first is not None:
-        raise ValueError(f"{first.device} and {second.device} are both the rig's {what}: expected one")
+        raise ValueError(f"{first.device} and {second.device} are both the rig's {what}: expected one{advice}")

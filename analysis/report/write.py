@@ -18,7 +18,7 @@ from analysis.report import tables
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
 from analysis.validation import Z_LIMIT, PointResult
-from daq.signals.run import Run
+from daq.signals.run import Run, point_of
 from dynamics.errors import DynamicsError
 
 _TEMPLATE = "template.html.j2"
@@ -107,7 +107,7 @@ def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dic
 
 
 def _run_of(campaign: Campaign, point: PointResult) -> Run | None:
-    own = [r for r in campaign.runs if r.source == point.source and r.test == f"point-{point.name}"]
+    own = [r for r in campaign.runs if r.source == point.source and point_of(r.test) == point.name]
     return own[0] if own else None
 
 

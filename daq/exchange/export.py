@@ -4,7 +4,7 @@
     export_log("run.mcap", "x.csv", channels=["laser/x"], from_s=2.0, to_s=5.0)
     export_log("run.mcap", "run.mat", signals=True)                       # x, y, angles, marks on the common clock
 
-Parquet and CSV hold one table per file: several channels become OUT-laser_x.csv, OUT-laser_y.csv … with OUT.csv.json
+Parquet and CSV hold one table per file: several channels become OUT-CHANNEL.csv … with OUT.csv.json
 beside them. Nothing is under its final name before everything is written.
 """
 

@@ -25,6 +25,7 @@ from daq.exchange.recorder_clock import RecorderClock, recorder_clock
 from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
 from daq.guided_tests.kinds import KINDS, kind_of
+from daq.signals.run import point_of
 from daq.version import software_version
 from rig_configs.schema import Rig
 
@@ -115,11 +116,13 @@ def _remarks(topics: set[str], recipe: Recipe) -> list[str]:
     test, found = recipe.test_name, []
     kind = kind_of(test)
     if kind is None:
-        known = ", ".join(name for name in KINDS if name != "point")
-        found.append(f"{test}: `rig identify` knows {known} and point-NAME; it will pass this over")
+        known = ", ".join(name for name, row in KINDS.items() if row.gives)
+        found.append(
+            f"{test}: no such row in the table of test kinds, so `rig identify` will pass it over; it has {known}"
+        )
     elif lacking := sorted(kind.channels - topics):
         found.append(f"{test}: needs {', '.join(sorted(kind.channels))}; lacking {', '.join(lacking)}")
-    if test.startswith("point-") and not recipe.release_s:
+    if point_of(test) and not recipe.release_s:
         found.append(f"{test}: no --release, so what follows the release cannot be told from the rest")
     return found
 
@@ -139,8 +142,8 @@ def _facts(recording: Recording, rig: Rig, recipe: Recipe, clock: RecorderClock)
         "note": recipe.note,
         "origin": f"{recording.path.name} sha256:{file_sha256(recording.path)}",
     }
-    if recipe.test_name.startswith("point-"):
-        facts["point"] = recipe.test_name.removeprefix("point-")
+    if point := point_of(recipe.test_name):
+        facts["point"] = point
     if recipe.speed:
         facts["phase_reference"] = "none"
     return facts

@@ -16,8 +16,9 @@ from daq.exchange.imported_log import Part
 from daq.exchange.readings import Readings, find_gaps, unwrapped
 from daq.exchange.recipe import Recipe
 from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions_of_marks
+from daq.guided_tests.kinds import CHANNELS
 
-_USUAL = {"laser/x": "laser_x", "laser/y": "laser_y", "pendulums": "encoder", "tacho": "encoder"}
+_SIGNALS = {topic: signal for signal, topic in CHANNELS.items()}
 _LEAST_RELEASE_STD_S = 1e-4
 
 
@@ -38,8 +39,8 @@ class Noticed:
     devices: dict[str, str] = field(default_factory=dict)
 
     def device(self, topic: str) -> str:
-        """What the log calls the source of a channel: the rig's own device where it has one."""
-        return self.devices.get(topic, _USUAL[topic])
+        """What the log calls the source of a channel: the rig's own device, or the signal where the rig has none."""
+        return self.devices.get(topic, _SIGNALS[topic])
 
 
 def make_parts(readings: Mapping[str, Readings], recipe: Recipe, noticed: Noticed) -> list[Part]:

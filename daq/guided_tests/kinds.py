@@ -88,7 +88,7 @@ class TestKind:
         needs: signals without which it shows nothing.
         turns: whether the rotor turns.
         table: its states.
-        takes: parameters that identification may take from its log, by their names in parameters.toml.
+        gives: parameters that identification may take from its log, by their names in parameters.toml.
         point: whether a point's name is part of its own, may be given, or neither.
         numbers: what may be given, by name.
         refusal: why it is not run as asked for; empty when it may be.
@@ -103,7 +103,7 @@ class TestKind:
     needs: tuple[str, ...]
     turns: bool
     table: Callable[[Asked], Table]
-    takes: tuple[str, ...] = ()
+    gives: tuple[str, ...] = ()
     point: Literal["", "named", "optional"] = ""
     numbers: Mapping[str, Number] = field(default_factory=dict[str, Number])
     refusal: Callable[[Asked], str] = _nothing_against

@@ -51,7 +51,7 @@ class Plan:
     Attributes:
         test, line: its name, what it does.
         needs: which device measures what, by signal.
-        takes: parameters that identification may take from it.
+        gives: parameters that identification may take from it.
         numbers: what it was asked for.
         states: in their usual order.
         repeats: how many times it is run.
@@ -64,7 +64,7 @@ class Plan:
     test: str
     line: str
     needs: dict[str, str]
-    takes: tuple[str, ...]
+    gives: tuple[str, ...]
     numbers: dict[str, float]
     states: tuple[PlannedState, ...]
     repeats: int
@@ -98,7 +98,7 @@ def plan(asked: Asked) -> Plan:
         test=asked.test,
         line=kind.line,
         needs={SIGNALS[signal]: device_of[CHANNELS[signal]] for signal in kind.needs},
-        takes=kind.takes,
+        gives=kind.gives,
         numbers=dict(asked.numbers),
         states=states,
         repeats=repeats,

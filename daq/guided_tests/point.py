@@ -105,6 +105,6 @@ def refusal(asked: Asked) -> str:
 SPEED = {"speed_rpm": Number("speed, rpm", point_speed_rpm)}
 KIND = TestKind(
     "point", "spin up with locked pendulums, release, record until all is steady", ("x", "y", "angles", "phase"),
-    turns=True, table=_table, takes=("c3_Nms_per_rad", "c4_Nms_per_rad"), point="named", numbers=SPEED,
+    turns=True, table=_table, gives=("c3_Nms_per_rad", "c4_Nms_per_rad"), point="named", numbers=SPEED,
     refusal=refusal,
 )  # fmt: skip

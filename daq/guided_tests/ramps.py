@@ -80,12 +80,12 @@ _NUMBERS = {
     "top_rpm": Number("top speed, rpm", lambda rig, point: default_top_rpm(rig)),
     "duration_s": Number("how long the ramp takes, s", _RAMP_S),
 }
-_TAKES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
+_GIVES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
 RUN_UP = TestKind(
     "run-up", "ramp from rest through both resonances with locked pendulums", ("x", "y", "phase"), turns=True,
-    table=_up, takes=_TAKES, numbers=_NUMBERS, refusal=_refusal, warning=_warning,
+    table=_up, gives=_GIVES, numbers=_NUMBERS, refusal=_refusal, warning=_warning,
 )  # fmt: skip
 RUN_DOWN = TestKind(
     "run-down", "ramp from above both resonances to rest with locked pendulums", ("x", "y", "phase"), turns=True,
-    table=_down, takes=_TAKES, numbers=_NUMBERS, refusal=_refusal, warning=_warning,
+    table=_down, gives=_GIVES, numbers=_NUMBERS, refusal=_refusal, warning=_warning,
 )  # fmt: skip

@@ -74,5 +74,5 @@ def _table(asked: Asked) -> Table:
 
 KIND = TestKind(
     "spin-down", "flick both pendulums, record until they have slowed by e⁵", ("angles",), turns=False, table=_table,
-    takes=("c3_Nms_per_rad", "c4_Nms_per_rad"), numbers={"pre_trigger_s": PRE_TRIGGER},
+    gives=("c3_Nms_per_rad", "c4_Nms_per_rad"), numbers={"pre_trigger_s": PRE_TRIGGER},
 )  # fmt: skip

@@ -87,7 +87,7 @@ def _direction(degrees: Sequence[float]) -> float:
 
 KIND = TestKind(
     "start-ups", "spin up and release again and again, class every steady state", ("x", "y", "angles", "phase"),
-    turns=True, table=_table, takes=("c3_Nms_per_rad", "c4_Nms_per_rad"), point="optional",
+    turns=True, table=_table, point="optional",
     numbers={**SPEED, "count": Number("how many start-ups", 20, 1, 10_000, whole=True)}, refusal=refusal,
     summed=summed,
 )  # fmt: skip

@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 from daq.channels import DEVICE_TICK_S, LOCK_A_CLOSED, LOCK_B_CLOSED, suspects
 from daq.clock import ClockLine, fit_line
 from daq.errors import LogError
+from daq.guided_tests.kinds import KINDS, kind_of
 from daq.log import Log, open_log
 from daq.log.losses import losses_of
 from daq.log.outcome import not_reached_of
 from daq.log.samples import Samples
 from daq.log.snapshot import identities_of, rig_of
+from daq.signals.witnesses import Agreement, Witness, agreement
 from rig_configs.roles import Displacement, PendulumAngles, Roles, RotorPhase
 
 ASSUMED_TOLERANCE_PPM = 50.0
@@ -52,7 +54,7 @@ class Run:
     """One recorded test. A channel the log does not have is empty.
 
     Attributes:
-        test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down" or "point-NAME".
+        test: its name in the table of test kinds (`daq.guided_tests.kinds`); at a point "point-NAME".
         source: the log's path, for messages.
         start_s: the run's start in seconds since 1970; every other time counts from it.
         x_time_s, x_m: laser x, shape (n,), disk-centre displacement; NaN where the sensor said "invalid"
@@ -72,6 +74,9 @@ class Run:
         phase_time_s, phase_rad: ψ between the marks too, shape (l,), where a recording has it.
         phase_absolute: whether ψ = 0 is where the imbalance points along +x; False where a speed was integrated, which
             leaves one unknown angle between ψ and the laboratory.
+        witnesses: further sensors along an axis; x and y are those of the sensors that measure for the rig.
+        turn_deg: by the rig file, from the x axis to the sensor of x, and from y to that of y: these stand at right
+            angles, and x and y are what they see.
     """
 
     test: str
@@ -94,6 +99,24 @@ class Run:
     phase_time_s: np.ndarray = field(default_factory=lambda: np.empty(0))
     phase_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
     phase_absolute: bool = True
+    witnesses: tuple[Witness, ...] = ()
+    turn_deg: float = 0.0
+
+    def agreements(self) -> list[Agreement]:
+        """Every witness held against the sensor that measures along its axis for the rig."""
+        beside = {"x": (self.x_time_s, self.x_m), "y": (self.y_time_s, self.y_m)}
+        return [agreement(witness, *beside[witness.axis]) for witness in self.witnesses if witness.beside]
+
+
+def disagreements(run: Run) -> list[str]:
+    """A sentence for each witness that does not show what the sensor beside it shows."""
+    return [found.text for found in run.agreements() if found.verdict == "disagree"]
+
+
+def point_of(test: str) -> str:
+    """Name of the validation point that a test is run at; empty for any other test."""
+    kind, _, name = test.partition("-")
+    return name if kind in KINDS and kind_of(test) is KINDS[kind] else ""
 
 
 def load_run(path: str | Path) -> Run:
@@ -131,6 +154,8 @@ def load_run(path: str | Path) -> Run:
             phase_time_s=phase_time_s,
             phase_rad=phase_rad,
             phase_absolute=run.get("phase_reference") != "none",
+            witnesses=_witnesses(log, roles, start_s),
+            turn_deg=roles.turn_deg,
             releases=_releases(log, angle_line, start_s),
             angle_step_rad=roles.angles.step_rad if roles.angles else Run.angle_step_rad,
             clock_rate_std={name: line.rate_std for name, line in lines.items()},
@@ -245,6 +270,19 @@ def _laser(
     device_s = samples.device_ticks * DEVICE_TICK_S
     line = _line(device_s, samples.log_time_ns, start_s, _tolerance_ppm(role))
     return (line.host_s(device_s), displacement), line
+
+
+def _witnesses(log: Log, roles: Roles, start_s: float) -> tuple[Witness, ...]:
+    """Those with samples in the log; a recording made elsewhere has none."""
+    found: list[Witness] = []
+    for role in roles.witnesses:
+        (time_s, value_m), _ = _laser(log, role.topic, role, start_s, _NO_DEVICE)
+        main = roles.beside(role)
+        if len(time_s):
+            gain_std = math.hypot(role.gain_std, main.gain_std if main else 0.0)
+            times, values = np.asarray(time_s, np.float64), np.asarray(value_m, np.float64)
+            found.append(Witness(role.device, role.axis, main.device if main else "", times, values, gain_std))
+    return tuple(found)
 
 
 def _rotor_lines(log: Log, roles: Roles, start_s: float, shared: ClockLine) -> tuple[ClockLine, ClockLine]:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate import Estimate
+from identification.joint.combine import reduced
 from identification.joint.weighting import weighted
+from identification.methods import Method, given_by
 
 RESERVE = 1.2
 """A plan counts on so many times the bound: estimators come close to it, and the rig is not quite as believed."""
@@ -20,6 +22,7 @@ class Experiment:
 
     Attributes:
         test: as `rig test` and the logs call it.
+        method: the estimator that it is made for.
         settings: what to do, name with unit → value.
         record_s: length of the recording.
         expected: names, values as they are believed, own covariance by the Fisher information, shared errors.
@@ -28,6 +31,7 @@ class Experiment:
     """
 
     test: str
+    method: Method
     settings: Mapping[str, float]
     record_s: float
     expected: Estimate
@@ -49,6 +53,12 @@ class Experiment:
         return float(
             np.sqrt(sum(float(v[i]) ** 2 for v in self.expected.shared.values())) / abs(self.expected.values[i])
         )
+
+
+def limited(experiment: Experiment) -> Experiment | None:
+    """An experiment with what its test's row gives alone; None where that is nothing."""
+    names = [name for name in experiment.expected.names if name in given_by([experiment.test])]
+    return replace(experiment, expected=reduced(experiment.expected, names)) if names else None
 
 
 def together(experiments: list[tuple[Experiment, int]]) -> dict[str, float]:

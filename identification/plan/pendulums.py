@@ -13,6 +13,7 @@ from dynamics.integrate import fastest_rate, integrate, locked_state
 from dynamics.parameters import RotorParameters
 from dynamics.speed_history import SpeedHistory
 from identification.estimate import Estimate
+from identification.methods import Method
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
 from identification.plan.sensors import Sensors
@@ -28,7 +29,9 @@ _HAND_S = 0.05  # after a flick the hand is still there
 _ASTRAY = 0.7  # rotor phase of a spin-down, rad; between the axes, where both directions take part
 
 
-def spin_down(physics: RotorParameters, sensors: Sensors, speed_rad_s: float, record_s: float) -> Experiment:
+def spin_down(
+    physics: RotorParameters, sensors: Sensors, speed_rad_s: float, record_s: float, test: str = "spin-down"
+) -> Experiment:
     """Both pendulums flicked on a resting rotor, against each other.
 
     Args:
@@ -56,7 +59,7 @@ def spin_down(physics: RotorParameters, sensors: Sensors, speed_rad_s: float, re
     prior[7:11] = np.r_[_SHAKEN_M, _SHAKEN_M, _SHAKEN_M * omega]
     prior[11:] = _KNOWN[:4]
     settings = {"flick_rad_per_s": speed_rad_s, "record_s": record_s}
-    return _experiment("spin-down", physics, sensors, angles, theta, difference, prior, settings, record_s, used)
+    return _experiment(test, "spin-down", physics, sensors, angles, theta, difference, prior, settings, record_s, used)
 
 
 def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: float, record_s: float) -> Experiment:
@@ -92,11 +95,13 @@ def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: 
         _LOCKED_M, _LOCKED_M, _LOCKED_M * omega, _LOCKED_M * omega, _KNOWN,
     ]  # fmt: skip
     settings = {"speed_rpm": speed_rad_s * 30 / np.pi, "record_s": record_s}
-    return _experiment(test, physics, sensors, angles, theta, difference, prior, settings, record_s, record_s)
+    return _experiment(
+        test, "release", physics, sensors, angles, theta, difference, prior, settings, record_s, record_s
+    )
 
 
 def _experiment(
-    test: str, physics: RotorParameters, sensors: Sensors, angles: Callable[[np.ndarray], np.ndarray],
+    test: str, method: Method, physics: RotorParameters, sensors: Sensors, angles: Callable[[np.ndarray], np.ndarray],
     theta: np.ndarray, difference: np.ndarray, prior: np.ndarray, settings: dict[str, float],
     record_s: float, used_s: float,
 ) -> Experiment:  # fmt: skip
@@ -104,12 +109,12 @@ def _experiment(
     weight = np.sqrt(sensors.encoder_rate_Hz * _LOOK_S) / sensors.encoder_noise_rad
     values = np.array([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
     own = covariance(jacobian * weight, prior, 2) * np.outer(values, values)
-    shared = {"clock encoder": values * sensors.clock_rate_std(2, record_s)}
+    shared = sensors.clock_error("angles", values * sensors.clock_rate_std("angles", record_s))
     remarks = ("the suspension is taken as known from ring-downs: k to 0.01 %, ζ and S_P to 0.1 %",)
     if used_s < record_s:
         remarks += (f"only the first {used_s:.2g} s tell: 4.5 time constants",)
     expected = Estimate(test, "planned", _NAMES, values, own, shared, "Fisher information")
-    return Experiment(test, settings, record_s, expected, remarks=remarks)
+    return Experiment(test, method, settings, record_s, expected, remarks=remarks)
 
 
 def _grid(record_s: float) -> np.ndarray:

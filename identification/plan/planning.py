@@ -1,38 +1,28 @@
 """Which experiments, with which settings and how often, reach what is wanted, and whether these sensors can.
 
-For every kind of test a handful of settings is tried, from short and gentle to long and strong. For each want the
-cheapest test that reaches it is taken (recording time, with what a test takes beside its recording), tests already
-taken for another want first. What no number of runs reaches is said with what stands in the way: gain, clock, mass.
+For each want the cheapest test on offer that reaches it is taken (recording time, with what a test takes beside its
+recording), tests already taken for another want first. What no number of runs reaches is stated with what stands in the
+way: gain, clock, mass.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
-import numpy as np
-
-from dynamics.errors import DynamicsError
-from dynamics.parameters import RotorParameters
 from identification.errors import NotIdentifiable
+from identification.methods import Method
 from identification.plan.experiment import Experiment, together
-from identification.plan.pendulums import release, spin_down
+from identification.plan.offers import offers_for
 from identification.plan.sensors import Sensors
-from identification.plan.suspension import ring_down, run_up
 from identification.plan.wants import Want
 from identification.threads import on_one_thread
 from rig_configs.schema import Rig
 
 MOST_RUNS = 25
-_BESIDE_S = {"ring-down": 10.0, "spin-down": 15.0, "run-up": 20.0, "point": 60.0}  # getting there and back
-_OF_LIMIT = 0.8  # a test goes so far towards what stops the rig
-_PLUCKS_M = (0.5e-3, 1e-3, 2.5e-3)
-_FLICKS_RAD_S = (5.0, 10.0)  # below two turns a second, as the guided test asks for
-_RAMPS_S = (20.0, 40.0, 60.0, 120.0, 300.0)
-_LONGEST_S = (20.0, 60.0, 180.0, 600.0)
-_RELEASES_S = (4.0, 10.0)
+_BESIDE_S: Mapping[Method, float] = {"ring-down": 10.0, "spin-down": 15.0, "passage": 20.0, "release": 60.0}
+"""Seconds that a test takes beside its recording."""
 
 
 @dataclass(frozen=True)
@@ -117,94 +107,13 @@ def plan(
     if nothing:
         raise NotIdentifiable(f"{', '.join(nothing)} is 0 by the rig file; give a guess of it with --set")
     remarks: list[str] = []
-    offers = list(_offers(rig, sensors, names, tell, remarks))
+    offers = list(offers_for(rig, sensors, names, tell, remarks))
     steps = _chosen(offers, wants, believed, mass_std)
     reached = together([(s.experiment, s.runs) for s in steps]) if steps else {}
     answers = [_answer(w, believed[w.name], offers, reached, mass_std) for w in wants]
     seconds = sum(s.runs * s.experiment.record_s for s in steps)
     remarks += list(dict.fromkeys(r for s in steps for r in s.experiment.remarks))
     return Plan(steps, answers, seconds, sensors, remarks)
-
-
-def _offers(
-    rig: Rig, sensors: Sensors, names: Sequence[str], tell: Callable[[str], None], remarks: list[str]
-) -> Iterator[Experiment]:
-    """Every experiment on offer that tells of any wanted parameter."""
-    physics = rig.physics
-    makers: list[tuple[str, tuple[str, ...], Callable[[], Iterator[Experiment]]]] = [
-        ("ring-downs", ("k", "zeta"), partial(_ring_downs, rig, physics, sensors)),
-        ("run-ups", ("k", "zeta", "SP"), partial(_run_ups, rig, physics, sensors, remarks)),
-        ("spin-downs", ("c",), partial(_spin_downs, physics, sensors)),
-        ("releases", ("c",), partial(_releases, rig, physics, sensors, remarks)),
-    ]
-    for what, of, make in makers:
-        if any(n.startswith(of) for n in names):
-            tell(f"{what} …")
-            yield from make()
-
-
-def _ring_downs(rig: Rig, physics: RotorParameters, sensors: Sensors) -> Iterator[Experiment]:
-    for i, axis in enumerate("xy"):
-        decay = (physics.zeta1, physics.zeta2)[i] * physics.natural_frequencies_rad_s[i]
-        most = _OF_LIMIT * min(rig.limits.amplitude_m, sensors.range_m[i])
-        for pluck in sorted({min(p, most) for p in _PLUCKS_M}):
-            for record in _lengths(decay):
-                yield ring_down(physics, sensors, axis, pluck, record)
-
-
-def _lengths(decay_per_s: float) -> list[float]:
-    """Up to 4.5 time constants: what comes later tells nothing. Very long ones may be cut short."""
-    whole = 4.5 / max(decay_per_s, 1e-9)
-    return sorted({min(whole, longest) for longest in _LONGEST_S})
-
-
-def _run_ups(rig: Rig, physics: RotorParameters, sensors: Sensors, remarks: list[str]) -> Iterator[Experiment]:
-    second = max(physics.natural_frequencies_rad_s)
-    top = min(1.3 * second, rig.limits.speed_rpm * math.pi / 30)
-    if top < 1.05 * second:
-        remarks.append(
-            f"no run-up: limits.speed_rpm = {rig.limits.speed_rpm:g} does not pass the second resonance at "
-            f"{second * 30 / math.pi:.0f} rpm"
-        )
-        return
-    refused = 0
-    for ramp in _RAMPS_S:
-        experiment = run_up(physics, sensors, top, ramp)
-        if experiment.largest_m > _OF_LIMIT * min(rig.limits.amplitude_m, *sensors.range_m):
-            refused += 1
-            continue
-        yield experiment
-    if refused:
-        remarks.append(
-            f"{refused} of {len(_RAMPS_S)} run-ups left out: passing a resonance that slowly comes near the limit of "
-            f"{1e3 * rig.limits.amplitude_m:g} mm"
-        )
-
-
-def _spin_downs(physics: RotorParameters, sensors: Sensors) -> Iterator[Experiment]:
-    if not (physics.a.present and physics.b.present):
-        return
-    rates = [p.damping_Nms_per_rad / p.inertia_kg_m2 for p in (physics.a, physics.b)]
-    for flick in _FLICKS_RAD_S:
-        for record in _lengths(min(rates)):
-            yield spin_down(physics, sensors, flick, record)
-
-
-def _releases(rig: Rig, physics: RotorParameters, sensors: Sensors, remarks: list[str]) -> Iterator[Experiment]:
-    if not (physics.a.present and physics.b.present):
-        return
-    for name, point in rig.points.items():
-        speed = physics.speed_rad_s(point.speed_ratio)
-        if point.expected == "slipping" or speed * 30 / math.pi > rig.limits.speed_rpm:
-            continue
-        for record in _RELEASES_S:
-            try:
-                experiment = release(physics, sensors, f"point-{name}", speed, record)
-            except DynamicsError as error:
-                remarks.append(f"point-{name} left out: {error}")
-                break
-            if np.all(np.isfinite(experiment.expected.covariance)):
-                yield experiment
 
 
 def _chosen(
@@ -262,8 +171,7 @@ def _cheapest(
             continue
         share = offer.noise(want.name) ** 2 / (target**2 - offer.floor(want.name) ** 2)
         runs = max(1, math.ceil(share * (1 - 1e-9)))
-        beside = next(s for kind, s in _BESIDE_S.items() if offer.test.startswith(kind))
-        seconds = runs * (offer.record_s + beside)
+        seconds = runs * (offer.record_s + _BESIDE_S[offer.method])
         if runs <= MOST_RUNS and seconds < best[2]:
             best = (offer, runs, seconds)
     return best

@@ -1,40 +1,46 @@
+# pyright: strict
 """What the rig's sensors can do, as far as a plan needs it: noise, rate, gain, and how well their clocks get known."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.signals.run import Run
+from identification.clocks import clock_label
 from identification.errors import NotIdentifiable
 from identification.samples import white_noise
 from rig_configs.schema import Rig
 
-# A rig file does not say these; what such devices usually do stands here, and a log of the rig tells better.
+# A rig file does not state these; usual values stand here, a log of the rig gives better ones.
 _LASER_NOISE_M = 4e-6  # one unaveraged sample of a triangulation sensor on metal
 _ENCODER_NOISE_STEPS = 0.42  # quantisation (1/√12) and 0.3 steps of jitter
-_LASER_JITTER_S, _NODE_JITTER_S = 0.4e-3, 2e-3  # reads of a serial line; blocks over a radio
+_JITTER_S = {"x": 0.4e-3, "y": 0.4e-3, "angles": 2e-3, "phase": 2e-3}  # reads of a serial line; blocks over a radio
 _CLOCK_BINS = 20  # a log's clock line rests on so many least delayed reads (daq.clock)
+_FEWEST_SAMPLES = 1000  # that show a sensor's noise
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """The rig's sensors.
+    """The rig's sensors; what a rig lacks is endlessly noisy.
 
     Attributes:
-        laser_noise_m: white noise of one sample of laser x and y, m.
-        laser_rate_Hz: their sampling rates.
+        laser_noise_m: white noise of one sample of the displacements along x and y, m; inf where no sensor looks.
+        laser_rate_Hz: their sampling rates; 0 where no sensor looks.
         gain_std: relative standard uncertainties of their gains.
         range_m: half of each measuring range, at the disk, m.
-        encoder_noise_rad: white noise of one encoder sample, quantisation included, rad.
+        encoder_noise_rad: white noise of one sample of an angle, quantisation included, rad.
         encoder_rate_Hz: its sampling rate.
         encoder_zero_std_rad: standard uncertainty of its zeros.
         encoder_step_rad: its quantisation.
-        clock_tolerance: relative standard uncertainty of each device's rate before anything is recorded: laser x,
-            laser y, encoder.
-        clock_jitter_s: scatter of the least delayed reads, the same order.
+        clock_tolerance: relative standard uncertainty of the rate of each signal's clock before anything is recorded:
+            "x", "y", "angles", "phase".
+        clock_jitter_s: scatter of the least delayed reads, by signal.
+        clocks: which clock stamps each signal: its device's. What shares a clock shares its error.
         measured: whether noise and jitter were measured in a log of this rig.
     """
 
@@ -46,74 +52,83 @@ class Sensors:
     encoder_rate_Hz: float
     encoder_zero_std_rad: float
     encoder_step_rad: float
-    clock_tolerance: tuple[float, float, float]
-    clock_jitter_s: tuple[float, float, float]
+    clock_tolerance: Mapping[str, float]
+    clock_jitter_s: Mapping[str, float]
+    clocks: Mapping[str, str]
     measured: bool = False
 
     @classmethod
     def of(cls, rig: Rig) -> Sensors:
-        """The rig file's devices, with usual noise where the file does not say.
-
-        Raises:
-            NotIdentifiable: a laser or the encoders are not there.
-        """
-        x, y, encoder = rig.roles.along("x"), rig.roles.along("y"), rig.roles.angles
-        if x is None or y is None or encoder is None:
-            raise NotIdentifiable(
-                f"rig {rig.name}: a plan needs displacements along x and y and the pendulums' angles; its devices are "
-                f"{', '.join(rig.devices) or 'none'}"
-            )
-        step = encoder.step_rad
+        """What the rig's roles offer, with usual noise where the file does not state any."""
+        roles = rig.roles
+        axes = [roles.along(axis) for axis in "xy"]
+        signals = {"x": axes[0], "y": axes[1], "angles": roles.angles, "phase": roles.phase}
+        there = {name: role for name, role in signals.items() if role is not None}
+        step = roles.angles.step_rad if roles.angles else math.inf
+        noise = [_LASER_NOISE_M / d.lever_ratio if d else math.inf for d in axes]
+        rate = [d.rate_Hz if d else 0.0 for d in axes]
+        reach = [d.reach_m if d else math.inf for d in axes]
         return cls(
-            (_LASER_NOISE_M / x.lever_ratio, _LASER_NOISE_M / y.lever_ratio),
-            (float(x.rate_Hz), float(y.rate_Hz)),
-            (x.gain_std, y.gain_std),
-            (x.reach_m, y.reach_m),
+            (noise[0], noise[1]),
+            (rate[0], rate[1]),
+            roles.gain_stds,
+            (reach[0], reach[1]),
             _ENCODER_NOISE_STEPS * step,
-            float(encoder.rate_Hz),
-            float(np.radians(encoder.zero_std_deg)),
+            roles.angles.rate_Hz if roles.angles else 0.0,
+            math.radians(roles.zero_std_deg),
             step,
-            (1e-6 * x.clock_tolerance_ppm, 1e-6 * y.clock_tolerance_ppm, 1e-6 * encoder.clock_tolerance_ppm),
-            (_LASER_JITTER_S, _LASER_JITTER_S, _NODE_JITTER_S),
+            {name: 1e-6 * role.clock_tolerance_ppm for name, role in there.items()},
+            {name: _JITTER_S[name] for name in there},
+            {name: role.device for name, role in there.items()},
         )
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes along which a sensor looks."""
+        return tuple(axis for axis in "xy" if axis in self.clocks)
+
     def as_in(self, runs: Sequence[Run]) -> Sensors:
-        """The same with the lasers' noise, their rates and the clocks' jitter as recorded runs show them.
+        """The same with the displacements' noise, their rates and the clocks' jitter as recorded runs show them.
 
         Raises:
-            NotIdentifiable: no run holds both lasers.
+            NotIdentifiable: no run holds the displacements that the rig has.
         """
-        usable = [r for r in runs if len(r.x_time_s) > 1000 and len(r.y_time_s) > 1000]
+        usable = [r for r in runs if all(len(_signal(r, axis)[0]) > _FEWEST_SAMPLES for axis in self.axes)]
         if not usable:
-            raise NotIdentifiable("no log with both lasers: expected one of this rig to measure its sensors' noise in")
-        noise = [float(np.median([white_noise(v) for v in seen])) for seen in _of_both(usable, "x_m", "y_m")]
-        rate = [
-            float(np.median([1 / np.median(np.diff(t)) for t in seen]))
-            for seen in _of_both(usable, "x_time_s", "y_time_s")
-        ]
-        jitter = [
-            float(np.median([self._jitter(r, signal, i) for r in usable]))
-            for i, signal in enumerate(("x", "y", "angles"))
-        ]
+            raise NotIdentifiable(
+                f"no log with displacements along {' and '.join(self.axes)}: expected one of this rig to measure its "
+                "sensors' noise in"
+            )
+        noise, rate = list(self.laser_noise_m), list(self.laser_rate_Hz)
+        for axis in self.axes:
+            seen = [_signal(run, axis) for run in usable]
+            noise["xy".index(axis)] = float(np.median([white_noise(value) for _, value in seen]))
+            rate["xy".index(axis)] = float(np.median([1 / np.median(np.diff(time)) for time, _ in seen]))
+        jitter = {name: float(np.median([self._jitter(r, name) for r in usable])) for name in self.clocks}
         return replace(
-            self, laser_noise_m=(noise[0], noise[1]), laser_rate_Hz=(rate[0], rate[1]),
-            clock_jitter_s=(jitter[0], jitter[1], jitter[2]), measured=True,
+            self, laser_noise_m=(noise[0], noise[1]), laser_rate_Hz=(rate[0], rate[1]), clock_jitter_s=jitter,
+            measured=True,
         )  # fmt: skip
 
-    def _jitter(self, run: Run, signal: str, index: int) -> float:
+    def _jitter(self, run: Run, signal: str) -> float:
         """The jitter that explains how well a run knows the rate of a signal's clock."""
-        std, prior = run.clock_rate_std.get(signal, self.clock_tolerance[index]), self.clock_tolerance[index]
-        span = float(run.x_time_s[-1] - run.x_time_s[0])
+        prior = self.clock_tolerance[signal]
+        std = run.clock_rate_std.get(signal, prior)
+        time_s = _signal(run, self.axes[0])[0]
+        span = float(time_s[-1] - time_s[0])
         own = (std**-2 - prior**-2) ** -0.5 if 0 < std < 0.999 * prior else prior
-        return float(own) * span / np.sqrt(12 / _CLOCK_BINS) if std > 0 else 0.0
+        return float(own) * span / math.sqrt(12 / _CLOCK_BINS) if std > 0 else 0.0
 
-    def clock_rate_std(self, device: int, record_s: float) -> float:
-        """How well a record of this length knows a device's rate: its clock line and the tolerance together."""
-        line = self.clock_jitter_s[device] * np.sqrt(12 / _CLOCK_BINS) / record_s
-        prior = self.clock_tolerance[device]
-        return float(line * prior / np.hypot(line, prior)) if line > 0 else 0.0
+    def clock_rate_std(self, signal: str, record_s: float) -> float:
+        """How well a record of this length knows the rate of a signal's clock: clock line and tolerance together."""
+        line = self.clock_jitter_s[signal] * math.sqrt(12 / _CLOCK_BINS) / record_s
+        prior = self.clock_tolerance[signal]
+        return line * prior / math.hypot(line, prior) if line > 0 else 0.0
+
+    def clock_error(self, signal: str, shift: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """A shared error of an estimate under the label that `identification.clocks` gives it in a recorded test."""
+        return {clock_label(self.clocks[signal]): shift}
 
 
-def _of_both(runs: Sequence[Run], x: str, y: str) -> list[list[np.ndarray]]:
-    """The signals of laser x in all runs, and those of laser y."""
-    return [[getattr(run, name) for run in runs] for name in (x, y)]
+def _signal(run: Run, axis: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return (run.x_time_s, run.x_m) if axis == "x" else (run.y_time_s, run.y_m)

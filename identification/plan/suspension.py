@@ -11,6 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from dynamics.parameters import RotorParameters
+from identification.clocks import gain_label
 from identification.estimate import Estimate
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
@@ -23,12 +24,16 @@ _DELAY_STD_S, _RUN_UP_DELAY_STD_S = 3e-3, 10e-3  # between the devices' clocks
 _FOUR = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
 
 
-def ring_down(physics: RotorParameters, sensors: Sensors, axis: str, held_m: float, record_s: float) -> Experiment:
-    """A pluck along x or y and the free decay after it; what it tells of the other direction is not counted on.
+def ring_down(
+    physics: RotorParameters, sensors: Sensors, axis: str, held_m: float, record_s: float, test: str = ""
+) -> Experiment:
+    """A pluck along x or y and the free decay after it; what it shows of the other direction is not counted on.
 
     Args:
+        axis: with a sensor.
         held_m: displacement from which the column is let go.
         record_s: length after the release.
+        test: its name; "" for the axis' own.
     """
     main = 0 if axis == "x" else 1
     held = np.where(np.arange(2) == main, 1.0, _SIDE) * held_m
@@ -59,16 +64,18 @@ def ring_down(physics: RotorParameters, sensors: Sensors, axis: str, held_m: flo
     prior = np.full(jacobian.shape[1], np.inf)
     prior[4:7] = _AXIS_STD, float(np.hypot(*sensors.gain_std)), _DELAY_STD_S
     own = covariance(jacobian, prior, 4)
-    clock = 2 * sensors.clock_rate_std(main, record_s)  # k goes with the square of the clock's rate
+    clock = 2 * sensors.clock_rate_std(axis, record_s)  # k goes with the square of the clock's rate
     names, own = (_FOUR[main], _FOUR[2 + main]), own[main::2, main::2]
-    shared = {f"clock laser_{axis}": np.array([clock, 0.0])}
-    test = f"ring-down-{axis}"
+    shared = sensors.clock_error(axis, np.array([clock, 0.0]))
     settings = {"pluck_mm": 1e3 * held_m, "record_s": record_s}
+    test = test or f"ring-down-{axis}"
     expected = _estimate(physics, test, names, own, shared)
-    return Experiment(test, settings, record_s, expected, held_m, _close_pair(physics))
+    return Experiment(test, "ring-down", settings, record_s, expected, held_m, _close_pair(physics))
 
 
-def run_up(physics: RotorParameters, sensors: Sensors, top_rad_s: float, ramp_s: float) -> Experiment:
+def run_up(
+    physics: RotorParameters, sensors: Sensors, top_rad_s: float, ramp_s: float, test: str = "run-up"
+) -> Experiment:
     """A ramp from rest through both resonances with locked pendulums; the rate is steady."""
     model = _RunUp.of(physics, sensors, top_rad_s, ramp_s)
     jacobian, prior = model.jacobian()
@@ -83,15 +90,15 @@ def run_up(physics: RotorParameters, sensors: Sensors, top_rad_s: float, ramp_s:
     reduce[[0, 1], [0, 1]] = 1
     reduce[[2, 3], [2, 3]] = 1
     reduce[4, 4:] = slope * weights
-    clock = 2 * sensors.clock_rate_std(2, ramp_s)
-    shared = {"clock encoder": np.array([clock, clock, 0, 0, 0])}
+    clock = 2 * sensors.clock_rate_std("phase", ramp_s)
+    shared = sensors.clock_error("phase", np.array([clock, clock, 0, 0, 0]))
     for i, axis in enumerate("xy"):
-        shared[f"gain laser_{axis}"] = np.array([0, 0, 0, 0, slope * weights[i] * gains[i]])
+        shared[gain_label(axis)] = np.array([0, 0, 0, 0, slope * weights[i] * gains[i]])
     own = reduce @ bound @ reduce.T
     names = (*_FOUR, "SP_kg_m")
     settings = {"top_rpm": top_rad_s * 30 / np.pi, "ramp_s": ramp_s, "rate_rpm_per_s": top_rad_s * 30 / np.pi / ramp_s}
-    expected = _estimate(physics, "run-up", names, own, shared)
-    return Experiment("run-up", settings, ramp_s, expected, model.largest_m, _close_pair(physics))
+    expected = _estimate(physics, test, names, own, shared)
+    return Experiment(test, "passage", settings, ramp_s, expected, model.largest_m, _close_pair(physics))
 
 
 def _estimate(
@@ -208,6 +215,6 @@ class _RunUp:
         prior[8], prior[9:11] = _AXIS_STD, _RUN_UP_DELAY_STD_S
         for s in range(2):
             prior[11 + s] = np.hypot(
-                self.sensors.clock_rate_std(s, self.ramp_s), self.sensors.clock_rate_std(2, self.ramp_s)
+                self.sensors.clock_rate_std("xy"[s], self.ramp_s), self.sensors.clock_rate_std("phase", self.ramp_s)
             )
         return out * weight[:, None], prior

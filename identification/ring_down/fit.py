@@ -5,6 +5,7 @@ Model: identification.ring_down.model. Estimator, criteria and intervals: docs/t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -109,10 +110,11 @@ def ring_down_estimate(run: Run, fit: RingDownFit) -> Estimate:
     names = tuple(n for n in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2") if n in fit.values)
     order = [list(fit.values).index(n) for n in names]
     values = np.array([fit.values[n] for n in names])
+    own = math.cos(math.radians(run.turn_deg)) ** 2  # what of a direction's motion its own sensor sees
+    of = {"k1_N_per_m": np.array([own, 1 - own]), "k2_N_per_m": np.array([1 - own, own])}
+    shares = np.array([of.get(name, np.zeros(2)) for name in names]).T
     slopes = {  # k goes with the square of the clock's rate
-        axis: np.where(np.array(names) == name, 2 * values, 0.0)
-        for axis, name in (("x", "k1_N_per_m"), ("y", "k2_N_per_m"))
-        if name in names
+        axis: 2 * values * share for axis, share in zip(("x", "y"), shares, strict=True) if share.any()
     }
     shared = clock_errors(run, slopes)
     return Estimate(

@@ -9,9 +9,11 @@ import numpy as np
 
 from daq.signals.run import Run
 from identification.errors import NotIdentifiable
+from identification.methods import pulled_along
 from identification.ring_down.fit import fit_ring_down
 from identification.ring_down.result import RingDownFit
 from identification.setting import Setting
+from rig_configs.roles import AXIS_TOLERANCE_DEG
 
 
 def living_lasers(run: Run) -> tuple[Run, list[str]]:
@@ -34,8 +36,13 @@ def fit_one_laser(run: Run, mass: float, setting: Setting) -> RingDownFit:
         NotIdentifiable, FitFailed: as fit_ring_down; the laser there does not work.
     """
     seen = "x" if len(run.x_time_s) else "y"
-    pulled = run.test.removeprefix("ring-down-")
-    if pulled in ("x", "y") and pulled != seen:  # what laser x sees of a pull along y may be either direction
+    if abs(run.turn_deg) > AXIS_TOLERANCE_DEG:
+        raise NotIdentifiable(
+            f"{run.source}: only laser {seen} works, and it stands turned by {run.turn_deg:g}°: it sees both "
+            "directions mixed"
+        )
+    pulled = pulled_along(run.test)
+    if pulled is not None and pulled != seen:  # what laser x sees of a pull along y may be either direction
         raise NotIdentifiable(f"{run.source}: pulled along {pulled}, but only laser {seen} works in it")
     if len(run.x_time_s):
         return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting)

@@ -25,6 +25,7 @@ _NORMAL = 1.4826
 _SCATTER_SAMPLES = 20_000  # know a scatter to 1 %
 _STRETCH_SAMPLES = 1000  # to 4 %
 _CENTRES_PER_CYCLE = 20
+_MOST_POWER = 200.0
 
 
 def without_spikes(channel: Channel) -> tuple[Channel, int]:
@@ -83,7 +84,11 @@ def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple
     delay = fitted.theta[DELAYS + record] if model.delays and axis else 0.0
     for mode, (omega, zeta) in enumerate(zip(fitted.omegas, fitted.zetas, strict=True)):
         lam = rate(float(omega), float(zeta))
-        wave = fitted.amplitude(record, axis, mode) * np.exp(lam * (t - delay))
+        power = lam * (t - delay)
+        power.real = np.minimum(
+            power.real, _MOST_POWER
+        )  # before the release a mode that dies at once is beyond a number
+        wave = fitted.amplitude(record, axis, mode) * np.exp(power)
         for k in range(5):
             derivatives[k] += wave.real
             wave = wave * lam

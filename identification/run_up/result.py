@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.signals.run import Run
 from dynamics.parameters import RotorParameters
-from identification.clocks import clock_errors
+from identification.clocks import clock_errors, gain_label
 from identification.curve import Curve
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
@@ -93,7 +93,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     shared = clock_errors(run, {"phase": np.r_[2 * stiffness, np.zeros(m + 1)]})
     for k, i in enumerate(seen):
         shift = slope * mass * weights[k] * amplitudes[k] * gains[k]
-        shared[f"gain {'xy'[i]}"] = np.r_[np.zeros(2 * m), shift]
+        shared[gain_label("xy"[i])] = np.r_[np.zeros(2 * m), shift]
     return Estimate(
         run.test, run.source, names, values, jacobian @ covariance @ jacobian.T, shared,
         f"transient passage, separable least squares: {fit.model}",

@@ -53,7 +53,7 @@ def test_ring_downs_alone_say_what_is_missing() -> None:
     campaign = Campaign(1)
     found = identify([campaign.ring_down("x"), campaign.ring_down("y")], campaign.rig)
     assert list(found.parameters.values) == ["k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2"]
-    assert any("not identified: c3" in w and "a run-up" in w for w in found.warnings)
+    assert any("not identified: c3" in w and "record spin-down, run-up" in w for w in found.warnings)
 
 
 @pytest.mark.parametrize(("reading", "dead", "works", "number"), [(np.nan, "y", "x", 1), (5e-3, "x", "y", 2)])

@@ -15,8 +15,9 @@ from synthetic import Campaign
 
 from dynamics.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, fit_release, fit_spin_down_run, identify
-from identification.identify import _advice, _left_out
+from identification.identify import _left_out
 from identification.least_squares import minimise
+from identification.methods import advice
 from identification.pendulums.frictional_motion import COLUMNS, frictional_motion
 from identification.pendulums.recorded_speed import speed_of_marks, speed_of_samples
 from identification.pendulums.release import ReleaseLeftOut
@@ -236,9 +237,9 @@ def test_a_plateau_ends_an_iteration() -> None:
 def test_advice_never_names_what_was_given() -> None:
     campaign = nominal()
     given = [campaign.spin_down()]
-    assert "record a spin-down" not in _advice(["c3_Nms_per_rad"], given)
-    assert "the given spin-down" in _advice(["c3_Nms_per_rad"], given)
-    assert "record a spin-down" in _advice(["c3_Nms_per_rad"], [])
+    assert "record spin-down" not in advice(["c3_Nms_per_rad"], given)
+    assert "the given spin-down" in advice(["c3_Nms_per_rad"], given)
+    assert "record spin-down" in advice(["c3_Nms_per_rad"], [])
 
 
 def test_several_releases_left_out_share_one_advice() -> None:

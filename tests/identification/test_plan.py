@@ -247,6 +247,46 @@ def test_sensors_are_measured_in_a_log() -> None:
     assert found.laser_noise_m == pytest.approx((9e-6, 9e-6), rel=0.05)
     assert found.laser_rate_Hz == pytest.approx((4000, 4000), rel=0.01)
     run = campaign.ring_down("x")
-    assert found.clock_rate_std(0, float(run.x_time_s[-1])) == pytest.approx(3e-6, rel=0.1)
-    with pytest.raises(NotIdentifiable, match="both lasers"):
+    assert found.clock_rate_std("x", float(run.x_time_s[-1])) == pytest.approx(3e-6, rel=0.1)
+    with pytest.raises(NotIdentifiable, match="displacements along x and y"):
         SENSORS.as_in([replace(run, x_m=np.empty(0), x_time_s=np.empty(0))])
+
+
+def test_errors_bear_the_labels_that_a_recorded_test_gives_them() -> None:
+    """So a plan and what was found before can be taken together: the same clock and gain are the same error."""
+    other = Sensors.of(load_rig("other_devices"))
+    speed = RIG.physics.speed_rad_s(3.3)
+    planned = (
+        ring_down(RIG.physics, other, "x", 2.5e-3, 10.0), run_up(RIG.physics, other, 94.0, 40.0),
+        spin_down(RIG.physics, other, 10.0, 4.0), release(RIG.physics, other, "point-D", speed, 4.0),
+    )  # fmt: skip
+    assert [set(e.expected.shared) for e in planned] == [
+        {"clock east"}, {"clock rotor", "gain x", "gain y"}, {"clock rotor"}, {"clock rotor"},
+    ]  # fmt: skip
+    campaign = Campaign(1)
+    devices = {"x": "laser_x", "y": "laser_y", "angles": "encoder", "phase": "encoder"}
+    passage = replace(campaign.run_up(), clocks=devices)
+    (found,) = identify([passage], campaign.rig).estimates
+    assert set(found.shared) == set(run_up(RIG.physics, SENSORS, 94.0, 40.0).expected.shared)
+
+
+def test_a_rig_with_one_laser_is_planned_for_as_far_as_it_goes() -> None:
+    one = load_rig("one_laser")
+    found = plan(one, [parse_want("zeta1=1%")])
+    assert found.possible
+    assert {s.experiment.test for s in found.steps} == {"ring-down-x"}
+    both = plan(RIG, [parse_want("zeta1=1%")])
+    assert found.answers[0].reached == pytest.approx(both.answers[0].reached, rel=0.02)
+    assert any(r == "no ring-down-y: the rig file has no device for displacement along y" for r in found.remarks)
+    beyond = plan(one, [parse_want("zeta2=1%"), parse_want("c3=1%")])
+    assert not beyond.possible
+    assert [(a.best, a.limited_by) for a in beyond.answers] == [([], "no test"), ([], "no test")]
+
+
+def test_an_added_test_is_planned_with_what_its_row_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = {"struck": row("struck", ("x",), turns=False, gives=("zeta1",))}
+    monkeypatch.setattr("identification.methods.KINDS", table)
+    monkeypatch.setattr("daq.guided_tests.kinds.KINDS", table)
+    found = plan(RIG, [parse_want("zeta1=1%"), parse_want("k1=1%")])
+    assert [(s.experiment.test, s.experiment.expected.names) for s in found.steps] == [("struck", ("zeta1",))]
+    assert [a.possible for a in found.answers] == [True, False]

@@ -1,0 +1,85 @@
+# pyright: strict
+"""Two sensors at right angles that stand turned against the axes: which direction of a fit is which.
+
+A fit of both sensors finds the angle β from stiffness x to sensor x up to whole quarter turns: with a quarter turn more
+the two directions are exchanged, and the motion is the same. The fit names as direction 1 what is nearer to sensor x.
+How the sensors stand, by the rig file, decides which quarter turn it is; for sensors along the axes it is none.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from identification.errors import NotIdentifiable
+from identification.ring_down.result import RingDownFit
+from identification.run_up.result import RunUpFit
+from rig_configs.roles import AXIS_TOLERANCE_DEG
+
+Fit = TypeVar("Fit", RingDownFit, RunUpFit)
+
+_ANGLE = "axis_angle_deg"
+_DOUBTFUL_DEG = 15.0
+_DIRECTION = re.compile(r"\b(f|k|zeta|direction )([12])(?=\b|_)")
+
+
+def as_mounted(fit: Fit, turn_deg: float) -> Fit:
+    """A fit of two sensors with its directions named by how the sensors stand.
+
+    Args:
+        turn_deg: from the x axis to sensor x by the rig file; 0 leaves the fit as it is.
+    Raises:
+        NotIdentifiable: turned sensors, and the record does not show both directions.
+    """
+    if abs(turn_deg) <= AXIS_TOLERANCE_DEG:
+        return fit
+    if _ANGLE not in fit.values:
+        raise NotIdentifiable(
+            f"the sensors stand turned by {turn_deg:g}°, and the record shows one direction alone: two turned "
+            "sensors do not show which. Pull farther along the other axis too"
+        )
+    found = fit.values[_ANGLE]
+    quarters = round((turn_deg - found) / 90.0)
+    named = _exchanged(fit) if quarters % 2 else fit
+    values = dict(named.values)
+    values[_ANGLE] = found + 90.0 * quarters
+    for name in ("phase_x_deg", "phase_y_deg"):
+        if name in values:
+            values[name] = math.remainder(values[name] + 90.0 * quarters, 360.0)
+    shift = {name: values[name] - named.values[name] for name in values}
+    intervals = {n: (low + shift.get(n, 0.0), high + shift.get(n, 0.0)) for n, (low, high) in named.intervals.items()}
+    return replace(named, values=values, intervals=intervals, warnings=[*named.warnings, *_doubt(values, turn_deg)])
+
+
+def _doubt(values: dict[str, float], turn_deg: float) -> list[str]:
+    off = values[_ANGLE] - turn_deg
+    if abs(off) <= _DOUBTFUL_DEG:
+        return []
+    return [
+        f"the sensors stand at {values[_ANGLE]:.1f}° to the stiffness axes by the record, at {turn_deg:g}° by the rig "
+        "file (direction_deg): where they are more than 45° apart, k1 and k2 are exchanged"
+    ]
+
+
+def _other(text: str) -> str:
+    """A name or a sentence with both directions exchanged."""
+    return _DIRECTION.sub(lambda found: found[1] + ("2" if found[2] == "1" else "1"), text)
+
+
+def _exchanged(fit: Fit) -> Fit:
+    """Direction 1 named 2, and 2 named 1; in the order of names that the fit has."""
+    names = [_other(name) for name in fit.values]
+    order = [names.index(name) for name in fit.values] if set(names) == set(fit.values) else list(range(len(names)))
+    numbers = list(fit.values.values())
+    values = {names[i]: numbers[i] for i in order}
+    intervals = {_other(name): interval for name, interval in fit.intervals.items()}
+    told = [_other(warning) for warning in fit.warnings]
+    covariance = fit.covariance[np.ix_(order, order)]
+    named = replace(fit, values=values, intervals=intervals, covariance=covariance, warnings=told)
+    if isinstance(named, RingDownFit):
+        return replace(named, amplitude=[replace(one, mode=3 - one.mode) for one in named.amplitude])
+    return named

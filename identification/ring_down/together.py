@@ -1,0 +1,93 @@
+# pyright: strict
+"""All ring-downs of a campaign: each alone where it tells both directions apart, otherwise all of them in one fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from daq.signals.run import Run
+from identification.errors import IdentificationError
+from identification.estimate import Estimate
+from identification.mounting import as_mounted
+from identification.ring_down.fit import fit_ring_down_runs, ring_down_estimate
+from identification.ring_down.one_laser import fit_one_laser, living_lasers
+from identification.ring_down.result import RingDownFit
+from identification.setting import Setting
+from rig_configs.roles import AXIS_TOLERANCE_DEG
+
+
+@dataclass(frozen=True)
+class FoundRingDown:
+    """A fit of one ring-down, or of several together.
+
+    Attributes:
+        run: the run; of several, the first under all runs' names.
+        tests: of all runs.
+    """
+
+    run: Run
+    fit: RingDownFit
+    tests: tuple[str, ...]
+
+    @property
+    def estimate(self) -> Estimate:
+        """In the joint estimate's form."""
+        return ring_down_estimate(self.run, self.fit)
+
+
+def fit_ring_downs(
+    runs: Sequence[Run], mass_kg: float, setting: Setting, tell: Callable[[str], None]
+) -> tuple[list[FoundRingDown], list[str]]:
+    """Fit ring-downs.
+
+    Turned sensors see the weak direction of a pull under the strong one, so that what fails alone may be shown by all.
+
+    Args:
+        mass_kg: total moving mass.
+        tell: told one line before each fit.
+    Returns:
+        What was found, and a sentence for each run or sensor that was left out.
+    """
+    found: list[FoundRingDown] = []
+    alone: list[FoundRingDown] = []
+    failed: dict[str, Run] = {}
+    warnings: list[str] = []
+    for recorded in runs:
+        tell(f"{recorded.test}: fitting {Path(recorded.source).name}")
+        run, dead = living_lasers(recorded)
+        warnings += dead
+        has_both = bool(len(run.x_time_s) and len(run.y_time_s))
+        try:
+            if has_both:
+                fit = as_mounted(fit_ring_down_runs([run], mass_kg, setting=setting), run.turn_deg)
+                alone.append(FoundRingDown(run, fit, (run.test,)))
+            else:
+                found.append(FoundRingDown(run, fit_one_laser(run, mass_kg, setting), (run.test,)))
+        except IdentificationError as error:
+            sentence = f"{run.test} left out: {error}"
+            warnings.append(sentence)
+            if has_both and abs(run.turn_deg) > AXIS_TOLERANCE_DEG:
+                failed[sentence] = run
+    pairs = [one.run for one in alone] + list(failed.values())
+    if len(pairs) > 1 and (failed or any(not _tells_directions_apart(one.fit) for one in alone)):
+        try:
+            fit = as_mounted(fit_ring_down_runs(pairs, mass_kg, setting=setting), pairs[0].turn_deg)
+        except IdentificationError as error:
+            warnings.append(f"joint fit of the ring-downs failed: {error}")
+        else:
+            alone = [FoundRingDown(_joined(pairs), fit, tuple(run.test for run in pairs))]
+            warnings = [sentence for sentence in warnings if sentence not in failed]
+    return [*found, *alone], warnings
+
+
+def _tells_directions_apart(fit: RingDownFit) -> bool:
+    return "axis_angle_deg" in fit.values and fit.std["axis_angle_deg"] < 1.0
+
+
+def _joined(runs: list[Run]) -> Run:
+    """The first run under all runs' names, for the joint fit's provenance; the least certain clock counts."""
+    rates = {d: max(r.clock_rate_std.get(d, 20e-6) for r in runs) for d in ("x", "y", "angles", "phase")}
+    source = " + ".join(r.source for r in runs)
+    return replace(runs[0], test="ring-down", source=source, clock_rate_std=rates)
