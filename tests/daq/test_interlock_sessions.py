@@ -43,7 +43,7 @@ def drops_out(session: Session, far_end: VirtualRigProcess, _: pytest.MonkeyPatc
 
 def has_an_emergency(session: Session, far_end: VirtualRigProcess, _: pytest.MonkeyPatch) -> None:
     far_end.line.ask("fail", device="drive", what="emergency", value=0x3220)
-    session.wait_for(lambda: bool(session.notices), 8.0, "the emergency")
+    session.wait_for(lambda: any("0x3220" in notice for notice in session.notices), 8.0, "the emergency")
     far_end.line.ask("fail", device="drive", what="emergency", value=0)
 
 
