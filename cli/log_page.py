@@ -26,12 +26,8 @@ def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
     run = facts["run"]
     yield "log", facts["log"], "bold"
     yield "state", *_state(facts)
-    for missing in facts["missing"]:
-        yield "  missing", missing, "red"
-    for text in facts["unchecked"]:
-        yield "  unchecked", text, "yellow"
-    for text in facts["unreadable"]:
-        yield "  unreadable", text, "red"
+    for what, style in (("missing", "red"), ("unchecked", "yellow"), ("unreadable", "red")):
+        yield from ((f"  {what}", text, style) for text in facts[what])
     yield "recorded", ", ".join(_recorded(facts)), ""
     for name in ("rig", "test", "point", "note", "parameters", "software"):
         if run.get(name):

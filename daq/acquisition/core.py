@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from daq.acquisition.channel_watch import HOST
+from daq.acquisition.interlock_table import LINE_S
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
@@ -31,7 +32,6 @@ KEEP_S = 90.0
 PAST_S = 30.0
 """How far back bytes are at hand, for a log that begins before something happens."""
 _PAST_BYTES = 8 * 2**20  # of one device
-_SILENCE_S = 2.0  # wall seconds
 _WATCH_S = 0.25  # wall seconds between two looks for silent devices, and at the disk
 _HEALTH_S = 1.0
 _REASON_S = 0.3  # wall seconds that a drive may take to report why it stopped
@@ -167,7 +167,7 @@ class Core:
 
     # --- a log begins ------------------------------------------------------------------------------------------
 
-    def begin(self, pipelines: Mapping[str, Pipeline], now_ns: int, before_s: float = 0.0) -> list[Order]:
+    def begin(self, pipelines: Mapping[str, Pipeline], now_ns: int, before_s: float = 0.0) -> list[Keep]:
         """Fresh pipelines: the log that begins now decodes to the same samples by itself. No device is fed meanwhile.
 
         Args:
@@ -186,7 +186,7 @@ class Core:
         for name in self._known:
             self._heard_ns.setdefault(name, now_ns)
         since = now_ns - int(before_s * 1e9)
-        out: list[Order] = []
+        out: list[Keep] = []
         for name, past in self._past.items():
             for direction, data, host_ns in past.since(since):
                 kept = self._decoded(name, direction, data, host_ns)
@@ -194,7 +194,7 @@ class Core:
                 for item in kept.items:
                     if isinstance(item, Batch):
                         self.recent.add(item)
-        return sorted(out, key=lambda order: order.host_ns if isinstance(order, Keep) else 0)
+        return sorted(out, key=lambda kept: kept.host_ns)
 
     def end(self, now_ns: int) -> tuple[dict[str, Any], list[Event]]:
         """The log ends.
@@ -401,11 +401,11 @@ class Core:
 
     def _look_for_silence(self, now_ns: int) -> Iterator[Order]:
         """The operator learns of a device that sends nothing at all; interlocks decide whether that ends the run."""
-        limit_ns = self._patience(_SILENCE_S) * 1e9
+        limit_ns = self._patience(LINE_S) * 1e9
         still = {name for name, heard in self._heard_ns.items() if now_ns - heard > limit_ns} - set(self.gone)
         certain = still & self._suspect if self.commanding and self.guarding else set[str]()
         for name in sorted(certain - self.mute):  # seen twice: no host that was asleep
-            text = f"{name}: silent for {_SILENCE_S:g} s. Look at its cable, its power, its battery"
+            text = f"{name}: silent for {LINE_S:g} s. Look at its cable, its power, its battery"
             yield Note(Event("silent", HOST, text, {"of": name}), now_ns)
             yield from self.warn(text)
         for name in sorted(self.mute - still - set(self.gone)):

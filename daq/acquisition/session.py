@@ -23,6 +23,7 @@ from daq.acquisition.channel_watch import HOST
 from daq.acquisition.core import Core, Happened, Keep, Note, Order, Report, StopRotor, Warn
 from daq.acquisition.edge import Edge, real_edge
 from daq.acquisition.exceedance import compile_look
+from daq.acquisition.interlock_table import LOOK_S
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.reader import DeviceReader, OpenDevice, keep_heap_whole
 from daq.acquisition.recent import Recent
@@ -42,7 +43,6 @@ from daq.version import software_version
 from rig_configs.schema import Rig
 
 _ALIVE_S = 3.0  # wall seconds
-_LOOK_S = 0.1  # wall seconds between two ticks of the core
 _NEWEST_S = 20.0  # how far back the newest stretch of a channel may lie
 _AGAIN_S = 2.0  # wall seconds between two attempts to open a device that was unplugged
 
@@ -154,7 +154,7 @@ class Session:
     def _start_watching(self) -> None:
         self._opened = self._core.guarding = True
         # nobody would look at disk and silence any more: that ends the run
-        self._ticking = self.clock.every(_LOOK_S, self._tick, "health", self._fail)
+        self._ticking = self.clock.every(LOOK_S, self._tick, "health", self._fail)
 
     def __enter__(self) -> Session:
         return self if self._devices else self.open()
@@ -530,7 +530,9 @@ class Session:
         pipelines = make_pipelines(self.rig.devices, self.identities)
         with self._between_reads():
             self._recorder = recorder
-            self._carry_out(self._core.begin(pipelines, self.clock.now_ns(), before_s))
+            for order in self._core.begin(pipelines, self.clock.now_ns(), before_s):
+                if recorder is not None:
+                    _keep(recorder, order)
 
     @contextlib.contextmanager
     def _between_reads(self) -> Iterator[None]:

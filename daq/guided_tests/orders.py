@@ -23,8 +23,6 @@ from daq.log.outcome import ending
 from rig_configs.roles import PendulumAngles
 
 _LOOK_S = 0.5  # the stretch of flags that is looked at while a test runs, rig s
-LOOKS_BACK = False
-"""Whether a log can begin before the instant it is asked for; `Orders.begin` is the place that asks for it."""
 
 Progress = Callable[[str, float | None], None]
 
@@ -124,10 +122,8 @@ class Orders:
         """Begin the test's log.
 
         Args:
-            before_s: how much of what came before it is to hold, rig s; see LOOKS_BACK.
+            before_s: how much of what came before it is to hold, rig s.
         """
-        if before_s and not LOOKS_BACK:
-            self.warn(f"the log begins with the wait, not {before_s:g} s before what was waited for")
         asked = self.asked
         self._folder.mkdir(parents=True, exist_ok=True)
         known = {"parameters": self.parameters} if self.parameters else {}
@@ -135,7 +131,7 @@ class Orders:
         self.session.need(*asked.kind.lives_on(self.session.rig.roles))
         with one_at_a_time(self._folder):  # two tests of two rigs may log into one folder
             path = self._folder / f"{next_number(p.name for p in self._folder.iterdir()):02d}-{asked.test}.mcap"
-            self.session.start_recording(path, facts)  # before_s goes here
+            self.session.start_recording(path, facts, before_s)
         self._recording = True
         for event in self._notes_to_come:
             self.session.note(event)

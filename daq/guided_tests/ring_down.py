@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from daq.guided_tests import orders as recording
+from daq.acquisition.core import PAST_S
 from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
 from daq.guided_tests.kinds import CHANNELS, Asked, Number, TestKind
@@ -18,12 +18,12 @@ _RING_DOWN_S = 60.0  # rig time
 _PLUCKED_M = 3e-4  # a displacement that is no longer vibration of the building
 _STILL_M = 4e-5  # peak to peak
 
-PRE_TRIGGER = Number("s in the log before the motion; 0: the log begins with the wait", 0.0, 0.0, 60.0)
+PRE_TRIGGER = Number("s in the log before the motion; 0: the log begins with the wait", 0.0, 0.0, PAST_S)
 
 
 def _table(axis: str, asked: Asked) -> Table:
     topic, before_s = CHANNELS[axis], asked.numbers["pre_trigger_s"]
-    later = before_s > 0 and recording.LOOKS_BACK
+    later = before_s > 0
 
     def quiet(view: View) -> Look:
         enough = view.in_state_s >= _BEFORE_S and view.measures.valid(topic, 0.5) > 0.4
@@ -71,10 +71,14 @@ def _table(axis: str, asked: Asked) -> Table:
     )  # fmt: skip
 
 
-def _kind(axis: str, gives: tuple[str, ...]) -> TestKind:
+_SUSPENSION = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")  # a hand never pulls along one axis alone
+
+
+def _kind(axis: str) -> TestKind:
     return TestKind(
         f"ring-down-{axis}", f"pluck the column along {axis}, record until it has rung down to a fiftieth", (axis,),
-        turns=False, table=lambda asked: _table(axis, asked), gives=_SUSPENSION, numbers={"pre_trigger_s": PRE_TRIGGER},
+        turns=False, table=lambda asked: _table(axis, asked), gives=_SUSPENSION,
+        numbers={"pre_trigger_s": PRE_TRIGGER},
     )  # fmt: skip
 
 

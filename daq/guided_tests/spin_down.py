@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 
-from daq.guided_tests import orders as recording
 from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
 from daq.guided_tests.kinds import Asked, TestKind
@@ -43,7 +42,7 @@ def _left(view: View) -> str:
 
 def _table(asked: Asked) -> Table:
     before_s = asked.numbers["pre_trigger_s"]
-    later = before_s > 0 and recording.LOOKS_BACK
+    later = before_s > 0
     return framed(
         asked,
         State(

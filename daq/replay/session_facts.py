@@ -11,7 +11,7 @@ from typing import Any
 
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlock_table import TOGETHER_S
-from daq.guided_tests.kinds import CHANNELS, KINDS, kind_of
+from daq.guided_tests.kinds import kind_of
 from daq.log import Log
 from rig_configs.roles import Roles
 from rig_configs.schema import Rig
@@ -48,13 +48,9 @@ def roles_in(log: Log, rig: Rig) -> tuple[Roles, list[str]]:
 
 
 def needed_at_rest(test: str, roles: Roles) -> list[str]:
-    """Channels that a guided test lives on at rest, as `daq.guided_tests.steps` declares them when it begins a log."""
+    """Channels that a guided test lives on at rest, by its row; of one that is not installed none is known."""
     kind = kind_of(test)
-    if test == "record" or not test:
-        return []
-    if kind is not None and kind is not KINDS["spin-down"] and not kind.turns:
-        return [sensor.topic for sensor in roles.displacements]
-    return [CHANNELS["angles"]] if roles.angles else []
+    return [] if kind is None else list(kind.lives_on(roles))
 
 
 def closing_ns(log: Log, patience: Callable[[float], float]) -> int:
