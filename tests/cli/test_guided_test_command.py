@@ -89,7 +89,7 @@ def test_a_plan_names_what_the_operator_of_a_rig_without_a_drive_will_be_asked(
         ("start-ups B --count 0", "expected a whole number from 1 to 10000 as count"),
         ("start-ups B --speed-rpm 4000", "limits.speed_rpm is 1200"),
         ("point Z", "'point-Z': no such test"),
-        ("spin-down --pre-trigger 90", "expected a number from 0 to 60 as pre_trigger_s"),
+        ("spin-down --pre-trigger 90", "expected a number from 0 to 30 as pre_trigger_s"),
     ],
 )
 @pytest.mark.parametrize("plan", [True, False])

@@ -101,7 +101,7 @@ class Bench:
     def note(self, event: Event) -> None:
         self.notes.append(event)
 
-    def start_recording(self, path: Path, metadata: Mapping[str, str]) -> None:
+    def start_recording(self, path: Path, metadata: Mapping[str, str], before_s: float = 0.0) -> None:
         self._order("begin the log")
         self.recording = True
         self.logs.append({"path": path, **metadata})

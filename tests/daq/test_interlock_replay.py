@@ -8,24 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from daq.guided_tests.steps import Steps
 
 from daq.acquisition.interlock_table import CHANNELS, LOOK_S
 from daq.channels import LASER_X, MOTOR, TACHO
 from daq.drivers.items import Batch, Event
 from daq.errors import LogError
-from daq.guided_tests.kinds import KINDS
 from daq.log import open_log, recover, snapshot
 from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
 from daq.replay.arrivals import Arrivals, Hole, holes_of
 from daq.replay.interlocked import InterlockReplay, replay_interlocks
 from daq.replay.orders import Orders, standing_order, tell_hand
-from daq.replay.session_facts import clock_rate, needed_at_rest
+from daq.replay.session_facts import clock_rate
 from daq.replay.stream import pipelines_of
 from rig_configs import RigFileError, load_rig
 from rig_configs.drivers import installed
-from rig_configs.roles import Roles
 from tests.daq.far_ends import START_NS
 from tests.daq.recorded_bench import RecordedBench
 from tests.daq.replayed_log import write_log
@@ -205,21 +202,6 @@ def test_a_hand_is_told_what_its_test_is(facts: dict[str, str], told: list[float
 
 
 # --- what else a session is to its interlocks ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("rig", ["virtual", "one_laser", "by_hand", "other_devices"])
-def test_a_test_needs_in_a_replay_what_it_needs_live(rig: str) -> None:
-    class Session:
-        rig: object
-
-    class Stub:
-        session = Session()
-
-    Stub.session.rig = load_rig(rig)
-    for test in [*KINDS, "point-A"]:
-        live = Steps._needed(Stub(), test)  # pyright: ignore[reportArgumentType]
-        assert needed_at_rest(test, load_rig(rig).roles) == live
-    assert needed_at_rest("record", load_rig(rig).roles) == needed_at_rest("", Roles()) == []
 
 
 def test_at_rest_only_what_the_test_needs_trips(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from identification.plan.information import covariance, derivatives, ring_down_b
 from identification.plan.pendulums import release, spin_down
 from identification.plan.suspension import ring_down, run_up
 from rig_configs import RigFileError, load_rig
+from tests.identification.added_rows import row
 
 RIG = load_rig("virtual")
 SENSORS = Sensors.of(RIG)
