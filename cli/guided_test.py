@@ -52,7 +52,7 @@ def test(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Run one guided test, or show its plan; without a name, the tests that a rig can do and which are missing.
+    """Run one guided test, or show its plan; without a name, what a rig can do and what is missing.
 
     The tests are ring-down-x, ring-down-y, spin-down, run-up, run-down, point NAME, start-ups NAME, and those of
     installed packages. While one runs in a terminal, p pauses it where the rig may wait, r resumes, a aborts it (the

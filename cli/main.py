@@ -39,7 +39,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "the disk.",
     },
     "cli.guided_test": {
-        "test": "Run one guided test, or show its plan; without a name, the tests that a rig can do and which are missing.",
+        "test": "Run one guided test, or show its plan; without a name, what a rig can do and what is missing.",
     },
     "cli.offline": {
         "identify": "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.",

@@ -1,0 +1,245 @@
+"""A whole session in one thread, on simulated time: repeatable bit for bit, and right on its bad days."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli.simulated import SimulatedOperator
+from daq.acquisition.session import Session
+from daq.guided_tests.procedure import Procedures
+from daq.lockstep.clock import SimulatedClock, WaitedInVain
+from daq.lockstep.rig import LockstepRig
+from daq.log import open_log
+from daq.replay import check
+from rig_configs import load_rig
+from rig_testing.fault_schedules import Fault, Schedule, draw, run
+
+SHIPPED = ("virtual", "other_devices", "by_hand", "one_laser")
+
+
+def opened(name: str, *settings: str) -> tuple[LockstepRig, Session]:
+    changes = ["virtual.seed=5", *settings]
+    sim = LockstepRig(load_rig(name, settings=changes))
+    return sim, Session(load_rig(name, settings=[*changes, *sim.port_settings()]), sim.clock, edge=sim.edge)
+
+
+# --- the clock ---------------------------------------------------------------------------------------------------
+
+
+def test_what_is_due_is_done_in_order_and_only_while_somebody_waits() -> None:
+    clock, done = SimulatedClock(), []
+    for seconds in (0.3, 0.1, 0.2, 0.1):
+        clock.after(seconds, lambda s=seconds: done.append((s, round(clock.wall_s(), 3))))
+    assert done == []
+    clock.wait(0.25)
+    assert done == [(0.1, 0.1), (0.1, 0.1), (0.2, 0.2)]
+    assert clock.wall_s() == 0.25
+
+
+def test_a_busy_host_does_its_part_late_and_the_world_goes_on() -> None:
+    clock, done = SimulatedClock(), []
+    clock.after(0.1, lambda: done.append(("host", clock.wall_s())))
+    clock.after(0.2, lambda: done.append(("world", clock.wall_s())), world=True)
+    clock.busy(0.5)
+    clock.wait(0.05)
+    assert done == [("world", 0.2), ("host", 0.5)]
+    assert clock.wall_s() >= 0.5  # who waits wakes up when the host does
+
+
+def test_what_is_done_meanwhile_must_not_wait() -> None:
+    clock = SimulatedClock()
+    clock.after(0.1, lambda: clock.wait(1.0))
+    with pytest.raises(WaitedInVain):
+        clock.wait(1.0)
+
+
+def test_what_repeats_itself_ends_with_its_first_failure() -> None:
+    clock, times, failures = SimulatedClock(), [], []
+
+    def do() -> None:
+        times.append(round(clock.wall_s(), 3))
+        if len(times) == 3:
+            raise OSError("gone")
+
+    clock.every(0.1, do, "x", failures.append)
+    clock.wait(1.0)
+    assert times == [0.1, 0.2, 0.3]
+    assert [str(each) for each in failures] == ["gone"]
+
+
+# --- a session ---------------------------------------------------------------------------------------------------
+
+
+def test_two_processes_record_the_same_bytes(tmp_path: Path) -> None:
+    """Whatever order the hashes of texts have in a process."""
+    digests = set()
+    for number in ("1", "2"):
+        code = f"""
+import hashlib, sys
+from pathlib import Path
+from rig_testing.fault_schedules import draw, run
+from rig_configs import load_rig
+seed = next(seed for seed in range(1000) if len(draw(load_rig("virtual"), seed).faults) == 3)
+print(run("virtual", draw(load_rig("virtual"), seed), Path({str(tmp_path / number)!r})).digest)
+"""
+        (tmp_path / number).mkdir()
+        environment = {**os.environ, "PYTHONHASHSEED": number}
+        found = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
+        )
+        digests.add(found.stdout.strip())
+    assert len(digests) == 1
+    assert len(digests.pop()) == 64
+
+
+@pytest.mark.parametrize("rig", SHIPPED)
+def test_every_shipped_rig_is_recorded_as_in_real_time(rig: str, tmp_path: Path) -> None:
+    sim, session = opened(rig)
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.clock.wait(3.0)
+        session.check()
+        session.stop_recording({})
+    assert session.notices == []
+    assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
+    with open_log(tmp_path / "a.mcap") as log:
+        for topic in session.topics:
+            times = log[topic].time_ns
+            assert (times[-1] - times[0]) * 1e-9 == pytest.approx(3.0, abs=0.5), topic
+
+
+def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with session:
+        tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
+        done = tests.run("ring-down-x", pre_trigger_s=1.5)
+    assert done.missed == ""
+    assert [row.topic for row in check(done.log) if row.difference] == []
+    with open_log(done.log) as log:
+        x = log["laser/x"]
+        moved = abs(x["displacement_m"] - x["displacement_m"][:200].mean()) > 3e-4
+        first = int(moved.argmax())
+        assert moved.any()
+        assert (x.time_ns[first] - x.time_ns[0]) * 1e-9 == pytest.approx(1.5, abs=0.15)
+        assert log.metadata["summary"]["losses"].count('"samples": 0') >= 2
+
+
+# --- devices that go and come back -----------------------------------------------------------------------------------
+
+
+def test_an_adapter_that_is_plugged_in_elsewhere_is_found_and_the_rest_goes_on(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.clock.wait(1.0)
+        sim.ask("unplug", device="laser_x")
+        end = sim.clock.wall_s() + 3.0
+        while sim.clock.wall_s() < end:
+            session.check()
+            sim.clock.wait(0.05)
+        sim.ask("plug", device="laser_x")
+        end = sim.clock.wall_s() + 6.0
+        while sim.clock.wall_s() < end:
+            session.check()
+            sim.clock.wait(0.05)
+        session.stop_recording({})
+    with open_log(tmp_path / "a.mcap") as log:
+        kinds = [(event["kind"], event.get("of")) for event in log.events if event["kind"] in ("gone", "back")]
+        assert kinds == [("gone", "laser_x"), ("back", "laser_x")]
+        x, y = log["laser/x"].time_ns, log["laser/y"].time_ns
+        assert (x[-1] - x[0]) * 1e-9 > 8.0
+        assert max(x[1:] - x[:-1]) > 2.5e9
+        assert max(y[1:] - y[:-1]) < 0.01e9
+    assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
+
+
+def test_a_sensor_that_lost_power_is_set_up_again(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.clock.wait(1.0)
+        sim.ask("fail", device="laser_y", what="power", value=1, seconds=3.0)
+        end = sim.clock.wall_s() + 15.0
+        while sim.clock.wall_s() < end:
+            session.check()
+            sim.clock.wait(0.05)
+        session.stop_recording({})
+    with open_log(tmp_path / "a.mcap") as log:
+        y = log["laser/y"].time_ns
+        assert (log.end_ns - y[-1]) * 1e-9 < 0.2
+        assert [event["kind"] for event in log.events if event.get("of") == "laser_y"][:2] == ["gap", "silent"] or any(
+            event["kind"] == "silent" for event in log.events
+        )
+
+
+def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        session.identities["laser_x"]["serial"] = "another"
+        sim.ask("unplug", device="laser_x")
+        sim.clock.wait(0.5)
+        sim.ask("plug", device="laser_x")
+        end = sim.clock.wall_s() + 5.0
+        while sim.clock.wall_s() < end:
+            session.check()
+            sim.clock.wait(0.05)
+        session.stop_recording({})
+    with open_log(tmp_path / "a.mcap") as log:
+        assert any("serial 14200001 instead of another" in event["text"] for event in log.events)
+        assert not any(event["kind"] == "back" for event in log.events)
+
+
+def test_an_unplugged_adapter_stops_a_rotor_that_turns(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with pytest.raises(Exception, match="the other end closed"), session:  # noqa: PT012
+        session.drive.enable()
+        session.drive.set_speed(300)
+        session.wait_for(lambda: session.drive.actual_rpm > 250, 5.0, "the speed")
+        sim.ask("unplug", device="laser_x")
+        session.wait_for(lambda: False, 2.0, "the stop")
+    assert abs(sim.far.motion.speed_rad_s) < 0.1
+
+
+# --- randomised faults ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rig", ["virtual", "other_devices"])
+@pytest.mark.parametrize("block", range(10))
+def test_whatever_goes_wrong_the_log_is_right_and_the_rotor_stops(rig: str, block: int, tmp_path: Path) -> None:
+    """200 schedules, each by its seed; `python -m benchmarks.fault_schedules` runs thousands."""
+    known = load_rig(rig)
+    for seed in range(10 * block, 10 * block + 10):
+        result = run(rig, draw(known, seed), tmp_path)
+        assert result.wrong == [], (seed, result.schedule)
+
+
+def test_a_calm_run_trips_nothing(tmp_path: Path) -> None:
+    result = run("virtual", draw(load_rig("virtual"), 3, calm=True), tmp_path)
+    assert (result.wrong, result.ended) == ([], "")
+
+
+def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
+    """Bits of a line without a checksum are flipped, behind the judge's back."""
+    schedule = Schedule(1, 0.0, 5.0, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
+    honest = run("virtual", schedule, tmp_path)
+    assert honest.wrong == []
+    (tmp_path / "schedule-1.mcap").unlink()
+    hidden = Schedule(1, 0.0, 5.0, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
+    monkey = pytest.MonkeyPatch()
+    monkey.setattr("rig_testing.fault_schedules._SPOILING", ())
+    found = run("virtual", hidden, tmp_path)
+    monkey.undo()
+    assert any("laser/x" in text or "laser_x" in text for text in found.wrong)
+
+
+def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.acquisition.interlocks.Interlocks.tick", lambda self, now_ns: [])
+    schedule = Schedule(2, 300.0, 8.0, (Fault(3.0, 4.0, "encoder", "radio", 1.0),))
+    found = run("virtual", schedule, tmp_path)
+    assert any("blind for" in text for text in found.wrong)
