@@ -58,6 +58,7 @@ class LockstepRig:
         disk: the simulated one.
         cables: by device.
         far: the simulated rig.
+        turn_s: see STEP_S.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -70,6 +71,7 @@ class LockstepRig:
             for number, name in enumerate(self.far.far_ends)
         }
         self.edge = Edge(self._connect, self._places, self.disk)
+        self.turn_s = STEP_S
         self._pace = np.random.default_rng([seed, 78])
         self._asked = False
         for cable in self.cables.values():
@@ -98,7 +100,7 @@ class LockstepRig:
 
     def _step(self) -> None:
         self._look()
-        self.clock.after(self._pace.uniform(*STEP_S), self._step, world=True)
+        self.clock.after(self._pace.uniform(*self.turn_s), self._step, world=True)
 
     def _look_soon(self) -> None:
         """The host has written: devices that answer do not wait for the next regular look."""
