@@ -1,6 +1,6 @@
 """Nothing above the transports can tell a simulated rig from a real one.
 
-Read from the code: no module there, but the simulated far ends of devices, imports the virtual rig, reads a rig's
+Read from the code: no module there, but the simulated far ends of devices and the rig in lockstep, imports the virtual rig, reads a rig's
 [virtual] table or its truth, looks at what kind of link it holds, or names a kind of port. Seen in behaviour: see
 test_session.py, where the same tests run over ptys and TCP, and replay decodes the bytes alone to the same samples.
 """
@@ -17,7 +17,7 @@ ABOVE = sorted(
     path
     for package in ("daq", "identification", "analysis")
     for path in (ROOT / package).rglob("*.py")
-    if not any(part in path.parts for part in ("transports", "virtual_rig", "far_end.py"))
+    if not any(part in path.parts for part in ("transports", "virtual_rig", "lockstep", "far_end.py"))
 )
 BELOW_ONLY = {"virtual", "true_physics", "SerialLink", "SocketLink", "CanLink", "PtyWire", "TcpWire", "time_scale"}
 PORT_KINDS = ("pty", "/dev/pts", "socket://", "loop://", "virtual", "simulated rig")

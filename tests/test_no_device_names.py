@@ -32,7 +32,11 @@ FIELD_WORDS = {
     "motor": "the machine in it",
     "probe": "a displacement sensor, and to try something",
 }
-ALONE = {"encoder": "the kind of an event, a pendulum's encoder is faulty", "motor": "the channel of the speed"}
+ALONE = {
+    "encoder": "the kind of an event, a pendulum's encoder is faulty",
+    "motor": "the channel of the speed",
+    "rotor": "what acts in a state of a guided test: a drive or a hand",
+}
 """Field words that also stand alone as a text, with what they mean there."""
 
 _FIELDS = (

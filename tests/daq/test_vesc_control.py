@@ -536,19 +536,19 @@ def test_the_log_replays_to_the_same_rows(bench: Bench) -> None:
 
 
 def test_its_thread_asks_and_ends() -> None:
-    asked = threading.Event()
+    asked, before = threading.Event(), set(threading.enumerate())
     control = VescControl(SETTINGS, lambda data: asked.set(), HostClock())
     control.start()
     control.start()
     asked.clear()
     assert asked.wait(10.0)
-    assert [thread.name for thread in threading.enumerate()].count("vesc") == 1
+    assert [thread.name for thread in set(threading.enumerate()) - before] == ["vesc"]
     control._end()
-    assert "vesc" not in [thread.name for thread in threading.enumerate()]
+    assert set(threading.enumerate()) <= before
 
 
 def test_its_thread_ends_when_the_line_is_gone() -> None:
-    gone = threading.Event()
+    gone, before = threading.Event(), set(threading.enumerate())
 
     def send(data: bytes) -> None:
         if gone.is_set():
@@ -556,7 +556,7 @@ def test_its_thread_ends_when_the_line_is_gone() -> None:
 
     control = VescControl(SETTINGS, send, HostClock())
     control.start()
-    (thread,) = [thread for thread in threading.enumerate() if thread.name == "vesc"]
+    (thread,) = set(threading.enumerate()) - before
     gone.set()
     thread.join(10.0)
     assert not thread.is_alive()
