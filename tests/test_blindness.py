@@ -1,8 +1,9 @@
 """Nothing above the transports can tell a simulated rig from a real one.
 
-Read from the code: no module there, but the simulated far ends of devices and the rig in lockstep, imports the virtual rig, reads a rig's
-[virtual] table or its truth, looks at what kind of link it holds, or names a kind of port. Seen in behaviour: see
-test_session.py, where the same tests run over ptys and TCP, and replay decodes the bytes alone to the same samples.
+Read from the code: no module there, but the simulated far ends of devices and the rig in lockstep, imports the virtual
+rig, reads a rig's [virtual] table or its truth, looks at what kind of link it holds, or names a kind of port. Seen in
+behaviour: see test_session.py, where the same tests run over ptys and TCP, and replay decodes the bytes alone to the
+same samples.
 """
 
 from __future__ import annotations
