@@ -72,7 +72,7 @@ def demo(
         workbench.close()
     result["seconds"] = time.monotonic() - started
     _show(result, json)
-    return 0 if result["passed"] and not result["not_reached"] else 1
+    return 1 if result["passed"] is False or result["not_reached"] else 0
 
 
 def _steps(rig: Rig) -> list[str]:
