@@ -7,6 +7,7 @@ sensors see. Where no sensor sees it, the operator has to say that it was done.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -20,6 +21,7 @@ from daq.acquisition.rotor_watch import AT_REST_RPM
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.drivers.items import Event
+from daq.errors import DeviceError
 from rig_configs.roles import PendulumAngles
 
 Array = NDArray[np.floating[Any]]
@@ -29,6 +31,7 @@ HUMAN_S = 120.0
 _LOCK_S = 10.0  # how long a mechanism may take, wall s
 _STOP_RAMP_RPM_S = 400.0
 _REST_S = 30.0  # wall s
+_SEEN_S = 1.0  # wall s
 _STANDS_S = 0.4  # how long pendulums are looked at before they count as held, rig s
 _STANDS_RAD = math.radians(0.3)
 SEEN_RAD = math.radians(0.35)
@@ -265,7 +268,8 @@ class HandLocks:
         if self._angles is None:
             self._operator.lock(seen=False)
             return
-        if self._wrong() == "":
+        with contextlib.suppress(DeviceError):  # nobody is asked for what a host that was late has only not seen yet
+            self._wait_for(lambda: self._wrong() == "", _SEEN_S, "both pendulums to be seen at their places")
             return
         self._tell("lock both pendulums: A at 0°, B at 180°", None)
         self._operator.lock(seen=True)
