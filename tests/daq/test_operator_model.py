@@ -1,0 +1,142 @@
+"""Whatever the operator does, the devices answer and fails: what the simulated rig's truth must never show.
+
+Whole sessions in lockstep: guided tests in any order, aborted at any time, with faults of any device. Watched at every
+step of the world: no pendulum is let go while a rotor that is to turn stands, none is free while the rotor is brought
+up to speed, and the rotor stands with its drive idle when all is over, or the operator was warned.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cli.simulated import SimulatedOperator
+from daq.acquisition.session import Session
+from daq.errors import RigError
+from daq.guided_tests.controls import Controls
+from daq.guided_tests.procedure import Procedures
+from daq.lockstep.rig import LockstepRig
+from daq.virtual_rig.motion import Trajectory
+from rig_configs import load_rig
+
+RPM = math.pi / 30
+TESTS = ("ring-down-x", "spin-down", "run-up", "point-A", "point-D")
+FAULTS = (
+    ("laser_x", "blocked"), ("laser_y", "mute"), ("encoder", "radio"), ("encoder", "dead"), ("encoder", "locks stuck"),
+    ("encoder", "marks lost"), ("encoder", "power"), ("drive", "fault"), ("drive", "restart"), ("drive", "emergency"),
+    ("drive", "unheard"), ("drive", "silent reports"), ("laser_x", "unplug"), ("drive", "unplug"),
+)  # fmt: skip
+ONCE = ("fault", "restart", "emergency")
+
+
+@dataclass
+class Watch:
+    """What the truth has shown so far."""
+
+    sim: LockstepRig
+    turns: bool = False  # whether the running test turns the rotor
+    wrong: list[str] = field(default_factory=list[str])
+    held: tuple[bool, bool] = (True, True)
+    stood: bool = True
+
+    def __post_init__(self) -> None:
+        advance = self.sim.far.motion.advance
+
+        def watched(until_s: float) -> Trajectory | None:
+            stretch = advance(until_s)
+            self.look()
+            return stretch
+
+        self.sim.far.motion.advance = watched  # type: ignore[method-assign]
+
+    def look(self) -> None:
+        motion = self.sim.far.motion
+        rpm, held = abs(motion.speed_rad_s) / RPM, (motion.held(0), motion.held(1))
+        if self.turns and self.held == (True, True) and held != self.held and rpm < 20:
+            self.wrong.append(f"released at {rpm:.1f} rpm")
+        if self.stood and rpm > 20 and held != (True, True):
+            self.wrong.append(f"spun up to {rpm:.0f} rpm with a free pendulum")
+        self.stood = rpm <= 20 if self.stood else rpm < 0.5
+        self.held = held
+
+
+actions = st.lists(
+    st.tuples(
+        st.sampled_from(TESTS),
+        st.one_of(st.none(), st.floats(0.5, 25.0)),  # when the operator aborts it, s
+        st.one_of(st.none(), st.tuples(st.sampled_from(FAULTS), st.floats(0.2, 20.0), st.floats(0.1, 4.0))),
+    ),
+    min_size=1,
+    max_size=2,
+)
+
+
+@given(seed=st.integers(0, 1000), program=actions)
+@settings(max_examples=20, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+def test_no_path_releases_at_rest_spins_up_unlocked_or_leaves_the_rotor_turning(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, program: list
+) -> None:
+    sim = LockstepRig(load_rig("virtual", settings=[f"virtual.seed={seed}"]))
+    rig = load_rig("virtual", settings=[f"virtual.seed={seed}", *sim.port_settings()])
+    watch, controls, session = Watch(sim), Controls(), Session(rig, sim.clock, edge=sim.edge)
+    folder: Path = tmp_path_factory.mktemp("logs")
+    try:
+        with session:
+            tests = Procedures(session, SimulatedOperator(sim), folder, lambda text, share: None, controls=controls)
+            for test, abort_s, fault in program:
+                watch.turns = test != "spin-down"
+                controls.take()
+                if abort_s is not None:
+                    sim.clock.after(abort_s, lambda: controls.abort("enough"))
+                if fault is not None:
+                    place(sim, *fault)
+                name, _, point = test.partition("point-")
+                numbers = {"top_rpm": 300.0, "duration_s": 5.0} if test == "run-up" else {}
+                tests.run("point" if point else name, point=point, **numbers)
+    except RigError:
+        pass  # a fault ended it, or the rig refused to go on
+    except ValueError as error:
+        assert "virtual rig" in str(error)  # noqa: PT017 (a hand that found nothing to flick)
+    sim.turn_s = (0.04, 0.06)
+    watch.turns = False
+    sim.clock.wait(15.0)
+    assert watch.wrong == []
+    standing = abs(sim.far.motion.speed_rad_s) < 0.5
+    assert standing or any("keep away" in notice for notice in session.notices)
+    assert sim.far.motion.target_rad_s == 0
+    assert not list(folder.glob("*.part"))
+
+
+def place(sim: LockstepRig, what: tuple[str, str], at_s: float, seconds: float) -> None:
+    """A fault some time from now."""
+    device, kind = what
+
+    def begin() -> None:
+        if kind == "unplug":
+            sim.ask("unplug", device=device)
+            sim.clock.after(seconds, lambda: sim.ask("plug", device=device), world=True)
+        else:
+            sim.ask("fail", device=device, what=kind, **({} if kind in ONCE else {"seconds": seconds}))
+
+    sim.clock.after(at_s, begin, world=True)
+
+
+def test_the_watch_sees_what_a_test_never_does() -> None:
+    sim = LockstepRig(load_rig("virtual", settings=["virtual.seed=1"]))
+    rig = load_rig("virtual", settings=["virtual.seed=1", *sim.port_settings()])
+    watch, session = Watch(sim, turns=True), Session(rig, sim.clock, edge=sim.edge)
+    with session:
+        session.command_node("lock both")
+        sim.clock.wait(3.0)
+        session.command_node("release both")
+        sim.clock.wait(1.0)
+        session.drive.enable()
+        session.drive.set_ramp(300.0)
+        session.drive.set_speed(200)
+        sim.clock.wait(2.0)
+    assert [text.partition(" at ")[0].partition(" to ")[0] for text in watch.wrong] == ["released", "spun up"]
