@@ -17,7 +17,7 @@ import numpy as np
 from analysis.errors import NoStableState
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
-from dynamics.integrate import fastest_rate, integrate
+from dynamics.motions.integrate import fastest_rate, integrate
 from rig_configs import IdentifiedParameters, Rig
 
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")

@@ -24,10 +24,10 @@ import numpy as np
 
 from dynamics import Pendulum, RotorParameters, Scene, SpeedHistory, multipliers, simulate, steady_states
 from dynamics.bench import arb_peer, heyoka_peer
+from dynamics.equations.linearised import type_one
 from dynamics.errors import DynamicsError, NotConverged
-from dynamics.floquet import floquet_multipliers
-from dynamics.linearised import type_one
-from dynamics.locked_motion import fastest_rate, locked_state
+from dynamics.motions.locked_motion import fastest_rate, locked_state
+from dynamics.stability.floquet import floquet_multipliers
 
 ARM_M = 0.054
 _OTHER_METHODS = ("magnus", "explicit", "implicit", "chebyshev")

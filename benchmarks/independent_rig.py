@@ -12,7 +12,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from daq.signals.run import Release, Run
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 
 
 @dataclass(frozen=True)

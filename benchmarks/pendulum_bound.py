@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.independent_rig import Encoders, release_run
 from benchmarks.tracking_speed import print_speeds
 from daq.signals.run import Run
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 from identification import IdentificationError
 from identification.pendulums.release import fit_release
 from identification.pendulums.spin_down import fit_spin_down

@@ -28,9 +28,9 @@ import numpy as np
 from dynamics import Pendulum, RotorParameters, release_outcome, steady_states
 from dynamics.bench.heyoka_runs import compiled
 from dynamics.errors import DynamicsError
-from dynamics.integrate import locked_state
-from dynamics.outcome import PLAY_RAD
-from dynamics.steady_state import SteadyStates
+from dynamics.motions.integrate import locked_state
+from dynamics.steady.outcome import PLAY_RAD
+from dynamics.steady.steady_state import SteadyStates
 
 _BLOCK = 500  # revolutions
 _START = (PLAY_RAD, math.pi - 0.5 * PLAY_RAD)

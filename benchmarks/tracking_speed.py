@@ -8,7 +8,7 @@ import numpy as np
 from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 from numba import njit
 
-from dynamics.kernels import CA, CB, rk4_step
+from dynamics.equations.kernels import CA, CB, rk4_step
 from identification.tracking.unscented import TALLY, filter_readings
 from rig_configs.load import load_rig
 

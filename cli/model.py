@@ -16,9 +16,9 @@ from cli.options import Json, ParametersPath, Settings, need_place, what_if_word
 from rig_configs import Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
-    from dynamics.outcome import ReleaseOutcome
-    from dynamics.parameters import RotorParameters
-    from dynamics.steady_state import SteadyState, SteadyStates
+    from dynamics.equations.parameters import RotorParameters
+    from dynamics.steady.outcome import ReleaseOutcome
+    from dynamics.steady.steady_state import SteadyState, SteadyStates
 
 Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
 Accuracy = Annotated[
@@ -45,14 +45,14 @@ def predict(
     loaded = load_rig(rig, parameters, settings or [])
     speed = _speed(loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("dynamics"):
-        from dynamics import balancing, choose_model, steady_states  # noqa: PLC0415
+        from dynamics import balancing_region, choose_model, steady_states  # noqa: PLC0415
 
         physics = loaded.physics
         found = steady_states(physics, speed, accuracy, at_least=at_least)
         outcomes = _released(physics, speed, found) if release else []
     outcome = outcomes[0] if outcomes else None
     a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
-    region = balancing.balancing_region(a, b, physics.imbalance_moment_kg_m)
+    region = balancing_region(a, b, physics.imbalance_moment_kg_m)
     model = found[0].model if found else choose_model(physics, at_least=at_least)
     if plot is not None:
         from analysis.plots.steady_states import draw_steady_states  # noqa: PLC0415
@@ -102,7 +102,7 @@ def _speed(rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: fl
 def _released(physics: RotorParameters, speed: float, found: SteadyStates) -> list[ReleaseOutcome]:
     """Where releases within the locks' play end; none, with a word, where there is no locked motion to release from."""
     from dynamics.errors import DynamicsError  # noqa: PLC0415
-    from dynamics.outcome import releases_within_play  # noqa: PLC0415
+    from dynamics.steady.outcome import releases_within_play  # noqa: PLC0415
 
     if not (physics.a.present or physics.b.present):
         return []
@@ -258,7 +258,7 @@ def map(
     if loaded.physics.a.friction_arm_m or loaded.physics.b.friction_arm_m:
         say("the map leaves dry friction out")
     with wait_for_compilation("stability map"):
-        from dynamics.stability_map import stability_map  # noqa: PLC0415
+        from dynamics.stability.stability_map import stability_map  # noqa: PLC0415
 
         stability_map(loaded.physics, omega[:1], stiffness[:1], accuracy)
     started = time.perf_counter()

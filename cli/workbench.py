@@ -51,7 +51,7 @@ def _warm_up() -> None:
     import numpy as np  # noqa: PLC0415
 
     from dynamics import SpeedHistory, simulate, steady_states  # noqa: PLC0415
-    from dynamics.scene import Scene  # noqa: PLC0415
+    from dynamics.equations.scene import Scene  # noqa: PLC0415
     from rig_configs import load_rig  # noqa: PLC0415
 
     for module in ("analysis.report.write", "analysis.validation", "identification"):

@@ -6,38 +6,38 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dynamics.balancing import GravityDisk, balanced_angles, balancing_region, gravity_disk
-    from dynamics.batch import BatchMotion, simulate_batch
-    from dynamics.integrate import Motion, locked_orbit, simulate
-    from dynamics.model import Model, choose_model
-    from dynamics.outcome import ReleaseOutcome, release_outcome
-    from dynamics.parameters import Pendulum, RotorParameters
-    from dynamics.scene import Scene
-    from dynamics.speed_history import SpeedHistory
-    from dynamics.steady_motions import multipliers, steady_states
-    from dynamics.steady_state import SteadyState
+    from dynamics.equations.balancing import GravityDisk, balanced_angles, balancing_region, gravity_disk
+    from dynamics.equations.model import Model, choose_model
+    from dynamics.equations.parameters import Pendulum, RotorParameters
+    from dynamics.equations.scene import Scene
+    from dynamics.equations.speed_history import SpeedHistory
+    from dynamics.motions.batch import BatchMotion, simulate_batch
+    from dynamics.motions.integrate import Motion, locked_orbit, simulate
+    from dynamics.steady.outcome import ReleaseOutcome, release_outcome
+    from dynamics.steady.steady_motions import multipliers, steady_states
+    from dynamics.steady.steady_state import SteadyState
 
 _HOME = {  # loaded when first used: a rig file can be read without waiting for the compiler
-    "BatchMotion": "dynamics.batch",
-    "GravityDisk": "dynamics.balancing",
-    "Model": "dynamics.model",
-    "Motion": "dynamics.integrate",
-    "Pendulum": "dynamics.parameters",
-    "ReleaseOutcome": "dynamics.outcome",
-    "RotorParameters": "dynamics.parameters",
-    "Scene": "dynamics.scene",
-    "SpeedHistory": "dynamics.speed_history",
-    "SteadyState": "dynamics.steady_state",
-    "balanced_angles": "dynamics.balancing",
-    "balancing_region": "dynamics.balancing",
-    "choose_model": "dynamics.model",
-    "gravity_disk": "dynamics.balancing",
-    "locked_orbit": "dynamics.integrate",
-    "multipliers": "dynamics.steady_motions",
-    "release_outcome": "dynamics.outcome",
-    "simulate": "dynamics.integrate",
-    "simulate_batch": "dynamics.batch",
-    "steady_states": "dynamics.steady_motions",
+    "BatchMotion": "dynamics.motions.batch",
+    "GravityDisk": "dynamics.equations.balancing",
+    "Model": "dynamics.equations.model",
+    "Motion": "dynamics.motions.integrate",
+    "Pendulum": "dynamics.equations.parameters",
+    "ReleaseOutcome": "dynamics.steady.outcome",
+    "RotorParameters": "dynamics.equations.parameters",
+    "Scene": "dynamics.equations.scene",
+    "SpeedHistory": "dynamics.equations.speed_history",
+    "SteadyState": "dynamics.steady.steady_state",
+    "balanced_angles": "dynamics.equations.balancing",
+    "balancing_region": "dynamics.equations.balancing",
+    "choose_model": "dynamics.equations.model",
+    "gravity_disk": "dynamics.equations.balancing",
+    "locked_orbit": "dynamics.motions.integrate",
+    "multipliers": "dynamics.steady.steady_motions",
+    "release_outcome": "dynamics.steady.outcome",
+    "simulate": "dynamics.motions.integrate",
+    "simulate_batch": "dynamics.motions.batch",
+    "steady_states": "dynamics.steady.steady_motions",
 }
 
 __all__ = [

@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from dynamics.equations.parameters import imbalance_radius
 from dynamics.errors import OutsideDomain
-from dynamics.parameters import imbalance_radius
 from rig_configs.drivers import settings_of
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 from rig_configs.errors import ParametersFileError, RigFileError
 from rig_configs.toml_text import parse_toml, read_text
 

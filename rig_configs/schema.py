@@ -13,7 +13,7 @@ from typing import Annotated, Literal, cast
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, model_validator
 
-from dynamics.parameters import Pendulum, RotorParameters
+from dynamics.equations.parameters import Pendulum, RotorParameters
 from rig_configs.device import DeviceSettings
 from rig_configs.drivers import installed, settings_of
 from rig_configs.roles import Roles, role_table

@@ -14,7 +14,7 @@ from analysis.steady_state import SteadyMeasurement
 from daq.signals.run import Run
 from dynamics import RotorParameters, Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
-from dynamics.integrate import locked_state
+from dynamics.motions.integrate import locked_state
 
 _BEFORE_S = 3.0
 _PER_TURN = 24

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from analysis.plots.style import MODEL, drawing, label, to_svg
 from dynamics import RotorParameters
-from dynamics.stability_map import StabilityMap, stability_map
+from dynamics.stability.stability_map import StabilityMap, stability_map
 
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
 _MARKS = {"I": "o", "II": "s", "III": "^", "slipping": "X", "not settled": "P"}

@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 
 from analysis.plots.style import GOOD, GREY, MODEL, drawing, label
 from dynamics import RotorParameters, SteadyState
-from dynamics.outcome import ReleaseOutcome
+from dynamics.steady.outcome import ReleaseOutcome
 
 _STYLES = ("-", "--", ":", "-.")
 _COLOURS = {"stable": GOOD, "unstable": MODEL, "undecided": GREY}

@@ -13,9 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from daq.errors import ProcedureError
-from dynamics.integrate import fastest_rate
-from dynamics.kernels import rk4_step
-from dynamics.parameters import RotorParameters
+from dynamics.equations.kernels import rk4_step
+from dynamics.equations.parameters import RotorParameters
+from dynamics.motions.integrate import fastest_rate
 
 GRID_S = 250e-6
 _BRAKE_LAG_S = 0.01

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from scipy.special import roots_jacobi
 
+from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.errors import NotConverged, OutsideDomain
-from dynamics.parameters import Pendulum, RotorParameters
 
 _DEAD = 45.0  # decay over half a revolution that leaves e^−90 of a mode after a whole one
 _SMALLEST_BITS = 256
@@ -76,7 +76,7 @@ def flint() -> Any:
 def balanced_directions(parameters: RotorParameters) -> list[tuple[Any, Any]]:
     """(cos θ, sin θ) of θ3 and θ4 as balls, from the moments as they are stored; θ3 in [0, π].
 
-    A moment within one rounding of the border counts as on it, as in dynamics.balancing.
+    A moment within one rounding of the border counts as on it, as in dynamics.equations.balancing.
 
     Raises:
         OutsideDomain: the three moments close no triangle.

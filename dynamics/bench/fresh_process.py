@@ -65,8 +65,8 @@ def _seconds(arguments: Sequence[str], cache: str | None = None) -> float:
 def first_release(*, with_heyoka: bool) -> np.ndarray:
     """θ3 and θ4 at the end of the release, importing only what it needs; shape (2,)."""
     from dynamics.bench import heyoka_peer  # noqa: PLC0415 (what is imported is what is measured)
-    from dynamics.locked_motion import locked_state  # noqa: PLC0415
-    from dynamics.parameters import Pendulum, RotorParameters  # noqa: PLC0415
+    from dynamics.equations.parameters import Pendulum, RotorParameters  # noqa: PLC0415
+    from dynamics.motions.locked_motion import locked_state  # noqa: PLC0415
 
     pendulum = Pendulum(0.075, 0.054, 0.001)
     k1 = 7.27 * (6 * math.pi) ** 2
@@ -77,9 +77,9 @@ def first_release(*, with_heyoka: bool) -> np.ndarray:
         integrator = heyoka_peer.integrator(parameters, speed, start, ACCURACY)
         integrator.propagate_until(DURATION_S)
         return integrator.state[2:4]
-    from dynamics.integrate import simulate  # noqa: PLC0415
-    from dynamics.scene import Scene  # noqa: PLC0415
-    from dynamics.speed_history import SpeedHistory  # noqa: PLC0415
+    from dynamics.equations.scene import Scene  # noqa: PLC0415
+    from dynamics.equations.speed_history import SpeedHistory  # noqa: PLC0415
+    from dynamics.motions.integrate import simulate  # noqa: PLC0415
 
     scene = Scene(SpeedHistory.constant(speed), start=start)
     return simulate(parameters, scene, np.array([0.0, DURATION_S]), ACCURACY).state[-1, 2:4]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 DOUBLE_TOLERANCE = 2.2e-16
@@ -29,7 +29,7 @@ def heyoka() -> Any | None:
 def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_s2: float = 0.0) -> list[Any]:
     """Both pendulums free, ψ = ω t + α t²/2; pairs of a variable and its rate.
 
-    Written from the second-order form with a 4 × 4 mass matrix eliminated by hand, not from dynamics.kernels.
+    Written from the second-order form with a 4 × 4 mass matrix eliminated by hand, not from dynamics.equations.kernels.
     """
     hy = heyoka()
     if hy is None:

@@ -18,9 +18,9 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.balancing import balanced_angles
 from dynamics.bench.heyoka_peer import equations, heyoka
-from dynamics.parameters import RotorParameters
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.parameters import RotorParameters
 
 EXTENDED_TOLERANCE = 1e-19
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])

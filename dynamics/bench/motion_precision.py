@@ -13,15 +13,15 @@ from dynamics.bench import heyoka_runs
 from dynamics.bench.heyoka_runs import Rig
 from dynamics.bench.records import Measurement
 from dynamics.bench.timing import median_seconds
+from dynamics.equations.kernels import rates
+from dynamics.equations.scene import Scene
+from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import DynamicsError
-from dynamics.fixed_steps import integrate
-from dynamics.integrate import simulate
-from dynamics.kernels import rates
-from dynamics.locked_motion import locked_state
-from dynamics.motion_problem import motion_problem
-from dynamics.scene import Scene
-from dynamics.speed_history import SpeedHistory
-from dynamics.trajectory import run
+from dynamics.motions.fixed_steps import integrate
+from dynamics.motions.integrate import simulate
+from dynamics.motions.locked_motion import locked_state
+from dynamics.motions.motion_problem import motion_problem
+from dynamics.motions.trajectory import run
 
 SERVICE = "motion"
 PLAY_RAD = (2e-3, -1e-3)

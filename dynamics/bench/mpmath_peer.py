@@ -1,7 +1,7 @@
 """The largest multiplier of one matrix in thirty digits: the reference where heyoka does not run.
 
 Taylor series of the linear equations in the rotor's phase: with B(ψ) = A(ψ)/ω = Σ_j B_j (ψ − ψ0)^j about each step's
-start, Y_{n+1} = Σ_j B_j Y_{n−j}/(n + 1). Slow (seconds a matrix), and nothing of dynamics.floquet is in it.
+start, Y_{n+1} = Σ_j B_j Y_{n−j}/(n + 1). Slow (seconds a matrix), and nothing of dynamics.stability.floquet is in it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import mpmath
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.linearised import PeriodicMatrix
+from dynamics.equations.linearised import PeriodicMatrix
 
 DIGITS = 30
 _ORDER = 40
@@ -24,7 +24,7 @@ def largest_multiplier(matrix: PeriodicMatrix) -> float | None:
     """Largest modulus over one revolution, right to the last digit of a double.
 
     Args:
-        matrix: A(ψ), in units in which its entries are of like size (dynamics.floquet.multipliers.balanced).
+        matrix: A(ψ), in units in which its entries are of like size (dynamics.stability.floquet.multipliers.balanced).
     Returns:
         None for a matrix that would take more than a minute (stiff, or a slow rotor).
     """

@@ -8,16 +8,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dynamics.balancing import balanced_angles
 from dynamics.bench import heyoka_runs, mpmath_peer
 from dynamics.bench.heyoka_runs import Rig
 from dynamics.bench.records import ROUNDING, Measurement
 from dynamics.bench.timing import median_seconds
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.linearised import PeriodicMatrix, type_one
+from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError
-from dynamics.floquet import METHODS, MonodromyMethod, floquet_multipliers
-from dynamics.floquet.multipliers import balanced
-from dynamics.linearised import PeriodicMatrix, type_one
-from dynamics.parameters import RotorParameters
+from dynamics.stability.floquet import METHODS, MonodromyMethod, floquet_multipliers
+from dynamics.stability.floquet.multipliers import balanced
 
 SERVICE = "multipliers"
 _SCIPY = "single pass"  # the method whose work is scipy's: a peer

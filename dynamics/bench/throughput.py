@@ -8,15 +8,15 @@ import time
 
 import numpy as np
 
-from dynamics.batch import simulate_batch
 from dynamics.bench import heyoka_runs
 from dynamics.bench.heyoka_runs import Rig
 from dynamics.bench.motion_precision import release
 from dynamics.bench.records import Measurement
 from dynamics.bench.timing import median_seconds
-from dynamics.parameters import RotorParameters
-from dynamics.stability_map import StabilityMap, stability_map
-from dynamics.steady_motions import steady_states
+from dynamics.equations.parameters import RotorParameters
+from dynamics.motions.batch import simulate_batch
+from dynamics.stability.stability_map import StabilityMap, stability_map
+from dynamics.steady.steady_motions import steady_states
 
 SPEED_RATIOS, STIFFNESS_RATIOS = (0.3, 7.0), (1.0, 16.0)
 _SPREAD = 0.1  # of the batch's parameters, either way

@@ -19,8 +19,8 @@ from dynamics.bench.motion_precision import motion_rows
 from dynamics.bench.multiplier_precision import cases, multiplier_rows
 from dynamics.bench.records import Measurement, Target, over_points
 from dynamics.bench.throughput import batch_rows, map_rows, steady_state_rows
-from dynamics.parameters import RotorParameters
-from dynamics.stability_map import stability_map
+from dynamics.equations.parameters import RotorParameters
+from dynamics.stability.stability_map import stability_map
 
 ALL_POINTS = "all points"
 RELEASE, STIFF_RELEASE = "release", "release with c34 = 50, 2 s"

@@ -10,7 +10,6 @@ import numpy as np
 import scipy.linalg
 import sympy as sp
 
-from dynamics.balancing import balanced_angles
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
 from dynamics.derivation.comparison import comparison
@@ -18,8 +17,9 @@ from dynamics.derivation.lagrange import rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC, LinearMotion, at_rest, linearised, singular_point_matrices
 from dynamics.derivation.scenes import rig_values
 from dynamics.derivation.source_listing import CELL_1_4_AS_LISTED
-from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.singular_points import singular_points
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.parameters import Pendulum, RotorParameters
+from dynamics.steady.singular_points import singular_points
 
 # Validation points on the line K = 14.9, by speed ratio
 POINTS = {"A": 0.83, "B": 1.6, "C": 2.6, "D": 3.3, "E": 5.8}

@@ -17,8 +17,8 @@ from dynamics.derivation.effects import (
     variants,
 )
 from dynamics.derivation.run_up_faults import Faults, Release, release
-from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.singular_points import dynamic_stiffness
+from dynamics.equations.parameters import Pendulum, RotorParameters
+from dynamics.steady.singular_points import dynamic_stiffness
 
 FAULTS = {
     "right equations": Faults(),

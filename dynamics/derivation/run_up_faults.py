@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from dynamics.kernels import C1, C2, CA, CB, JA, JB, K1, K2, MASS, SA, SB, SP
-from dynamics.parameters import RotorParameters
+from dynamics.equations.kernels import C1, C2, CA, CB, JA, JB, K1, K2, MASS, SA, SB, SP
+from dynamics.equations.parameters import RotorParameters
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import sympy as sp
 from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import Equations
 from dynamics.derivation.linearised import linearised
-from dynamics.parameters import Pendulum, RotorParameters
+from dynamics.equations.parameters import Pendulum, RotorParameters
 
 
 def rig_values(parameters: RotorParameters, sliding: tuple[int, int] = (1, 1)) -> dict[sp.Expr, float]:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from dynamics.bench.records import Target
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 from identification.bench import library_peers, ours, ring_down_peers, run_up_peers, spins, tracking_peer
 from identification.bench.decays import clipped_at, one_mode, two_axes, with_outliers
 from identification.bench.ramps import passage

@@ -20,7 +20,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from daq.signals.run import Release, Run
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 from identification.bench.fisher import bound
 from identification.bench.trials import Trial
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.speed_history import SpeedHistory
 from identification.bench.ramps import RampRecord
 from identification.bench.trials import Answer
 from identification.run_up import naive

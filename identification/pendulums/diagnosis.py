@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynamics.parameters import Pendulum, RotorParameters
+from dynamics.equations.parameters import Pendulum, RotorParameters
 from identification.least_squares import Minimum
 from identification.pendulums.friction import evidence
 from identification.pendulums.release_problem import SUSPENSION, Release

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.integrate import fastest_rate
-from dynamics.kernels import FA, FB, rates
-from dynamics.parameters import RotorParameters
-from dynamics.sensitivities import packed_derivatives
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.kernels import FA, FB, rates
+from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.motions.integrate import fastest_rate
+from dynamics.motions.sensitivities import packed_derivatives
 from identification.pendulums.frictional_motion import frictional_motion
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 from identification.pendulums.variational import PARAMETER_COLUMNS, free_motion

@@ -18,9 +18,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dynamics.kernels import C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
-from dynamics.quick_rates import real_sine_cosine
-from dynamics.speed_history import phase_at
+from dynamics.equations.kernels import C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.quick_rates import real_sine_cosine
+from dynamics.equations.speed_history import phase_at
 from identification.pendulums.variational import follow
 
 COLUMNS = 19

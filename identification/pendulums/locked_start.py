@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from dynamics.parameters import RotorParameters
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.speed_history import SpeedHistory
 
 _STEP_S = 2e-3
 _DIFFERENCE = 1e-5  # of ln ω and ln ζ

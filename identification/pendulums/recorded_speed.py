@@ -22,8 +22,8 @@ from scipy.interpolate import BSpline, PPoly, make_lsq_spline
 from scipy.special import fdtri
 
 from daq.signals.run import Run
+from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
-from dynamics.speed_history import SpeedHistory
 from identification.pendulums.decline import encoder_step
 from identification.samples import correlation_inflation
 

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
-from dynamics.speed_history import SpeedHistory
 from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 from identification.pendulums.friction import Friction
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering

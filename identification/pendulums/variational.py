@@ -4,8 +4,8 @@ With the state y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) and ẏ = f(y, p) th
 Ṡ = (∂f/∂y) S + ∂f/∂p. Their sines and cosines are the motion's own and their steps longer, so fifteen columns cost as
 much as the motion and not fifteen times that as finite differences do.
 
-In the notation of dynamics.kernels: e' = −n, n' = e by the angle, and 𝐌(θ) q̈ = F(y) gives 𝐌 dq̈ = dF − d𝐌 q̈, where a
-pendulum's angle enters as S_i (turn e − φ̇² n) + m_i ((n·p̈) e + (e·p̈) n), m_i = S_i²/J_i, and its rate as
+In the notation of dynamics.equations.kernels: e' = −n, n' = e by the angle, and 𝐌(θ) q̈ = F(y) gives 𝐌 dq̈ = dF − d𝐌 q̈,
+where a pendulum's angle enters as S_i (turn e − φ̇² n) + m_i ((n·p̈) e + (e·p̈) n), m_i = S_i²/J_i, and its rate as
 S_i (2 φ̇ e + bare' n).
 """
 
@@ -17,13 +17,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dynamics.kernels import C1, C2, CA, CB, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
-from dynamics.quick_rates import real_sine_cosine
-from dynamics.speed_history import phase_at
+from dynamics.equations.kernels import C1, C2, CA, CB, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.quick_rates import real_sine_cosine
+from dynamics.equations.speed_history import phase_at
 
 COLUMNS = 15
 PARAMETER_COLUMNS = (K1, K2, C1, C2, CA, CB, SP)
-"""Packed parameters (dynamics.kernels) of columns 8 … 14; columns 0 … 7 are the start state's."""
+"""Packed parameters (dynamics.equations.kernels) of columns 8 … 14; columns 0 … 7 are the start state's."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})

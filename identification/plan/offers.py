@@ -13,8 +13,8 @@ from functools import partial
 import numpy as np
 
 from daq.guided_tests.kinds import TestKind, lacking
+from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError
-from dynamics.parameters import RotorParameters
 from identification.methods import Method, kinds_for
 from identification.plan.experiment import Experiment, limited
 from identification.plan.pendulums import release, spin_down

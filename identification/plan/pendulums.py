@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dynamics.integrate import fastest_rate, integrate, locked_state
-from dynamics.parameters import RotorParameters
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.motions.integrate import fastest_rate, integrate, locked_state
 from identification.estimate import Estimate
 from identification.methods import Method
 from identification.plan.experiment import Experiment

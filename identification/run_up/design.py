@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from dynamics.speed_history import phase_at
+from dynamics.equations.speed_history import phase_at
 from identification.ring_down.modes import rate
 from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Structure, run_up_blocks
 from identification.run_up.rotor_phase import RotorPhase

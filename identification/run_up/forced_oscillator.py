@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from dynamics.speed_history import SpeedHistory, phase_at
+from dynamics.equations.speed_history import SpeedHistory, phase_at
 from identification.ring_down.modes import rate, rate_derivatives
 
 STEP_RAD = 0.4

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.speed_history import SpeedHistory
 from identification.least_squares import minimise
 from identification.samples import Averages
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from daq.signals.run import Run
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 from identification.clocks import clock_errors, gain_label
 from identification.curve import Curve
 from identification.errors import NotIdentifiable

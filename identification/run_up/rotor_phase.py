@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
-from dynamics.speed_history import SpeedHistory
 from identification.errors import NotIdentifiable
 
 _KNOTS_PER_TURN = 40  # a ripple of twice per revolution keeps twenty

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from daq.signals.run import Run
-from dynamics.integrate import locked_state
-from dynamics.parameters import RotorParameters
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.motions.integrate import locked_state
 from identification.tracking.unscented import STATES, TALLY, filter_readings
 
 _SPAN_S, _TICK_S = 2.0, 1e-3

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.signals.run import Run
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
 from identification.errors import NotIdentifiable
 from identification.tracking.tracker import STATE_NAMES, Sensors, Tracked, Tracker
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynamics.integrate import fastest_rate
-from dynamics.parameters import RotorParameters
+from dynamics.equations.parameters import RotorParameters
+from dynamics.motions.integrate import fastest_rate
 from identification.tracking.phase_clock import PhaseClock
 from identification.tracking.unscented import STATES, TALLY, filter_readings
 

@@ -17,8 +17,8 @@ import math
 import numpy as np
 from numba import njit
 
-from dynamics.kernels import CA, CB, JA, JB
-from dynamics.quick_rates import quick_rates
+from dynamics.equations.kernels import CA, CB, JA, JB
+from dynamics.equations.quick_rates import quick_rates
 
 STATES, READINGS, TALLY = 10, 4, 8
 X, Y, THETA3, THETA4, LN_C3, LN_C4 = 0, 1, 2, 3, 8, 9

@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.signals.run import Release, Run
 from dynamics import RotorParameters, Scene, SpeedHistory, simulate
-from dynamics.integrate import locked_state
+from dynamics.motions.integrate import locked_state
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
 
 STEP = 2 * np.pi / 4096

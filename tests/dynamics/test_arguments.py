@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics import RotorParameters, Scene, SpeedHistory, multipliers, release_outcome, simulate, steady_states
+from dynamics.equations.parameters import imbalance_radius
+from dynamics.equations.scene import time_at_speed
 from dynamics.errors import DynamicsError, OutsideDomain
-from dynamics.parameters import imbalance_radius
-from dynamics.scene import time_at_speed
-from dynamics.singular_points import singular_points
-from dynamics.stability_map import stability_map
+from dynamics.stability.stability_map import stability_map
+from dynamics.steady.singular_points import singular_points
 from tests.dynamics.nominal import rig
 
 NO_NUMBERS: list[Any] = ["3", None, [1.0, 2.0], 1j, True, {}, np.array([1.0, 2.0])]

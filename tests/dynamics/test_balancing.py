@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.balancing import balanced_angles, balancing_region, closing_angles, gravity_disk
-from dynamics.parameters import Pendulum, RotorParameters
+from dynamics.equations.balancing import balanced_angles, balancing_region, closing_angles, gravity_disk
+from dynamics.equations.parameters import Pendulum, RotorParameters
 from tests.dynamics.nominal import rig
 
 moments = st.floats(1e-9, 1.0)

@@ -20,7 +20,7 @@ import numpy as np
 from dynamics.compiled_code import keep_compiled_code
 keep_compiled_code()
 from dynamics import SpeedHistory
-from dynamics.fixed_steps import integrate
+from dynamics.motions.fixed_steps import integrate
 from tests.dynamics.nominal import rig
 turn, start = SpeedHistory.constant(1.0), np.zeros(8)
 start[0] = 0.1
@@ -47,7 +47,7 @@ def test_a_changed_kernel_is_not_run_from_old_code(tmp_path: Path) -> None:
     shutil.copy(ROOT / "tests" / "dynamics" / "nominal.py", place / "tests" / "dynamics")
     before = run_in(place, home)
     assert run_in(place, home) == before
-    kernel = place / "dynamics" / "kernels.py"
+    kernel = place / "dynamics" / "equations" / "kernels.py"
     text = kernel.read_text(encoding="utf-8")
     assert text.count("- p[K1] * y[0]") == 1
     kernel.write_text(text.replace("- p[K1] * y[0]", "+ p[K1] * y[0]"), encoding="utf-8")

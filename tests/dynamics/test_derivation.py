@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics import Pendulum, RotorParameters
-from dynamics.balancing import balanced_angles
 from dynamics.derivation import (
     ISOTROPIC,
     lagrange_equations,
@@ -24,8 +23,9 @@ from dynamics.derivation import (
 from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import energies
 from dynamics.derivation.scenes import compiled, moving_rows, rig_values, scene_arguments
-from dynamics.kernels import FA, jacobian, rates
-from dynamics.singular_points import singular_points
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.kernels import FA, jacobian, rates
+from dynamics.steady.singular_points import singular_points
 
 BOTH = (True, True)
 SCENES = {

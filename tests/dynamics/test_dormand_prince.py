@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import DOP853
 
-from dynamics import dormand_prince as own
+from dynamics.motions import dormand_prince as own
 
 
 def test_every_number_is_scipys() -> None:

@@ -28,7 +28,7 @@ from dynamics import (
 )
 from dynamics.bench import arb_peer, heyoka_peer
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
-from dynamics.locked_motion import locked_state
+from dynamics.motions.locked_motion import locked_state
 from tests.dynamics.nominal import from_domain, rig
 
 ACCURACY = 1e-8

@@ -10,18 +10,18 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from dynamics.balancing import balanced_angles
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.linearised import PeriodicMatrix, along, rotating_frame, type_one
+from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.errors import NotConverged, OutsideDomain
-from dynamics.floquet import METHODS, floquet_multipliers
-from dynamics.floquet.bounds import eigenvalues_with_bounds
-from dynamics.floquet.methods import span_rad
-from dynamics.floquet.multipliers import balanced
-from dynamics.floquet.neutral import without_neutral
-from dynamics.floquet.piecewise import sampled_at_ends
-from dynamics.integrate import locked_state
-from dynamics.linearised import PeriodicMatrix, along, rotating_frame, type_one
-from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.singular_points import singular_points
+from dynamics.motions.integrate import locked_state
+from dynamics.stability.floquet import METHODS, floquet_multipliers
+from dynamics.stability.floquet.bounds import eigenvalues_with_bounds
+from dynamics.stability.floquet.methods import span_rad
+from dynamics.stability.floquet.multipliers import balanced
+from dynamics.stability.floquet.neutral import without_neutral
+from dynamics.stability.floquet.piecewise import sampled_at_ends
+from dynamics.steady.singular_points import singular_points
 
 KNOWN = {0.83: 1.361992, 1.6: 0.937055, 2.6: 0.974796, 3.3: 1.373347, 5.8: 0.978556}
 RADIUS, IMBALANCE = 0.054, 0.12 * 0.02117

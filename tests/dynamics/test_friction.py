@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from dynamics.equations.friction import BACKWARD, FORWARD, STUCK, modes_at, needed_torque, with_modes
+from dynamics.equations.kernels import FA, FB, JA, rates
+from dynamics.equations.parameters import Pendulum, RotorParameters
+from dynamics.equations.scene import Scene
+from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import NotConverged
-from dynamics.friction import BACKWARD, FORWARD, STUCK, modes_at, needed_torque, with_modes
-from dynamics.integrate import locked_state, simulate
-from dynamics.kernels import FA, FB, JA, rates
-from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.scene import Scene
-from dynamics.speed_history import SpeedHistory
+from dynamics.motions.integrate import locked_state, simulate
 
 ARM = 0.054
 

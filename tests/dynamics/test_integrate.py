@@ -11,18 +11,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dynamics.batch import simulate_batch
+from dynamics.equations.kernels import rates
+from dynamics.equations.parameters import Pendulum, RotorParameters
+from dynamics.equations.phase_segments import PhaseSegments
+from dynamics.equations.quick_rates import quick_rates, real_sine_cosine
+from dynamics.equations.scene import Scene, time_at_speed
+from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import DynamicsError, NotConverged, OutsideDomain
-from dynamics.integrate import fastest_rate, integrate, locked_orbit, locked_state, simulate
-from dynamics.kernels import rates
-from dynamics.motion import Motion
-from dynamics.motion_problem import motion_problem
-from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.phase_segments import PhaseSegments
-from dynamics.quick_rates import quick_rates, real_sine_cosine
-from dynamics.scene import Scene, time_at_speed
-from dynamics.speed_history import SpeedHistory
-from dynamics.trajectory import run
+from dynamics.motions.batch import simulate_batch
+from dynamics.motions.integrate import fastest_rate, integrate, locked_orbit, locked_state, simulate
+from dynamics.motions.motion import Motion
+from dynamics.motions.motion_problem import motion_problem
+from dynamics.motions.trajectory import run
 
 ARM = 0.054
 
@@ -439,7 +439,7 @@ def test_a_long_run_that_separates_is_refused_from_its_beginning(monkeypatch: py
         followed.append(float(problem.times[-1] - problem.times[0]))
         return run(problem, *args)
 
-    monkeypatch.setattr("dynamics.integrate.run", counted)
+    monkeypatch.setattr("dynamics.motions.integrate.run", counted)
     fast = dataclasses.replace(release(rig()), history=SpeedHistory.constant(1e6), start=None)
     with pytest.raises(NotConverged, match=r"within the first .* too fast"):
         simulate(rig(), fast, 1.0)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from dynamics.balancing import balanced_angles
 from dynamics.derivation import misprint_numbers, misprints, rotating_frame_equations, source_listing
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
@@ -18,7 +17,8 @@ from dynamics.derivation.effects import POINTS, rig, variants
 from dynamics.derivation.misprint_pieces import PIECES, unexplained
 from dynamics.derivation.run_up_faults import Faults, release, script_rates
 from dynamics.derivation.scenes import rig_values
-from dynamics.kernels import rates
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.kernels import rates
 
 LIST = Path(__file__).parents[2] / "docs" / "theory" / "misprints.md"
 # Equations with their wrong cells; every other one printed agrees

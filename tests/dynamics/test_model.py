@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from dynamics import choose_model
+from dynamics.equations.model import AUTONOMOUS, CLOSED_FORM, HALF_REVOLUTION, NONLINEAR, WHOLE_REVOLUTION
+from dynamics.equations.parameters import Pendulum
 from dynamics.errors import OutsideDomain
-from dynamics.model import AUTONOMOUS, CLOSED_FORM, HALF_REVOLUTION, NONLINEAR, WHOLE_REVOLUTION
-from dynamics.parameters import Pendulum
 from tests.dynamics.nominal import rig
 
 NONE = Pendulum.absent()

@@ -7,7 +7,7 @@ import pytest
 
 from dynamics import Pendulum, RotorParameters, Scene, SpeedHistory, locked_orbit, simulate
 from dynamics.errors import OutsideDomain
-from dynamics.integrate import locked_state
+from dynamics.motions.integrate import locked_state
 from tests.dynamics.nominal import rig
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from dynamics.balancing import balanced_angles
 from dynamics.bench import arb_peer, mpmath_peer
-from dynamics.floquet.multipliers import balanced
-from dynamics.linearised import type_one
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.linearised import type_one
+from dynamics.stability.floquet.multipliers import balanced
 from tests.dynamics.nominal import rig
 
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.integrate import locked_orbit
-from dynamics.orbits import periodic_orbit
-from dynamics.parameters import RotorParameters
-from dynamics.singular_points import singular_points
+from dynamics.equations.parameters import RotorParameters
+from dynamics.motions.integrate import locked_orbit
+from dynamics.steady.orbits import periodic_orbit
+from dynamics.steady.singular_points import singular_points
 from tests.dynamics.nominal import from_domain, rig
 
 

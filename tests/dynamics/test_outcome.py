@@ -11,9 +11,9 @@ import pytest
 from benchmarks.release_outcomes import judge, referee
 from dynamics import Pendulum, RotorParameters, Scene, SpeedHistory, release_outcome, simulate, steady_states
 from dynamics.bench.heyoka_runs import available
-from dynamics.outcome import PLAY_RAD, _Release, releases_within_play
-from dynamics.slipping import slipping_motion
-from dynamics.turn_map import turn_derivatives
+from dynamics.stability.turn_map import turn_derivatives
+from dynamics.steady.outcome import PLAY_RAD, _Release, releases_within_play
+from dynamics.steady.slipping import slipping_motion
 from tests.dynamics.nominal import rig
 
 

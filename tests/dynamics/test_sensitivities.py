@@ -8,13 +8,13 @@ import math
 import numpy as np
 import pytest
 
+from dynamics.equations.parameters import Pendulum, RotorParameters
+from dynamics.equations.scene import Scene
+from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
-from dynamics.integrate import locked_state, simulate
-from dynamics.locked_motion import locked_state_derivatives
-from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.scene import Scene
-from dynamics.sensitivities import packed_derivatives, sensitivities
-from dynamics.speed_history import SpeedHistory
+from dynamics.motions.integrate import locked_state, simulate
+from dynamics.motions.locked_motion import locked_state_derivatives
+from dynamics.motions.sensitivities import packed_derivatives, sensitivities
 
 ARM = 0.054
 

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics import locked_orbit, steady_states
+from dynamics.equations.kernels import rates
+from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import OutsideDomain
-from dynamics.kernels import rates
-from dynamics.parameters import RotorParameters
-from dynamics.singular_points import SingularPoint, aligned_points, dynamic_stiffness, singular_points
+from dynamics.steady.singular_points import SingularPoint, aligned_points, dynamic_stiffness, singular_points
 from tests.dynamics.nominal import from_domain, rig
 
 

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.balancing import balanced_angles
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.linearised import type_one
+from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.errors import NoBalancedState, OutsideDomain
-from dynamics.floquet import METHODS, floquet_multipliers
-from dynamics.floquet.quick_eigenvalues import eigenvalues
-from dynamics.linearised import type_one
-from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.stability_map import stability_map
+from dynamics.stability.floquet import METHODS, floquet_multipliers
+from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
+from dynamics.stability.stability_map import stability_map
 from tests.dynamics.nominal import rig
 
 MASS = 7.27

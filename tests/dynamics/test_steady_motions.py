@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from dynamics import Scene, SpeedHistory, multipliers, simulate, steady_states
 from dynamics.bench import heyoka_peer
+from dynamics.equations.kernels import rates
+from dynamics.equations.model import AUTONOMOUS, HALF_REVOLUTION, WHOLE_REVOLUTION
+from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
-from dynamics.kernels import rates
-from dynamics.model import AUTONOMOUS, HALF_REVOLUTION, WHOLE_REVOLUTION
-from dynamics.parameters import Pendulum, RotorParameters
-from dynamics.steady_state import SteadyState
+from dynamics.steady.steady_state import SteadyState
 from tests.dynamics.nominal import from_domain, rig
 
 needs_heyoka = pytest.mark.skipif(heyoka_peer.heyoka() is None, reason="heyoka has wheels for Linux only")

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from daq.signals.run import Release, Run
-from dynamics.integrate import integrate, locked_state
-from dynamics.parameters import RotorParameters
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.motions.integrate import integrate, locked_state
 from rig_configs.load import load_rig
 from rig_configs.schema import Rig
 

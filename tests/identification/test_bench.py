@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 
 from dynamics.bench.records import compared
 from dynamics.bench.tables import markdown
-from dynamics.integrate import simulate
-from dynamics.scene import Scene
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.scene import Scene
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.motions.integrate import simulate
 from identification.bench import decays, library_peers, precision, ramps, releases, ring_down_peers, spins, tables
 from identification.bench.fisher import bound
 from identification.bench.trials import Answer, Case, Method, Precision, Trial, measure
@@ -67,7 +67,7 @@ def test_the_release_moves_as_the_dynamics_say() -> None:
     time = np.arange(1, 1001) / 1000
     own = releases._motion(physics, damping, suspension, start, phase, 0.0, time)
     true = physics.with_values(c3_Nms_per_rad=0.001, c4_Nms_per_rad=0.002)
-    from dynamics.locked_motion import locked_state
+    from dynamics.motions.locked_motion import locked_state
 
     scene = Scene(
         SpeedHistory.constant(releases.SPEED_RAD_S, phase),

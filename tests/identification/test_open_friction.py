@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from synthetic import STEP, Campaign
 
-from dynamics.kernels import FA, FB
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.kernels import FA, FB
+from dynamics.equations.speed_history import SpeedHistory
 from identification import NotIdentifiable, fit_release, fit_spin_down_run
 from identification.errors import FitFailed
 from identification.estimate import Estimate

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from synthetic import Campaign
 
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, fit_release, fit_spin_down_run, identify
 from identification.identify import _left_out
 from identification.least_squares import minimise

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynamics.integrate import locked_state, simulate
-from dynamics.scene import Scene
-from dynamics.sensitivities import packed_derivatives, sensitivities
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.scene import Scene
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.motions.integrate import locked_state, simulate
+from dynamics.motions.sensitivities import packed_derivatives, sensitivities
 from identification.pendulums.free_angles import swing
 from identification.pendulums.locked_start import LockedStart
 from identification.pendulums.variational import PARAMETER_COLUMNS, free_motion

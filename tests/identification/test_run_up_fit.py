@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import Campaign
 
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.speed_history import SpeedHistory
 from identification import IdentificationError, NotIdentifiable, fit_run_up, fit_run_up_run
 from identification.run_up.fit import run_up_estimate
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from daq.signals.run import Run
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, RunUpFit, fit_run_up, fit_run_up_run
 from identification.run_up import fit as run_up_fit
 from identification.run_up.forced_oscillator import Drive, responses_at

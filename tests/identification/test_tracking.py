@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import Campaign
 
-from dynamics.kernels import rk4_step
-from dynamics.speed_history import SpeedHistory
+from dynamics.equations.kernels import rk4_step
+from dynamics.equations.speed_history import SpeedHistory
 from identification import NotIdentifiable
 from identification.tracking.phase_clock import PhaseClock
 from identification.tracking.release_start import damping_start

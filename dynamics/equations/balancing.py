@@ -1,0 +1,133 @@
+"""What the pendulums can balance: regions in the plane of first mass moments, balanced angles, centre-of-gravity disk.
+
+Notation: S_A, S_B, S_P are the first mass moments of pendulum A, pendulum B and the imbalance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+from dynamics.equations.parameters import RotorParameters, physics_of
+
+PROPERLY_OVERSIZED = "properly oversized"
+UNDERSIZED = "undersized"
+IMPROPERLY_OVERSIZED = "improperly oversized"
+
+
+@dataclass(frozen=True)
+class _Slacks:
+    """How far each side of the triangle S_A, S_B, S_P is from being as long as the other two, exact."""
+
+    a: Fraction  # S_B + S_P − S_A
+    b: Fraction  # S_A + S_P − S_B
+    p: Fraction  # S_A + S_B − S_P
+
+
+def _slacks(a: float, b: float, s: float) -> _Slacks:
+    """Exact differences of the moments as they are stored; what is under one rounding of the sides counts as none."""
+    A, B, S = Fraction(a), Fraction(b), Fraction(s)
+    rounding = Fraction(math.ulp(max(a, b, s)))
+
+    def slack(value: Fraction) -> Fraction:
+        return Fraction(0) if -rounding <= value < 0 else value
+
+    return _Slacks(slack(B + S - A), slack(A + S - B), slack(A + B - S))
+
+
+def balancing_region(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> str:
+    """Where a pendulum set stands against an imbalance.
+
+    Args:
+        a_kg_m, b_kg_m, imbalance_kg_m: first mass moments S_A, S_B, S_P, kg m, not negative.
+    Returns:
+        "properly oversized" (|S_A − S_B| ≤ S_P ≤ S_A + S_B: full balance exists, borders included),
+        "undersized" (S_A + S_B < S_P) or "improperly oversized" (|S_A − S_B| > S_P).
+    """
+    slack = _slacks(a_kg_m, b_kg_m, imbalance_kg_m)
+    if slack.p < 0:
+        return UNDERSIZED
+    return IMPROPERLY_OVERSIZED if min(slack.a, slack.b) < 0 else PROPERLY_OVERSIZED
+
+
+def _half_angle(numerator: Fraction, denominator: Fraction) -> float:
+    """2 atan sqrt(numerator/denominator), scaled so that neither under- nor overflows."""
+    scale = max(numerator, denominator)
+    if scale == 0:
+        return 0.0
+    return 2 * math.atan2(math.sqrt(numerator / scale), math.sqrt(denominator / scale))
+
+
+def _triangle_angles(a: float, b: float, s: float) -> tuple[float, float] | None:
+    """Angles of the triangle with sides S_A, S_B, S_P between S_P and S_A and between S_P and S_B, rad.
+
+    tan²(α/2) = (S_B + S_P − S_A)(S_A + S_B − S_P) / ((S_A + S_P − S_B)(S_A + S_B + S_P)), from exact differences of
+    the stored moments: on the borders the cosine formula would lose half the digits.
+
+    Returns:
+        None when there is no triangle. For S_P = 0 and S_A = S_B the limit S_P → 0: (π/2, π/2).
+    """
+    slack = _slacks(a, b, s)
+    if min(slack.a, slack.b, slack.p) < 0:
+        return None
+    if s == 0:
+        return math.pi / 2, math.pi / 2
+    whole = Fraction(a) + Fraction(b) + Fraction(s)
+    return _half_angle(slack.a * slack.p, slack.b * whole), _half_angle(slack.b * slack.p, slack.a * whole)
+
+
+def closing_angles(a_kg_m: float, b_kg_m: float, target_kg_m: complex) -> list[tuple[float, float]]:
+    """The angles (θ3, θ4) with S_A e^{iθ3} + S_B e^{iθ4} = target, in [0, 2π): two mirror images, or none.
+
+    Args:
+        target_kg_m: first moment the pendulums have to make, kg m; for a plain imbalance −S_P.
+    """
+    triangle = _triangle_angles(a_kg_m, b_kg_m, abs(target_kg_m))
+    if triangle is None or (a_kg_m == 0 and b_kg_m == 0):
+        return []
+    alpha, beta = triangle
+    direction = math.atan2(target_kg_m.imag, target_kg_m.real)
+    turn = 2 * math.pi
+    return [
+        ((direction - alpha) % turn, (direction + beta) % turn),
+        ((direction + alpha) % turn, (direction - beta) % turn),
+    ]
+
+
+def balanced_angles(rig: RotorParameters | object) -> list[tuple[float, float]]:
+    """Type I without pivot shift: the angles (θ3, θ4) with S_A e^{iθ3} + S_B e^{iθ4} = −S_P.
+
+    Returns:
+        Two mirror images in [0, 2π), the one with θ3 ≤ π first; empty when the set is not properly oversized.
+    """
+    parameters = physics_of(rig)
+    a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
+    return closing_angles(a, b, complex(-parameters.imbalance_moment_kg_m, 0.0))
+
+
+@dataclass(frozen=True)
+class GravityDisk:
+    """Where the pendulums can put the rotor's centre of gravity ("CG circle"), in rotor-fixed coordinates.
+
+    Attributes:
+        centre_m: distance of the ring's centre from the rotor axis, along the imbalance: S_P/M_S.
+        outer_m, inner_m: radii (S_A + S_B)/M_S and |S_A − S_B|/M_S; inside the inner one no pose reaches.
+    """
+
+    centre_m: float
+    outer_m: float
+    inner_m: float
+
+    @property
+    def holds_axis(self) -> bool:
+        """Whether the rotor axis lies in the ring, which is when full balance exists."""
+        return self.inner_m <= self.centre_m <= self.outer_m
+
+
+def gravity_disk(rig: RotorParameters | object) -> GravityDisk:
+    """The ring that the centre of gravity of rotor, imbalance and pendulums can reach."""
+    parameters = physics_of(rig)
+    a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
+    mass = parameters.total_mass_kg
+    return GravityDisk(parameters.imbalance_moment_kg_m / mass, (a + b) / mass, abs(a - b) / mass)

@@ -1,0 +1,273 @@
+"""The equations of small motions about a steady motion: δẏ = A(ψ) δy with A periodic in the rotor's phase.
+
+State y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) with the disk centre in the space-fixed frame: there the suspension is
+constant, and only the pendulums' small share turns with the rotor. Derivations: docs/theory/stability.md.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.equations.kernels import FA, FB, jacobian
+from dynamics.equations.parameters import RotorParameters
+from dynamics.errors import NotConverged, OutsideDomain
+
+_TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
+_ROUNDING = np.finfo(float).eps
+_MOST_PHASES = 4096
+
+
+@dataclass(frozen=True)
+class PeriodicMatrix:
+    """A(ψ) of δẏ = A(ψ) δy along a motion, as a Fourier series in the rotor's phase.
+
+    Attributes:
+        harmonics: complex, shape (m + 1, n, n): A(ψ) = Re Σ_k harmonics[k] e^{ikψ}, SI (1/s and the state's units).
+        speed_rad_s: ψ̇ = ω, above 0.
+        turn: signs, shape (n,), of D = diag(turn) with A(ψ + π) = D A(ψ) D: half a revolution tells all; None where
+            only the whole revolution repeats.
+    Raises:
+        OutsideDomain: a speed that is not finite and above 0, harmonics that are not finite or of the wrong shape.
+    """
+
+    harmonics: NDArray[np.complexfloating]
+    speed_rad_s: float
+    turn: NDArray[np.floating] | None
+
+    def __post_init__(self) -> None:
+        shape = self.harmonics.shape
+        if len(shape) != 3 or shape[0] < 1 or shape[1] != shape[2] or shape[1] < 1:
+            raise OutsideDomain(f"harmonics must have the shape (m + 1, n, n), got {shape}")
+        if not (np.isfinite(self.speed_rad_s) and self.speed_rad_s > 0):
+            raise OutsideDomain(f"speed_rad_s must be finite and above 0, got {self.speed_rad_s!r}")
+        if not np.all(np.isfinite(self.harmonics)):
+            raise OutsideDomain("the matrix along the motion holds values that are not finite: check masses and speed")
+
+    @property
+    def constant(self) -> bool:
+        """Whether the matrix does not depend on the phase (autonomous equations)."""
+        return len(self.harmonics) == 1
+
+    @property
+    def dimension(self) -> int:
+        """Number of states n."""
+        return self.harmonics.shape[1]
+
+    def at(self, phase_rad: float) -> NDArray[np.floating]:
+        """A(ψ), shape (n, n), 1/s."""
+        wave = np.exp(1j * phase_rad * np.arange(len(self.harmonics)))
+        return np.real(np.einsum("k,kij->ij", wave, self.harmonics))
+
+    @functools.cached_property
+    def seen_from_rotor(self) -> PeriodicMatrix | None:
+        """The constant matrix in the frame that turns with the rotor; None where it is not constant there.
+
+        With y = R(ψ) y_r, R turning (x, y) and (ẋ, ẏ) by ψ: A_r = Rᵀ A(ψ) R − ω G, G = dR/dψ at 0. Over a whole
+        revolution R comes back to 1, so the multipliers are the same.
+        """
+        if self.constant or self.dimension not in (4, 6, 8):
+            return None
+        start, phases = self.at(0.0), np.linspace(0.0, 2 * np.pi, 2 * len(self.harmonics) + 1, endpoint=False)[1:]
+        size = np.abs(start)
+        for phase in phases:
+            turned = _turned(self.dimension, phase)
+            there = turned.T @ self.at(float(phase)) @ turned
+            allowed = 16 * _ROUNDING * (np.abs(turned.T) @ np.abs(self.at(float(phase))) @ np.abs(turned) + size)
+            if np.any(np.abs(there - start) > allowed):
+                return None
+        return PeriodicMatrix(
+            (start - self.speed_rad_s * _turning(self.dimension)).astype(complex)[None], self.speed_rad_s, None
+        )
+
+
+def _turning(n: int) -> NDArray[np.floating]:
+    """G: derivative of the rotation of (x, y) and (ẋ, ẏ) at angle zero."""
+    g = np.zeros((n, n))
+    for i in (0, n // 2):
+        g[i, i + 1], g[i + 1, i] = -1.0, 1.0
+    return g
+
+
+def _turned(n: int, angle: float) -> NDArray[np.floating]:
+    """R(ψ)."""
+    r = np.eye(n)
+    for i in (0, n // 2):
+        r[i : i + 2, i : i + 2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return r
+
+
+def kept_states(parameters: RotorParameters, released: tuple[bool, bool] = (True, True)) -> NDArray[np.intp]:
+    """Indices of the states that move: a locked or absent pendulum's angle and rate are left out."""
+    free = [bool(r and p.present) for r, p in zip(released, (parameters.a, parameters.b), strict=True)]
+    return np.flatnonzero(np.array([True, True, *free] * 2))
+
+
+def type_one(parameters: RotorParameters, theta3: float, theta4: float, speed_rad_s: float) -> PeriodicMatrix:
+    """Small motions about the balanced state (Type I), exact: nothing but the harmonics 0, 1 and 2.
+
+    With a plane vector as a complex number, e_i = e^{i(ψ+θ_i)}, n_i = −i e_i and μ_i = S_i²/J_i the mass matrix is
+    M b = m b − g e^{2iψ} b̄ with m = M_S − (μ_A + μ_B)/2, g = −½ Σ μ_i e^{2iθ_i}, and its inverse
+    (m a + g e^{2iψ} ā)/(m² − |g|²). Applied to what turns with the rotor it gives what turns with the rotor. Dry
+    friction is left out.
+
+    Args:
+        theta3, theta4: balanced angles (dynamics.equations.balancing.balanced_angles), rad.
+        speed_rad_s: running speed ω, rad/s.
+    Raises:
+        OutsideDomain: gravity in the disk plane or a pivot shift: the rotor does not rest there (use `along`).
+    """
+    p, w = parameters, speed_rad_s
+    if p.gravity_m_per_s2 != 0 or p.pivot_shift_m != 0:
+        raise OutsideDomain(
+            "the closed form of Type I needs gravity_m_per_s2 = 0 and pivot_shift_m = 0, got "
+            f"{p.gravity_m_per_s2!r} and {p.pivot_shift_m!r}; linearise along the computed orbit instead"
+        )
+    k, c = (p.k1_N_per_m, p.k2_N_per_m), p.damping_Ns_per_m
+    packed = p.packed()
+    s, j, loss = packed[5:7], packed[8:10], packed[10:12]
+    arm = np.array([np.exp(1j * theta3), np.exp(1j * theta4)])
+    normal, mu = -1j * arm, s * s / j
+    m, g = p.total_mass_kg - mu.sum() / 2, -0.5 * np.sum(mu * arm**2)
+    det = (m - abs(g)) * (m + abs(g))
+
+    def softened(a: complex) -> complex:
+        return (m * a + g * np.conj(a)) / det
+
+    h = np.zeros((3, 8, 8), complex)
+    h[0, :4, 4:] = np.eye(4)
+    for axis, unit in ((0, 1.0), (1, -1j)):
+        sign = 1.0 if axis == 0 else -1.0
+        for column, force in ((axis, -k[axis]), (4 + axis, -c[axis])):
+            h[0, 4 + axis, column] = m * force / det
+            h[2, 4 + axis, column] = sign * g * force / det
+            h[2, 5 - axis, column] = -1j * g * force / det
+            for i in range(2):
+                h[1, 6 + i, column] = s[i] / j[i] * force * unit * softened(normal[i])
+    for i in range(2):
+        pushes = ((2 + i, -w * w * s[i] * normal[i]), (6 + i, s[i] * (2 * w * arm[i] - loss[i] / j[i] * normal[i])))
+        for column, force in pushes:
+            moved = softened(force)
+            h[1, 4, column], h[1, 5, column] = moved, -1j * moved
+            for r in range(2):
+                h[0, 6 + r, column] = s[r] / j[r] * np.real(np.conj(normal[r]) * moved)
+        h[0, 6 + i, 6 + i] -= loss[i] / j[i]
+    kept = kept_states(p)
+    return PeriodicMatrix(np.ascontiguousarray(h[:, kept][:, :, kept]), speed_rad_s, _TURN[kept])
+
+
+def along(
+    parameters: RotorParameters,
+    states: NDArray[np.floating],
+    speed_rad_s: float,
+    released: tuple[bool, bool] = (True, True),
+) -> PeriodicMatrix:
+    """Small motions about a periodic motion, from the kernel's exact Jacobian at phases of a whole revolution.
+
+    The states' trigonometric interpolant is sampled more densely until the matrix's own Fourier series has died
+    away, so that products of many harmonics do not fold back. Dry friction is left out.
+
+    Args:
+        states: shape (N, 8), at ψ_j = 2πj/N, N even; space-fixed x, y.
+        speed_rad_s: running speed ω, rad/s.
+        released: which pendulums are free.
+    Raises:
+        OutsideDomain: states of another shape.
+        NotConverged: the Fourier series does not die away (a motion too rough for the phases it is given at).
+    """
+    if states.ndim != 2 or states.shape[1] != 8 or len(states) < 2 or len(states) % 2:
+        raise OutsideDomain(f"states must have the shape (N, 8) with N even, got {states.shape}")
+    packed = parameters.packed()
+    packed[FA] = packed[FB] = 0.0
+    kept = kept_states(parameters, released)
+    turn = _TURN[kept] if parameters.gravity_m_per_s2 == 0 and _repeats_after_half(states) else None
+    phases = max(16, len(states))
+    while phases <= _MOST_PHASES:
+        sampled = _resampled(states, phases)
+        matrices = np.empty((phases, 8, 8))
+        for i, state in enumerate(sampled):
+            jacobian(
+                state, 2 * np.pi * i / phases, speed_rad_s, 0.0, packed, float(2 in kept), float(3 in kept), matrices[i]
+            )
+        spectrum = np.fft.rfft(matrices[:, kept][:, :, kept], axis=0) / phases
+        spectrum[1:] *= 2.0
+        if turn is not None:  # entries that keep their sign over half a turn hold even orders, the others odd ones
+            odd = np.outer(turn, turn) < 0
+            orders = np.arange(len(spectrum))
+            spectrum[(orders[:, None, None] % 2 == 1) != odd[None]] = 0.0
+        last = _last_heard(spectrum, np.max(np.abs(matrices[:, kept][:, :, kept]), axis=0))
+        if last < 3 * phases // 8:
+            return PeriodicMatrix(np.ascontiguousarray(spectrum[: last + 1]), speed_rad_s, turn)
+        phases *= 2
+    raise NotConverged(
+        f"the matrix along the motion still has harmonics above rounding at order {_MOST_PHASES // 2}, wanted none; "
+        "give the motion at more phases"
+    )
+
+
+def _last_heard(spectrum: NDArray[np.complexfloating], size: NDArray[np.floating]) -> int:
+    """The highest order above the rounding of the states and of the matrix.
+
+    Args:
+        spectrum: shape (m + 1, n, n).
+        size: largest value of each entry, shape (n, n).
+
+    The states carry rounding of their own; it lies flat over the orders, so the upper quarter of the spectrum tells
+    it. More than 1e-11 of the entry's row is no rounding and counts as heard.
+    """
+    row = np.max(size, axis=1, keepdims=True)
+    flat = np.max(np.abs(spectrum[3 * len(spectrum) // 4 :]), axis=0)
+    floor = np.maximum(8 * _ROUNDING * size, np.where(flat <= 1e-11 * row, 4 * flat, 0.0))
+    return int(np.max(np.flatnonzero(np.any(np.abs(spectrum) > floor, axis=(1, 2))), initial=0))
+
+
+def _repeats_after_half(states: NDArray[np.floating]) -> bool:
+    """Whether x, y turn their sign after half a revolution and the angles do not, within the orbit's own accuracy."""
+    half = len(states) // 2
+    apart = np.abs(states[half:] - _TURN * states[:half]).max(axis=0)
+    size = np.abs(states).max(axis=0)
+    scale = np.maximum(size[0::2], size[1::2]).repeat(2)  # x with y, θ3 with θ4
+    return bool(np.all(apart <= 1e-7 * scale + 1e-300))
+
+
+def _resampled(states: NDArray[np.floating], phases: int) -> NDArray[np.floating]:
+    """The states' trigonometric interpolant at more phases of a whole revolution, shape (phases, 8)."""
+    have = len(states)
+    if phases == have:
+        return np.ascontiguousarray(states, float)
+    spectrum = np.fft.rfft(states, axis=0)
+    spectrum[-1] *= 0.5  # the highest cosine stands for both signs of its order
+    wider = np.zeros((phases // 2 + 1, 8), complex)
+    wider[: len(spectrum)] = spectrum
+    return np.fft.irfft(wider, phases, axis=0) * (phases / have)
+
+
+def rotating_frame(
+    parameters: RotorParameters,
+    state: NDArray[np.floating],
+    speed_rad_s: float,
+    released: tuple[bool, bool] = (True, True),
+) -> PeriodicMatrix:
+    """Small motions about a singular point on an isotropic suspension: constant in the frame that turns.
+
+    Args:
+        state: shape (8,), the space-fixed state at ψ = 0 of a motion at rest in the rotating frame.
+    Raises:
+        OutsideDomain: suspension not isotropic, or gravity in the disk plane.
+    """
+    if not parameters.is_isotropic or parameters.gravity_m_per_s2 != 0:
+        raise OutsideDomain(
+            "the rotating frame gives constant equations only with k1 = k2, zeta1 = zeta2 and no gravity in the disk "
+            "plane; use `along`"
+        )
+    packed = parameters.packed()
+    packed[FA] = packed[FB] = 0.0
+    kept = kept_states(parameters, released)
+    matrix = np.empty((8, 8))
+    start = np.ascontiguousarray(state, float)
+    jacobian(start, 0.0, speed_rad_s, 0.0, packed, float(2 in kept), float(3 in kept), matrix)
+    matrix -= speed_rad_s * _turning(8)
+    return PeriodicMatrix(matrix[np.ix_(kept, kept)].astype(complex)[None], speed_rad_s, None)

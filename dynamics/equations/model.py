@@ -1,0 +1,82 @@
+"""The smallest model that is exact for a scene, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.errors import OutsideDomain
+
+CLOSED_FORM = "linear, closed form"
+AUTONOMOUS = "rotating frame, autonomous"
+HALF_REVOLUTION = "periodic over half a revolution"
+WHOLE_REVOLUTION = "periodic over a whole revolution"
+NONLINEAR = "full nonlinear motion"
+_BY_SIZE = (CLOSED_FORM, AUTONOMOUS, HALF_REVOLUTION, WHOLE_REVOLUTION, NONLINEAR)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model and the reason for it.
+
+    Attributes:
+        name: one of the names of this module, smallest first: CLOSED_FORM, AUTONOMOUS, HALF_REVOLUTION,
+            WHOLE_REVOLUTION, NONLINEAR.
+        why: what in the scene asks for it, one line.
+    """
+
+    name: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.why}"
+
+
+def choose_model(
+    rig: RotorParameters | object,
+    released: tuple[bool, bool] = (True, True),
+    *,
+    steady: bool = True,
+    at_least: str | None = None,
+) -> Model:
+    """The smallest exact model of a scene.
+
+    Args:
+        rig: RotorParameters, or anything whose `.physics` is.
+        released: which pendulums are free.
+        steady: constant speed and a motion that repeats; False: a transient, a ramp or a measured speed.
+        at_least: name of a model; a bigger one than needed is taken when this asks for it.
+    Raises:
+        OutsideDomain: `at_least` names no model.
+    """
+    smallest = _smallest(physics_of(rig), released, steady)
+    if at_least is None:
+        return smallest
+    if at_least not in _BY_SIZE:
+        raise OutsideDomain(f"model: expected one of {', '.join(map(repr, _BY_SIZE))}, got {at_least!r}")
+    if _BY_SIZE.index(at_least) <= _BY_SIZE.index(smallest.name):
+        too_small = "" if at_least == smallest.name else f" ({at_least} was asked for and would not be exact)"
+        return Model(smallest.name, smallest.why + too_small)
+    return Model(at_least, f"asked for ({smallest.name} would do)")
+
+
+def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> Model:
+    free = [name for name, r, q in zip("AB", released, (p.a, p.b), strict=True) if r and q.present]
+    if not free:
+        what = "no pendulum is free" if p.a.present or p.b.present else "no pendulum"
+        if steady:
+            return Model(CLOSED_FORM, f"{what}, so disk and column are two forced linear oscillators")
+        return Model(NONLINEAR, f"{what}, but the speed changes: integrated over time")
+    if not steady:
+        return Model(NONLINEAR, "the motion does not repeat: integrated over time")
+    who = "pendulums are" if len(free) == 2 else f"pendulum {free[0]} is"
+    if p.gravity_m_per_s2 > 0:
+        return Model(
+            WHOLE_REVOLUTION, f"{who} free and gravity lies in the disk plane, which repeats once a revolution"
+        )
+    if not p.is_isotropic:
+        unequal = "k1 ≠ k2" if p.k1_N_per_m != p.k2_N_per_m else "ζ1 ≠ ζ2"
+        return Model(HALF_REVOLUTION, f"{who} free and {unequal}, which the rotor sees twice a revolution")
+    return Model(
+        AUTONOMOUS, f"{who} free on an isotropic suspension: steady motions are rest points of the rotor's frame"
+    )

@@ -1,0 +1,289 @@
+"""Physical parameters of rotor, pendulums and suspension, and the quantities that follow from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics.errors import OutsideDomain
+
+_SMALLEST, _LARGEST = 1e-15, 1e15  # SI; far outside any rig
+_LIGHTEST = 1e-3  # rotor against pendulums
+
+
+@dataclass(frozen=True)
+class Pendulum:
+    """A point mass on a massless arm about the rotor axis, or a ball that rolls in a channel of the rotor.
+
+    A ball of radius r whose centre runs on a circle of radius R rolls on the channel's outer wall without slipping:
+    it turns at ω − θ̇ R/r, so its own inertia κ m r² adds κ m R² to the inertia against θ̈ and takes κ m r R from
+    the one against ω̇ (dynamics.derivation).
+
+    Attributes:
+        mass_kg: mass, kg; 0 for a pendulum that is not there.
+        length_m: distance of the mass from its pivot, for a ball of its centre from the channel's, m.
+        damping_Nms_per_rad: viscous torque per speed relative to the rotor (c3 or c4), N m s/rad.
+        friction_arm_m: dry friction torque per contact force M R φ̇², m: μ times the pivot pin's radius, or a ball's
+            coefficient of rolling resistance (a length) times R/r.
+        ball_radius_m: radius r of a rolling ball; 0 for a pendulum.
+        ball_inertia_ratio: κ = I/(m r²): 0.4 for a sphere, 0.5 for a cylinder.
+    """
+
+    mass_kg: float
+    length_m: float
+    damping_Nms_per_rad: float
+    friction_arm_m: float = 0.0
+    ball_radius_m: float = 0.0
+    ball_inertia_ratio: float = 0.4
+
+    @classmethod
+    def absent(cls) -> Pendulum:
+        """No pendulum in this place."""
+        return cls(0.0, 1.0, 0.0)
+
+    @property
+    def present(self) -> bool:
+        """Whether there is anything in this place."""
+        return self.mass_kg > 0
+
+    @property
+    def first_moment_kg_m(self) -> float:
+        """S = M R, kg m."""
+        return self.mass_kg * self.length_m
+
+    @property
+    def inertia_kg_m2(self) -> float:
+        """J against θ̈: M R², for a ball M R² (1 + κ), kg m²."""
+        rolling = self.ball_inertia_ratio if self.ball_radius_m > 0 else 0.0
+        return self.mass_kg * self.length_m**2 * (1.0 + rolling)
+
+    @property
+    def drive_inertia_kg_m2(self) -> float:
+        """Inertia against ω̇: M R², for a ball M R² (1 − κ r/R), kg m²."""
+        return self.mass_kg * self.length_m * (self.length_m - self.ball_inertia_ratio * self.ball_radius_m)
+
+
+@dataclass(frozen=True)
+class RotorParameters:
+    """All numbers the equations of motion need (SI).
+
+    Attributes:
+        rotor_mass_kg: disk with column, kg.
+        imbalance_mass_kg, imbalance_radius_m: brass weight and its distance from the axis.
+        a, b: the two pendulums.
+        k1_N_per_m, k2_N_per_m: stiffness along x and y.
+        zeta1, zeta2: damping ratios along x and y, c / (2 sqrt(k M_S)).
+        pivot_shift_m: shift R_C of the pendulums' pivot along the imbalance direction.
+        pivot_shift_compensated: whether brass weights balance the imbalance (M_A + M_B) R_C that the shift brings,
+            as the rig's procedure has it.
+        gravity_m_per_s2: gravity within the disk plane, along −y (a horizontal shaft); 0 for a vertical one.
+    Raises:
+        OutsideDomain: a value that is not finite, a length or stiffness or the rotor's mass not positive, or a
+            mass, damping or friction that is negative.
+    """
+
+    rotor_mass_kg: float
+    imbalance_mass_kg: float
+    imbalance_radius_m: float
+    a: Pendulum
+    b: Pendulum
+    k1_N_per_m: float
+    k2_N_per_m: float
+    zeta1: float
+    zeta2: float
+    pivot_shift_m: float = 0.0
+    pivot_shift_compensated: bool = True
+    gravity_m_per_s2: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive = {
+            "rotor_mass_kg": self.rotor_mass_kg,
+            "k1_N_per_m": self.k1_N_per_m,
+            "k2_N_per_m": self.k2_N_per_m,
+            "a.length_m": self.a.length_m,
+            "b.length_m": self.b.length_m,
+        }
+        not_negative = {
+            "a.mass_kg": self.a.mass_kg,
+            "b.mass_kg": self.b.mass_kg,
+            "a.friction_arm_m": self.a.friction_arm_m,
+            "b.friction_arm_m": self.b.friction_arm_m,
+            "a.ball_radius_m": self.a.ball_radius_m,
+            "b.ball_radius_m": self.b.ball_radius_m,
+            "a.ball_inertia_ratio": self.a.ball_inertia_ratio,
+            "b.ball_inertia_ratio": self.b.ball_inertia_ratio,
+            "gravity_m_per_s2": self.gravity_m_per_s2,
+            "imbalance_mass_kg": self.imbalance_mass_kg,
+            "imbalance_radius_m": self.imbalance_radius_m,
+            "zeta1": self.zeta1,
+            "zeta2": self.zeta2,
+            "a.damping_Nms_per_rad": self.a.damping_Nms_per_rad,
+            "b.damping_Nms_per_rad": self.b.damping_Nms_per_rad,
+            "pivot_shift_m": self.pivot_shift_m,
+        }
+        masses = {"a.mass_kg": self.a.mass_kg, "b.mass_kg": self.b.mass_kg}
+        for name, value in (positive | not_negative | {"gravity_m_per_s2": self.gravity_m_per_s2}).items():
+            if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
+                raise OutsideDomain(f"{name} must be a number, got {value!r}")
+        for name, value in positive.items():
+            if not (math.isfinite(value) and value > 0):
+                raise OutsideDomain(f"{name} must be finite and above 0, got {value!r}")
+            if not _SMALLEST <= value <= _LARGEST:  # beyond, squares and quotients leave the range of a double
+                raise OutsideDomain(f"{name} must lie in {_SMALLEST:g} … {_LARGEST:g}, got {value!r}")
+        self._need_a_rotor()
+        for name, value in masses.items():
+            if 0 < value < _SMALLEST:
+                raise OutsideDomain(f"{name} must be 0 (no pendulum) or at least {_SMALLEST:g}, got {value!r}")
+        for name, p in (("a", self.a), ("b", self.b)):
+            if p.ball_radius_m >= p.length_m:
+                raise OutsideDomain(
+                    f"{name}.ball_radius_m must be below the circle of the ball's centre, {name}.length_m = "
+                    f"{p.length_m:g}, got {p.ball_radius_m!r}"
+                )
+        for name, value in not_negative.items():
+            if not (math.isfinite(value) and value >= 0):
+                raise OutsideDomain(f"{name} must be finite and not negative, got {value!r}")
+            if value > _LARGEST:
+                raise OutsideDomain(f"{name} must be at most {_LARGEST:g}, got {value!r}")
+
+    def _need_a_rotor(self) -> None:
+        if self.rotor_mass_kg < _LIGHTEST * (self.a.mass_kg + self.b.mass_kg):
+            raise OutsideDomain(
+                f"rotor_mass_kg must be at least {_LIGHTEST:g} of the pendulums' {self.a.mass_kg + self.b.mass_kg:.6g} "
+                f"kg, got {self.rotor_mass_kg!r}: without a rotor the equations of motion are singular"
+            )
+
+    @property
+    def total_mass_kg(self) -> float:
+        """M_S: everything that moves with the disk centre, kg."""
+        return self.rotor_mass_kg + self.imbalance_mass_kg + self.a.mass_kg + self.b.mass_kg
+
+    @property
+    def imbalance_moment_kg_m(self) -> float:
+        """S_P, kg m."""
+        return self.imbalance_mass_kg * self.imbalance_radius_m
+
+    @property
+    def natural_frequencies_rad_s(self) -> tuple[float, float]:
+        """Undamped ω_n1, ω_n2, rad/s."""
+        mass = self.total_mass_kg
+        return math.sqrt(self.k1_N_per_m / mass), math.sqrt(self.k2_N_per_m / mass)
+
+    @property
+    def damping_Ns_per_m(self) -> tuple[float, float]:
+        """c1, c2 = 2 ζ sqrt(k M_S), N s/m."""
+        mass = self.total_mass_kg
+        return (
+            2 * self.zeta1 * math.sqrt(self.k1_N_per_m * mass),
+            2 * self.zeta2 * math.sqrt(self.k2_N_per_m * mass),
+        )
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether a pendulum that is there feels dry friction."""
+        return any(q.present and q.friction_arm_m > 0 for q in (self.a, self.b))
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether both directions have the same stiffness and damping."""
+        return self.k1_N_per_m == self.k2_N_per_m and self.zeta1 == self.zeta2
+
+    def speed_rad_s(self, speed_ratio: float) -> float:
+        """Running speed at a speed ratio Ω = ω/ω_n1, rad/s."""
+        return speed_ratio * self.natural_frequencies_rad_s[0]
+
+    def with_values(self, **values: float) -> RotorParameters:
+        """A copy with some identified parameters replaced.
+
+        Args:
+            values: any of k1_N_per_m, k2_N_per_m, zeta1, zeta2, c3_Nms_per_rad, c4_Nms_per_rad, SP_kg_m.
+                SP_kg_m moves the imbalance radius and leaves its mass, so M_S stays.
+        """
+        own = {k: values.pop(k) for k in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2") if k in values}
+        result = dataclasses.replace(self, **own)
+        if "SP_kg_m" in values:
+            radius = imbalance_radius(values.pop("SP_kg_m"), self.imbalance_mass_kg)
+            result = dataclasses.replace(result, imbalance_radius_m=radius)
+        if "c3_Nms_per_rad" in values:
+            a = dataclasses.replace(result.a, damping_Nms_per_rad=values.pop("c3_Nms_per_rad"))
+            result = dataclasses.replace(result, a=a)
+        if "c4_Nms_per_rad" in values:
+            b = dataclasses.replace(result.b, damping_Nms_per_rad=values.pop("c4_Nms_per_rad"))
+            result = dataclasses.replace(result, b=b)
+        if values:
+            raise TypeError(f"unknown parameter names: {sorted(values)}")
+        return result
+
+    def identified(self) -> dict[str, float]:
+        """The seven numbers an identification finds, under their file names."""
+        return {
+            "k1_N_per_m": self.k1_N_per_m,
+            "k2_N_per_m": self.k2_N_per_m,
+            "zeta1": self.zeta1,
+            "zeta2": self.zeta2,
+            "c3_Nms_per_rad": self.a.damping_Nms_per_rad,
+            "c4_Nms_per_rad": self.b.damping_Nms_per_rad,
+            "SP_kg_m": self.imbalance_moment_kg_m,
+        }
+
+    @property
+    def forcing_moment_kg_m(self) -> float:
+        """S_P with what an uncompensated pivot shift adds to it, kg m."""
+        shift = 0.0 if self.pivot_shift_compensated else (self.a.mass_kg + self.b.mass_kg) * self.pivot_shift_m
+        return self.imbalance_moment_kg_m + shift
+
+    def packed(self) -> np.ndarray:
+        """The numbers in the order of the compiled kernels (see dynamics.equations.kernels), shape (18,)."""
+        a, b = self.a, self.b
+        return np.array(
+            [
+                self.total_mass_kg,
+                self.k1_N_per_m,
+                self.k2_N_per_m,
+                *self.damping_Ns_per_m,
+                a.first_moment_kg_m,
+                b.first_moment_kg_m,
+                self.forcing_moment_kg_m,
+                a.inertia_kg_m2 if a.present else 1.0,
+                b.inertia_kg_m2 if b.present else 1.0,
+                a.damping_Nms_per_rad,
+                b.damping_Nms_per_rad,
+                self.pivot_shift_m,
+                a.drive_inertia_kg_m2,
+                b.drive_inertia_kg_m2,
+                a.friction_arm_m * a.first_moment_kg_m,
+                b.friction_arm_m * b.first_moment_kg_m,
+                self.gravity_m_per_s2,
+            ]
+        )
+
+
+def imbalance_radius(moment_kg_m: float, mass_kg: float) -> float:
+    """P_3 = S_P/M_P, m: a moment is laid over a rig by moving its imbalance mass, so that M_S stays.
+
+    Raises:
+        OutsideDomain: a moment, and no mass to make it.
+    """
+    if mass_kg > 0:
+        return moment_kg_m / mass_kg
+    if moment_kg_m == 0:
+        return 0.0
+    raise OutsideDomain(
+        f"S_P = {moment_kg_m:.6g} kg m can't be made by an imbalance mass of {mass_kg:g} kg: expected "
+        "imbalance.mass_kg above 0, the mass on the rotor that makes it"
+    )
+
+
+def physics_of(rig: object) -> RotorParameters:
+    """The rotor parameters of a rig file, or the argument itself when it is that already.
+
+    Raises:
+        OutsideDomain: neither RotorParameters nor something whose `.physics` is.
+    """
+    found = getattr(rig, "physics", rig)
+    if not isinstance(found, RotorParameters):
+        raise OutsideDomain(f"expected RotorParameters or a rig with .physics, got {type(rig).__name__}")
+    return found

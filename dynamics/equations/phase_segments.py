@@ -1,0 +1,93 @@
+"""The rotor's phase for a stepping method: every step stays on one cubic, or knows what it steps across.
+
+A speed history is a piecewise cubic with constant speed outside. Here the two outer stretches become segments of
+their own, so that a method can evaluate any instant on the segment its step belongs to: at the knot where a ramp
+ends, the step before it sees the ramp's acceleration and the step after it none.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from dynamics.equations.speed_history import SpeedHistory
+
+
+@dataclass(frozen=True)
+class PhaseSegments:
+    """A speed history laid out for stepping.
+
+    Attributes:
+        knots: shape (n,), ascending, s; segment j lies between knots[j − 1] and knots[j].
+        origins: shape (n + 1,), s.
+        cubics: shape (n + 1, 4): ψ = c0 + c1 s + c2 s² + c3 s³, s = t − origin.
+        jumps: shape (n, 2): how much the acceleration (rad/s²) and its rate (rad/s³) jump at each knot.
+    """
+
+    knots: np.ndarray
+    origins: np.ndarray
+    cubics: np.ndarray
+    jumps: np.ndarray
+
+    @classmethod
+    def of(cls, history: SpeedHistory) -> PhaseSegments:
+        """The segments of a history."""
+        knots = np.ascontiguousarray(history.knots_s, float)
+        inner = np.ascontiguousarray(history.coefficients, float)
+        width = np.diff(knots)[-1]
+        c0, c1, c2, c3 = inner[-1]
+        first = [inner[0, 0], inner[0, 1], 0.0, 0.0]
+        last = [c0 + width * (c1 + width * (c2 + width * c3)), c1 + width * (2 * c2 + width * 3 * c3), 0.0, 0.0]
+        cubics = np.vstack([first, inner, last])
+        origins = np.r_[knots[0], knots]
+        before = 2 * cubics[:-1, 2] + 6 * cubics[:-1, 3] * (knots - origins[:-1])
+        jumps = np.abs(np.column_stack([2 * cubics[1:, 2] - before, 6 * np.diff(cubics[:, 3])]))
+        return cls(knots, origins, cubics, jumps)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """knots, origins, cubics, jumps: what compiled code takes."""
+        return self.knots, self.origins, self.cubics, self.jumps
+
+    def phase(self, time_s: float) -> np.ndarray:
+        """ψ (rad), ω (rad/s), α (rad/s²) at one instant (at a knot: after it), shape (3,)."""
+        out = np.empty(3)
+        phase_within(time_s, 0, len(self.knots), self.knots, self.origins, self.cubics, out)
+        return out
+
+
+@njit(cache=True, error_model="numpy")
+def segment_of(t, segment, knots):
+    """The segment that holds t (at a knot: the one after it), sought upwards from a given one."""
+    while segment < len(knots) and t >= knots[segment]:
+        segment += 1
+    return segment
+
+
+@njit(cache=True, error_model="numpy")
+def phase_within(t, first, last, knots, origins, cubics, out):
+    """(ψ, ω, α) at t into out, for a step that spans the segments first … last."""
+    segment = first
+    while segment < last and t >= knots[segment]:
+        segment += 1
+    s = t - origins[segment]
+    c0, c1, c2, c3 = cubics[segment, 0], cubics[segment, 1], cubics[segment, 2], cubics[segment, 3]
+    out[0] = c0 + s * (c1 + s * (c2 + s * c3))
+    out[1] = c1 + s * (2.0 * c2 + s * 3.0 * c3)
+    out[2] = 2.0 * c2 + 6.0 * c3 * s
+
+
+def speed_crossings(segments: PhaseSegments, level_rad_s: float, from_s: float, to_s: float) -> np.ndarray:
+    """Instants in [from_s, to_s] at which the speed passes a level, ascending, s (exact: the speed is quadratic)."""
+    edges, found = np.concatenate([[-np.inf], segments.knots, [np.inf]]), []
+    for j in np.flatnonzero(np.any(segments.cubics[:, 2:] != 0.0, axis=1)):
+        _, c1, c2, c3 = segments.cubics[j]
+        roots = np.roots(np.trim_zeros([3 * c3, 2 * c2, c1 - level_rad_s], "f"))
+        at = segments.origins[j] + roots[np.abs(roots.imag) == 0].real
+        found.extend(at[(at >= edges[j]) & (at <= edges[j + 1]) & (at >= from_s) & (at <= to_s)].tolist())
+    return np.unique(found)

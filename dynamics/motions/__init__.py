@@ -1,0 +1,1 @@
+"""The motion over time: steps, their control, events and dry friction's modes, and the motion's derivatives."""

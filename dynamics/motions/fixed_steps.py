@@ -1,0 +1,55 @@
+"""The motion by classical Runge–Kutta steps of a given length: predictable, the same for every trial of a fit."""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from dynamics.equations.kernels import rk4_step
+from dynamics.equations.speed_history import phase_at
+
+
+@njit(cache=True, error_model="numpy")
+def integrate(y0, times, step, knots, coefficients, p, free_a, free_b):
+    """States at the given times by classical Runge–Kutta steps no longer than `step`.
+
+    Args:
+        y0: shape (8,), state at times[0].
+        times: shape (n,), ascending.
+    Returns:
+        shape (n, 8).
+    """
+    out = np.empty((len(times), 8))
+    y = y0.copy()
+    out[0] = y
+    scratch = np.empty((5, 8))
+    ph = np.empty((3, 3))
+    segment = phase_at(times[0], 0, knots, coefficients, ph[0])
+    for i in range(1, len(times)):
+        t = times[i - 1]
+        n = max(1, int(np.ceil((times[i] - t) / step - 1e-9)))
+        h = (times[i] - t) / n
+        for j in range(n):
+            segment = phase_at(t + (j + 0.5) * h, segment, knots, coefficients, ph[1])
+            segment = phase_at(t + (j + 1) * h, segment, knots, coefficients, ph[2])
+            rk4_step(
+                y,
+                h,
+                ph[0],
+                ph[1],
+                ph[2],
+                p,
+                free_a,
+                free_b,
+                scratch[0],
+                scratch[1],
+                scratch[2],
+                scratch[3],
+                scratch[4],
+            )
+            ph[0] = ph[2]
+        out[i] = y
+    return out

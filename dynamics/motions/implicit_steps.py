@@ -1,0 +1,258 @@
+"""One step of the implicit Runge–Kutta method Radau IIA with five stages (order 9, stiffly accurate, L-stable).
+
+For motion with rates far above its frequencies: a pendulum under a strong magnet, a heavily damped column. The stages
+Y_j = y + Z_j at the nodes c_j solve Z = h (A ⊗ 1) f(y + Z). In the basis that makes A⁻¹ diagonal the simplified
+Newton iteration splits into one real system and two complex ones of the state's own size (Hairer & Wanner, Solving
+Ordinary Differential Equations II, IV.8). The step's polynomial goes through y and all stages (degree 5).
+
+The embedded formula adds h γ0 f(t, y), γ0 the real eigenvalue of A, with the weights that keep order 5; its
+difference from the method, multiplied by (1 − h γ0 J)⁻¹ so that it stays bounded for stiff components, estimates the
+error. It falls with h⁶ like the polynomial's own error, so a tolerance means the same at every instant of the step.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from dynamics.equations.kernels import jacobian, rates
+from dynamics.equations.phase_segments import phase_within
+from dynamics.equations.quick_rates import quick_rates
+
+SOLVED = 5  # stages
+ORDER = 6  # of the error estimate and of the polynomial, per step
+_MOST_ITERATIONS = 12
+_ENOUGH = 0.02  # a stage's remaining Newton error, in tolerances
+
+
+def _method() -> tuple[np.ndarray, ...]:
+    """Nodes, A⁻¹, its eigenvalues and vectors, error weights and the interpolation matrix, from the nodes alone."""
+    legendre = np.polynomial.legendre.Legendre.basis
+    nodes = np.sort((legendre(SOLVED) - legendre(SOLVED - 1)).roots().real + 1.0) / 2.0
+    for _ in range(3):  # the roots to the last digit
+        shifted, poly = 2.0 * nodes - 1.0, legendre(SOLVED) - legendre(SOLVED - 1)
+        nodes = nodes - poly(shifted) / (2.0 * poly.deriv()(shifted))
+    nodes[-1] = 1.0
+    power = np.arange(SOLVED)
+    vandermonde = nodes[:, None] ** power
+    a = nodes[:, None] ** (power + 1) / (power + 1) @ np.linalg.inv(vandermonde)
+    inverse = np.linalg.inv(a)
+    values, vectors = np.linalg.eig(inverse)
+    turning = np.imag(values)
+    order = np.concatenate([np.flatnonzero(np.abs(turning) < 1e-9), np.flatnonzero(turning > 1e-9)])
+    back = np.linalg.inv(vectors)
+    gamma = 1.0 / np.real(values)[order[0]]
+    moments = 1.0 / (power + 1) - gamma * (power == 0)
+    weights = (np.linalg.solve(vandermonde.T, moments) - a[-1]) @ inverse
+    interpolation = np.linalg.inv(nodes[:, None] ** (power + 1))
+    # one of each conjugate pair stands for both: twice its real part
+    pair = np.ascontiguousarray(vectors[:, order]) * np.where(np.arange(len(order)) == 0, 1.0, 2.0)
+    return nodes, inverse, values[order], pair, np.ascontiguousarray(back[order]), weights, interpolation
+
+
+NODES, _INVERSE, _EIGENVALUE, _VECTORS, _BACK, _ERROR, _INTERPOLATION = _method()
+
+
+@njit(cache=True, error_model="numpy")
+def _factor(m, pivot):
+    """LU factors of m, shape (8, 8), in place with row exchanges; False when it is singular."""
+    for c in range(8):
+        best, at = 0.0, c
+        for r in range(c, 8):
+            size = abs(m[r, c].real) + abs(m[r, c].imag)
+            if size > best:
+                best, at = size, r
+        pivot[c] = at
+        if not (best > 0.0 and best < np.inf):
+            return False
+        if at != c:
+            for j in range(8):
+                m[c, j], m[at, j] = m[at, j], m[c, j]
+        for r in range(c + 1, 8):
+            m[r, c] /= m[c, c]
+            for j in range(c + 1, 8):
+                m[r, j] -= m[r, c] * m[c, j]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(m, pivot, b):
+    """Solve with factors from _factor, b in place, shape (8,)."""
+    for c in range(8):
+        b[c], b[pivot[c]] = b[pivot[c]], b[c]
+    for c in range(8):  # the exchanges of later columns moved the multipliers with their rows
+        for r in range(c + 1, 8):
+            b[r] -= m[r, c] * b[c]
+    for c in range(7, -1, -1):
+        for j in range(c + 1, 8):
+            b[c] -= m[c, j] * b[j]
+        b[c] /= m[c, c]
+
+
+@njit(cache=True, error_model="numpy")
+def _residuals(y, t, h, first, last, system, z, stage, phase, residual):
+    """f(y + Z) − A⁻¹ Z / h into residual, shape (5, 8)."""
+    p, free_a, free_b, knots, origins, cubics = system
+    for j in range(5):
+        for i in range(8):
+            stage[i] = y[i] + z[j, i]
+        phase_within(t + NODES[j] * h, first, last, knots, origins, cubics, phase)
+        quick_rates(stage, phase[0], phase[1], phase[2], p, free_a, free_b, residual, j)
+        for i in range(8):
+            for other in range(5):
+                residual[j, i] -= _INVERSE[j, other] / h * z[other, i]
+
+
+@njit(cache=True, error_model="numpy")
+def _correct(residual, lu, pivot, scale, w, z):
+    """One simplified Newton correction of the stages; returns its size, root mean square over scale."""
+    for e in range(3):
+        for i in range(8):
+            w[e, i] = 0.0
+            for j in range(5):
+                w[e, i] += _BACK[e, j] * residual[j, i]
+        _solve(lu[e], pivot[e], w[e])
+    size = 0.0
+    for j in range(5):
+        for i in range(8):
+            change = 0.0
+            for e in range(3):
+                change += (_VECTORS[j, e] * w[e, i]).real
+            z[j, i] += change
+            size += (change / scale[i]) ** 2
+    return np.sqrt(size / 40.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _newton(y, t, h, first, last, system, scale, lu, pivot, z, phase):
+    """Solve for the stages in place; True when what is left of the iteration is far below the tolerance."""
+    residual, stage = np.empty((5, 8)), np.empty(8)
+    w = np.empty((3, 8), dtype=np.complex128)
+    previous, ratio = np.inf, 1.0
+    for iteration in range(_MOST_ITERATIONS):
+        _residuals(y, t, h, first, last, system, z, stage, phase, residual)
+        size = _correct(residual, lu, pivot, scale, w, z)
+        if iteration > 0:
+            ratio = size / previous
+        if not size < np.inf or (ratio >= 1.0 and size > _ENOUGH and iteration > 0):
+            return False
+        if size < 0.01 * _ENOUGH or (ratio < 1.0 and size * ratio / (1.0 - ratio) < _ENOUGH):
+            return True
+        previous = size
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def implicit_step(y, t, h, first, last, system, scale, rate, j, lu, pivot, z, end, phase):
+    """State after one step into end; returns the estimated error over scale, or −1 when Newton's method fails.
+
+    Args:
+        y, end: shape (8,), float.
+        first, last, system: as in dynamics.motions.explicit_steps.explicit_step.
+        scale: tolerated error of each component, shape (8,).
+        rate: dy/dt at t, shape (8,).
+        j: Jacobian at t, shape (8, 8).
+        lu, pivot: scratch, shapes (3, 8, 8) complex and (3, 8) integer.
+        z: first guess of the stages on entry, the stages less y on return, shape (5, 8).
+        phase: scratch, shape (3,).
+    """
+    for e in range(3):
+        for r in range(8):
+            for c in range(8):
+                lu[e, r, c] = -j[r, c]
+            lu[e, r, r] += _EIGENVALUE[e] / h
+        if not _factor(lu[e], pivot[e]):
+            return -1.0
+    if not _newton(y, t, h, first, last, system, scale, lu, pivot, z, phase):
+        return -1.0
+    error = np.empty(8, dtype=np.complex128)
+    for i in range(8):
+        embedded = 0.0
+        for s in range(5):
+            embedded += _ERROR[s] * z[s, i]
+        error[i] = embedded * _EIGENVALUE[0].real / h + rate[i]
+        end[i] = y[i] + z[4, i]
+    _solve(lu[0], pivot[0], error)
+    return _norm(error, scale)
+
+
+@njit(cache=True, error_model="numpy")
+def _norm(error, scale):
+    total = 0.0
+    for i in range(8):
+        total += (error[i].real / scale[i]) ** 2
+    return np.sqrt(total / 8.0)
+
+
+@njit(cache=True, error_model="numpy")
+def implicit_polynomial(y, z, coefficients):
+    """The motion over the step as powers of (time − t)/h, shape (8 powers, 8); the last two are zero."""
+    for i in range(8):
+        coefficients[0, i] = y[i]
+        coefficients[6, i] = coefficients[7, i] = 0.0
+        for power in range(5):
+            total = 0.0
+            for s in range(5):
+                total += _INTERPOLATION[power, s] * z[s, i]
+            coefficients[power + 1, i] = total
+
+
+@njit(cache=True, error_model="numpy")
+def guess_stages(coefficients, ratio, end, z):
+    """Stages of the next step (ratio = its length over the last one's) from the last step's polynomial."""
+    for s in range(5):
+        x = 1.0 + NODES[s] * ratio
+        for i in range(8):
+            value = coefficients[7, i]
+            for power in range(6, -1, -1):
+                value = value * x + coefficients[power, i]
+            z[s, i] = value - end[i]
+
+
+@njit(cache=True, error_model="numpy")
+def jacobian_at(y, t, first, last, system, phase, j):
+    """Jacobian of the rates at one instant into j, shape (8, 8)."""
+    p, free_a, free_b, knots, origins, cubics = system
+    phase_within(t, first, last, knots, origins, cubics, phase)
+    jacobian(y, phase[0], phase[1], phase[2], p, free_a, free_b, j)
+
+
+@njit(cache=True, error_model="numpy")
+def differentiate_stages(stages, t, h, first, last, system, packed, dy, dz):
+    """Derivatives of the stages of a step that was taken, from their equations.
+
+    A⁻¹ Z / h = f(y + Z, p) gives A⁻¹ δZ / h − J_j δZ_j = J_j δy + (∂f/∂p) δp, linear in δZ.
+
+    Args:
+        stages: y + Z, shape (5, 8).
+        packed: directions δp of the packed parameters, shape (n, 18).
+        dy: derivatives of y, shape (n, 8).
+        dz: derivatives of Z, shape (n, 5, 8), written.
+    """
+    p, free_a, free_b, knots, origins, cubics = system
+    matrix, right = np.zeros((40, 40)), np.zeros((40, len(dy)))
+    phase, j, f = np.empty(3), np.empty((8, 8)), np.empty(8, dtype=np.complex128)
+    for s in range(5):
+        phase_within(t + NODES[s] * h, first, last, knots, origins, cubics, phase)
+        jacobian(stages[s], phase[0], phase[1], phase[2], p, free_a, free_b, j)
+        for i in range(8):
+            for other in range(5):
+                matrix[8 * s + i, 8 * other + i] = _INVERSE[s, other]
+        for i in range(8):
+            for c in range(8):
+                matrix[8 * s + i, 8 * s + c] -= h * j[i, c]
+        for column in range(len(dy)):
+            rates(
+                stages[s] + 1j * 1e-30 * dy[column], phase[0], phase[1], phase[2], p + 1j * 1e-30 * packed[column],
+                free_a, free_b, f,
+            )  # fmt: skip
+            for i in range(8):
+                right[8 * s + i, column] = h * f[i].imag * 1e30
+    solution = np.linalg.solve(matrix, right)
+    for column in range(len(dy)):
+        for s in range(5):
+            for i in range(8):
+                dz[column, s, i] = solution[8 * s + i, column]

@@ -1,0 +1,96 @@
+"""The motion with both pendulums locked, in closed form, and the rates that set the pace of any motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.errors import OutsideDomain
+
+
+def locked_orbit(
+    parameters: RotorParameters, speed_rad_s: float, theta3_rad: float = 0.0, theta4_rad: float = np.pi
+) -> tuple[complex, complex]:
+    """Steady motion at constant speed with both pendulums locked (without gravity's constant sag).
+
+    Returns:
+        X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}).
+    Raises:
+        OutsideDomain: exactly in a resonance without damping.
+    Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}), S_P with what a pivot shift
+        that is not compensated adds to it.
+    """
+    p = physics_of(parameters)
+    moment = (
+        p.forcing_moment_kg_m
+        + p.a.first_moment_kg_m * np.exp(1j * theta3_rad)
+        + p.b.first_moment_kg_m * np.exp(1j * theta4_rad)
+    )
+    w, mass = speed_rad_s, p.total_mass_kg
+    c1, c2 = p.damping_Ns_per_m
+    force = moment * w * w
+    stiff1, stiff2 = p.k1_N_per_m - mass * w * w + 1j * w * c1, p.k2_N_per_m - mass * w * w + 1j * w * c2
+    if stiff1 == 0 or stiff2 == 0:
+        raise OutsideDomain(
+            f"at {w:.6g} rad/s the rotor runs exactly in a resonance without damping and its whirl grows for ever: "
+            "expected damping above 0 or another speed"
+        )
+    return force / stiff1, force / stiff2
+
+
+def locked_state(
+    parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
+) -> np.ndarray:
+    """State (8,) on the locked orbit at one phase, sagged by −M_S g/k2 under gravity; the start of a release."""
+    x, y = locked_orbit(parameters, speed_rad_s, theta3_rad, theta4_rad)
+    sag = parameters.total_mass_kg * parameters.gravity_m_per_s2 / parameters.k2_N_per_m
+    return _on_orbit(x, y, speed_rad_s, phase_rad, theta3_rad, theta4_rad) - np.r_[0.0, sag, np.zeros(6)]
+
+
+def locked_state_derivatives(
+    parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
+) -> dict[str, np.ndarray]:
+    """∂(locked_state)/∂(identified parameter), each of shape (8,): the quotient F/(k − M ω² + iωc) differentiated."""
+    p, w = parameters, speed_rad_s
+    x, y = locked_orbit(p, w, theta3_rad, theta4_rad)
+    c1, c2 = p.damping_Ns_per_m
+    mass, (k1, k2) = p.total_mass_kg, (p.k1_N_per_m, p.k2_N_per_m)
+    stiff1, stiff2 = k1 - mass * w * w + 1j * w * c1, k2 - mass * w * w + 1j * w * c2
+    changes = {
+        "k1_N_per_m": (-x / stiff1 * (1 + 1j * w * c1 / (2 * k1)), 0j),
+        "k2_N_per_m": (0j, -y / stiff2 * (1 + 1j * w * c2 / (2 * k2))),
+        "zeta1": (-x / stiff1 * 2j * w * np.sqrt(k1 * mass), 0j),
+        "zeta2": (0j, -y / stiff2 * 2j * w * np.sqrt(k2 * mass)),
+        "SP_kg_m": (w * w / stiff1, w * w / stiff2),
+        "c3_Nms_per_rad": (0j, 0j),
+        "c4_Nms_per_rad": (0j, 0j),
+    }
+    out = {name: _on_orbit(dx, dy, w, phase_rad, 0.0, 0.0) for name, (dx, dy) in changes.items()}
+    out["k2_N_per_m"][1] += mass * p.gravity_m_per_s2 / k2**2
+    return out
+
+
+def _on_orbit(x: complex, y: complex, speed: float, phase: float, theta3: float, theta4: float) -> np.ndarray:
+    turn = np.exp(1j * phase)
+    rate = 1j * speed * turn
+    return np.array([(x * turn).real, (y * turn).imag, theta3, theta4, (rate * x).real, (rate * y).imag, 0.0, 0.0])
+
+
+def damping_rates(parameters: RotorParameters, released: tuple[bool, bool] = (True, True)) -> tuple[float, ...]:
+    """Rates at which each direction and each released pendulum would lose its speed if nothing else acted, 1/s."""
+    p = parameters
+    w1, w2 = p.natural_frequencies_rad_s
+    swinging = [m for m, free in zip((p.a, p.b), released, strict=True) if free and m.present]
+    return (
+        2 * p.zeta1 * w1,
+        2 * p.zeta2 * w2,
+        *(m.damping_Nms_per_rad / m.inertia_kg_m2 for m in swinging),
+    )
+
+
+def fastest_rate(parameters: RotorParameters, speed_rad_s: float, released: tuple[bool, bool] = (True, True)) -> float:
+    """A bound on how fast the state changes, 1/s: sets the step of an explicit method.
+
+    Absent and locked pendulums have no rate of their own.
+    """
+    return max(*parameters.natural_frequencies_rad_s, abs(speed_rad_s), *damping_rates(parameters, released))

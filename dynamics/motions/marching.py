@@ -1,0 +1,226 @@
+"""From step to step in compiled code: step control, knots of the speed history, samples, the end of a mode.
+
+One function serves both methods, so that they share everything but the arithmetic of a step.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from dynamics.equations.friction import needed_torque
+from dynamics.equations.kernels import FA, rates
+from dynamics.equations.phase_segments import phase_within, segment_of
+from dynamics.motions.explicit_steps import evaluate, explicit_error, explicit_polynomial, explicit_step
+from dynamics.motions.implicit_steps import guess_stages, implicit_polynomial, implicit_step, jacobian_at
+
+# How a march ends
+REACHED, MODE_ENDS_A, MODE_ENDS_B, STEPS_SPENT, STORE_FULL, STEP_TOO_SMALL = range(6)
+# What is watched on a pendulum: nothing, the end of a slide forward or backward, the end of a stick
+UNWATCHED, WATCH_FORWARD, WATCH_BACKWARD, WATCH_STUCK = 0, 1, -1, 2
+
+_LOOKS = 4  # instants per step at which a mode's end is looked for
+_SLACK = 3.0  # tolerances of speed below which a slide that has just begun is not asked for its sign
+_HARMLESS = 0.05  # tolerances that stepping across a knot may cost
+
+
+@njit(cache=True, error_model="numpy")
+def _margin(pendulum, watch, y, t, first, last, system, work, phase):
+    """How far a pendulum is from the end of its mode: positive inside."""
+    if watch != WATCH_STUCK:
+        return watch * y[6 + pendulum]
+    p, free_a, free_b, knots, origins, cubics = system
+    phase_within(t, first, last, knots, origins, cubics, phase)
+    torque = needed_torque(pendulum, y, phase[0], phase[1], phase[2], p, free_a, free_b, work)
+    return abs(p[FA + pendulum]) * phase[1] * phase[1] - abs(torque)
+
+
+@njit(cache=True, error_model="numpy")
+def _mode_end(pendulum, watch, slack, t, h, first, last, system, polynomial, y, work, phase):
+    """Fraction of the step at which a pendulum's mode ends, located to rounding; 2.0 when it lasts.
+
+    A slide that has just begun is slower than what its step may err by: up to slack it is not asked for its sign.
+    """
+    low = 0.0
+    for look in range(1, _LOOKS + 1):
+        high = look / _LOOKS
+        evaluate(polynomial, high, y)
+        if _margin(pendulum, watch, y, t + high * h, first, last, system, work, phase) < -slack:
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                if middle in (low, high):
+                    break
+                evaluate(polynomial, middle, y)
+                if _margin(pendulum, watch, y, t + middle * h, first, last, system, work, phase) < 0.0:
+                    high = middle
+                else:
+                    low = middle
+            return high
+        low = high
+    return 2.0
+
+
+@njit(cache=True, error_model="numpy")
+def _landing(t, h, limit, segment, knots, jumps, tolerance):
+    """(end of the step, segment there): cut where crossing a knot would cost more than a share of the tolerance."""
+    end, last = min(t + h, limit), segment
+    if limit - end < 0.05 * h:
+        end = limit
+    while last < len(knots) and knots[last] < end:
+        width = end - t
+        if width * width * (0.5 * jumps[last, 0] + width / 6.0 * jumps[last, 1]) > _HARMLESS * tolerance:
+            return knots[last], last
+        last += 1
+    return end, last
+
+
+@njit(cache=True, error_model="numpy")
+def _earliest_mode_end(watch, slack, t, h, first, last, system, polynomial, weights, work, phase, y):
+    """(how the march ends, fraction of the step at which it does); (REACHED, 1) when both modes last."""
+    ended, share = REACHED, 1.0
+    for pendulum in range(2):
+        if watch[pendulum] != UNWATCHED:
+            own = slack * weights[6 + pendulum] if watch[pendulum] != WATCH_STUCK else 0.0
+            at = _mode_end(pendulum, watch[pendulum], own, t, h, first, last, system, polynomial, y, work, phase)
+            if at <= share:
+                share, ended = at, MODE_ENDS_A + pendulum
+    return ended, share
+
+
+@njit(cache=True, error_model="numpy")
+def _guess(y, polynomial, h, last_h, z):
+    """First guess of an implicit step's stages: the last step's polynomial continued, or no change."""
+    if last_h > 0.0:
+        guess_stages(polynomial, h / last_h, y, z)
+    else:
+        z.fill(0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _after_rejection(h, error, exponent):
+    if 0.0 <= error < np.inf:
+        return h * max(0.2, 0.9 * error**-exponent)
+    return 0.2 * h
+
+
+@njit(cache=True, error_model="numpy")
+def _after_success(h, proposed, error, last_error, rejected, exponent):
+    """The next step: proportional to the error and its trend; a step cut short by a limit does not shorten the next."""
+    growth = 0.9 * max(error, 1e-10) ** (-0.75 * exponent) * max(last_error, 1e-4) ** (0.3 * exponent)
+    grown = h * min(1.0 if rejected else 6.0, max(0.3, growth))
+    return max(proposed, grown) if h < 0.999 * proposed else grown
+
+
+@njit(cache=True, error_model="numpy")
+def _rates_here(y, t, segment, system, phase, k):
+    p, free_a, free_b, knots, origins, cubics = system
+    phase_within(t, segment, segment, knots, origins, cubics, phase)
+    rates(y, phase[0], phase[1], phase[2], p, free_a, free_b, k[0])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
+    y, t, limit, h, stiff, tolerance, weights, system, jumps, longest, watch, times, done, out, store, most_steps
+):
+    """Advance the state from t to limit within one mode.
+
+    Args:
+        y: state, shape (8,), advanced in place.
+        h: first step to try, s.
+        stiff: 1 to use dynamics.motions.implicit_steps, None for explicit steps: the code of the other is left out of
+            what is compiled.
+        tolerance, weights: a step may err by tolerance × weights, shape (8,), in the root mean square.
+        system: (packed parameters, free_a, free_b, knots, origins, cubics).
+        jumps: of the phase at the knots (PhaseSegments).
+        longest: no step is longer, s.
+        watch: what is watched on A and on B.
+        times, done, out: instants wanted, how many are written already, their states, shape (n, 8).
+        store: (starts and lengths, shape (m, 2), polynomials, shape (m, 8, 8)) for every step; m = 0: not kept.
+        most_steps: steps after which to come back.
+    Returns:
+        (how it ended, t, next step, samples written, accepted steps, all steps).
+    """
+    knots, room = system[3], len(store[0])
+    k, polynomial, end, work, scale, phase = (
+        np.zeros((16, 8)),
+        np.zeros((8, 8)),
+        np.empty(8),
+        np.empty(8),
+        np.empty(8),
+        np.empty(3),
+    )
+    z, j, lu, pivot = np.zeros((5, 8)), np.empty((8, 8)), np.empty((3, 8, 8), np.complex128), np.zeros((3, 8), np.int64)
+    watched, exponent = watch[0] != UNWATCHED or watch[1] != UNWATCHED, 1.0 / 8.0 if stiff is None else 1.0 / 6.0
+    segment = segment_of(t, 0, knots)
+    _rates_here(y, t, segment, system, phase, k)
+    accepted, tried, first_h = 0, 0, h
+    last_error, last_h, rejected, fresh = 0.0, 0.0, True, True
+    while t < limit:
+        if tried >= most_steps:
+            return STEPS_SPENT, t, h, done, accepted, tried
+        if room > 0 and accepted >= room:
+            return STORE_FULL, t, h, done, accepted, tried
+        target, last = _landing(t, min(h, longest), limit, segment, knots, jumps, tolerance)
+        step = target - t
+        if not step > 1e-15 * abs(t) + 1e-300:
+            return STEP_TOO_SMALL, t, h, done, accepted, tried
+        tried += 1
+        for i in range(8):
+            scale[i] = tolerance * weights[i] + 1e-16 * abs(y[i])
+        if stiff is None:
+            explicit_step(y, t, step, segment, last, system, k, end, phase)
+            error = explicit_error(step, k, scale)
+        else:
+            if fresh:
+                jacobian_at(y, t, segment, last, system, phase, j)
+            _guess(y, polynomial, step, last_h, z)
+            error = implicit_step(y, t, step, segment, last, system, scale, k[0], j, lu, pivot, z, end, phase)
+            fresh = False
+        if not 0.0 <= error <= 1.0:
+            h, rejected = _after_rejection(step, error, exponent), True
+            continue
+        if stiff is not None:
+            implicit_polynomial(y, z, polynomial)
+        elif watched or room > 0 or (done < len(times) and times[done] <= target):
+            explicit_polynomial(y, end, t, step, segment, last, system, k, work, phase, polynomial)
+        ended, reached = REACHED, target
+        if watched:
+            slack = _SLACK * tolerance if accepted == 0 else 0.0
+            ended, share = _earliest_mode_end(
+                watch, slack, t, step, segment, last, system, polynomial, weights, work, phase, scale
+            )
+            if share < 1e-6 and accepted == 0 and step > 1e-6 * abs(first_h):
+                h, rejected = 0.2 * step, True  # too long a step to see the slide that begins here
+                continue
+            if ended != REACHED:
+                reached = t + share * step
+                evaluate(polynomial, share, end)
+        while done < len(times) and times[done] <= reached:
+            evaluate(polynomial, (times[done] - t) / step, out[done])
+            done += 1
+        if room > 0:
+            store[0][accepted, 0], store[0][accepted, 1] = t, step
+            for power in range(8):
+                for i in range(8):
+                    store[1][accepted, power, i] = polynomial[power, i]
+        accepted += 1
+        for i in range(8):
+            y[i] = end[i]
+        t = reached
+        if ended != REACHED:
+            break
+        h = _after_success(step, h, error, last_error, rejected, exponent)
+        last_error, last_h, rejected, fresh = error, step, False, True
+        left = segment
+        segment = segment_of(t, segment, knots)
+        if stiff is not None or segment != left:
+            _rates_here(y, t, segment, system, phase, k)
+        else:
+            for i in range(8):
+                k[0, i] = k[12, i]
+    else:
+        return REACHED, t, h, done, accepted, tried
+    return ended, t, h, done, accepted, tried

@@ -1,0 +1,7 @@
+"""Floquet multipliers: several methods behind one verb, each answer with a bound on its error."""
+
+from dynamics.stability.floquet.choice import METHODS
+from dynamics.stability.floquet.methods import MonodromyMethod
+from dynamics.stability.floquet.multipliers import Multipliers, floquet_multipliers
+
+__all__ = ["METHODS", "MonodromyMethod", "Multipliers", "floquet_multipliers"]

@@ -1,0 +1,193 @@
+"""Multipliers over one revolution with a bound on their error: one verb over all methods."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.errors import NotConverged, OutsideDomain
+from dynamics.stability.floquet.bounds import balancing_units, eigenvalues_with_bounds
+from dynamics.stability.floquet.choice import BUDGET_US, METHODS, Plan, plans
+from dynamics.stability.floquet.neutral import without_neutral
+
+FINEST, COARSEST = 1e-13, 0.1
+_ROUNDING = np.finfo(float).eps
+_SHARED = 32 * _ROUNDING  # rounding of the matrix itself, which no comparison of two runs shows
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Floquet multipliers of one steady motion.
+
+    Attributes:
+        values: complex, shape (n,), over one revolution, largest modulus first.
+        errors: bounds on |error| of each value, shape (n,).
+        method: which method computed them.
+        why: one line: which method and why.
+        steps: steps of the finer of the two runs that were compared; 0 for the autonomous closed form.
+    """
+
+    values: NDArray[np.complexfloating]
+    errors: NDArray[np.floating]
+    method: str
+    why: str
+    steps: int
+
+    @property
+    def largest(self) -> float:
+        """Largest modulus."""
+        return float(abs(self.values[0]))
+
+    @property
+    def error_estimate(self) -> float:
+        """Bound on the error of the largest modulus."""
+        moduli = np.abs(self.values)
+        highest = float(np.max(moduli + self.errors))
+        lowest = float(np.max(moduli - self.errors))
+        rounding = 4 * _ROUNDING * max(1.0, self.largest)  # of powers and moduli
+        return max(highest - self.largest, self.largest - lowest) + rounding
+
+
+def balanced(matrix: PeriodicMatrix) -> PeriodicMatrix:
+    """The same motion in scaled coordinates (powers of two: no rounding): rows and columns of like size."""
+    unit = balancing_units(np.abs(matrix.harmonics).sum(axis=0))
+    return PeriodicMatrix(
+        matrix.harmonics * (unit[None, None, :] / unit[None, :, None]), matrix.speed_rad_s, matrix.turn
+    )
+
+
+def floquet_multipliers(matrix: PeriodicMatrix, accuracy: float = 1e-8, method: str | None = None) -> Multipliers:
+    """The multipliers of δẏ = A(ψ) δy over one revolution.
+
+    Args:
+        matrix: A(ψ) along the motion.
+        accuracy: bound on the error of the largest modulus, relative to max(1, largest modulus); 1e-13 … 0.1.
+        method: one of METHODS, or "autonomous"; None: the cheapest that serves.
+    Raises:
+        OutsideDomain: accuracy or method outside what is offered.
+        NotConverged: the bound cannot be met.
+    """
+    if not FINEST <= accuracy <= COARSEST:
+        raise OutsideDomain(f"accuracy must lie in {FINEST:g} … {COARSEST:g}, got {accuracy!r}")
+    if method is not None and method != "autonomous" and method not in METHODS:
+        raise OutsideDomain(f"method must be one of autonomous, {', '.join(METHODS)}, got {method!r}")
+    scaled = balanced(matrix)
+    still = scaled if scaled.constant else scaled.seen_from_rotor
+    if method == "autonomous" and still is None:
+        raise OutsideDomain("method 'autonomous' needs a constant matrix; this one changes with the phase")
+    use_still = still is not None and method in (None, "autonomous")
+    rest, ones = without_neutral(still if use_still and still is not None else scaled)
+    if use_still:
+        found = _autonomous(rest)
+        if not np.all(np.isfinite(found.values)):
+            raise _overflow("autonomous")
+        if _met(found, accuracy) or method == "autonomous":
+            return _with_ones(_checked(found, accuracy), ones)
+    return _with_ones(_first_that_serves(rest, accuracy, plans(rest, accuracy, method)), ones)
+
+
+def _with_ones(found: Multipliers, ones: int) -> Multipliers:
+    """Put the multipliers of exactly 1 back."""
+    if ones == 0:
+        return found
+    values = np.append(found.values, np.ones(ones))
+    errors = np.append(found.errors, np.full(ones, _ROUNDING))
+    order = np.argsort(-np.abs(values), kind="stable")
+    return dataclasses.replace(found, values=values[order], errors=errors[order])
+
+
+def _first_that_serves(matrix: PeriodicMatrix, accuracy: float, candidates: list[Plan]) -> Multipliers:
+    """The first plan that meets the target within the budget; the last failure when none does."""
+    failure: NotConverged | None = None
+    left = BUDGET_US
+    for chosen in candidates:
+        if failure is not None and chosen.cost_us > left:
+            continue
+        try:
+            found, spent = _converged(matrix, accuracy, chosen, left)
+        except NotConverged as error:
+            failure, spent = error, chosen.cost_us
+        else:
+            if _met(found, accuracy):
+                return found
+            failure = _missed(found, accuracy)
+        left -= spent
+    raise failure or NotConverged("no method to try")
+
+
+def _autonomous(matrix: PeriodicMatrix) -> Multipliers:
+    """exp(2πλ/ω) from the eigenvalues of the constant matrix."""
+    constant = matrix.harmonics[0].real * (2 * np.pi / matrix.speed_rad_s)
+    exponents, moved = eigenvalues_with_bounds(constant, np.zeros_like(constant), 4.0)
+    with np.errstate(over="ignore", under="ignore"):
+        values = np.exp(exponents)
+        errors = np.abs(values) * np.expm1(np.minimum(moved, 700.0)) + _SHARED * np.maximum(1.0, np.abs(values))
+    order = np.argsort(-np.abs(values), kind="stable")
+    why = "autonomous: the equations are constant in this frame, exp(2πλ/ω) is exact"
+    return Multipliers(values[order], errors[order], "autonomous", why, 0)
+
+
+def _met(found: Multipliers, accuracy: float) -> bool:
+    return bool(np.isfinite(found.error_estimate)) and found.error_estimate <= accuracy * max(1.0, found.largest)
+
+
+def _checked(found: Multipliers, accuracy: float) -> Multipliers:
+    if not _met(found, accuracy):
+        raise _missed(found, accuracy)
+    return found
+
+
+def _overflow(how: str) -> NotConverged:
+    return NotConverged(
+        f"the motion outgrows floating point within one revolution ({how}), wanted finite multipliers; where the "
+        "equations really grow so fast the state is unstable"
+    )
+
+
+def _missed(found: Multipliers, accuracy: float) -> NotConverged:
+    return NotConverged(
+        f"multipliers by the {found.method} method: error bound {found.error_estimate:.2g} of the largest modulus "
+        f"{found.largest:.6g}, wanted {accuracy:.2g} of max(1, largest); ask for less accuracy or another method"
+    )
+
+
+def _converged(matrix: PeriodicMatrix, accuracy: float, chosen: Plan, budget_us: float) -> tuple[Multipliers, float]:
+    """Double the steps until the bound meets the target, stops falling, or the budget is spent.
+
+    Returns:
+        The last result, good enough or not, and the time it took by the cost model, µs.
+    """
+    steps, method = chosen.steps, chosen.method
+    found: Multipliers | None = None
+    stuck, spent = 0, steps * chosen.step_us
+    with np.errstate(all="ignore"):
+        coarse = method.monodromy(matrix, steps)
+        while stuck < 2 and (steps == chosen.steps or spent + 2 * steps * chosen.step_us <= budget_us):
+            steps *= 2
+            spent += steps * chosen.step_us
+            fine = method.monodromy(matrix, steps)
+            if np.all(np.isfinite(fine)) and np.all(np.isfinite(coarse)):
+                before, found = found, _bounded(matrix, fine, fine - coarse, steps, chosen)
+                if _met(found, accuracy):
+                    return found, spent
+                stuck = stuck + 1 if before and found.error_estimate > 0.5 * before.error_estimate else 0
+            coarse = fine
+    if found is None:
+        raise _overflow(f"{method.NAME} method, {steps} steps")
+    return found, spent
+
+
+def _bounded(
+    matrix: PeriodicMatrix, fine: NDArray[np.floating], change: NDArray[np.floating], steps: int, chosen: Plan
+) -> Multipliers:
+    """Multipliers over a revolution from the monodromy matrix of two resolutions."""
+    roundings = 4 + chosen.step_roundings * steps + chosen.rate_roundings * chosen.fastest
+    values, errors = eigenvalues_with_bounds(fine, change, roundings)
+    if matrix.turn is not None:
+        values, errors = values**2, (2 * np.abs(values) + errors) * errors
+    errors = errors + _SHARED * np.maximum(1.0, np.abs(values))
+    return Multipliers(values, errors, chosen.method.NAME, f"{chosen.method.NAME}: {chosen.why}", steps)

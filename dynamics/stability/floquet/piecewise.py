@@ -1,0 +1,49 @@
+"""The matrix held constant over each step: a product of exponentials, second order.
+
+Whether it is held at the value in the middle or at the end of the step is a shift in phase by half a step, a
+similarity transform of the monodromy matrix: the multipliers are the same.
+Source: the piecewise-constant scheme of C. S. Hsu (1974); here each exponential is computed to rounding.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.stability.floquet.methods import per_radian, span_rad, turned
+from dynamics.stability.floquet.small_matrices import evaluate, exponential, multiply
+
+NAME = "piecewise"
+ORDER = 2
+
+
+@njit(cache=True, error_model="numpy")
+def _fundamental(series, span, steps, offset):
+    n = series.shape[1]
+    h = span / steps
+    y, next_y, a, step_matrix = np.eye(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    work = np.empty((5, n, n))
+    for step in range(steps):
+        evaluate(series, (step + offset) * h, a)
+        for i in range(n):
+            for j in range(n):
+                a[i, j] *= h
+        exponential(a, work, step_matrix)
+        multiply(step_matrix, y, next_y)
+        y, next_y = next_y, y
+    return y
+
+
+def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+    """See MonodromyMethod. The matrix is held at its value in the middle of each step."""
+    return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps, 0.5))
+
+
+def sampled_at_ends(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+    """The same with the matrix held at its value at the end of each step: other matrix, same multipliers."""
+    return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps, 1.0))

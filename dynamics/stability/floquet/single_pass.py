@@ -1,0 +1,32 @@
+"""All columns of the fundamental matrix in one adaptive run (scipy's DOP853): slow, and independent of the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.stability.floquet.methods import per_radian, span_rad, turned
+from dynamics.stability.floquet.small_matrices import evaluate
+
+NAME = "single pass"
+ORDER = 8
+
+
+def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+    """See MonodromyMethod. The run chooses its own steps; `steps` sets its tolerance, steps^−8."""
+    n, series = matrix.dimension, per_radian(matrix)
+    a = np.empty((n, n))
+
+    def rate(phase: float, y: NDArray[np.floating]) -> NDArray[np.floating]:
+        evaluate(series, phase, a)
+        return (a @ y.reshape(n, n)).ravel()
+
+    tolerance = max(float(steps) ** -ORDER, 3e-14)
+    run = solve_ivp(
+        rate, (0.0, span_rad(matrix)), np.eye(n).ravel(), "DOP853", rtol=tolerance, atol=tolerance, t_eval=None
+    )
+    if not run.success:
+        return np.full((n, n), np.nan)
+    return turned(matrix, run.y[:, -1].reshape(n, n))

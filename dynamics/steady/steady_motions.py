@@ -1,0 +1,290 @@
+"""Steady motions at constant speed and their stability.
+
+Type I (balanced), II (pendulums opposed), III (together). On an isotropic suspension they are rest points of the
+rotating frame in closed form (dynamics.steady.singular_points); otherwise Types II and III are periodic orbits
+(dynamics.steady.orbits) found from the mean torque's singular points. Every one is judged by the multipliers of its own
+linearised equations (dynamics.equations.linearised, dynamics.stability.floquet).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.arguments import need_number, need_pair
+from dynamics.equations.balancing import balanced_angles, balancing_region
+from dynamics.equations.linearised import along, rotating_frame, type_one
+from dynamics.equations.model import AUTONOMOUS, CLOSED_FORM, Model, choose_model
+from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
+from dynamics.stability.floquet import Multipliers, floquet_multipliers
+from dynamics.steady.orbits import Orbit, coarse_orbit, periodic_orbit
+from dynamics.steady.singular_points import SingularPoint, singular_points
+from dynamics.steady.steady_state import SteadyState, SteadyStates
+from dynamics.steady.stick_band import stick_half_width
+from dynamics.steady.whirl import PHASES, circular_whirl, locked_whirl
+
+_SAME_RAD = 1e-4  # orbits whose mean angles lie closer are one
+_FURTHER_ANGLES = np.arange(8) * math.pi / 4  # extra starts where the mean torque is no good guide
+
+
+def steady_states(
+    rig: RotorParameters | object,
+    speed_rad_s: float,
+    accuracy: float = 1e-8,
+    released: tuple[bool, bool] = (True, True),
+    locked_at_rad: tuple[float, float] = (0.0, math.pi),
+    *,
+    at_least: str | None = None,
+) -> SteadyStates:
+    """Every steady motion of Types I, II, III at a constant speed, stable ones first.
+
+    Args:
+        rig: RotorParameters, or anything whose `.physics` is.
+        speed_rad_s: running speed, rad/s, above 0.
+        accuracy: wanted error of the largest multiplier (relative to max(1, its modulus)), of the angles (rad) and of
+            the amplitude (relative to the orbit's size).
+        released, locked_at_rad: which pendulums are free, and where the others are held.
+        at_least: name of a bigger model to use (dynamics.equations.model), for comparison.
+    Raises:
+        OutsideDomain: a speed or accuracy outside the domain.
+        NotConverged: the accuracy can't be guaranteed for any of the states; where it can for some, the others are
+            named in `unresolved`.
+    Source: docs/theory/steady_states.md.
+    """
+    parameters = physics_of(rig)
+    check_request(speed_rad_s, accuracy)
+    need_pair(released=released, locked_at_rad=locked_at_rad)
+    model = choose_model(parameters, released, at_least=at_least)
+    points = singular_points(parameters, speed_rad_s, released, locked_at_rad)
+    search = _Search()
+    if model.name in (CLOSED_FORM, AUTONOMOUS):
+        for point in points:
+            search.judge(point.type, lambda p=point: _from_point(parameters, speed_rad_s, p, accuracy, released, model))
+    else:
+        _search_orbits(search, parameters, speed_rad_s, points, accuracy, released, model)
+    return search.outcome()
+
+
+class _Search:
+    """What a search has found, and what it could not judge."""
+
+    def __init__(self) -> None:
+        self.found: list[SteadyState] = []
+        self.unresolved: list[str] = []
+        self._refused: NotConverged | None = None
+        self._places: list[NDArray[np.floating]] = []  # angles of every motion met, judged or not
+
+    def judge(self, kind: str, make: Callable[[], SteadyState], theta: NDArray[np.floating] | None = None) -> None:
+        """Add a state; one whose multipliers can't be had is named in `unresolved`."""
+        if theta is not None:
+            self._places.append(theta)
+        try:
+            self.found.append(make())
+        except NotConverged as refusal:
+            self._refused = refusal
+            self.unresolved.append(f"{kind}: {refusal}")
+
+    def knows(self, states: NDArray[np.floating]) -> bool:
+        """Whether a motion with these mean angles has been met."""
+        return any(_apart(states, place) < _SAME_RAD for place in self._places)
+
+    def outcome(self) -> SteadyStates:
+        """All that was found.
+
+        Raises:
+            NotConverged: there are motions, and none of them could be judged.
+        """
+        if self._refused is not None and not self.found:
+            raise self._refused
+        met: set[str] = set()
+        found = []
+        for s in self.found:
+            if not (s.any_angle and s.type in met):  # a circle of states is named once
+                found.append(s)
+                met.add(s.type if s.any_angle else "")
+        return SteadyStates(found, self.unresolved)
+
+
+def _search_orbits(
+    search: _Search, p: RotorParameters, speed: float, points: list[SingularPoint], accuracy: float,
+    released: tuple[bool, bool], model: Model,
+) -> None:  # fmt: skip
+    """Orbits near the singular points of the mean torque, and from further angles."""
+    further = []
+    if all(released) and p.a.present and p.b.present:
+        for angle in _FURTHER_ANGLES:
+            further += [SingularPoint("II", (angle, angle + math.pi), 0j), SingularPoint("III", (angle, angle), 0j)]
+    for point in points + further:
+        theta = point.theta_rad
+        twin = _changed_over(p, search, theta)
+        if twin is not None:
+            search.judge(point.type, lambda t=twin: t, np.array(twin.theta_rad))
+        elif point.type == "I" and _rests(p):
+            search.judge("I", lambda t=theta: _balanced(p, speed, t, accuracy, model), np.array(theta))
+        else:
+            coarse = coarse_orbit(p, speed, _first_guess(p, speed, theta), released)
+            if coarse is not None and search.knows(coarse):
+                continue
+            orbit = None if coarse is None else periodic_orbit(p, speed, coarse[:, :4], 0.01 * accuracy, released)
+            if orbit is None:
+                search.unresolved += (
+                    [f"{point.type}: no orbit found near its singular point"] if point in points else []
+                )
+            elif not search.knows(orbit.states):
+                kind = point.type if point.type in ("one", "none") else _kind(orbit, points)
+                mean = orbit.states[:, 2:4].mean(axis=0)
+                make = lambda k=kind, o=orbit: _from_orbit(p, speed, k, o, accuracy, released, model)  # noqa: E731
+                search.judge(kind, make, mean)
+
+
+def _first_guess(p: RotorParameters, speed: float, theta: tuple[float, float]) -> NDArray[np.floating]:
+    """Positions (n, 4) of the linear orbit; in a resonance without damping, where it has none, of the rotor at rest."""
+    try:
+        return locked_whirl(p, speed, theta)[:, :4]
+    except OutsideDomain:
+        return circular_whirl(speed, SingularPoint("none", theta, 0j))[:, :4]
+
+
+def multipliers(rig: RotorParameters | object, speed_rad_s: float, accuracy: float = 1e-8) -> SteadyState:
+    """The balanced state (Type I) at a speed with its multipliers over one revolution.
+
+    Args:
+        rig, speed_rad_s, accuracy: as for steady_states.
+    Raises:
+        NoBalancedState: the pendulums can't balance this imbalance, or a pivot shift or gravity leaves no rest.
+    """
+    parameters = physics_of(rig)
+    check_request(speed_rad_s, accuracy)
+    if not _rests(parameters):
+        raise NoBalancedState("a pivot shift or gravity moves the disk in every state; ask steady_states for them")
+    angles = balanced_angles(parameters)
+    if not angles:
+        a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
+        s = parameters.imbalance_moment_kg_m
+        raise NoBalancedState(
+            f"no balanced state: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B; S_A = {a:.6g}, S_B = {b:.6g}, "
+            f"S_P = {s:.6g} kg m: {balancing_region(a, b, s)}"
+        )
+    return _balanced(parameters, speed_rad_s, angles[0], accuracy, choose_model(parameters))
+
+
+def check_request(speed_rad_s: float, accuracy: float) -> None:
+    """Refuse a speed or an accuracy no service can take.
+
+    Raises:
+        OutsideDomain: speed not above 0 and finite, accuracy not within 1e-12 … 0.1.
+    """
+    need_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
+    if not 0 < speed_rad_s < math.inf:
+        raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+    if not 1e-12 <= accuracy <= 0.1:
+        raise OutsideDomain(f"accuracy: expected 1e-12 to 0.1, got {accuracy!r}")
+
+
+def _rests(parameters: RotorParameters) -> bool:
+    """Whether the balanced state leaves the disk at rest."""
+    return parameters.pivot_shift_m == 0 and parameters.gravity_m_per_s2 == 0
+
+
+def _balanced(
+    p: RotorParameters, speed: float, theta: tuple[float, float], accuracy: float, model: Model
+) -> SteadyState:
+    states = np.zeros((PHASES, 8))
+    states[:, 2:4] = theta
+    judged = floquet_multipliers(type_one(p, *theta, speed), accuracy)
+    return _described(p, speed, "I", states, judged, (2e-15, 0.0), model)
+
+
+def _from_point(
+    p: RotorParameters, speed: float, point: SingularPoint, accuracy: float, released: tuple[bool, bool], model: Model
+) -> SteadyState:
+    """A rest point of the rotating frame, or the linear orbit of a rotor with nothing free."""
+    states = circular_whirl(speed, point) if model.name == AUTONOMOUS else locked_whirl(p, speed, point.theta_rad)
+    if model.name == AUTONOMOUS:
+        matrix = rotating_frame(p, states[0], speed, released)
+    else:
+        matrix = along(p, states, speed, (False, False))
+    judged = floquet_multipliers(matrix, accuracy)
+    size = float(np.max(np.abs(states[:, :2])))
+    return _described(p, speed, point.type, states, judged, (1e-14, 1e-14 * size), model)
+
+
+def _from_orbit(
+    p: RotorParameters, speed: float, kind: str, orbit: Orbit, accuracy: float, released: tuple[bool, bool],
+    model: Model,
+) -> SteadyState:  # fmt: skip
+    fine = floquet_multipliers(along(p, orbit.states, speed, released), 0.5 * accuracy)
+    coarse = floquet_multipliers(along(p, orbit.coarse_states, speed, released), 0.5 * accuracy)
+    moved = abs(abs(fine.values[0]) - abs(coarse.values[0]))
+    errors = (orbit.angle_error_rad, orbit.position_error_m)
+    state = _described(p, speed, kind, orbit.states, fine, errors, model, moved)
+    if state.error_estimate > accuracy * max(1.0, state.multiplier_max):
+        raise NotConverged(
+            f"Type {kind} at {speed:.6g} rad/s: multiplier {state.multiplier_max:.6g} known to "
+            f"{state.error_estimate:.2g}, wanted {accuracy:.2g}; ask for less"
+        )
+    return state
+
+
+def _described(
+    p: RotorParameters, speed: float, kind: str, states: NDArray[np.floating], judged: Multipliers,
+    errors: tuple[float, float], model: Model, moved: float = 0.0,
+) -> SteadyState:  # fmt: skip
+    turn = np.exp(-2j * np.pi * np.arange(len(states)) / len(states))
+    theta = np.mean(states[:, 2:4], axis=0) % (2 * np.pi)
+    return SteadyState(
+        type=kind,
+        theta_rad=(float(theta[0]), float(theta[1])),
+        start=states[0].copy(),
+        states=states,
+        amplitude_m=float(np.sqrt(np.sum(np.var(states[:, :2], axis=0)))),
+        x_m=complex(2 * np.mean(states[:, 0] * turn)),
+        y_m=complex(2j * np.mean(states[:, 1] * turn)),
+        multipliers=judged.values,
+        error_estimate=judged.error_estimate + moved,
+        angle_error_rad=errors[0],
+        amplitude_error_m=2 * errors[1],
+        model=model,
+        method=judged.why,
+        stick_half_width_rad=stick_half_width(p, speed, (float(theta[0]), float(theta[1]))),
+        any_angle=p.forcing_moment_kg_m == 0 and _rests(p) and kind in ("I", "II", "III"),
+    )
+
+
+def _kind(orbit: Orbit, points: list[SingularPoint]) -> str:
+    """Type of an orbit: balanced when nearest to such a point, else by the angle between the pendulums."""
+    mean = np.mean(orbit.states[:, 2:4], axis=0)
+    gap = abs((mean[0] - mean[1] + math.pi) % (2 * math.pi) - math.pi)
+    aligned = {"III": gap, "II": math.pi - gap}
+    balanced = [
+        float(np.max(np.abs(np.exp(1j * mean) - np.exp(1j * np.array(p.theta_rad))))) for p in points if p.type == "I"
+    ]
+    if balanced and min(balanced) < min(aligned.values()):
+        return "I"
+    return min(aligned, key=lambda k: aligned[k])
+
+
+def _changed_over(p: RotorParameters, search: _Search, theta: tuple[float, float]) -> SteadyState | None:
+    """A motion found with A and B changed over, when they are alike: the motion near the angles asked for."""
+    if p.a != p.b:
+        return None
+    over = [0, 1, 3, 2, 4, 5, 7, 6]
+    for s in search.found:
+        states = s.states[:, over]
+        asked = _apart(states, np.array(theta)) < 0.05
+        if asked and _apart(states, s.states[:, 2:4].mean(axis=0)) > 0.2 and not search.knows(states):
+            widths = s.stick_half_width_rad[::-1]
+            return replace(
+                s, theta_rad=s.theta_rad[::-1], states=states, start=states[0].copy(), stick_half_width_rad=widths
+            )
+    return None
+
+
+def _apart(states: NDArray[np.floating], theta: NDArray[np.floating]) -> float:
+    """Largest distance |e^{iθ} − e^{iθ'}| between the mean angles of a motion and given ones."""
+    return float(np.max(np.abs(np.exp(1j * states[:, 2:4].mean(axis=0)) - np.exp(1j * theta))))

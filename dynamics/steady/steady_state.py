@@ -1,0 +1,81 @@
+"""What is known of a steady motion, and of all at one speed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.equations.model import Model
+
+
+@dataclass(frozen=True)
+class SteadyState:
+    """One steady motion.
+
+    Attributes:
+        type: "I" balanced, "II" pendulums opposed, "III" pendulums together; "one" with a single free pendulum,
+            "none" with no free pendulum.
+        theta_rad: mean θ3, θ4 over a revolution, in [0, 2π).
+        start: state at ψ = 0, shape (8,).
+        states: the motion at equally spaced phases of one revolution, shape (n, 8).
+        amplitude_m: rms distance of the disk centre from the orbit's middle; for a circle its radius.
+        x_m, y_m: complex order-1 amplitudes, x = Re(x_m e^{iψ}), y = Im(y_m e^{iψ}).
+        multipliers: complex multipliers over one revolution, largest first; shape (8,), fewer when something is locked.
+        error_estimate: bound on the error of the largest modulus.
+        angle_error_rad, amplitude_error_m: bounds on the errors of theta_rad and amplitude_m.
+        model: the model taken, and why.
+        method: how the multipliers were found, and why so.
+        stick_half_width_rad: with dry friction, how far either side of θ3, θ4 a pendulum may rest (0, 0 without).
+        any_angle: whether nothing singles out a direction of the rotor (no imbalance, no shift, no gravity): both
+            pendulums may be turned together by any angle, and this is one of a circle of states.
+    """
+
+    type: str
+    theta_rad: tuple[float, float]
+    start: NDArray[np.floating]
+    states: NDArray[np.floating]
+    amplitude_m: float
+    x_m: complex
+    y_m: complex
+    multipliers: NDArray[np.complexfloating]
+    error_estimate: float
+    angle_error_rad: float
+    amplitude_error_m: float
+    model: Model
+    method: str
+    stick_half_width_rad: tuple[float, float] = (0.0, 0.0)
+    any_angle: bool = False
+
+    @property
+    def multiplier_max(self) -> float:
+        """Largest modulus of the multipliers over one revolution."""
+        return float(np.abs(self.multipliers[0]))
+
+    @property
+    def stability(self) -> str:
+        """ "stable", "unstable", or "undecided" when the largest modulus is 1 within its error."""
+        if self.multiplier_max + self.error_estimate < 1.0:
+            return "stable"
+        return "unstable" if self.multiplier_max - self.error_estimate > 1.0 else "undecided"
+
+    @property
+    def stable(self) -> bool:
+        """Whether every multiplier lies inside the unit circle by more than the error estimate."""
+        return self.stability == "stable"
+
+
+class SteadyStates(list[SteadyState]):
+    """Steady motions found at one speed, stable ones first.
+
+    Attributes:
+        unresolved: what is missing from the list, a line each: singular points of the mean torque near which the
+            search for an orbit did not converge (such a motion may exist or not: the imbalance may be too small to
+            choose an angle), and motions whose multipliers could not be had to the accuracy.
+    """
+
+    def __init__(self, states: Iterable[SteadyState] = (), unresolved: Sequence[str] = ()) -> None:
+        super().__init__(sorted(states, key=lambda s: (not s.stable, s.type)))
+        self.unresolved = tuple(unresolved)
