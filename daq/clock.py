@@ -4,19 +4,25 @@ A sample made at device time d reaches the host at h = offset + rate·d + delay 
 delayed samples lie on the lower edge of h against d, so the straight line under all points that runs closest to them
 (the edge of the lower convex hull above the mean time) recovers offset and rate, up to the constant floor.
 
-`ClockMap` follows that line causally while recording; its output is continuous and strictly increasing.
+`ClockMap` follows that line causally while recording; its output is continuous and strictly increasing. Its rules have
+a number that a log keeps, so that old logs decode to the times that they hold.
 `fit_line` uses a whole log at once and says how well it knows the rate.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+CLOCK_RULES = "clock_rules"
+"""Key of a device's identity, and of a log's facts: by which rules its `ClockMap` goes. See `clock_rules`."""
+FIRST_RULES, NEWEST_RULES = 1, 2
 _BIN_NS = 250_000_000
 _BINS = 120
 _SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that time never runs backwards
@@ -65,21 +71,33 @@ def compile_line() -> None:
     lower_line(np.arange(3.0), np.zeros(3))
 
 
+def clock_rules(identity: Mapping[str, Any]) -> int:
+    """By which rules a pipeline's clock map goes.
+
+    Args:
+        identity: as a pipeline is given it: of a log that is decoded again it holds the log's rules.
+    """
+    return int(identity.get(CLOCK_RULES, NEWEST_RULES))
+
+
 class ClockMap:
     """Causal map of one device's clock (ns, unwrapped) to the common clock (ns since 1970).
 
     Args:
         tolerance_ppm: standard uncertainty of the device's rate; the estimated rate is kept within five of them.
+        rules: 1: a correction goes on until the next read, however late that comes; 2: only until it is made good.
     """
 
-    def __init__(self, tolerance_ppm: float) -> None:
+    def __init__(self, tolerance_ppm: float, rules: int = NEWEST_RULES) -> None:
         self._limit = 5e-6 * tolerance_ppm
+        self._correct_ns = np.inf if rules == FIRST_RULES else float(_SETTLE_NS)
         self._bins: deque[tuple[int, float, float]] = deque(maxlen=_BINS)  # bin, device ns, lag ns (relative)
         self._device0 = 0
         self._host0 = 0
         self._at = 0.0  # mapped line: device ns (relative) …
-        self._lag = 0.0  # … its lag there …
-        self._slope = 0.0  # … and slope
+        self._lag = 0.0  # … its lag there, …
+        self._slope = 0.0  # … its slope …
+        self._correction = 0.0  # … and what comes on top of it for the next `_correct_ns`
         self._line: tuple[float, float] | None = None
         self._started = False
 
@@ -94,7 +112,10 @@ class ClockMap:
             self._device0, self._host0 = int(device_ns[-1]), host_ns
             self._started = True
         relative = device_ns - self._device0
-        lag = self._lag + self._slope * (relative - self._at)
+        ahead = relative - self._at
+        lag = self._lag + self._slope * ahead
+        if ahead[-1] > self._correct_ns:  # a gap
+            lag -= self._correction * np.maximum(ahead - self._correct_ns, 0.0)
         times = relative + np.rint(lag).astype(np.int64) + self._host0
         self._learn(float(relative[-1]), float(host_ns - self._host0 - int(relative[-1])))
         return times
@@ -108,9 +129,10 @@ class ClockMap:
             self._fit_closed_bins()
             self._bins.append((number, device, lag))
         target, slope = self._target(device)
-        here = self._lag + self._slope * (device - self._at)
-        correction = max(-_SLEW, min(_SLEW, (target - here) / _SETTLE_NS))
-        self._at, self._lag, self._slope = device, here, slope + correction
+        ahead = device - self._at
+        here = self._lag + self._slope * ahead - self._correction * max(ahead - self._correct_ns, 0.0)
+        self._correction = max(-_SLEW, min(_SLEW, (target - here) / _SETTLE_NS))
+        self._at, self._lag, self._slope = device, here, slope + self._correction
 
     def _fit_closed_bins(self) -> None:
         """A new line each time a bin is complete: often enough for a crystal, and cheap."""

@@ -41,7 +41,7 @@ Fields = list[tuple[str, int, float]]
 STOP_WITHIN_S = 0.5
 """Behind the limit of a needed channel the stop is ordered within this, s."""
 _RPM = math.pi / 30
-_EARLY_S, _EARLY_IN_GAP_S = 2e-3, 10e-3  # a clock map that has not settled yet overshoots in a gap
+_EARLY_S = 2e-3
 _OTHER_CLOCK_S = 1.0  # a clock that is farther off is the pipeline's own count
 _TURNS_RPM = 20.0  # a rotor that surely turns
 _SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults behind which a line without a checksum proves nothing
@@ -320,8 +320,8 @@ def _samples_right(
         counted_by_host = abs(float(np.median(late))) > _OTHER_CLOCK_S
         if counted_by_host:
             at_s, late = _aligned(at_s, late, log, clock.topic, fields, truth_s, truth)
-        early_s = _EARLY_IN_GAP_S if any(fault.device == name for fault in schedule.faults) else _EARLY_S
-        if np.min(late) < -early_s or np.median(late) > 0.05:
+
+        if np.min(late) < -_EARLY_S or np.median(late) > 0.05:
             yield f"{clock.topic}: times are {late.min() * 1e3:.1f} to {late.max() * 1e3:.1f} ms off"
         lost = round(float(at_s[-1] - at_s[0]) * (1 + own.drift) * clock.rate_Hz) + 1 - len(at_s)
         if lost != counted[name].get("samples", 0):

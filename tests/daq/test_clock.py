@@ -40,6 +40,43 @@ def test_map_is_strictly_increasing_and_close(drift: float, delay_s: float, seed
     assert np.max(np.abs(error)) < 1e9 * (0.5 * delay_s + 3e-4)
 
 
+@given(
+    count=st.integers(2, 2000),
+    gap_s=st.floats(0.4, 60.0),
+    late_s=st.floats(0.0, 0.2),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_correction_ends_in_a_gap(count: int, gap_s: float, late_s: float, seed: int) -> None:
+    """A first read that came late is made good in time; not again and again while the stream is broken off."""
+    rng = np.random.default_rng(seed)
+    device_s, host_s = (times[:count] for times in reads(rng, 25.0, 2e-5, 1e-3))
+    host_s[0] += late_s
+    clock = ClockMap(tolerance_ppm=30.0)
+    for d, h in zip(device_s, np.maximum.accumulate(host_s), strict=True):
+        clock.map(np.array([int(d * 1e9)]), int(h * 1e9))
+    behind_s = device_s[-1] + gap_s + np.arange(0.0, 0.01, 2.5e-4)
+    times_ns = clock.map((behind_s * 1e9).astype(np.int64), int((behind_s[-1] / (1 + 2e-5) + 1e-3) * 1e9))
+    early_s = behind_s / (1 + 2e-5) - times_ns * 1e-9
+    assert np.all(np.diff(times_ns) > 0)
+    assert np.max(early_s) < 1.7e-4 * gap_s + 1e-3, "no farther off than a clock at its limit of rate would be"
+
+
+def test_the_first_rules_are_kept_for_old_logs() -> None:
+    """The numbers behind a gap are those that the first version gave."""
+    rng = np.random.default_rng(3)
+    device_s, host_s = reads(rng, 6.0, 2e-5, 1e-3)
+    device_s[300:] += 5.0
+    host_s[300:] += 5.0
+    old, new = ClockMap(30.0, rules=1), ClockMap(30.0)
+    both = [
+        [int(clock.map(np.array([int(d * 1e9)]), int(h * 1e9))[0]) for clock in (old, new)]
+        for d, h in zip(device_s, host_s, strict=True)
+    ]
+    assert all(a == b for a, b in both[:300])
+    assert [old_ns for old_ns, _ in both[299:302]] == [3386777036, 8398466325, 8404594827]
+    assert both[-1][0] == 10949267718 != both[-1][1]
+
+
 @given(st.lists(st.integers(1, 2**17 - 1), min_size=1, max_size=50), st.integers(0, 2**18 - 1), st.data())
 def test_unwrap_continues_a_wrapping_counter(steps: list[int], start: int, data: st.DataObject) -> None:
     true = start + np.cumsum([0, *steps])

@@ -41,7 +41,7 @@ class Node:
     battery_low: bool = False
 
     def checks(self) -> Checks:
-        pipeline = NodePipeline("encoder", RIG.devices["encoder"])  # type: ignore[arg-type]
+        pipeline = NodePipeline("encoder", RIG.devices["encoder"], {})  # type: ignore[arg-type]
         pipeline.status, pipeline.rssi_dBm, pipeline.battery_low = self.status, self.rssi_dBm, self.battery_low
         return node_checks(RIG.devices["encoder"], pipeline)  # type: ignore[arg-type]
 

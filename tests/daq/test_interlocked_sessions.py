@@ -203,7 +203,7 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
         held, let_go = threading.Event(), threading.Event()
 
         def hold() -> None:
-            with recorder.together(), session._devices["drive"].lock:
+            with recorder.together(), session._open.unread("drive"):
                 held.set()
                 let_go.wait(20)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
 from daq import channels
-from daq.clock import ClockMap, Unwrap
+from daq.clock import ClockMap, Unwrap, clock_rules
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from rig_configs.device import RotorNodeSettings
@@ -21,7 +22,7 @@ class NodePipeline:
     found to `take`, the damaged ones to `damaged`.
     """
 
-    def __init__(self, device: str, config: RotorNodeSettings) -> None:
+    def __init__(self, device: str, config: RotorNodeSettings, identity: Mapping[str, Any]) -> None:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
         self.status: rotorlink.Status | None = None  # the node's newest word of itself …
         self.rssi_dBm: int | None = None  # … and how strong its frames come in
@@ -31,7 +32,7 @@ class NodePipeline:
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
-        self._tolerance_ppm = config.clock_tolerance_ppm
+        self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
         self._decoder = rotorlink.FrameDecoder()
         self._cable = rotorlink.SequenceCounter()
         self._joined = False
@@ -41,7 +42,7 @@ class NodePipeline:
     def _restart(self) -> None:
         self._air = rotorlink.SequenceCounter()
         self._time = Unwrap(2**32)
-        self._clock = ClockMap(self._tolerance_ppm)
+        self._clock = ClockMap(self._tolerance_ppm, self._rules)
         self._next_index: int | None = None
         self._last_us: int | None = None
 
