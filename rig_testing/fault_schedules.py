@@ -25,7 +25,7 @@ from daq.acquisition.session import Session
 from daq.drivers.contract import SampleClock, claims_of
 from daq.drivers.devices import devices_of
 from daq.errors import RigError
-from daq.lockstep.rig import LockstepRig
+from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import Log, open_log
 from daq.replay import check
 from daq.virtual_rig.faults import LINE_FAULTS
@@ -46,6 +46,7 @@ _OTHER_CLOCK_S = 1.0  # a clock that is farther off is the pipeline's own count
 _TURNS_RPM = 20.0  # a rotor that surely turns
 _SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults behind which a line without a checksum proves nothing
 _AFTER_S, _COARSE_S = 15.0, (0.04, 0.06)  # the world goes on for so long behind the session's end, in such steps
+_TURNS_S = (STEP_S, (0.004, 0.016), (0.012, 0.020))  # of quick adapters, of others, of those that gather for 16 ms
 _CALM = ["virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=false"]
 
 
@@ -75,12 +76,14 @@ class Schedule:
         seed: of all that is random in it.
         rpm: to which the rotor is turned; 0: not at all.
         seconds: of the recording.
+        turn_s: at random between these the adapters hand over what has come, s.
         faults: in order of time; s since the recording began.
     """
 
     seed: int
     rpm: float
     seconds: float
+    turn_s: tuple[float, float]
     faults: tuple[Fault, ...]
 
 
@@ -118,7 +121,8 @@ def draw(rig: Rig, seed: int, calm: bool = False) -> Schedule:
     seconds = float(dice.uniform(5.0, 9.0))
     count = 0 if calm else int(dice.choice([0, 1, 1, 2, 3]))
     faults = tuple(sorted((_fault(rig, dice, seconds) for _ in range(count)), key=lambda fault: fault.at_s))
-    return Schedule(seed, rpm, seconds, faults)
+    turn_s = _TURNS_S[int(dice.integers(len(_TURNS_S)))]
+    return Schedule(seed, rpm, seconds, turn_s, faults)
 
 
 def _fault(rig: Rig, dice: np.random.Generator, seconds: float) -> Fault:
@@ -175,6 +179,7 @@ def run(rig_name: str, schedule: Schedule, folder: Path, settings: tuple[str, ..
     changes = [f"virtual.seed={schedule.seed}", *_CALM, *settings]
     watched = _Watched(load_rig(rig_name, settings=changes))
     sim = watched.sim
+    sim.turn_s = schedule.turn_s
     rig = load_rig(rig_name, settings=[*changes, *sim.port_settings()])
     path = folder / f"schedule-{schedule.seed}.mcap"
     session = Session(rig, sim.clock, edge=sim.edge)

@@ -13,7 +13,7 @@ from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitedInVain
-from daq.lockstep.rig import LockstepRig
+from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from rig_configs import load_rig
@@ -226,11 +226,11 @@ def test_a_calm_run_trips_nothing(tmp_path: Path) -> None:
 
 def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
     """Bits of a line without a checksum are flipped, behind the judge's back."""
-    schedule = Schedule(1, 0.0, 5.0, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
+    schedule = Schedule(1, 0.0, 5.0, STEP_S, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
     honest = run("virtual", schedule, tmp_path)
     assert honest.wrong == []
     (tmp_path / "schedule-1.mcap").unlink()
-    hidden = Schedule(1, 0.0, 5.0, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
+    hidden = Schedule(1, 0.0, 5.0, STEP_S, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
     monkey = pytest.MonkeyPatch()
     monkey.setattr("rig_testing.fault_schedules._SPOILING", ())
     found = run("virtual", hidden, tmp_path)
@@ -240,6 +240,6 @@ def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
 
 def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.acquisition.interlocks.Interlocks.tick", lambda self, now_ns: [])
-    schedule = Schedule(2, 300.0, 8.0, (Fault(3.0, 4.0, "encoder", "radio", 1.0),))
+    schedule = Schedule(2, 300.0, 8.0, STEP_S, (Fault(3.0, 4.0, "encoder", "radio", 1.0),))
     found = run("virtual", schedule, tmp_path)
     assert any("blind for" in text for text in found.wrong)
