@@ -132,21 +132,23 @@ def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> Non
 # --- devices that go and come back -----------------------------------------------------------------------------------
 
 
+def wait_checking(session: Session, seconds: float) -> None:
+    """As an operator waits: what goes wrong ends it."""
+    end = session.clock.wall_s() + seconds
+    while session.clock.wall_s() < end:
+        session.check()
+        session.clock.wait(0.05)
+
+
 def test_an_adapter_that_is_plugged_in_elsewhere_is_found_and_the_rest_goes_on(tmp_path: Path) -> None:
     sim, session = opened("virtual")
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.wait(1.0)
         sim.ask("unplug", device="laser_x")
-        end = sim.clock.wall_s() + 3.0
-        while sim.clock.wall_s() < end:
-            session.check()
-            sim.clock.wait(0.05)
+        wait_checking(session, 3.0)
         sim.ask("plug", device="laser_x")
-        end = sim.clock.wall_s() + 6.0
-        while sim.clock.wall_s() < end:
-            session.check()
-            sim.clock.wait(0.05)
+        wait_checking(session, 6.0)
         session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
         kinds = [(event["kind"], event.get("of")) for event in log.events if event["kind"] in ("gone", "back")]
@@ -164,10 +166,7 @@ def test_a_sensor_that_lost_power_is_set_up_again(tmp_path: Path) -> None:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.wait(1.0)
         sim.ask("fail", device="laser_y", what="power", value=1, seconds=3.0)
-        end = sim.clock.wall_s() + 15.0
-        while sim.clock.wall_s() < end:
-            session.check()
-            sim.clock.wait(0.05)
+        wait_checking(session, 15.0)
         session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
         y = log["laser/y"].time_ns
@@ -185,14 +184,30 @@ def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
         sim.ask("unplug", device="laser_x")
         sim.clock.wait(0.5)
         sim.ask("plug", device="laser_x")
-        end = sim.clock.wall_s() + 5.0
-        while sim.clock.wall_s() < end:
-            session.check()
-            sim.clock.wait(0.05)
+        wait_checking(session, 5.0)
         session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
-        assert any("serial 14200001 instead of another" in event["text"] for event in log.events)
+        refused = [event for event in log.events if event["kind"] == "other"]
+        assert ["serial 14200001 instead of another" in event["text"] for event in refused] == [True], "said once"
         assert not any(event["kind"] == "back" for event in log.events)
+    assert any("instead of another" in notice for notice in session.notices)
+
+
+def test_nothing_is_looked_for_while_the_rotor_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dialogue with a device that was plugged in again would keep whoever watches the rotor waiting."""
+    sim, session = opened("virtual")
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.ask("unplug", device="laser_x")
+        sim.clock.wait(0.5)
+        sim.ask("plug", device="laser_x")
+        with monkeypatch.context() as turned:
+            turned.setattr(type(session._command), "turning", lambda self: True)
+            wait_checking(session, 6.0)
+            assert list(session._core.gone) == ["laser_x"]
+        wait_checking(session, 4.0)
+        assert list(session._core.gone) == []
+        session.stop_recording({})
 
 
 def test_an_unplugged_adapter_stops_a_rotor_that_turns(tmp_path: Path) -> None:
@@ -236,6 +251,17 @@ def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
     found = run("virtual", hidden, tmp_path)
     monkey.undo()
     assert any("laser/x" in text or "laser_x" in text for text in found.wrong)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a busy host is a stopped process: POSIX signals")
+@pytest.mark.parametrize(
+    "fault",
+    [Fault(1.5, 0.3, "", "busy"), Fault(1.5, 1.5, "encoder", "garbage", 200.0), Fault(1.5, 0.8, "laser_y", "unplug")],
+)
+def test_the_same_faults_in_real_time(fault: Fault, tmp_path: Path) -> None:
+    """`python -m benchmarks.fault_schedules --real-time` runs a hundred."""
+    result = run("virtual", Schedule(5, 0.0, 5.0, STEP_S, (fault,)), tmp_path, real_time=True)
+    assert (result.wrong, result.ended) == ([], "")
 
 
 def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
