@@ -61,6 +61,9 @@ class SampleClock:
     count_wrap: int
 
 
+FOREIGN = "foreign_"
+
+
 class Pipeline(Protocol):
     """What turns one device's bytes into samples. It does no I/O and reads no clock.
 
@@ -68,7 +71,8 @@ class Pipeline(Protocol):
     bytes decoded again give its decoded channels bit for bit.
 
     Attributes:
-        losses: counted so far, by kind.
+        losses: counted so far, by kind. A kind that begins with `FOREIGN` counts messages of other devices, which are
+            no loss.
     """
 
     losses: dict[str, int]

@@ -173,3 +173,9 @@ def test_clocks_that_are_all_off_alike_are_the_hosts_own_fault() -> None:
     assert common_factor(healthy()) is None
     off = {topic: rate(4000, 0.125, -875_000.0) for topic in ("laser/x", "laser/y", "pendulums")}
     assert common_factor(changed(healthy(), "rates", off)) == pytest.approx(0.125)
+
+
+def test_messages_of_others_are_no_loss() -> None:
+    """A neighbour's module on the same channel is passed over, counted and shown; the device is sound."""
+    checks = replace(healthy(), losses={**healthy().losses, "encoder": {"foreign_frames": 12}}).judged()["encoder"]
+    assert (checks["foreign_frames"].value, checks["foreign_frames"].passed) == (12, True)
