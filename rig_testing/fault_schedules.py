@@ -260,7 +260,10 @@ def _device_times(log: Log, clock: SampleClock, own: DeviceClock, zero_ns: int) 
 def _aligned(
     at_s: Array, late: Array, log: Log, topic: str, fields: Mapping[str, Fields], truth: Truth
 ) -> tuple[Array, Array]:
-    """Times of a device whose wire carries no time of its own: from the shift that fits the truth best."""
+    """Times of a device whose wire carries no time of its own: from the shift that fits most of the truth best.
+
+    Some samples behind a gap may bear times that are early by it, as the driver's page says.
+    """
     at_s, late = at_s + np.median(late), late - np.median(late)
     if topic not in fields:
         return at_s, late
@@ -268,11 +271,15 @@ def _aligned(
     some = slice(None, None, max(1, len(at_s) // 4000))
     value = log[topic][name].astype(np.float64)[some]
     shifts = np.arange(-0.012, 0.006, 1e-4)
-    spread = [
-        float(np.nanstd(value - np.interp(at_s[some] + shift, truth.time_s, truth.rows[:, column]))) for shift in shifts
-    ]
+    was = truth.rows[:, column]
+    spread = [_spread(value - np.interp(at_s[some] + shift, truth.time_s, was)) for shift in shifts]
     shift = float(shifts[int(np.argmin(spread))])
     return at_s + shift, late - shift
+
+
+def _spread(values: Array) -> float:
+    """How far the middle one of them is from their middle."""
+    return float(np.nanmedian(np.abs(values - np.nanmedian(values))))
 
 
 def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock]]:
