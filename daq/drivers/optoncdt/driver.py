@@ -33,7 +33,7 @@ class OptoNcdt:
 
     def channels(self, settings: Laser) -> tuple[Channel, ...]:
         """See Driver."""
-        return (channels.LASER_X if settings.axis == "x" else channels.LASER_Y,)
+        return (channels.displacement_channel(settings.topic),)
 
     def occasional(self, settings: Laser) -> tuple[Channel, ...]:
         """See Driver."""

@@ -32,7 +32,7 @@ class Riftek:
 
     def channels(self, settings: RiftekLaser) -> tuple[Channel, ...]:
         """See Driver."""
-        return (channels.LASER_X if settings.axis == "x" else channels.LASER_Y,)
+        return (channels.displacement_channel(settings.topic),)
 
     def occasional(self, settings: RiftekLaser) -> tuple[Channel, ...]:
         """See Driver."""
