@@ -44,7 +44,7 @@ class _Timed(VirtualRig):
         self.out: dict[str, list[tuple[int, bytes]]] = {name: [] for name in self.wires}
         self._far_ns: int | None = None
         for name, wire in self.wires.items():
-            wire.send = self._timed(name, wire.send)  # type: ignore[method-assign]
+            wire.send = self._timed(name, wire.send)
 
     def _timed(self, name, send):  # type: ignore[no-untyped-def]
         def timed(data: bytes) -> None:

@@ -23,7 +23,7 @@ class OptoNcdt:
 
     name = "optoncdt"
     settings = Laser
-    rest_s = 0.02
+    rest_s = 0.015
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
     claims = frozenset({"counts exactly"})
 
