@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cli.simulated import SimulatedOperator
@@ -16,6 +17,7 @@ from daq.lockstep.clock import SimulatedClock, WaitedInVain
 from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import open_log
 from daq.replay import check
+from daq.signals.run import load_run
 from rig_configs import load_rig
 from rig_testing.fault_schedules import Fault, Schedule, draw, run
 
@@ -127,6 +129,55 @@ def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> Non
         assert moved.any()
         assert (x.time_ns[first] - x.time_ns[0]) * 1e-9 == pytest.approx(1.5, abs=0.15)
         assert log.metadata["summary"]["losses"].count('"samples": 0') >= 2
+
+
+class Hand(SimulatedOperator):
+    """An operator's hand that holds the column for so long, or brings it back to rest before it lets go."""
+
+    def __init__(self, sim: LockstepRig, *holds: tuple[float, float]) -> None:
+        super().__init__(sim)
+        self._sim, self._holds = sim, holds
+
+    def pluck(self, axis: str) -> None:
+        begin = 0.0
+        for x_mm, seconds in self._holds:
+            pull = {"x_mm": x_mm, "y_mm": 0.0, "hold_s": seconds}
+            self._sim.clock.after(begin, lambda pull=pull: self._sim.ask("pluck", **pull), world=True)
+            begin += seconds
+
+
+@pytest.mark.parametrize("seconds", [1.2, 6.0, 20.0])
+def test_a_column_that_is_still_held_has_not_rung_down(seconds: float, tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with session:
+        done = Procedures(session, Hand(sim, (2.5, seconds)), tmp_path, lambda text, share: None).run("ring-down-x")
+    assert done.missed == ""
+    run = load_run(done.log)
+    held = run.x_time_s < run.x_time_s[-1] - 5.0
+    assert run.x_m[held].max() > 2e-3
+    assert abs(run.x_m[run.x_time_s > run.x_time_s[-1] - 0.5]).max() < 3e-4, "the log ends with a column at rest"
+
+
+def test_a_column_that_was_brought_back_by_hand_has_not_rung_down(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    back = [(2.5 * (1 - step / 20), 0.05) for step in range(21)]
+    words: list[str] = []
+    with session:
+        tests = Procedures(session, Hand(sim, *back), tmp_path, lambda text, share: words.append(text))
+        done = tests.run("ring-down-x")
+    assert "held, or brought back by hand" in done.missed
+    assert any("came back without a swing" in text for text in words)
+
+
+def test_a_ring_down_begins_with_a_column_at_rest(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with session:
+        sim.clock.wait(1.0)
+        sim.ask("pluck", x_mm=4.0, y_mm=0.0, hold_s=0.2)
+        sim.clock.wait(0.5)
+        done = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None).run("ring-down-x")
+    run = load_run(done.log)
+    assert np.ptp(run.x_m[run.x_time_s < run.x_time_s[0] + 0.6]) < 3.5e-4
 
 
 # --- devices that go and come back -----------------------------------------------------------------------------------
