@@ -169,7 +169,7 @@ def _speed(seen: SpeedSeen) -> Checks:
     note = "" if still else "its speed is not known" if math.isnan(seen.speed_rpm) else "the rotor turns"
     return {
         "speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_SPEED_REPORTS_HZ:g}", enough),
-        "speed_rpm": Check(None if math.isnan(seen.speed_rpm) else seen.speed_rpm, 0, still, note),
+        "speed_rpm": Check(None if math.isnan(seen.speed_rpm) else round(seen.speed_rpm, 1), 0, still, note),
     }
 
 

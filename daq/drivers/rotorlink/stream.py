@@ -35,6 +35,7 @@ class NodePipeline:
         self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
         self._decoder = rotorlink.FrameDecoder()
         self._cable = rotorlink.SequenceCounter()
+        self._cable_lost = 0  # frames lost on the cable since a node's frame came: some of them were its own
         self._joined = False
         self._last_dongle_us: int | None = None
         self._restart()
@@ -78,11 +79,13 @@ class NodePipeline:
                 self.rssi_dBm = frame.rssi_dbm
             if isinstance(frame, rotorlink.Wrapped):
                 lost, repeated = self._cable.feed(frame.seq)
+                self._cable_lost += lost
                 self._count("cable_frames", lost, self._since_dongle(frame.dongle_time_us), out)
                 if frame.inner is not None and not repeated:
                     out += self._node_frame(frame.inner, host_ns)
             elif isinstance(frame, rotorlink.DongleStatus):
                 lost, _ = self._cable.feed(frame.seq)
+                self._cable_lost += lost
                 self._count("cable_frames", lost, self._since_dongle(frame.dongle_time_us), out)
             elif not isinstance(frame, rotorlink.Command | rotorlink.Ping):
                 out += self._node_frame(frame, host_ns)
@@ -114,6 +117,7 @@ class NodePipeline:
             self._restart()
             self._air.feed(frame.seq)
             self._time_stepped_back(node_us)
+        lost, self._cable_lost = max(0, lost - self._cable_lost), 0  # what the cable lost the air had brought
         self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
         self._count("radio_frames", lost, span_s, out)
         match frame:
