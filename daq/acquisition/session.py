@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -28,7 +29,7 @@ from daq.acquisition.recorder import DiskState, Recorder
 from daq.acquisition.rotor_command import RotorCommand
 from daq.clock import CLOCK_RULES, NEWEST_RULES, compile_line
 from daq.drivers.checks import Checks
-from daq.drivers.contract import SpeedSource, TellsItself
+from daq.drivers.contract import KeepsTime, SpeedSource, TellsItself
 from daq.drivers.devices import channels_of, devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
 from daq.errors import DeviceError, RigError
@@ -444,13 +445,28 @@ class Session:
             "identities.json": json.dumps(self.identities).encode(),
             "roles.json": self.rig.roles_json(),
         }
+        seeds = self._seeds()
+        if seeds:
+            attachments["clocks.json"] = json.dumps(seeds).encode()
         devices = tuple(self._known)
         recorder = Recorder(path, self.clock, facts, attachments, devices, self._channels, self._edge.disk)
-        self._begin_anew(recorder, before_s)
+        self._begin_anew(recorder, before_s, seeds)
 
-    def _begin_anew(self, recorder: Recorder | None, before_s: float = 0.0) -> None:
+    def _seeds(self) -> dict[str, dict[str, Any]]:
+        """How the devices' clocks stand, as far as it is known: a log's first samples need not find it out again."""
+        seeds: dict[str, dict[str, Any]] = {}
+        for name, pipeline in self._core.pipelines.items():
+            with self._open.unread(name):
+                seed = pipeline.clock_seed if isinstance(pipeline, KeepsTime) else None
+            if seed is not None:
+                seeds[name] = asdict(seed)
+        return seeds
+
+    def _begin_anew(
+        self, recorder: Recorder | None, before_s: float = 0.0, seeds: Mapping[str, Mapping[str, Any]] | None = None
+    ) -> None:
         """Give every device a fresh pipeline, at a boundary between two reads."""
-        pipelines = make_pipelines(self.rig.devices, self.identities)
+        pipelines = make_pipelines(self.rig.devices, self.identities, seeds=seeds)
         with self._open.between_reads():
             self._recorder = recorder
             for order in self._core.begin(pipelines, self.clock.now_ns(), before_s):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 from daq.channels import Channel
+from daq.clock import ClockSeed
 from daq.drivers.checks import Checks
 from daq.drivers.items import Batch, Event
 from daq.drivers.played import PlayedDevice
@@ -93,6 +94,16 @@ class TellsItself(Protocol):
 
     told: bool
     complaint: str
+
+
+@runtime_checkable
+class KeepsTime(Protocol):
+    """A pipeline that knows how its device's clock stands: the next log's begins with it, in its identity."""
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See ClockMap.seed."""
+        ...
 
 
 @runtime_checkable

@@ -22,7 +22,7 @@ from daq.log.snapshot import identities_of, rig_of
 from daq.replay.calibration import Calibration
 from daq.replay.checking import Progress, share_of
 from daq.replay.compare import ChannelCheck, ChannelComparison
-from daq.replay.stream import decoded, pipelines_of, pipelines_with, rules_of
+from daq.replay.stream import decoded, pipelines_of, pipelines_with
 from daq.version import software_version
 
 _TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this stand together, as in a recording
@@ -79,7 +79,7 @@ def decode_anew(
         attachments.pop("calibration.toml", None)
         if calibration is not None:
             attachments["calibration.toml"] = calibration.text.encode()
-        pipelines = pipelines_with(rig, identities, str(path), rules_of(log))
+        pipelines = pipelines_with(rig, identities, str(path), log)
         facts = _facts(log, calibration)
         known = channels_of(rig.devices)
         new = LogFile(Path(out), facts, attachments, log.devices, time.time_ns(), known.values())

@@ -23,7 +23,7 @@ from daq.replay.arrivals import Arrival, Arrivals, Hole, holes_of, with_all_fiel
 from daq.replay.checking import Progress, share_of
 from daq.replay.orders import Orders, standing_order, tell_hand
 from daq.replay.session_facts import clock_rate, closing_ns, needed_at_rest, roles_in, stops_of
-from daq.replay.stream import pipelines_with, rules_of
+from daq.replay.stream import pipelines_with
 from daq.transports.host_clock import HostClock
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits, Rig
@@ -122,7 +122,7 @@ class _Run:
         self._holes = list(holes_of(log.missing))
         self._unplaced = [place for place in log.missing if place.messages != 0 and place.start_ns is None]
         self._whole_holes = tuple(self._holes)
-        pipelines = pipelines_with(rig, identities_of(log), str(log.path), rules_of(log))
+        pipelines = pipelines_with(rig, identities_of(log), str(log.path), log)
         self.arrivals = Arrivals(log, pipelines, roles.device_of, patience(_DISORDER_S))
         self._closing_ns = closing_ns(log, patience)
         self._looked_ns = sorted(note["time_ns"] for note in stops_of(log))  # a session looked then, that is known

@@ -12,7 +12,7 @@ from daq.drivers.items import Batch, Event
 from daq.errors import DeviceError, LogError
 from daq.log import Log
 from daq.log.samples import RawChunk
-from daq.log.snapshot import identities_of, rig_of
+from daq.log.snapshot import identities_of, rig_of, seeds_of
 from rig_configs.schema import Rig
 
 Decoded = tuple[str, RawChunk, list[Batch | Event]]
@@ -31,7 +31,7 @@ def pipelines_of(log: Log) -> dict[str, Pipeline]:
     for device, told in identities.items():
         if not isinstance(told, dict):
             raise LogError(f"{log.path}: identities.json: expected a table under {device!r:.80}, got {told!r:.80}")
-    return pipelines_with(rig_of(log), identities, str(log.path), rules_of(log))
+    return pipelines_with(rig_of(log), identities, str(log.path), log)
 
 
 def rules_of(log: Log) -> int:
@@ -51,13 +51,13 @@ def rules_of(log: Log) -> int:
 
 
 def pipelines_with(
-    rig: Rig, identities: Mapping[str, Mapping[str, Any]], source: str, rules: int = NEWEST_RULES
+    rig: Rig, identities: Mapping[str, Mapping[str, Any]], source: str, log: Log | None = None
 ) -> dict[str, Pipeline]:
     """Fresh pipelines for devices that said this of themselves.
 
     Args:
         source: of the identities, for a message.
-        rules: of their clock maps.
+        log: whose bytes they are to decode: their clock maps begin as they did then.
 
     Returns:
         By device; without those of a log whose driver is not installed here.
@@ -66,7 +66,9 @@ def pipelines_with(
         LogError: no such device can have said it.
     """
     try:
-        return make_pipelines(installed_of(rig.devices), identities, rules)
+        if log is None:
+            return make_pipelines(installed_of(rig.devices), identities)
+        return make_pipelines(installed_of(rig.devices), identities, rules_of(log), seeds_of(log))
     except DeviceError as fault:
         raise LogError(f"{source}: identities.json: {fault}: its bytes cannot be decoded") from fault
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -129,6 +130,25 @@ def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> Non
         assert moved.any()
         assert (x.time_ns[first] - x.time_ns[0]) * 1e-9 == pytest.approx(1.5, abs=0.15)
         assert log.metadata["summary"]["losses"].count('"samples": 0') >= 2
+
+
+@pytest.mark.parametrize("rig", ["virtual", "other_devices"])
+def test_a_log_s_first_samples_bear_the_times_that_its_last_ones_do(rig: str, tmp_path: Path) -> None:
+    """What was known of the clocks before the log began goes into it, so that it decodes to the same times."""
+    _, session = opened(rig)
+    angles = session.rig.roles.angles
+    assert angles is not None
+    with session:
+        wait_checking(session, 6.0)
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        wait_checking(session, 4.0)
+        session.stop_recording({})
+    assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
+    with open_log(tmp_path / "a.mcap") as log:
+        assert set(json.loads(log.attachments["clocks.json"])) >= {angles.device}
+        samples = log[angles.topic]
+        lag_ms = 1e-6 * (samples.time_ns - 1000 * samples["node_time_us"].astype(np.int64))
+        assert abs(lag_ms[:50].mean() - lag_ms[-1000:].mean()) < 1.0
 
 
 class Hand(SimulatedOperator):

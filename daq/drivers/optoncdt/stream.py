@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap, Unwrap, clock_rules, steps_from
+from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, steps_from
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
@@ -51,6 +51,12 @@ class LaserPipeline:
         self._order = RowOrder(self._nominal_ticks)
         self._told_beat = self._nominal_ticks
         self._restart()
+        self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See KeepsTime."""
+        return self._clock.seed(round(optoncdt.TIMESTAMP_WRAP * optoncdt.TICK_S * 1e9))
 
     def _restart(self) -> None:
         self._ticks = Unwrap(optoncdt.TIMESTAMP_WRAP)

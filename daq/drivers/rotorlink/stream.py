@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq import channels
-from daq.clock import ClockMap, Unwrap, clock_rules
+from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from rig_configs.device import RotorNodeSettings
@@ -39,6 +39,12 @@ class NodePipeline:
         self._joined = False
         self._last_dongle_us: int | None = None
         self._restart()
+        self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See KeepsTime."""
+        return self._clock.seed(1000 * 2**32)
 
     def _restart(self) -> None:
         self._air = rotorlink.SequenceCounter()
