@@ -282,12 +282,16 @@ def _spread(values: Array) -> float:
     return float(np.nanmedian(np.abs(values - np.nanmedian(values))))
 
 
-def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock]]:
-    """Channels on a device's own clock whose samples must be right, whatever else went wrong."""
+def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock, bool]]:
+    """Channels on a device's own clock whose samples must be right, whatever else went wrong.
+
+    And whether the device itself tells how many samples are missing, so that its clock is no count of the host's.
+    """
     for name, device in devices_of(rig.devices).items():
         checked = "checksum" in claims_of(device.driver)
         if name not in _begun_anew(schedule) and (checked or name not in _spoilt(schedule)):
-            yield from ((name, clock) for clock in device.clocks)
+            exact = "counts exactly" in claims_of(device.driver)
+            yield from ((name, clock, exact) for clock in device.clocks)
 
 
 def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: Truth) -> Iterator[str]:
@@ -301,13 +305,13 @@ def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: Truth) -> Iter
         step = 4 * rig.roles.angles.step_rad
         fields[rig.roles.angles.topic] = [("theta3_rad", 2, step), ("theta4_rad", 3, step)]
     counted = json.loads(log.metadata["summary"]["losses"])
-    for name, clock in _trusted(rig, schedule):
+    for name, clock, exact in _trusted(rig, schedule):
         if clock.topic not in log or log.count(clock.topic) < 2:
             continue
         own = world.clock(name)
         at_s = _device_times(log, clock, own, zero_ns)
         late = (log[clock.topic].time_ns - zero_ns) * 1e-9 - at_s
-        counted_by_host = abs(float(np.median(late))) > _OTHER_CLOCK_S
+        counted_by_host = not exact or abs(float(np.median(late))) > _OTHER_CLOCK_S
         if counted_by_host:
             at_s, late = _aligned(at_s, late, log, clock.topic, fields, truth)
 
