@@ -7,6 +7,7 @@ out here: bytes and samples into the log, a warning to the operator, a stop to t
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -81,6 +82,7 @@ class Session:
         self._command: RotorCommand | None = None
         self._ticking: Repeated | None = None
         self._opened = False
+        self._log_changes = threading.RLock()  # no tick between a log's last words and its end
 
     # --- beginning and end -------------------------------------------------------------------------------------
 
@@ -250,15 +252,16 @@ class Session:
         self._carry_out(self._core.fail(error, self.clock.now_ns()))
 
     def _tick(self) -> None:
-        recorder, command = self._recorder, self._command
-        self._carry_out(
-            self._core.tick(
-                self.clock.now_ns(),
-                command.seen() if command is not None else None,
-                recorder.look() if recorder is not None else None,
-                recorder.trouble if recorder is not None else None,
+        with self._log_changes:
+            recorder, command = self._recorder, self._command
+            self._carry_out(
+                self._core.tick(
+                    self.clock.now_ns(),
+                    command.seen() if command is not None else None,
+                    recorder.look() if recorder is not None else None,
+                    recorder.trouble if recorder is not None else None,
+                )
             )
-        )
 
     def _carry_out(self, orders: Iterable[Order]) -> None:
         for order in orders:
@@ -467,7 +470,7 @@ class Session:
     ) -> None:
         """Give every device a fresh pipeline, at a boundary between two reads."""
         pipelines = make_pipelines(self.rig.devices, self.identities, seeds=seeds)
-        with self._open.between_reads():
+        with self._log_changes, self._open.between_reads():
             self._recorder = recorder
             for order in self._core.begin(pipelines, self.clock.now_ns(), before_s):
                 if recorder is not None:
@@ -477,7 +480,7 @@ class Session:
         """End the log; losses and how it ended go into its summary."""
         recorder = self._recorder
         assert recorder is not None
-        with self._open.between_reads():
+        with self._log_changes, self._open.between_reads():
             now_ns = self.clock.now_ns()
             facts, events = self._core.end(now_ns)
             for event in events:
