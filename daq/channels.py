@@ -243,8 +243,14 @@ _LASER = (
     ("flags", "fixed32"),
 )
 
-LASER_X = Channel("laser/x", "rig.LaserSample", _LASER, ("flags",))
-LASER_Y = Channel("laser/y", "rig.LaserSample", _LASER, ("flags",))
+
+def displacement_channel(topic: str) -> Channel:
+    """The channel of a displacement sensor: "laser/x", "laser/y", or that of a witness."""
+    return Channel(topic, "rig.LaserSample", _LASER, ("flags",))
+
+
+LASER_X = displacement_channel("laser/x")
+LASER_Y = displacement_channel("laser/y")
 PENDULUMS = Channel(
     "pendulums",
     "rig.PendulumSample",

@@ -4,19 +4,30 @@ A sample made at device time d reaches the host at h = offset + rate·d + delay 
 delayed samples lie on the lower edge of h against d, so the straight line under all points that runs closest to them
 (the edge of the lower convex hull above the mean time) recovers offset and rate, up to the constant floor.
 
-`ClockMap` follows that line causally while recording; its output is continuous and strictly increasing.
+`ClockMap` follows that line causally while recording; its output is continuous and strictly increasing. Its rules have
+a number that a log keeps, so that old logs decode to the times that they hold.
 `fit_line` uses a whole log at once and says how well it knows the rate.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from daq.errors import DeviceError
+
+CLOCK_RULES = "clock_rules"
+"""Key of a device's identity, and of a log's facts: by which rules its `ClockMap` goes. See `clock_rules`."""
+FIRST_RULES, NEWEST_RULES = 1, 2
+CLOCK_SEED = "clock_seed"
+"""Key of a device's identity: how its clock stood when the log began. See `ClockSeed`."""
+_SEED_EARLY_NS, _SEED_LATE_NS = 5_000_000, 1_000_000_000
 _BIN_NS = 250_000_000
 _BINS = 120
 _SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that time never runs backwards
@@ -65,21 +76,77 @@ def compile_line() -> None:
     lower_line(np.arange(3.0), np.zeros(3))
 
 
+def clock_rules(identity: Mapping[str, Any]) -> int:
+    """By which rules a pipeline's clock map goes.
+
+    Args:
+        identity: as a pipeline is given it: of a log that is decoded again it holds the log's rules.
+    """
+    return int(identity.get(CLOCK_RULES, NEWEST_RULES))
+
+
+@dataclass(frozen=True)
+class ClockSeed:
+    """How a device's clock stood against the common one, as known before a log began.
+
+    Attributes:
+        device_ns, host_ns: an instant by both clocks.
+        rate: common seconds for each of the device's, less 1.
+        wrap_ns: after which the device's clock begins again.
+    """
+
+    device_ns: int
+    host_ns: int
+    rate: float
+    wrap_ns: int
+
+    @classmethod
+    def of(cls, identity: Mapping[str, Any]) -> ClockSeed | None:
+        """The one that a pipeline is given with its device's identity; None where there is none.
+
+        Raises:
+            DeviceError: no clock can stand so.
+        """
+        told = identity.get(CLOCK_SEED)
+        if told is None:
+            return None
+        try:
+            seed = cls(**told)
+            whole = all(type(ns) is int and abs(ns) < 2**63 for ns in (seed.device_ns, seed.host_ns, seed.wrap_ns))
+            if whole and seed.wrap_ns > 0 and type(seed.rate) is float and abs(seed.rate) < _SLEW:
+                return seed
+        except TypeError:
+            pass
+        raise DeviceError(f"clocks.json: expected device_ns, host_ns, rate and wrap_ns of a clock, got {told!r:.120}")
+
+    def host_at(self, device_ns: int, near_ns: int) -> int:
+        """Common time of an instant by the device's clock: of all that a wrap apart, the one nearest to `near_ns`."""
+        ahead = device_ns - self.device_ns
+        at_ns = self.host_ns + ahead + round(self.rate * ahead)
+        turn_ns = self.wrap_ns + round(self.rate * self.wrap_ns)
+        return at_ns + turn_ns * round((near_ns - at_ns) / turn_ns)
+
+
 class ClockMap:
     """Causal map of one device's clock (ns, unwrapped) to the common clock (ns since 1970).
 
     Args:
         tolerance_ppm: standard uncertainty of the device's rate; the estimated rate is kept within five of them.
+        rules: 1: a correction goes on until the next read, however late that comes; 2: only until it is made good.
+        seed: how the clock stood before; without it the first read counts as one that was not delayed.
     """
 
-    def __init__(self, tolerance_ppm: float) -> None:
+    def __init__(self, tolerance_ppm: float, rules: int = NEWEST_RULES, seed: ClockSeed | None = None) -> None:
+        self._seed = seed
         self._limit = 5e-6 * tolerance_ppm
+        self._correct_ns = np.inf if rules == FIRST_RULES else float(_SETTLE_NS)
         self._bins: deque[tuple[int, float, float]] = deque(maxlen=_BINS)  # bin, device ns, lag ns (relative)
         self._device0 = 0
         self._host0 = 0
         self._at = 0.0  # mapped line: device ns (relative) …
-        self._lag = 0.0  # … its lag there …
-        self._slope = 0.0  # … and slope
+        self._lag = 0.0  # … its lag there, …
+        self._slope = 0.0  # … its slope …
+        self._correction = 0.0  # … and what comes on top of it for the next `_correct_ns`
         self._line: tuple[float, float] | None = None
         self._started = False
 
@@ -93,11 +160,35 @@ class ClockMap:
         if not self._started:
             self._device0, self._host0 = int(device_ns[-1]), host_ns
             self._started = True
+            self._begin()
         relative = device_ns - self._device0
-        lag = self._lag + self._slope * (relative - self._at)
+        ahead = relative - self._at
+        lag = self._lag + self._slope * ahead
+        if ahead[-1] > self._correct_ns:  # a gap
+            lag -= self._correction * np.maximum(ahead - self._correct_ns, 0.0)
         times = relative + np.rint(lag).astype(np.int64) + self._host0
         self._learn(float(relative[-1]), float(host_ns - self._host0 - int(relative[-1])))
         return times
+
+    def _begin(self) -> None:
+        """Take over what was known of the clock, unless it is another one by now."""
+        if self._seed is None:
+            return
+        early = self._host0 - self._seed.host_at(self._device0, self._host0)
+        if -_SEED_EARLY_NS < early < _SEED_LATE_NS:
+            self._lag, self._slope = float(-max(early, 0)), self._seed.rate
+            self._bins.append((-1, 0.0, self._lag))
+
+    def seed(self, wrap_ns: int) -> ClockSeed | None:
+        """How the clock stands now, for the map of the next log; None before the first read.
+
+        Args:
+            wrap_ns: after which the device's clock begins again.
+        """
+        if not self._started:
+            return None
+        lag, rate = self._target(self._at)  # where the mapped time is still on its way to
+        return ClockSeed(self._device0 + round(self._at), self._host0 + round(self._at + lag), float(rate), wrap_ns)
 
     def _learn(self, device: float, lag: float) -> None:
         number = int(device // _BIN_NS)
@@ -108,9 +199,10 @@ class ClockMap:
             self._fit_closed_bins()
             self._bins.append((number, device, lag))
         target, slope = self._target(device)
-        here = self._lag + self._slope * (device - self._at)
-        correction = max(-_SLEW, min(_SLEW, (target - here) / _SETTLE_NS))
-        self._at, self._lag, self._slope = device, here, slope + correction
+        ahead = device - self._at
+        here = self._lag + self._slope * ahead - self._correction * max(ahead - self._correct_ns, 0.0)
+        self._correction = max(-_SLEW, min(_SLEW, (target - here) / _SETTLE_NS))
+        self._at, self._lag, self._slope = device, here, slope + self._correction
 
     def _fit_closed_bins(self) -> None:
         """A new line each time a bin is complete: often enough for a crystal, and cheap."""

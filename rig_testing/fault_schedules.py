@@ -15,6 +15,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +26,15 @@ from daq.acquisition.session import Session
 from daq.drivers.contract import SampleClock, claims_of
 from daq.drivers.devices import devices_of
 from daq.errors import RigError
-from daq.lockstep.rig import LockstepRig
+from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import Log, open_log
 from daq.replay import check
 from daq.virtual_rig.faults import LINE_FAULTS
-from daq.virtual_rig.motion import Motion, Trajectory
+from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock, World
 from rig_configs import load_rig
 from rig_configs.schema import Rig
+from rig_testing.stages import AFTER_S, LockstepStage, RealTimeStage, Stage, Truth
 
 Array = NDArray[np.floating[Any]]
 Fields = list[tuple[str, int, float]]
@@ -41,11 +43,11 @@ Fields = list[tuple[str, int, float]]
 STOP_WITHIN_S = 0.5
 """Behind the limit of a needed channel the stop is ordered within this, s."""
 _RPM = math.pi / 30
-_EARLY_S, _EARLY_IN_GAP_S = 2e-3, 10e-3  # a clock map that has not settled yet overshoots in a gap
+_EARLY_S = 2e-3
 _OTHER_CLOCK_S = 1.0  # a clock that is farther off is the pipeline's own count
 _TURNS_RPM = 20.0  # a rotor that surely turns
 _SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults behind which a line without a checksum proves nothing
-_AFTER_S, _COARSE_S = 15.0, (0.04, 0.06)  # the world goes on for so long behind the session's end, in such steps
+_TURNS_S = (STEP_S, (0.004, 0.016), (0.012, 0.020))  # of quick adapters, of others, of those that gather for 16 ms
 _CALM = ["virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=false"]
 
 
@@ -75,12 +77,14 @@ class Schedule:
         seed: of all that is random in it.
         rpm: to which the rotor is turned; 0: not at all.
         seconds: of the recording.
+        turn_s: at random between these the adapters hand over what has come, s.
         faults: in order of time; s since the recording began.
     """
 
     seed: int
     rpm: float
     seconds: float
+    turn_s: tuple[float, float]
     faults: tuple[Fault, ...]
 
 
@@ -118,7 +122,8 @@ def draw(rig: Rig, seed: int, calm: bool = False) -> Schedule:
     seconds = float(dice.uniform(5.0, 9.0))
     count = 0 if calm else int(dice.choice([0, 1, 1, 2, 3]))
     faults = tuple(sorted((_fault(rig, dice, seconds) for _ in range(count)), key=lambda fault: fault.at_s))
-    return Schedule(seed, rpm, seconds, faults)
+    turn_s = _TURNS_S[int(dice.integers(len(_TURNS_S)))]
+    return Schedule(seed, rpm, seconds, turn_s, faults)
 
 
 def _fault(rig: Rig, dice: np.random.Generator, seconds: float) -> Fault:
@@ -137,32 +142,9 @@ def _fault(rig: Rig, dice: np.random.Generator, seconds: float) -> Fault:
     return Fault(at_s, 0.0 if kind.end is None else lasts_s, device, what, float(dice.choice(values)))
 
 
-class _Watched:
-    """A simulated rig whose true motion and speeds are kept."""
-
-    def __init__(self, rig: Rig) -> None:
-        self.sim = LockstepRig(rig)
-        self.stretches: list[Trajectory] = []
-        motion = self.sim.far.motion
-        advance = motion.advance
-
-        def kept(until_s: float) -> Trajectory | None:
-            stretch = advance(until_s)
-            if stretch is not None:
-                self.stretches.append(stretch)
-            return stretch
-
-        motion.advance = kept
-
-    def truth(self) -> tuple[Array, Array]:
-        """Times and rows of the whole motion."""
-        return (
-            np.concatenate([stretch.time_s[1:] for stretch in self.stretches]),
-            np.concatenate([stretch.rows[1:] for stretch in self.stretches]),
-        )
-
-
-def run(rig_name: str, schedule: Schedule, folder: Path, settings: tuple[str, ...] = ()) -> Result:
+def run(
+    rig_name: str, schedule: Schedule, folder: Path, settings: tuple[str, ...] = (), *, real_time: bool = False
+) -> Result:
     """Run a schedule and look at what came of it.
 
     Args:
@@ -170,18 +152,27 @@ def run(rig_name: str, schedule: Schedule, folder: Path, settings: tuple[str, ..
         schedule: for that rig.
         folder: where the log goes.
         settings: laid over the rig file.
+        real_time: on ptys, with threads and the wall's clock; else in lockstep, where a schedule is repeatable.
     """
-    result = Result(schedule)
     changes = [f"virtual.seed={schedule.seed}", *_CALM, *settings]
-    watched = _Watched(load_rig(rig_name, settings=changes))
-    sim = watched.sim
-    rig = load_rig(rig_name, settings=[*changes, *sim.port_settings()])
+    rig = load_rig(rig_name, settings=changes)
+    stage: Stage = RealTimeStage(rig) if real_time else LockstepStage(rig, schedule.turn_s)
+    try:
+        return _run(load_rig(rig_name, settings=[*changes, *stage.port_settings()]), schedule, folder, stage)
+    finally:
+        stage.close()
+
+
+def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
+    result = Result(schedule)
     path = folder / f"schedule-{schedule.seed}.mcap"
-    session = Session(rig, sim.clock, edge=sim.edge)
+    begun_s = stage.clock.wall_s()
+    session = Session(rig, stage.clock, edge=stage.edge)
     try:
         with session:
             session.start_recording(path, {"test": "record"})
-            _place(sim, schedule)
+            for fault in schedule.faults:
+                stage.after(fault.at_s, partial(_begin, stage, fault))
             _operate(session, schedule)
             session.stop_recording({})
     except RigError as error:
@@ -189,35 +180,28 @@ def run(rig_name: str, schedule: Schedule, folder: Path, settings: tuple[str, ..
     except Exception as error:
         result.wrong.append(f"ended with {type(error).__name__}: {error}")
         result.ended = str(error)
-    closed_s = sim.clock.wall_s()
-    sim.turn_s = _COARSE_S
-    sim.clock.wait(_AFTER_S)
-    result.rig_s = closed_s
+    result.rig_s = stage.clock.wall_s() - begun_s
+    truth = stage.end()
     if path.exists():
         result.digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        result.wrong += _judged(path, watched, rig, schedule, result)
+        result.wrong += _judged(path, truth, rig, schedule, result)
     else:
         result.wrong.append("there is no finished log")
-    result.wrong += _left_behind(watched, session)
+    result.wrong += _left_behind(truth, session)
     return result
 
 
-def _place(sim: LockstepRig, schedule: Schedule) -> None:
-    for fault in schedule.faults:
-        sim.clock.after(fault.at_s, lambda fault=fault: _begin(sim, fault), world=True)
-
-
-def _begin(sim: LockstepRig, fault: Fault) -> None:
+def _begin(stage: Stage, fault: Fault) -> None:
     match fault.what:
         case "busy":
-            sim.clock.busy(fault.seconds)
+            stage.busy(fault.seconds)
         case "unplug":
-            sim.ask("unplug", device=fault.device)
-            sim.clock.after(fault.seconds, lambda: sim.ask("plug", device=fault.device), world=True)
+            stage.ask("unplug", device=fault.device)
+            stage.after(fault.seconds, lambda: stage.ask("plug", device=fault.device))
         case _:
             lasts: dict[str, Any] = {"seconds": fault.seconds} if fault.seconds else {}
             with contextlib.suppress(ValueError):  # one that stands already
-                sim.ask("fail", device=fault.device, what=fault.what, value=fault.value, **lasts)
+                stage.ask("fail", device=fault.device, what=fault.what, value=fault.value, **lasts)
 
 
 def _operate(session: Session, schedule: Schedule) -> None:
@@ -235,15 +219,14 @@ def _operate(session: Session, schedule: Schedule) -> None:
 # --- what must hold ----------------------------------------------------------------------------------------------
 
 
-def _judged(path: Path, watched: _Watched, rig: Rig, schedule: Schedule, result: Result) -> Iterator[str]:
+def _judged(path: Path, truth: Truth, rig: Rig, schedule: Schedule, result: Result) -> Iterator[str]:
     """What the log says, against the truth."""
-    truth_s, truth = watched.truth()
     with open_log(path) as log:
         if not log.complete:
             yield "the log is not complete"
         yield from _replays(path, schedule)
-        yield from _samples_right(log, rig, schedule, watched.sim, truth_s, truth)
-        yield from _stopped_in_time(log, rig, schedule, result, truth_s, truth, watched.sim)
+        yield from _samples_right(log, rig, schedule, truth)
+        yield from _stopped_in_time(log, rig, schedule, result, truth)
     if not schedule.faults and result.ended:
         yield f"without a fault it ended: {result.ended}"
 
@@ -275,9 +258,12 @@ def _device_times(log: Log, clock: SampleClock, own: DeviceClock, zero_ns: int) 
 
 
 def _aligned(
-    at_s: Array, late: Array, log: Log, topic: str, fields: Mapping[str, Fields], truth_s: Array, truth: Array
+    at_s: Array, late: Array, log: Log, topic: str, fields: Mapping[str, Fields], truth: Truth
 ) -> tuple[Array, Array]:
-    """Times of a device whose wire carries no time of its own: from the shift that fits the truth best."""
+    """Times of a device whose wire carries no time of its own: from the shift that fits most of the truth best.
+
+    Some samples behind a gap may bear times that are early by it, as the driver's page says.
+    """
     at_s, late = at_s + np.median(late), late - np.median(late)
     if topic not in fields:
         return at_s, late
@@ -285,43 +271,51 @@ def _aligned(
     some = slice(None, None, max(1, len(at_s) // 4000))
     value = log[topic][name].astype(np.float64)[some]
     shifts = np.arange(-0.012, 0.006, 1e-4)
-    spread = [float(np.nanstd(value - np.interp(at_s[some] + shift, truth_s, truth[:, column]))) for shift in shifts]
+    was = truth.rows[:, column]
+    spread = [_spread(value - np.interp(at_s[some] + shift, truth.time_s, was)) for shift in shifts]
     shift = float(shifts[int(np.argmin(spread))])
     return at_s + shift, late - shift
 
 
-def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock]]:
-    """Channels on a device's own clock whose samples must be right, whatever else went wrong."""
+def _spread(values: Array) -> float:
+    """How far the middle one of them is from their middle."""
+    return float(np.nanmedian(np.abs(values - np.nanmedian(values))))
+
+
+def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock, bool]]:
+    """Channels on a device's own clock whose samples must be right, whatever else went wrong.
+
+    And whether the device itself tells how many samples are missing, so that its clock is no count of the host's.
+    """
     for name, device in devices_of(rig.devices).items():
         checked = "checksum" in claims_of(device.driver)
         if name not in _begun_anew(schedule) and (checked or name not in _spoilt(schedule)):
-            yield from ((name, clock) for clock in device.clocks)
+            exact = "counts exactly" in claims_of(device.driver)
+            yield from ((name, clock, exact) for clock in device.clocks)
 
 
-def _samples_right(
-    log: Log, rig: Rig, schedule: Schedule, sim: LockstepRig, truth_s: Array, truth: Array
-) -> Iterator[str]:
+def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: Truth) -> Iterator[str]:
     """Every valid displacement and angle is what was there at its time; every sample that is missing was counted."""
     virtual = rig.virtual
     assert virtual is not None
-    world, zero_ns = World(virtual, Motion(rig.true_physics, 0.0, 0.1)), log_zero_ns(sim)
+    world, zero_ns = World(virtual, Motion(rig.true_physics, 0.0, 0.1)), truth.zero_ns
     fields = {sensor.topic: [("displacement_m", "xy".index(sensor.axis), 8 * virtual.sensors.laser_noise_m + 8e-6)]
               for sensor in rig.roles.displacements}  # fmt: skip
     if rig.roles.angles is not None:
         step = 4 * rig.roles.angles.step_rad
         fields[rig.roles.angles.topic] = [("theta3_rad", 2, step), ("theta4_rad", 3, step)]
     counted = json.loads(log.metadata["summary"]["losses"])
-    for name, clock in _trusted(rig, schedule):
+    for name, clock, exact in _trusted(rig, schedule):
         if clock.topic not in log or log.count(clock.topic) < 2:
             continue
         own = world.clock(name)
         at_s = _device_times(log, clock, own, zero_ns)
         late = (log[clock.topic].time_ns - zero_ns) * 1e-9 - at_s
-        counted_by_host = abs(float(np.median(late))) > _OTHER_CLOCK_S
+        counted_by_host = not exact or abs(float(np.median(late))) > _OTHER_CLOCK_S
         if counted_by_host:
-            at_s, late = _aligned(at_s, late, log, clock.topic, fields, truth_s, truth)
-        early_s = _EARLY_IN_GAP_S if any(fault.device == name for fault in schedule.faults) else _EARLY_S
-        if np.min(late) < -early_s or np.median(late) > 0.05:
+            at_s, late = _aligned(at_s, late, log, clock.topic, fields, truth)
+
+        if np.min(late) < -_EARLY_S or np.median(late) > 0.05:
             yield f"{clock.topic}: times are {late.min() * 1e3:.1f} to {late.max() * 1e3:.1f} ms off"
         lost = round(float(at_s[-1] - at_s[0]) * (1 + own.drift) * clock.rate_Hz) + 1 - len(at_s)
         if lost != counted[name].get("samples", 0):
@@ -329,27 +323,19 @@ def _samples_right(
         if counted_by_host and any(fault.device == name for fault in schedule.faults):
             continue  # behind a gap its samples have the host's time, good to some ms
         for field_name, column, tolerance in fields.get(clock.topic, ()):
-            off = log[clock.topic][field_name].astype(np.float64) - np.interp(at_s, truth_s, truth[:, column])
+            off = log[clock.topic][field_name].astype(np.float64) - np.interp(at_s, truth.time_s, truth.rows[:, column])
             off -= np.nanmedian(off) if np.isfinite(off).any() else 0.0
             if len(far := np.flatnonzero(np.abs(off) > tolerance)):  # NaN is no sample
                 yield f"{clock.topic} {field_name}: {len(far)} samples are wrong, the first by {off[far[0]]:.3g}"
 
 
-def log_zero_ns(sim: LockstepRig) -> int:
-    """The clock's beginning, ns since 1970."""
-    return sim.clock.now_ns() - round(sim.clock.wall_s() * 1e9)
-
-
-def _stopped_in_time(
-    log: Log, rig: Rig, schedule: Schedule, result: Result, truth_s: Array, truth: Array,
-    sim: LockstepRig,
-) -> Iterator[str]:  # fmt: skip
+def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, truth: Truth) -> Iterator[str]:
     """A guard that was blind while the rotor turned: the stop came in time."""
     stops = [event["time_ns"] for event in log.events if event["kind"] == "stop"]
     stop_ns = stops[0] if stops else None
-    zero_ns = log_zero_ns(sim)
-    speed = np.abs(truth[:, 9]) / _RPM
-    turning = truth_s[speed > _TURNS_RPM]
+    zero_ns = truth.zero_ns
+    speed = np.abs(truth.rows[:, 9]) / _RPM
+    turning = truth.time_s[speed > _TURNS_RPM]
     if not len(turning):
         return
     begin_ns, end_ns = zero_ns + int(turning[0] * 1e9), zero_ns + int(turning[-1] * 1e9)
@@ -372,11 +358,11 @@ def _stopped_in_time(
         result.stop_s = longest if math.isnan(result.stop_s) else max(result.stop_s, longest)
 
 
-def _left_behind(watched: _Watched, session: Session) -> Iterator[str]:
+def _left_behind(truth: Truth, session: Session) -> Iterator[str]:
     """The rotor stands in the end, or the operator was warned of it."""
-    motion = watched.sim.far.motion
+    speed_rpm = float(truth.rows[-1, 9]) / _RPM
     warned = any("keep away" in notice for notice in session.notices)
-    if abs(motion.speed_rad_s) > 1.0 and not warned:
-        yield f"the rotor turns at {motion.speed_rad_s / _RPM:.0f} rpm {_AFTER_S:g} s after the end, without a warning"
-    if abs(motion.target_rad_s) > 0:
-        yield f"the drive was left with a target of {motion.target_rad_s / _RPM:.0f} rpm"
+    if abs(speed_rpm) > 10.0 and not warned:
+        yield f"the rotor turns at {speed_rpm:.0f} rpm {AFTER_S:g} s after the end, without a warning"
+    if abs(truth.target_rad_s) > 0:
+        yield f"the drive was left with a target of {truth.target_rad_s / _RPM:.0f} rpm"

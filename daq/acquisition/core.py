@@ -313,6 +313,7 @@ class Core:
     def back(self, device: str, port: str, now_ns: int) -> Iterator[Order]:
         """A device that was gone streams again."""
         self.gone.pop(device, None)
+        self.rates.begin_anew(device)
         self._heard_ns[device] = now_ns
         yield Note(Event("back", HOST, f"{device}: streams again, on {port}", {"of": device, "port": port}), now_ns)
 

@@ -18,6 +18,7 @@ from daq.acquisition.lock_positions import flagged, lock_positions, lock_toleran
 from daq.acquisition.rate_watch import Rate
 from daq.acquisition.rotor_watch import AT_REST_RPM
 from daq.drivers.checks import Check, Checks
+from daq.drivers.contract import FOREIGN
 from daq.drivers.items import Event
 from rig_configs.roles import Displacement, PendulumAngles
 from rig_configs.schema import Limits, Rig
@@ -168,7 +169,7 @@ def _speed(seen: SpeedSeen) -> Checks:
     note = "" if still else "its speed is not known" if math.isnan(seen.speed_rpm) else "the rotor turns"
     return {
         "speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_SPEED_REPORTS_HZ:g}", enough),
-        "speed_rpm": Check(None if math.isnan(seen.speed_rpm) else seen.speed_rpm, 0, still, note),
+        "speed_rpm": Check(None if math.isnan(seen.speed_rpm) else round(seen.speed_rpm, 1), 0, still, note),
     }
 
 
@@ -182,6 +183,9 @@ def _losses(lost: Mapping[str, int], on_air: float) -> Checks:
     few = on_air > 0 and lost.get("samples", 0) <= _RADIO_SHARE * on_air
     for kind, count in lost.items():
         if kind == "invalid":  # judged as a share of the samples
+            continue
+        if kind.startswith(FOREIGN):
+            out[kind] = Check(count, None, True, "of others, passed over" if count else "")
             continue
         by_air = on_air > 0 and kind in ("radio_frames", "samples")
         expected = f"at most {_RADIO_SHARE:.0%} of the samples" if by_air else 0

@@ -35,27 +35,28 @@ def _connect(line: Line, port: str) -> Link:
 class UsbPorts:
     """Where an adapter may come back: under another name, and another adapter may have taken its own.
 
-    An adapter is recognised by vendor, product and serial number; one without a serial number by vendor and product.
-    What is no USB adapter is looked for where it was.
+    An adapter is recognised by vendor, product and serial number. What cannot be told from another so (without a serial
+    number, or two of them had the same one at first; no USB adapter at all) is looked for where it was.
     """
 
     def __init__(self) -> None:
-        self._seen: dict[str, tuple[object, ...]] = {}
-        self._look()
-
-    def _look(self) -> dict[str, tuple[object, ...]]:
-        now: dict[str, tuple[object, ...]] = {
-            port.device: (port.vid, port.pid, port.serial_number) for port in list_ports.comports() if port.vid
-        }
-        self._seen = {**self._seen, **{name: who for name, who in now.items() if name not in self._seen}}
-        return now
+        self._first = _adapters()
 
     def places(self, port: str) -> Sequence[str]:
         """See Edge."""
-        who, now = self._seen.get(port), self._look()
-        if who is None:
+        who = self._first.get(port)
+        if who is None or list(self._first.values()).count(who) > 1:
             return (port,)
-        return sorted((name for name, other in now.items() if other == who), key=lambda name: name != port)
+        return sorted((name for name, other in _adapters().items() if other == who), key=lambda name: name != port)
+
+
+def _adapters() -> dict[str, tuple[object, ...]]:
+    """Who is at which port now: USB adapters that say vendor and serial number."""
+    return {
+        port.device: (port.vid, port.pid, port.serial_number)
+        for port in list_ports.comports()
+        if port.vid is not None and port.serial_number
+    }
 
 
 def real_edge() -> Edge:

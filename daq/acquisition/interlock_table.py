@@ -137,7 +137,8 @@ def _rows() -> Iterator[Interlock]:
         PendulumLocks.role,
     )  # fmt: skip
     yield from _speed_rows()
-    yield Interlock("restart", "every device", "a boot-up message, or counters that begin anew", "the device's word",
+    yield Interlock("restart", "the drive; others while the rotor turns or the test needs them",
+                    "a boot-up message, or counters that begin anew", "the device's word",
                     "at once")  # fmt: skip
     yield Interlock("fault", "every device", "the device reports a fault", "the device's word", "at once")
     yield Interlock("left operation", "speed source", "a network state other than operational", "the device's word",

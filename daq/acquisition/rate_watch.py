@@ -100,11 +100,19 @@ class RateWatch:
         self._bins: deque[tuple[int, int, int, int]] = deque(maxlen=_BINS)  # number, device ns, lag ns, count
         self._last: tuple[int, int, int] | None = None  # device ns, host ns, sequence
         self._count = 0
+        self._anew = False
+
+    def begin_anew(self) -> None:
+        """The device's clock and counter have: what came before the next samples says nothing of them."""
+        self._anew = True  # another thread may be feeding
 
     def feed(self, batch: Batch, host_ns: int) -> None:
         """Take the samples of one read."""
         device_ns = int(batch.columns[self._field][-1]) * self._tick_ns
         sequence = int(batch.sequence[-1])
+        if self._anew:
+            self._anew, self._last = False, None
+            self._bins.clear()
         if self._last is not None:
             passed, passed_host = device_ns - self._last[0], host_ns - self._last[1]
             if passed < 0 or max(passed_host, abs(passed - passed_host)) > _LOST_TRACK_NS:
@@ -148,8 +156,10 @@ class RateWatches:
     """
 
     def __init__(self, devices: Mapping[str, DeviceSettings]) -> None:
-        clocks = [clock for device in devices_of(devices).values() for clock in device.clocks]
+        known = devices_of(devices)
+        clocks = [clock for device in known.values() for clock in device.clocks]
         self._watches = {clock.topic: RateWatch(clock) for clock in clocks}
+        self._topics_of = {name: [clock.topic for clock in device.clocks] for name, device in known.items()}
         self._due: dict[str, int] = {}
         self._suspect: set[str] = set()
         self._wrong: dict[str, Rate] = {}
@@ -160,13 +170,22 @@ class RateWatches:
         """Take what one read decoded to; gives an event when a rate turns wrong, and when it is right again."""
         out: list[Event] = []
         for item in found:
-            if isinstance(item, Batch) and (watch := self._watches.get(item.channel.topic)) is not None:
+            if isinstance(item, Event):
+                if item.kind == "restart":
+                    self.begin_anew(item.device)
+                continue
+            if (watch := self._watches.get(item.channel.topic)) is not None:
                 watch.feed(item, host_ns)
                 topic = item.channel.topic
                 if host_ns >= self._due.setdefault(topic, host_ns + _FIRST_LOOK_NS):
                     self._due[topic] = host_ns + _LOOK_NS
                     out += self._look(topic, watch.rate())
         return out
+
+    def begin_anew(self, device: str) -> None:
+        """A device's clocks and counters have: it started again, or was opened again."""
+        for topic in self._topics_of.get(device, ()):
+            self._watches[topic].begin_anew()
 
     def _look(self, topic: str, rate: Rate | None) -> list[Event]:
         """Wrong twice in a row is wrong: once may be a host that dozed."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import queue
 import sys
 import threading
@@ -20,6 +21,7 @@ from daq.errors import LinkLost
 from daq.transports import HostClock, Link
 
 _NEXT_S = 0.005  # wall seconds to wait for the next arrival
+_QUICK = 8  # arrivals in a row, each so soon behind the one before
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
 _LARGE_BYTES = 128 * 1024
 _WAIT_S = 0.1  # wall seconds between two looks whether to end
@@ -68,6 +70,29 @@ def keep_heap_whole() -> None:
             mallopt = ctypes.CDLL(None).mallopt
             mallopt(_M_ARENA_MAX, 1)
             mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)  # naming one ends its being moved
+
+
+class _Sparse:
+    """Whether a device's bytes come so seldom that each arrival is worth a turn of its own."""
+
+    def __init__(self) -> None:
+        self._is, self._quick, self._last_s = False, 0, -math.inf
+
+    def arrived(self, alone: bool, some: bool, wall_s: float) -> bool:
+        """Whether they do.
+
+        Args:
+            alone: nothing followed what had come during a rest.
+            some: bytes have come.
+            wall_s: when.
+        """
+        if alone:
+            self._is, self._quick = True, 0
+        elif self._is and some:
+            self._quick = self._quick + 1 if wall_s - self._last_s < _NEXT_S else 0
+            self._is = self._quick < _QUICK
+        self._last_s = wall_s
+        return self._is
 
 
 class DeviceReader:
@@ -169,9 +194,10 @@ class DeviceReader:
         """Take bytes some fifty times a second, each turn stamped with the arrival of its last byte.
 
         What came during a rest is not stamped as it is fetched, which would be late by an unknown part of the rest: it
-        waits for the next arrival, as long as that is near.
+        waits for the next arrival, as long as that is near. Where none is, bytes come message by message: there is no
+        rest then until they come thick and fast again.
         """
-        rested = b""
+        rested, sparse = b"", _Sparse()
         while True:
             try:
                 data = yield Read(_NEXT_S if rested else _WAIT_S)
@@ -181,9 +207,10 @@ class DeviceReader:
                 raise
             if rested or data or self._sent:
                 self._arrived(rested + data, take)
-                yield Rest(self._rest_s)
-                rested = b""  # not twice, should the next line fail
-                rested = yield Read(0.0)
+                alone, rested = bool(rested) and not data, b""  # not twice, should the next line fail
+                if not sparse.arrived(alone, bool(data), self._clock.wall_s()):
+                    yield Rest(self._rest_s)
+                    rested = yield Read(0.0)
 
     def _arrived(self, data: bytes, take: Take) -> None:
         host_ns = self._clock.now_ns()

@@ -172,6 +172,8 @@ class RotorWatch:
     def at_rest(self, now_ns: int) -> bool | None:
         """Whether the rotor stands: by the drive's fresh word, unless index marks go on; without one by the marks.
 
+        A rotor that stood when a drive fell silent stands until a mark comes, as long as the node is heard.
+
         None when neither is there; without a drive also when the marks of a rotor that is to turn have ceased: that the
         index sensor has died is more likely than that the rotor stands.
         """
@@ -182,9 +184,17 @@ class RotorWatch:
             return not self.coasts(now_ns)
         if self._node_ns is None or now_ns - self._node_ns > _ns(self._radio_s):
             return None
+        if self._stood and self.target_rpm == 0:
+            return True
         seen_ns = max(self._mark_host_ns or 0, self._word_ns)
         ceased = now_ns - seen_ns > max(_ns(_MARKLESS_S), 3 * (self._last_turn_ns() or 0.0)) + self._late_ns
         return None if ceased and self._alone else ceased
+
+    @property
+    def _stood(self) -> bool:
+        """Whether the rotor stood by the drive's last word, and no index mark has come since it came to rest."""
+        settled = self._zero_since_ns is not None and self._word_ns - self._zero_since_ns >= self._settled_ns
+        return self._word is not None and settled and self._marks_after_zero == 0
 
     @property
     def _alone(self) -> bool:

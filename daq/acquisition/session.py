@@ -6,12 +6,11 @@ out here: bytes and samples into the log, a warning to the operator, a stop to t
 
 from __future__ import annotations
 
-import contextlib
 import json
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,22 +18,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.channel_watch import HOST
 from daq.acquisition.core import Core, Happened, Keep, Note, Order, Report, StopRotor, Warn
 from daq.acquisition.edge import Edge, real_edge
 from daq.acquisition.exceedance import compile_look
 from daq.acquisition.interlock_table import LOOK_S
+from daq.acquisition.links import Links
 from daq.acquisition.rate_watch import RateWatches
-from daq.acquisition.reader import DeviceReader, OpenDevice, keep_heap_whole
+from daq.acquisition.reader import keep_heap_whole
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState, Recorder
 from daq.acquisition.rotor_command import RotorCommand
-from daq.clock import compile_line
+from daq.clock import CLOCK_RULES, NEWEST_RULES, compile_line
 from daq.drivers.checks import Checks
-from daq.drivers.contract import SpeedSource, TellsItself
+from daq.drivers.contract import KeepsTime, SpeedSource, TellsItself
 from daq.drivers.devices import channels_of, devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.errors import DeviceError, LinkLost, RigError
+from daq.errors import DeviceError, RigError
 from daq.log.file import ReservedName
 from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
@@ -44,7 +43,6 @@ from rig_configs.schema import Rig
 
 _ALIVE_S = 3.0  # wall seconds
 _NEWEST_S = 20.0  # how far back the newest stretch of a channel may lie
-_AGAIN_S = 2.0  # wall seconds between two attempts to open a device that was unplugged
 
 
 class Session:
@@ -79,24 +77,23 @@ class Session:
         self._known = devices_of(rig.devices)
         self._say = say
         self._core = Core(rig, clock.patience, driving=True)
-        self._devices: dict[str, DeviceReader] = {}
+        self._links: Links | None = None
         self._recorder: Recorder | None = None
         self._command: RotorCommand | None = None
         self._ticking: Repeated | None = None
-        self._opened = self._attending = False
-        self._again_s = 0.0
+        self._opened = False
+        self._log_changes = threading.RLock()  # no tick between a log's last words and its end
 
     # --- beginning and end -------------------------------------------------------------------------------------
 
     def open(self) -> Session:
         """Open every link, identify the devices, start their streams."""
         try:
-            self._open_links()
+            links = self._open_links()
             self._core.commanding = True
             self._command = RotorCommand(self._core, self._known, self.send, self.clock, self.check)
-            self._start_readers()
-            for name, device in self._known.items():
-                self.identities[name] = device.driver.open(name, device.settings, self._talk(name))
+            links.read()
+            links.start_streams()
             if self._command.drive is not None:
                 self._command.drive.start()
             self._wait_alive("every device to send samples")
@@ -116,40 +113,28 @@ class Session:
         """
         self._core = Core(self.rig, self.clock.patience, driving=False)
         try:
-            self._open_links()
+            links = self._open_links()
             self.start_recording(path, metadata)
-            self._start_readers()
+            links.read()
             self._start_watching()
         except BaseException as error:
             self.close(error)
             raise
         return self
 
-    def _open_links(self) -> None:
+    def _open_links(self) -> Links:
         keep_heap_whole()
         compile_look()
         compile_line()
-        for device in self._known.values():
-            device.driver.prepare()
-        for name, device in self._known.items():
-            link = self._edge.connect(device.line, device.line.port)
-            self._devices[name] = DeviceReader(name, link, self.clock, device.driver.rest_s)
-            self._core.renew(name, device.pipeline({}))
+        links = Links(self._known, self.clock, self._edge, self._core, self.identities, self._take, self._lost)
+        self._links = links  # what is open when one fails is closed again
+        links.open()
+        return links
 
-    def _talk(self, name: str) -> OpenDevice:
-        return OpenDevice(self._devices[name], self.clock, partial(self._forget, name))
-
-    def _forget(self, name: str) -> None:
-        """A fresh pipeline for a device whose line has just run dry: what it sent before was told to someone else."""
-        with self._devices[name].lock:
-            self._core.renew(name, self._known[name].pipeline(self.identities.get(name, {})))
-
-    def _start_readers(self) -> None:
-        for name in self._devices:
-            self._start_reader(name)
-
-    def _start_reader(self, name: str) -> None:
-        self._devices[name].start(partial(self._take, name), partial(self._lost, name))
+    @property
+    def _open(self) -> Links:
+        assert self._links is not None, "a session that is not open has no lines"
+        return self._links
 
     def _start_watching(self) -> None:
         self._opened = self._core.guarding = True
@@ -157,7 +142,7 @@ class Session:
         self._ticking = self.clock.every(LOOK_S, self._tick, "health", self._fail)
 
     def __enter__(self) -> Session:
-        return self if self._devices else self.open()
+        return self if self._links is not None else self.open()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -187,8 +172,8 @@ class Session:
                 self._core.closing = True
                 if self._ticking is not None:
                     self._ticking.stop()
-                for device in self._devices.values():
-                    device.stop()
+                if self._links is not None:
+                    self._links.close()
         if rest and because is None:
             raise DeviceError(rest)
 
@@ -208,12 +193,10 @@ class Session:
         Returns:
             What there is to say of a rotor that is not known to stand; empty when it stands.
         """
-        if self._command is None:
+        if self._command is None or self._links is None:
             return ""
         rest = self._command.bring_to_rest(self._say, self._opened)
-        for name, device in self._known.items():
-            with contextlib.suppress(LinkLost, DeviceError):
-                device.driver.stop(self._talk(name))
+        self._links.stop_streams()
         if rest or not self._opened or self.rotor_at_rest():
             return ""
         still = "nobody can tell whether the rotor stands" if self.rotor_at_rest() is None else "the rotor still turns"
@@ -253,7 +236,7 @@ class Session:
         Raises:
             LinkLost: the device is gone.
         """
-        self._devices[name].send(data)
+        self._open.send(name, data)
 
     def _take(self, name: str, sent: Sequence[tuple[bytes, int]], data: bytes, host_ns: int) -> None:
         """What went to a device and then what came from it."""
@@ -269,15 +252,16 @@ class Session:
         self._carry_out(self._core.fail(error, self.clock.now_ns()))
 
     def _tick(self) -> None:
-        recorder, command = self._recorder, self._command
-        self._carry_out(
-            self._core.tick(
-                self.clock.now_ns(),
-                command.seen() if command is not None else None,
-                recorder.look() if recorder is not None else None,
-                recorder.trouble if recorder is not None else None,
+        with self._log_changes:
+            recorder, command = self._recorder, self._command
+            self._carry_out(
+                self._core.tick(
+                    self.clock.now_ns(),
+                    command.seen() if command is not None else None,
+                    recorder.look() if recorder is not None else None,
+                    recorder.trouble if recorder is not None else None,
+                )
             )
-        )
 
     def _carry_out(self, orders: Iterable[Order]) -> None:
         for order in orders:
@@ -306,67 +290,9 @@ class Session:
         for observe in self.observers:
             observe(event)
         if event.kind == "reply":
-            self._devices[event.device].replies.put(event.text)
+            self._open.answered(event.device, event.text)
         elif event.kind == "acknowledge" and self._command is not None:
             self._command.acknowledged(event)
-
-    # --- devices that come back ----------------------------------------------------------------------------------
-
-    def _attend(self) -> None:
-        """Look for devices that were unplugged, or have lost power; called by whoever waits for something.
-
-        So no other thread talks to a device. A device that streams anew by itself is only waited for.
-        """
-        core = self._core
-        missed = core.gone or (core.mute and core.commanding)
-        if not missed or self._attending or not self._opened or self.clock.wall_s() < self._again_s:
-            return
-        self._attending = True
-        try:
-            for name in list(core.gone):
-                self._reopen(name)
-            for name in sorted(core.mute) if core.commanding else ():
-                with contextlib.suppress(DeviceError, LinkLost):
-                    self._set_up_again(name)
-        finally:
-            self._attending = False
-            self._again_s = self.clock.wall_s() + _AGAIN_S
-
-    def _reopen(self, name: str) -> None:
-        """Open a device where it may have come back; one that is another than the log's is left alone.
-
-        Its pipeline goes on: the samples that the gap has cost are counted as at any other gap.
-        """
-        device, old = self._known[name], self._devices[name]
-        for port in self._edge.places(device.line.port):
-            try:
-                link = self._edge.connect(device.line, port)
-            except LinkLost:
-                continue
-            old.stop()
-            self._devices[name] = DeviceReader(name, link, self.clock, device.driver.rest_s)
-            self._start_reader(name)
-            try:
-                if self._command is not None:
-                    self._set_up_again(name)
-            except (DeviceError, LinkLost) as error:
-                self._devices[name].stop()
-                self.note(Event("other", HOST, f"{port}: {error}", {"of": name}))
-                continue
-            self._carry_out(self._core.back(name, port, self.clock.now_ns()))
-            return
-
-    def _set_up_again(self, name: str) -> None:
-        assert self._command is not None
-        device = self._known[name]
-        talk = OpenDevice(self._devices[name], self.clock, lambda: None)
-        found, known = device.driver.open(name, device.settings, talk), self.identities.get(name, {})
-        changed = [what for what in known if what != "port" and found.get(what) != known[what]]
-        if changed:
-            differences = ", ".join(f"{what} {found.get(what)} instead of {known[what]}" for what in changed)
-            raise DeviceError(f"{name}: another device answers there: {differences}")
-        if name == self._command.drive_name and self._command.drive is not None:
-            self._command.drive.start()
 
     # --- what is known -------------------------------------------------------------------------------------------
 
@@ -427,7 +353,7 @@ class Session:
     @property
     def silent_s(self) -> float:
         """How long no device has sent anything, wall s."""
-        return self.clock.wall_s() - max(device.heard_s for device in self._devices.values())
+        return self.clock.wall_s() - self._open.heard_s()
 
     def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[NDArray[np.int64], list[Any]]:
         """The newest stretch of a channel, counted back from its newest sample: a late read is no silence."""
@@ -442,13 +368,13 @@ class Session:
 
         A device that never says anything of itself has said all there is.
         """
-        with self._devices[name].lock:
+        with self._open.unread(name):
             pipeline = self._core.pipelines[name]
             return (pipeline.told, pipeline.complaint) if isinstance(pipeline, TellsItself) else (True, "")
 
     def all_told(self) -> bool:
         """Whether every device has said what it is."""
-        return all(self.told(name)[0] for name in self._devices)
+        return all(self.told(name)[0] for name in self._known)
 
     def own_checks(self, events: Iterable[Event]) -> dict[str, Checks]:
         """What drivers look at in their open devices, by device.
@@ -513,6 +439,7 @@ class Session:
             "rig": self.rig.name,
             "software": software_version(),
             "clock_rate": repr(self.clock.rate),
+            CLOCK_RULES: str(NEWEST_RULES),
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock.now_s())),
             **metadata,
         }
@@ -521,33 +448,39 @@ class Session:
             "identities.json": json.dumps(self.identities).encode(),
             "roles.json": self.rig.roles_json(),
         }
-        devices = tuple(self._devices)
+        seeds = self._seeds()
+        if seeds:
+            attachments["clocks.json"] = json.dumps(seeds).encode()
+        devices = tuple(self._known)
         recorder = Recorder(path, self.clock, facts, attachments, devices, self._channels, self._edge.disk)
-        self._begin_anew(recorder, before_s)
+        self._begin_anew(recorder, before_s, seeds)
 
-    def _begin_anew(self, recorder: Recorder | None, before_s: float = 0.0) -> None:
+    def _seeds(self) -> dict[str, dict[str, Any]]:
+        """How the devices' clocks stand, as far as it is known: a log's first samples need not find it out again."""
+        seeds: dict[str, dict[str, Any]] = {}
+        for name, pipeline in self._core.pipelines.items():
+            with self._open.unread(name):
+                seed = pipeline.clock_seed if isinstance(pipeline, KeepsTime) else None
+            if seed is not None:
+                seeds[name] = asdict(seed)
+        return seeds
+
+    def _begin_anew(
+        self, recorder: Recorder | None, before_s: float = 0.0, seeds: Mapping[str, Mapping[str, Any]] | None = None
+    ) -> None:
         """Give every device a fresh pipeline, at a boundary between two reads."""
-        pipelines = make_pipelines(self.rig.devices, self.identities)
-        with self._between_reads():
+        pipelines = make_pipelines(self.rig.devices, self.identities, seeds=seeds)
+        with self._log_changes, self._open.between_reads():
             self._recorder = recorder
             for order in self._core.begin(pipelines, self.clock.now_ns(), before_s):
                 if recorder is not None:
                     _keep(recorder, order)
 
-    @contextlib.contextmanager
-    def _between_reads(self) -> Iterator[None]:
-        """No device is being read; what has gone out to them is in the log."""
-        with ExitStack() as stack:
-            for name, device in self._devices.items():
-                stack.enter_context(device.lock)
-                self._take(name, device.sent(), b"", 0)
-            yield
-
     def stop_recording(self, summary: Mapping[str, Any]) -> Path:
         """End the log; losses and how it ended go into its summary."""
         recorder = self._recorder
         assert recorder is not None
-        with self._between_reads():
+        with self._log_changes, self._open.between_reads():
             now_ns = self.clock.now_ns()
             facts, events = self._core.end(now_ns)
             for event in events:
@@ -568,7 +501,8 @@ class Session:
                 self.clock.wait(0.01)
         if core.trouble is not None:
             raise core.trouble
-        self._attend()
+        if self._opened:
+            self._carry_out(self._open.attend(self._command))
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
         """Wait until a condition holds, at most so long on the wall's clock.

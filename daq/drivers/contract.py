@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 from daq.channels import Channel
+from daq.clock import ClockSeed
 from daq.drivers.checks import Checks
 from daq.drivers.items import Batch, Event
 from daq.drivers.played import PlayedDevice
@@ -61,6 +62,9 @@ class SampleClock:
     count_wrap: int
 
 
+FOREIGN = "foreign_"
+
+
 class Pipeline(Protocol):
     """What turns one device's bytes into samples. It does no I/O and reads no clock.
 
@@ -68,7 +72,8 @@ class Pipeline(Protocol):
     bytes decoded again give its decoded channels bit for bit.
 
     Attributes:
-        losses: counted so far, by kind.
+        losses: counted so far, by kind. A kind that begins with `FOREIGN` counts messages of other devices, which are
+            no loss.
     """
 
     losses: dict[str, int]
@@ -89,6 +94,16 @@ class TellsItself(Protocol):
 
     told: bool
     complaint: str
+
+
+@runtime_checkable
+class KeepsTime(Protocol):
+    """A pipeline that knows how its device's clock stands: the next log's begins with it, in its identity."""
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See ClockMap.seed."""
+        ...
 
 
 @runtime_checkable

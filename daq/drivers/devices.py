@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from daq.channels import CHANNELS, Channel
+from daq.clock import CLOCK_RULES, CLOCK_SEED, NEWEST_RULES
 from daq.drivers.contract import Driver, Line, Pipeline, SampleClock
 from daq.drivers.played import PlayedDevice
 from daq.drivers.registry import driver
@@ -79,14 +80,23 @@ def channels_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Channel]:
 
 
 def make_pipelines(
-    devices: Mapping[str, DeviceSettings], identities: Mapping[str, Mapping[str, Any]]
+    devices: Mapping[str, DeviceSettings],
+    identities: Mapping[str, Mapping[str, Any]],
+    rules: int = NEWEST_RULES,
+    seeds: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Pipeline]:
     """Fresh pipelines for all devices of a rig.
 
     Args:
         identities: what each device said of itself when it was opened ("words" of a laser, for instance).
+        rules: of the clock maps; those of the log whose bytes are decoded again.
+        seeds: how each device's clock stands, as far as it is known: tables of `ClockSeed`.
 
     Raises:
         DeviceError: an identity that no such device can have.
     """
-    return {name: device.pipeline(identities.get(name, {})) for name, device in devices_of(devices).items()}
+    known = seeds or {}
+    return {
+        name: device.pipeline({**identities.get(name, {}), CLOCK_RULES: rules, CLOCK_SEED: known.get(name)})
+        for name, device in devices_of(devices).items()
+    }

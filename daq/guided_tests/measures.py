@@ -41,12 +41,17 @@ class Measures:
         known: Array = x[np.isfinite(x)]
         return float(np.median(known)) if len(known) else math.nan
 
+    def extremes(self, topic: str, seconds: float) -> tuple[float, float]:
+        """Least and largest of a laser over its newest stretch, m; NaN where much of it is missing or invalid."""
+        if self.valid(topic, seconds) < 0.8 * seconds:
+            return math.nan, math.nan
+        _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
+        return float(np.nanmin(x)), float(np.nanmax(x))
+
     def peak_to_peak(self, topic: str, seconds: float) -> float:
         """Of a laser over its newest stretch, m; NaN where much of it is missing or invalid."""
-        if self.valid(topic, seconds) < 0.8 * seconds:
-            return math.nan
-        _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
-        return float(np.ptp(x[np.isfinite(x)]))
+        low, high = self.extremes(topic, seconds)
+        return high - low
 
     def valid(self, topic: str, seconds: float) -> float:
         """How many seconds of valid samples a laser's newest stretch holds."""

@@ -16,7 +16,7 @@ from rig_configs.errors import RigConfigError
 from rig_configs.load import apply_setting, parse_setting, validate
 from rig_configs.schema import Rig
 
-RIG, IDENTITIES, ROLES = "rig.json", "identities.json", "roles.json"
+RIG, IDENTITIES, ROLES, CLOCKS = "rig.json", "identities.json", "roles.json", "clocks.json"
 _LONGEST_RANGE_M = 1e3
 
 
@@ -83,6 +83,15 @@ def identities_of(log: Log) -> dict[str, dict[str, Any]]:
             raise LogError(f"{place}: expected a table of what the device said, got {type(told).__name__}")
         _check_range(told.get("range_m", 1.0), place)
     return identities
+
+
+def seeds_of(log: Log) -> dict[str, Any]:
+    """How the devices' clocks stood when the log began, tables of `ClockSeed` by device; empty where nobody knew.
+
+    Raises:
+        LogError: the attachment is no table.
+    """
+    return _table(log, CLOCKS) if CLOCKS in log.attachments else {}
 
 
 def _check_range(value: Any, place: str) -> None:

@@ -79,7 +79,7 @@ def decode_anew(
         attachments.pop("calibration.toml", None)
         if calibration is not None:
             attachments["calibration.toml"] = calibration.text.encode()
-        pipelines = pipelines_with(rig, identities, str(path))
+        pipelines = pipelines_with(rig, identities, str(path), log)
         facts = _facts(log, calibration)
         known = channels_of(rig.devices)
         new = LogFile(Path(out), facts, attachments, log.devices, time.time_ns(), known.values())

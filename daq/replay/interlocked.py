@@ -122,7 +122,7 @@ class _Run:
         self._holes = list(holes_of(log.missing))
         self._unplaced = [place for place in log.missing if place.messages != 0 and place.start_ns is None]
         self._whole_holes = tuple(self._holes)
-        pipelines = pipelines_with(rig, identities_of(log), str(log.path))
+        pipelines = pipelines_with(rig, identities_of(log), str(log.path), log)
         self.arrivals = Arrivals(log, pipelines, roles.device_of, patience(_DISORDER_S))
         self._closing_ns = closing_ns(log, patience)
         self._looked_ns = sorted(note["time_ns"] for note in stops_of(log))  # a session looked then, that is known

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from daq.clock import CLOCK_RULES, FIRST_RULES, NEWEST_RULES
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import installed_of, make_pipelines
 from daq.drivers.items import Batch, Event
 from daq.errors import DeviceError, LogError
 from daq.log import Log
 from daq.log.samples import RawChunk
-from daq.log.snapshot import identities_of, rig_of
+from daq.log.snapshot import identities_of, rig_of, seeds_of
 from rig_configs.schema import Rig
 
 Decoded = tuple[str, RawChunk, list[Batch | Event]]
@@ -30,14 +31,33 @@ def pipelines_of(log: Log) -> dict[str, Pipeline]:
     for device, told in identities.items():
         if not isinstance(told, dict):
             raise LogError(f"{log.path}: identities.json: expected a table under {device!r:.80}, got {told!r:.80}")
-    return pipelines_with(rig_of(log), identities, str(log.path))
+    return pipelines_with(rig_of(log), identities, str(log.path), log)
 
 
-def pipelines_with(rig: Rig, identities: Mapping[str, Mapping[str, Any]], source: str) -> dict[str, Pipeline]:
+def rules_of(log: Log) -> int:
+    """By which rules its clock maps went when it was recorded: those of a log that says nothing are the first.
+
+    Raises:
+        LogError: this version knows no such rules.
+    """
+    told = log.metadata.get("run", {}).get(CLOCK_RULES, str(FIRST_RULES))
+    known = [str(rules) for rules in range(FIRST_RULES, NEWEST_RULES + 1)]
+    if told not in known:
+        raise LogError(
+            f"{log.path}: expected {CLOCK_RULES} {' or '.join(known)} among its facts, got {told!r:.80}: "
+            "it was recorded by a newer version; decode it with that one"
+        )
+    return int(told)
+
+
+def pipelines_with(
+    rig: Rig, identities: Mapping[str, Mapping[str, Any]], source: str, log: Log | None = None
+) -> dict[str, Pipeline]:
     """Fresh pipelines for devices that said this of themselves.
 
     Args:
         source: of the identities, for a message.
+        log: whose bytes they are to decode: their clock maps begin as they did then.
 
     Returns:
         By device; without those of a log whose driver is not installed here.
@@ -46,7 +66,9 @@ def pipelines_with(rig: Rig, identities: Mapping[str, Mapping[str, Any]], source
         LogError: no such device can have said it.
     """
     try:
-        return make_pipelines(installed_of(rig.devices), identities)
+        if log is None:
+            return make_pipelines(installed_of(rig.devices), identities)
+        return make_pipelines(installed_of(rig.devices), identities, rules_of(log), seeds_of(log))
     except DeviceError as fault:
         raise LogError(f"{source}: identities.json: {fault}: its bytes cannot be decoded") from fault
 

@@ -51,6 +51,11 @@ class VirtualRig:
         self.moved: Callable[[], object] = lambda: None
         self._running = True
 
+    @property
+    def zero_ns(self) -> int:
+        """The beginning of the rig's time, ns since 1970."""
+        return self._t0_ns
+
     def running(self) -> Running:
         """What the hands need of it."""
         return Running(self._name, os.getpid(), self.control.port, self.token, self._clock.rate, self.ports())

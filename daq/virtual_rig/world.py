@@ -65,7 +65,18 @@ class World:
             rng.uniform(0, sensors.clock_offset_s), 1e-6 * sensors.clock_drift_ppm * rng.standard_normal()
         )
 
-    def direction(self, axis: str) -> Array:
-        """What a sensor that is meant for an axis sees of x and y, shape (2,): sensors stand a little askew."""
-        beta = math.radians(self.virtual.sensors.axis_angle_deg)
-        return np.array([math.cos(beta), math.sin(beta)] if axis == "x" else [-math.sin(beta), math.cos(beta)])
+    def direction(self, axis: str, direction_deg: float | None = None) -> Array:
+        """What a sensor sees of x and y, shape (2,): sensors stand a little askew.
+
+        Args:
+            axis: that it is meant for.
+            direction_deg: where it looks, from +x; None: along its axis.
+        """
+        own_deg = 0.0 if axis == "x" else 90.0
+        angle = math.radians(own_deg if direction_deg is None else direction_deg)
+        beta = angle + math.radians(self.virtual.sensors.axis_angle_deg)
+        return np.array([math.cos(beta), math.sin(beta)])
+
+    def number(self, device: str, topic: str) -> int:
+        """The end of a sensor's serial number: 1 and 2 for those that measure, else one of its own below 1000."""
+        return {"laser/x": 1, "laser/y": 2}.get(topic, 10 + zlib.crc32(device.encode()) % 990)

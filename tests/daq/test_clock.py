@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.clock import ClockMap, Unwrap, fit_line
+from daq.clock import ClockMap, ClockSeed, Unwrap, fit_line
+from daq.errors import DeviceError
 
 
 def reads(rng: np.random.Generator, seconds: float, drift: float, delay_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -38,6 +42,83 @@ def test_map_is_strictly_increasing_and_close(drift: float, delay_s: float, seed
     late = true > 5e9  # after the first seconds only the constant floor and little of the jitter remain
     error = times[late] - start - true[late] - 3e5
     assert np.max(np.abs(error)) < 1e9 * (0.5 * delay_s + 3e-4)
+
+
+@given(
+    count=st.integers(2, 2000),
+    gap_s=st.floats(0.4, 60.0),
+    late_s=st.floats(0.0, 0.2),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_correction_ends_in_a_gap(count: int, gap_s: float, late_s: float, seed: int) -> None:
+    """A first read that came late is made good in time; not again and again while the stream is broken off."""
+    rng = np.random.default_rng(seed)
+    device_s, host_s = (times[:count] for times in reads(rng, 25.0, 2e-5, 1e-3))
+    host_s[0] += late_s
+    clock = ClockMap(tolerance_ppm=30.0)
+    for d, h in zip(device_s, np.maximum.accumulate(host_s), strict=True):
+        clock.map(np.array([int(d * 1e9)]), int(h * 1e9))
+    behind_s = device_s[-1] + gap_s + np.arange(0.0, 0.01, 2.5e-4)
+    times_ns = clock.map((behind_s * 1e9).astype(np.int64), int((behind_s[-1] / (1 + 2e-5) + 1e-3) * 1e9))
+    early_s = behind_s / (1 + 2e-5) - times_ns * 1e-9
+    assert np.all(np.diff(times_ns) > 0)
+    assert np.max(early_s) < 1.7e-4 * gap_s + 1e-3, "no farther off than a clock at its limit of rate would be"
+
+
+@given(
+    late_s=st.floats(0.0, 0.2), drift=st.floats(-5e-5, 5e-5), wraps=st.integers(0, 3), seed=st.integers(0, 2**32 - 1)
+)
+def test_a_map_goes_on_where_the_one_before_it_was(late_s: float, drift: float, wraps: int, seed: int) -> None:
+    """The next log's first read may come late, by a clock that has begun again meanwhile: its times are right."""
+    rng = np.random.default_rng(seed)
+    wrap_ns, start = 40_000_000_000, 1_700_000_000_000_000_000
+    device_s, host_s = reads(rng, 12.0, drift, 1e-3)
+    before, after = ClockMap(50.0), 3.0
+    for d, h in zip(device_s, host_s, strict=True):
+        before.map(np.array([int(d * 1e9)]), start + int(h * 1e9))
+    known = before.seed(wrap_ns)
+    assert known is not None
+    assert ClockSeed.of({"clock_seed": json.loads(json.dumps(asdict(known)))}) == known
+    at_s = device_s[-1] + after + 40.0 * wraps
+    first = ClockMap(50.0, seed=known)
+    times = first.map(np.array([int(at_s * 1e9) % wrap_ns]), start + int((at_s / (1 + drift) + 3e-4 + late_s) * 1e9))
+    off_s = (int(times[0]) - start) * 1e-9 - at_s / (1 + drift) - 3e-4
+    assert abs(off_s) < 1.5e-3 + 1e-5 * after + 6e-5 * 40.0 * wraps
+
+
+def test_a_seed_of_another_clock_counts_for_nothing() -> None:
+    known = ClockSeed(10**12, 1_700_000_000_000_000_000, 0.0, 2**32 * 1000)
+    first = ClockMap(50.0, seed=known)
+    host_ns = 1_700_000_005_000_000_000
+    assert first.map(np.array([123_456_789]), host_ns).tolist() == [host_ns]
+
+
+@pytest.mark.parametrize(
+    "told", [3, {}, {"device_ns": 1, "host_ns": 1, "rate": 0.0},
+             {"device_ns": 1, "host_ns": 1, "rate": 2.0, "wrap_ns": 9},
+             {"device_ns": 1.5, "host_ns": 1, "rate": 0.0, "wrap_ns": 9},
+             {"device_ns": 1, "host_ns": 1, "rate": float("nan"), "wrap_ns": 9},
+             {"device_ns": 1, "host_ns": 1, "rate": 0.0, "wrap_ns": 0}],
+)  # fmt: skip
+def test_a_seed_that_no_clock_can_have_is_refused(told: object) -> None:
+    with pytest.raises(DeviceError, match=r"clocks\.json: expected device_ns"):
+        ClockSeed.of({"clock_seed": told})
+
+
+def test_the_first_rules_are_kept_for_old_logs() -> None:
+    """The numbers behind a gap are those that the first version gave."""
+    rng = np.random.default_rng(3)
+    device_s, host_s = reads(rng, 6.0, 2e-5, 1e-3)
+    device_s[300:] += 5.0
+    host_s[300:] += 5.0
+    old, new = ClockMap(30.0, rules=1), ClockMap(30.0)
+    both = [
+        [int(clock.map(np.array([int(d * 1e9)]), int(h * 1e9))[0]) for clock in (old, new)]
+        for d, h in zip(device_s, host_s, strict=True)
+    ]
+    assert all(a == b for a, b in both[:300])
+    assert [old_ns for old_ns, _ in both[299:302]] == [3386777036, 8398466325, 8404594827]
+    assert both[-1][0] == 10949267718 != both[-1][1]
 
 
 @given(st.lists(st.integers(1, 2**17 - 1), min_size=1, max_size=50), st.integers(0, 2**18 - 1), st.data())

@@ -41,7 +41,7 @@ class Node:
     battery_low: bool = False
 
     def checks(self) -> Checks:
-        pipeline = NodePipeline("encoder", RIG.devices["encoder"])  # type: ignore[arg-type]
+        pipeline = NodePipeline("encoder", RIG.devices["encoder"], {})  # type: ignore[arg-type]
         pipeline.status, pipeline.rssi_dBm, pipeline.battery_low = self.status, self.rssi_dBm, self.battery_low
         return node_checks(RIG.devices["encoder"], pipeline)  # type: ignore[arg-type]
 
@@ -173,3 +173,9 @@ def test_clocks_that_are_all_off_alike_are_the_hosts_own_fault() -> None:
     assert common_factor(healthy()) is None
     off = {topic: rate(4000, 0.125, -875_000.0) for topic in ("laser/x", "laser/y", "pendulums")}
     assert common_factor(changed(healthy(), "rates", off)) == pytest.approx(0.125)
+
+
+def test_messages_of_others_are_no_loss() -> None:
+    """A neighbour's module on the same channel is passed over, counted and shown; the device is sound."""
+    checks = replace(healthy(), losses={**healthy().losses, "encoder": {"foreign_frames": 12}}).judged()["encoder"]
+    assert (checks["foreign_frames"].value, checks["foreign_frames"].passed) == (12, True)

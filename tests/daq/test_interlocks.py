@@ -244,13 +244,19 @@ def test_a_word_that_is_too_old_counts_for_nothing() -> None:
         bench.fails("drive", "silent reports")
         bench.pass_time(1.0)
         assert np.isnan(bench.interlocks.speed_rpm(bench.now_ns))
-        assert bench.interlocks.at_rest(bench.now_ns) is False  # it was at rest a second ago; nobody knows
+        assert bench.interlocks.at_rest(bench.now_ns) is True  # it stood, and no index mark has come since
         assert "the drive says nothing" in bench.interlocks.rotor_words(bench.now_ns)
         bench.pass_time(3.0)
-        assert bench.interlocks.at_rest(bench.now_ns) is True  # no index mark since
+        assert bench.interlocks.at_rest(bench.now_ns) is True
+        assert bench.stops == []
         bench.fails("drive", "silent reports", 0)
         bench.pass_time(0.5)
         assert bench.interlocks.speed_rpm(bench.now_ns) == 0
+        bench.fails("drive", "silent reports")
+        bench.pass_time(1.0)
+        bench.far.motion._rotor[1] = bench.far.motion._rotor[2] = 20.0  # a push
+        bench.pass_time(1.0)
+        assert bench.interlocks.at_rest(bench.now_ns) is False, "a mark has come"
 
 
 def test_a_rotor_turned_by_hand_at_a_standing_drive_needs_no_guard() -> None:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitedInVain
-from daq.lockstep.rig import LockstepRig
+from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import open_log
 from daq.replay import check
+from daq.signals.run import load_run
 from rig_configs import load_rig
 from rig_testing.fault_schedules import Fault, Schedule, draw, run
 
@@ -129,7 +132,83 @@ def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> Non
         assert log.metadata["summary"]["losses"].count('"samples": 0') >= 2
 
 
+@pytest.mark.parametrize("rig", ["virtual", "other_devices"])
+def test_a_log_s_first_samples_bear_the_times_that_its_last_ones_do(rig: str, tmp_path: Path) -> None:
+    """What was known of the clocks before the log began goes into it, so that it decodes to the same times."""
+    _, session = opened(rig)
+    angles = session.rig.roles.angles
+    assert angles is not None
+    with session:
+        wait_checking(session, 6.0)
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        wait_checking(session, 4.0)
+        session.stop_recording({})
+    assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
+    with open_log(tmp_path / "a.mcap") as log:
+        assert set(json.loads(log.attachments["clocks.json"])) >= {angles.device}
+        samples = log[angles.topic]
+        lag_ms = 1e-6 * (samples.time_ns - 1000 * samples["node_time_us"].astype(np.int64))
+        assert abs(lag_ms[:50].mean() - lag_ms[-1000:].mean()) < 1.0
+
+
+class Hand(SimulatedOperator):
+    """An operator's hand that holds the column for so long, or brings it back to rest before it lets go."""
+
+    def __init__(self, sim: LockstepRig, *holds: tuple[float, float]) -> None:
+        super().__init__(sim)
+        self._sim, self._holds = sim, holds
+
+    def pluck(self, axis: str) -> None:
+        begin = 0.0
+        for x_mm, seconds in self._holds:
+            pull = {"x_mm": x_mm, "y_mm": 0.0, "hold_s": seconds}
+            self._sim.clock.after(begin, lambda pull=pull: self._sim.ask("pluck", **pull), world=True)
+            begin += seconds
+
+
+@pytest.mark.parametrize("seconds", [1.2, 6.0, 20.0])
+def test_a_column_that_is_still_held_has_not_rung_down(seconds: float, tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with session:
+        done = Procedures(session, Hand(sim, (2.5, seconds)), tmp_path, lambda text, share: None).run("ring-down-x")
+    assert done.missed == ""
+    run = load_run(done.log)
+    held = run.x_time_s < run.x_time_s[-1] - 5.0
+    assert run.x_m[held].max() > 2e-3
+    assert abs(run.x_m[run.x_time_s > run.x_time_s[-1] - 0.5]).max() < 3e-4, "the log ends with a column at rest"
+
+
+def test_a_column_that_was_brought_back_by_hand_has_not_rung_down(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    back = [(2.5 * (1 - step / 20), 0.05) for step in range(21)]
+    words: list[str] = []
+    with session:
+        tests = Procedures(session, Hand(sim, *back), tmp_path, lambda text, share: words.append(text))
+        done = tests.run("ring-down-x")
+    assert "held, or brought back by hand" in done.missed
+    assert any("came back without a swing" in text for text in words)
+
+
+def test_a_ring_down_begins_with_a_column_at_rest(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    with session:
+        sim.clock.wait(1.0)
+        sim.ask("pluck", x_mm=4.0, y_mm=0.0, hold_s=0.2)
+        sim.clock.wait(0.5)
+        done = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None).run("ring-down-x")
+    run = load_run(done.log)
+    assert np.ptp(run.x_m[run.x_time_s < run.x_time_s[0] + 0.6]) < 3.5e-4
+
+
 # --- devices that go and come back -----------------------------------------------------------------------------------
+
+
+def wait_checking(session: Session, seconds: float) -> None:
+    """As an operator waits: what goes wrong ends it."""
+    end = session.clock.wall_s() + seconds
+    while session.clock.wall_s() < end:
+        session.check()
+        session.clock.wait(0.05)
 
 
 def test_an_adapter_that_is_plugged_in_elsewhere_is_found_and_the_rest_goes_on(tmp_path: Path) -> None:
@@ -138,15 +217,9 @@ def test_an_adapter_that_is_plugged_in_elsewhere_is_found_and_the_rest_goes_on(t
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.wait(1.0)
         sim.ask("unplug", device="laser_x")
-        end = sim.clock.wall_s() + 3.0
-        while sim.clock.wall_s() < end:
-            session.check()
-            sim.clock.wait(0.05)
+        wait_checking(session, 3.0)
         sim.ask("plug", device="laser_x")
-        end = sim.clock.wall_s() + 6.0
-        while sim.clock.wall_s() < end:
-            session.check()
-            sim.clock.wait(0.05)
+        wait_checking(session, 6.0)
         session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
         kinds = [(event["kind"], event.get("of")) for event in log.events if event["kind"] in ("gone", "back")]
@@ -164,10 +237,7 @@ def test_a_sensor_that_lost_power_is_set_up_again(tmp_path: Path) -> None:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.wait(1.0)
         sim.ask("fail", device="laser_y", what="power", value=1, seconds=3.0)
-        end = sim.clock.wall_s() + 15.0
-        while sim.clock.wall_s() < end:
-            session.check()
-            sim.clock.wait(0.05)
+        wait_checking(session, 15.0)
         session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
         y = log["laser/y"].time_ns
@@ -185,14 +255,30 @@ def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
         sim.ask("unplug", device="laser_x")
         sim.clock.wait(0.5)
         sim.ask("plug", device="laser_x")
-        end = sim.clock.wall_s() + 5.0
-        while sim.clock.wall_s() < end:
-            session.check()
-            sim.clock.wait(0.05)
+        wait_checking(session, 5.0)
         session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
-        assert any("serial 14200001 instead of another" in event["text"] for event in log.events)
+        refused = [event for event in log.events if event["kind"] == "other"]
+        assert ["serial 14200001 instead of another" in event["text"] for event in refused] == [True], "said once"
         assert not any(event["kind"] == "back" for event in log.events)
+    assert any("instead of another" in notice for notice in session.notices)
+
+
+def test_nothing_is_looked_for_while_the_rotor_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dialogue with a device that was plugged in again would keep whoever watches the rotor waiting."""
+    sim, session = opened("virtual")
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.ask("unplug", device="laser_x")
+        sim.clock.wait(0.5)
+        sim.ask("plug", device="laser_x")
+        with monkeypatch.context() as turned:
+            turned.setattr(type(session._command), "turning", lambda self: True)
+            wait_checking(session, 6.0)
+            assert list(session._core.gone) == ["laser_x"]
+        wait_checking(session, 4.0)
+        assert list(session._core.gone) == []
+        session.stop_recording({})
 
 
 def test_an_unplugged_adapter_stops_a_rotor_that_turns(tmp_path: Path) -> None:
@@ -226,11 +312,11 @@ def test_a_calm_run_trips_nothing(tmp_path: Path) -> None:
 
 def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
     """Bits of a line without a checksum are flipped, behind the judge's back."""
-    schedule = Schedule(1, 0.0, 5.0, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
+    schedule = Schedule(1, 0.0, 5.0, STEP_S, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
     honest = run("virtual", schedule, tmp_path)
     assert honest.wrong == []
     (tmp_path / "schedule-1.mcap").unlink()
-    hidden = Schedule(1, 0.0, 5.0, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
+    hidden = Schedule(1, 0.0, 5.0, STEP_S, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
     monkey = pytest.MonkeyPatch()
     monkey.setattr("rig_testing.fault_schedules._SPOILING", ())
     found = run("virtual", hidden, tmp_path)
@@ -238,8 +324,19 @@ def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
     assert any("laser/x" in text or "laser_x" in text for text in found.wrong)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a busy host is a stopped process: POSIX signals")
+@pytest.mark.parametrize(
+    "fault",
+    [Fault(1.5, 0.3, "", "busy"), Fault(1.5, 1.5, "encoder", "garbage", 200.0), Fault(1.5, 0.8, "laser_y", "unplug")],
+)
+def test_the_same_faults_in_real_time(fault: Fault, tmp_path: Path) -> None:
+    """`python -m benchmarks.fault_schedules --real-time` runs a hundred."""
+    result = run("virtual", Schedule(5, 0.0, 5.0, STEP_S, (fault,)), tmp_path, real_time=True)
+    assert (result.wrong, result.ended) == ([], "")
+
+
 def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.acquisition.interlocks.Interlocks.tick", lambda self, now_ns: [])
-    schedule = Schedule(2, 300.0, 8.0, (Fault(3.0, 4.0, "encoder", "radio", 1.0),))
+    schedule = Schedule(2, 300.0, 8.0, STEP_S, (Fault(3.0, 4.0, "encoder", "radio", 1.0),))
     found = run("virtual", schedule, tmp_path)
     assert any("blind for" in text for text in found.wrong)

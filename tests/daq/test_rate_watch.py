@@ -111,3 +111,23 @@ def test_two_seconds_show_twice_the_rate_and_admit_what_they_do_not_show() -> No
     assert rate.ok
     assert not rate.certain
     assert RateWatches(DEVICES).rates()["laser/x"] is None
+
+
+def test_a_restart_begins_the_rate_anew() -> None:
+    """A counter that stood still while the device was set up again says nothing of its rate."""
+    watches = RateWatches(load_rig("virtual").devices)
+    restart = Event("restart", "laser_x", "its counter begins anew")
+    found: list[Event] = []
+    count = 0
+    for read in range(1500):
+        host_ns = 20_000_000 * read + (2_500_000_000 if read >= 750 else 0)
+        numbers = np.arange(count, count + 80)
+        count += 80
+        ticks = numbers * 25 + (250_000 if read >= 750 else 0)
+        columns = {"device_ticks": ticks.astype(np.uint64)}
+        batch = Batch(channels.LASER_X, 250_000 * numbers, numbers.astype(np.uint32), columns)
+        found += watches.feed([*([restart] if read == 750 else []), batch], host_ns)
+    assert found == []
+    rate = watches.rates()["laser/x"]
+    assert rate is not None
+    assert rate.rate_Hz == pytest.approx(4000.0, rel=1e-4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,14 @@ import pytest
 from numpy.typing import NDArray
 
 from cli.main import run as main
+from cli.simulated import SimulatedOperator
+from daq.acquisition.session import Session
 from daq.channels import LASER_X, Channel
 from daq.drivers.items import Batch
+from daq.guided_tests.procedure import Procedures
+from daq.lockstep.rig import LockstepRig
 from daq.log.file import LogFile
+from daq.replay import check
 from daq.signals.run import disagreements, load_run
 from daq.signals.witnesses import Agreement, Witness, agreement
 from identification import identify
@@ -104,6 +110,48 @@ def test_a_log_s_witness_is_read_held_against_its_sensor_and_told(
     sound = load_run(witnessed_log(tmp_path / "b.mcap", gain=1.0))
     assert [one.verdict for one in sound.agreements()] == ["agree"]
     assert disagreements(sound) == []
+
+
+WITNESS = """
+[devices.top]
+driver = "DRIVER"
+port = "p"
+axis = "x"
+witness = "top"
+rate_Hz = 2000
+lever_ratio = 1.3
+"""
+
+
+@pytest.mark.parametrize("driver", ["optoncdt", "riftek"])
+def test_a_built_in_sensor_is_a_witness_of_another_s_axis(driver: str, tmp_path: Path) -> None:
+    """Its own channel, its own lever, its own clock: the ratio of both shows that they see the same."""
+    file = tmp_path / "rig.toml"
+    file.write_text((resources.files("rig_configs") / "virtual.toml").read_text() + WITNESS.replace("DRIVER", driver))
+    settings = ["virtual.seed=4", "virtual.sensors.axis_angle_deg=0"]
+    sim = LockstepRig(load_rig(file, settings=settings))
+    session = Session(load_rig(file, settings=[*settings, *sim.port_settings()]), sim.clock, edge=sim.edge)
+    with session:
+        tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
+        log = tests.run("ring-down-x").log
+    assert [row.topic for row in check(log) if row.difference] == []
+    run = load_run(log)
+    (found,) = run.agreements()
+    assert (found.device, found.beside, found.verdict) == ("top", "laser_x", "agree")
+    assert found.ratio == pytest.approx(1.0, abs=4 * found.allowed_std)
+
+
+def test_a_turned_pair_of_built_in_sensors_shows_a_motion_along_x_in_both(tmp_path: Path) -> None:
+    settings = ["virtual.seed=4", "virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=false"]
+    settings += ["devices.laser_x.direction_deg=-45", "devices.laser_y.direction_deg=45"]
+    sim = LockstepRig(load_rig("virtual", settings=settings))
+    session = Session(load_rig("virtual", settings=[*settings, *sim.port_settings()]), sim.clock, edge=sim.edge)
+    with session:
+        tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
+        run = load_run(tests.run("ring-down-x").log)
+    size_x, size_y = (np.ptp(np.asarray(value)) for value in (run.x_m, run.y_m))
+    assert size_x == pytest.approx(size_y, rel=0.1)  # a pull is not quite along x
+    assert size_x > 1e-3
 
 
 def witnessed_log(path: Path, gain: float) -> Path:

@@ -308,12 +308,14 @@ def test_a_refusal_is_the_nodes_word() -> None:
 @pytest.mark.parametrize(
     ("kind", "words"), [({}, r"network.*0x21"), ({"legacy_transmit": True}, r"no acknowledgement.*0x01")]
 )
-def test_what_is_not_delivered_fails_after_one_try(kind: dict[str, Any], words: str) -> None:
+def test_what_is_not_delivered_is_sent_again_and_then_given_up(kind: dict[str, Any], words: str) -> None:
     bench = Bench(settings(**kind))
     bench.far.fail("out of reach", 1)
-    with pytest.raises(DeviceError, match=f"'release both' was not delivered.*{words}.*Look at the node's power"):
+    with pytest.raises(
+        DeviceError, match=f"'release both' was not delivered.*in 5 tries.*{words}.*Look at the node's power"
+    ):
         bench.locks.command("release both", no_check)
-    assert sum(direction == TX for direction, _, _ in bench.raw) == 1
+    assert sum(direction == TX for direction, _, _ in bench.raw) == 5
     bench.far.fail("out of reach", 0)
     bench.locks.command("release both", no_check)  # the next one is not blamed for it
 
@@ -352,6 +354,19 @@ def test_the_nodes_acknowledgement_counts_whatever_the_module_says() -> None:
     tries: list[int] = []
     command(answer, tries)
     assert tries == [1]
+
+
+def test_a_frame_that_was_not_delivered_is_sent_again_with_the_same_seq() -> None:
+    seqs: list[int] = []
+
+    def answer(locks: Any, frame_id: int, seq: int) -> None:
+        seqs.append(seq)
+        locks.heard(undelivered(frame_id) if frame_id < 3 else acknowledged(0, seq))
+
+    tries: list[int] = []
+    command(answer, tries)
+    assert tries == [1, 2, 3]
+    assert len(set(seqs)) == 1, "the node acts once"
 
 
 def test_a_silent_node_is_asked_again_with_the_same_seq_and_a_new_frame_id() -> None:
@@ -398,7 +413,7 @@ def test_a_command_is_not_blamed_for_the_one_before() -> None:
 
 def test_a_node_that_never_answers_is_given_up() -> None:
     tries: list[int] = []
-    with pytest.raises(DeviceError, match="not acknowledged after 20 tries"):
+    with pytest.raises(DeviceError, match=r"has not acknowledged .* after 20 tries"):
         command(lambda locks, frame_id, seq: None, tries)
     assert tries == list(range(1, 21))
 

@@ -95,7 +95,7 @@ PAYLOADS = [
 def test_the_same_items_as_over_a_dongle(mode: int, kind: int) -> None:
     source = "1234" if kind == 0x81 else NODE
     frames = [api(payload, mode, kind, source) for payload in PAYLOADS]
-    of_module, own = pipeline(mode, source), NodePipeline("encoder", settings())
+    of_module, own = pipeline(mode, source), NodePipeline("encoder", settings(), {})
     batches, events = feed(of_module, frames)
     expected_batches, expected_events = feed(own, [rotorlink.wire(payload) for payload in PAYLOADS])
     assert same(batches, expected_batches)

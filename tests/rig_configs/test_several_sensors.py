@@ -61,7 +61,6 @@ def test_two_sensors_at_right_angles_may_stand_turned(x: float | None, y: float 
     [
         (["devices.laser_x.direction_deg=45", "devices.laser_y.direction_deg=-45"], "got -90°. Where it is about 270°"),
         (["devices.laser_x.direction_deg=45"], "90° beyond that of x, within 3°, got 45°"),
-        (["devices.laser_x.witness=top"], "records in the channel of its axis alone"),
         (["devices.laser_x.witness=y"], "that is an axis' channel"),
         (["devices.laser_x.witness=Up"], "devices.laser_x.witness"),
         (["devices.laser_x.direction_deg=nan"], "devices.laser_x.direction_deg"),

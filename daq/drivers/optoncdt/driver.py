@@ -23,7 +23,7 @@ class OptoNcdt:
 
     name = "optoncdt"
     settings = Laser
-    rest_s = 0.02
+    rest_s = 0.015
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
     claims = frozenset({"counts exactly"})
 
@@ -33,7 +33,7 @@ class OptoNcdt:
 
     def channels(self, settings: Laser) -> tuple[Channel, ...]:
         """See Driver."""
-        return (channels.LASER_X if settings.axis == "x" else channels.LASER_Y,)
+        return (channels.displacement_channel(settings.topic),)
 
     def occasional(self, settings: Laser) -> tuple[Channel, ...]:
         """See Driver."""

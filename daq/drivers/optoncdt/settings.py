@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import AfterValidator, Field
 
@@ -20,6 +20,8 @@ def _measurable(rate_Hz: float) -> float:
 
 class Laser(DisplacementSettings):
     """An optoNCDT displacement sensor on its serial line."""
+
+    names_its_channel: ClassVar[bool] = True
 
     baud: Annotated[int, Field(ge=9600, le=1_000_000)] = 921_600
     rate_Hz: Annotated[float, AfterValidator(_measurable)] = 4000.0

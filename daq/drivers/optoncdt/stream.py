@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap, Unwrap, steps_from
+from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, steps_from
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
@@ -44,17 +44,23 @@ class LaserPipeline:
         self._trial: WordsTrial | None = None
         self._said = 0  # lines handed out that the decoder is still to come to
         self._useless_told = False
-        self._tolerance_ppm = config.clock_tolerance_ppm
+        self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
         self._nominal_ticks = 1.0 / (config.rate_Hz * optoncdt.TICK_S)
         self._joined = False
         self._tail = b""  # the beginning of a block whose rest has not come
         self._order = RowOrder(self._nominal_ticks)
         self._told_beat = self._nominal_ticks
         self._restart()
+        self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See KeepsTime."""
+        return self._clock.seed(round(optoncdt.TIMESTAMP_WRAP * optoncdt.TICK_S * 1e9))
 
     def _restart(self) -> None:
         self._ticks = Unwrap(optoncdt.TIMESTAMP_WRAP)
-        self._clock = ClockMap(self._tolerance_ppm)
+        self._clock = ClockMap(self._tolerance_ppm, self._rules)
         self._last: tuple[int, int] | None = None  # counter and ticks, these unwrapped
         self._spikes = SpikeWatch()
 

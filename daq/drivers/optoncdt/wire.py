@@ -325,8 +325,7 @@ def code(metres: ArrayLike, range_m: float) -> NDArray[np.uint32]:
     """
     distance = np.asarray(metres, np.float64)
     exact = np.rint((distance * 100.0 / range_m + 1.0) * (CODE_MAX / 102.0))
-    seen = np.nan_to_num(exact, nan=0.0, posinf=2.0 * CODE_MAX, neginf=-1.0)
-    words = np.where(seen < 0, _BEFORE_RANGE, np.where(seen > CODE_MAX, _BEHIND_RANGE, seen))
+    words = np.where(exact < 0, _BEFORE_RANGE, np.where(exact > CODE_MAX, _BEHIND_RANGE, exact))
     return np.where(np.isnan(exact), _NO_PEAK, words).astype(np.uint32)
 
 

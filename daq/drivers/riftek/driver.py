@@ -23,7 +23,7 @@ class Riftek:
 
     name = "riftek"
     settings = RiftekLaser
-    rest_s = 0.02
+    rest_s = 0.015
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
 
     def line(self, settings: RiftekLaser) -> Line:
@@ -32,7 +32,7 @@ class Riftek:
 
     def channels(self, settings: RiftekLaser) -> tuple[Channel, ...]:
         """See Driver."""
-        return (channels.LASER_X if settings.axis == "x" else channels.LASER_Y,)
+        return (channels.displacement_channel(settings.topic),)
 
     def occasional(self, settings: RiftekLaser) -> tuple[Channel, ...]:
         """See Driver."""

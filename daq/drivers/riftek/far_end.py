@@ -82,10 +82,11 @@ class SimulatedRiftek(FarEnd):
     def of(cls, device: str, config: RiftekLaser, world: World) -> SimulatedRiftek:
         """The sensor of a simulated rig."""
         gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
+        look = gain * world.direction(config.axis, config.direction_deg)
         return cls(
-            config, gain * world.direction(config.axis), 5e-5 * world.calibration.standard_normal(),
+            config, look, 5e-5 * world.calibration.standard_normal(),
             world.virtual.sensors.laser_noise_m, world.clock(device), world.rng(f"noise {device}"),
-            serial="19001" if config.axis == "x" else "19002",
+            serial=f"19{world.number(device, config.topic):03d}",
         )  # fmt: skip
 
     @classmethod

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -27,6 +27,8 @@ class RiftekLaser(DisplacementSettings):
     is seen; no manual at hand names them. By default they are 0 and both values that can be meant by full scale. A
     result above full scale is never a reading.
     """
+
+    names_its_channel: ClassVar[bool] = True
 
     baud: Annotated[int, Field(ge=_BAUD_STEP, le=921_600, multiple_of=_BAUD_STEP)] = 921_600
     parity: Literal["E", "O", "N"] = "E"

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap
+from daq.clock import ClockMap, clock_rules
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.arrears import Arrears
@@ -112,7 +112,7 @@ class RiftekPipeline:
         self._no_target = np.array(settings.no_target_codes, np.int64)
         self._decoder = StreamDecoder()
         self._arrears = Arrears(self._period_ns)
-        self._clock = ClockMap(settings.clock_tolerance_ppm)
+        self._clock = ClockMap(settings.clock_tolerance_ppm, clock_rules(identity))
         self._spikes = SpikeWatch()
         self._number = -1  # of the last sample handed out, lost ones counted
         self._given = 0  # samples handed out

@@ -48,7 +48,7 @@ class RotorLink:
         """See Driver."""
         from daq.drivers.rotorlink.stream import NodePipeline  # noqa: PLC0415
 
-        return NodePipeline(device, settings)
+        return NodePipeline(device, settings, identity)
 
     def words(self, event: Event) -> str:
         """See Driver."""

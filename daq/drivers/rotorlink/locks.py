@@ -50,7 +50,7 @@ class NodeLocks:
                 if self._settles(action, event):
                     return
             self._unanswered(action)
-        raise DeviceError(f"encoder node: {action!r} was not acknowledged after {_TRIES} tries. Is the radio in reach?")
+        raise DeviceError(f"the node has not acknowledged {action!r} after {_TRIES} tries. Is the radio in reach?")
 
     def _transmit(self, payload: bytes) -> None:
         """Send a command as the node's dongle takes it."""
@@ -66,7 +66,7 @@ class NodeLocks:
             return False
         if event.facts["result"] in (_ACCEPTED, _ALREADY):
             return True
-        raise DeviceError(f"encoder node: {action!r} refused: {event.text}")
+        raise DeviceError(f"the node refuses {action!r}: {event.text}")
 
     def _unanswered(self, action: str) -> None:
         """One try is over without an answer; raises DeviceError where another one is in vain."""

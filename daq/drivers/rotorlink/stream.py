@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
 from daq import channels
-from daq.clock import ClockMap, Unwrap
+from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from rig_configs.device import RotorNodeSettings
@@ -21,7 +22,7 @@ class NodePipeline:
     found to `take`, the damaged ones to `damaged`.
     """
 
-    def __init__(self, device: str, config: RotorNodeSettings) -> None:
+    def __init__(self, device: str, config: RotorNodeSettings, identity: Mapping[str, Any]) -> None:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
         self.status: rotorlink.Status | None = None  # the node's newest word of itself …
         self.rssi_dBm: int | None = None  # … and how strong its frames come in
@@ -31,17 +32,24 @@ class NodePipeline:
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
-        self._tolerance_ppm = config.clock_tolerance_ppm
+        self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
         self._decoder = rotorlink.FrameDecoder()
         self._cable = rotorlink.SequenceCounter()
+        self._cable_lost = 0  # frames lost on the cable since a node's frame came: some of them were its own
         self._joined = False
         self._last_dongle_us: int | None = None
         self._restart()
+        self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See KeepsTime."""
+        return self._clock.seed(1000 * 2**32)
 
     def _restart(self) -> None:
         self._air = rotorlink.SequenceCounter()
         self._time = Unwrap(2**32)
-        self._clock = ClockMap(self._tolerance_ppm)
+        self._clock = ClockMap(self._tolerance_ppm, self._rules)
         self._next_index: int | None = None
         self._last_us: int | None = None
 
@@ -77,11 +85,13 @@ class NodePipeline:
                 self.rssi_dBm = frame.rssi_dbm
             if isinstance(frame, rotorlink.Wrapped):
                 lost, repeated = self._cable.feed(frame.seq)
+                self._cable_lost += lost
                 self._count("cable_frames", lost, self._since_dongle(frame.dongle_time_us), out)
                 if frame.inner is not None and not repeated:
                     out += self._node_frame(frame.inner, host_ns)
             elif isinstance(frame, rotorlink.DongleStatus):
                 lost, _ = self._cable.feed(frame.seq)
+                self._cable_lost += lost
                 self._count("cable_frames", lost, self._since_dongle(frame.dongle_time_us), out)
             elif not isinstance(frame, rotorlink.Command | rotorlink.Ping):
                 out += self._node_frame(frame, host_ns)
@@ -113,6 +123,7 @@ class NodePipeline:
             self._restart()
             self._air.feed(frame.seq)
             self._time_stepped_back(node_us)
+        lost, self._cable_lost = max(0, lost - self._cable_lost), 0  # what the cable lost the air had brought
         self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
         self._count("radio_frames", lost, span_s, out)
         match frame:

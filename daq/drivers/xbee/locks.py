@@ -12,12 +12,14 @@ from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
 
+_FAILURES = 5  # tries that the module could not deliver, some 0.8 s
+
 
 class XBeeLocks(NodeLocks):
     """See PendulumLocks; the node's acknowledgement decides, whatever became of the radio frame.
 
-    The module repeats a frame on air by itself, so one that it could not deliver is not sent again: the command fails
-    as soon as the node had its time to answer. A frame can reach the node although its acknowledgement on air was lost.
+    A frame that the module could not deliver is sent again with the node's seq, a few times: the module repeats on air
+    by itself, and gives up within some ten ms. A frame can reach the node although its acknowledgement on air was lost.
 
     Args:
         send: writes bytes to the host's module.
@@ -30,12 +32,12 @@ class XBeeLocks(NodeLocks):
         self._escaped, self._legacy = config.api_mode == 2, config.legacy_transmit
         self._frame_id = 0
         self._tried: set[int] = set()
-        self._failed = ""
+        self._failed, self._failures = "", 0
 
     def command(self, action: str, check: Callable[[], None]) -> None:
         """See PendulumLocks."""
         self._tried.clear()
-        self._failed = ""
+        self._failed, self._failures = "", 0
         super().command(action, check)
 
     def _transmit(self, payload: bytes) -> None:
@@ -48,12 +50,13 @@ class XBeeLocks(NodeLocks):
         if "delivery_status" not in event.facts:
             return super()._settles(action, event)
         if event.facts["frame_id"] in self._tried:
-            self._failed = event.text
+            self._failed, self._failures = event.text, self._failures + 1
         return False
 
     def _unanswered(self, action: str) -> None:
-        if self._failed:
+        if self._failures >= _FAILURES:
             raise DeviceError(
-                f"encoder node: {action!r} was not delivered: {self._failed}. Look at the node's power, its module and "
-                "node_address in the rig file; should it have come through nonetheless, the lock events say so"
+                f"{action!r} was not delivered to the node in {_FAILURES} tries: {self._failed}. Look at the node's "
+                "power, its module and node_address in the rig file; should it have come through nonetheless, the lock "
+                "events say so"
             )

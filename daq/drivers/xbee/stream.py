@@ -27,7 +27,7 @@ class XBeePipeline(NodePipeline):
     """
 
     def __init__(self, device: str, config: XBeeNode, identity: Mapping[str, Any]) -> None:
-        super().__init__(device, config)
+        super().__init__(device, config, identity)
         del self.losses["cable_frames"]  # nobody can count them
         self.losses["foreign_frames"] = 0
         known = identity.get("rssi_dBm")

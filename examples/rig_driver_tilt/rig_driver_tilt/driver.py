@@ -112,7 +112,7 @@ class TiltDriver(PlainDriver):
 
     def pipeline(self, device: str, settings: Tilt, identity: Mapping[str, Any]) -> TiltPipeline:
         """A fresh one."""
-        return TiltPipeline(device, self.channels(settings)[0], settings.clock_tolerance_ppm)
+        return TiltPipeline(device, self.channels(settings)[0], settings.clock_tolerance_ppm, identity)
 
     def far_end(self, device: str, settings: Tilt, world: Any) -> FarEnd:
         """A simulated one."""

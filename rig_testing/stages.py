@@ -1,0 +1,254 @@
+# pyright: strict
+"""Where a schedule of faults is played: on simulated time in one thread, or in real time on ptys.
+
+Both keep the simulated rig's whole true motion, by which a log is judged afterwards.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.acquisition.edge import Edge, real_edge
+from daq.lockstep.rig import LockstepRig
+from daq.transports import HostClock
+from daq.virtual_rig.control import OperatorLine
+from daq.virtual_rig.motion import Motion, Trajectory
+from daq.virtual_rig.run import VirtualRig
+from rig_configs.schema import Rig
+
+Array = NDArray[np.floating[Any]]
+
+AFTER_S = 15.0
+"""For so long the world goes on behind the session's end, or in real time until its rotor stands."""
+_COARSE_S = (0.04, 0.06)
+_READY_S, _GONE_S = 60.0, 20.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really happened.
+
+    Attributes:
+        time_s: shape (n,), rig time.
+        rows: shape (n, 10), see `daq.virtual_rig.motion.Trajectory`.
+        zero_ns: of the rig's time on the host's clock.
+        target_rad_s: what the drive was left with.
+    """
+
+    time_s: Array
+    rows: Array
+    zero_ns: int
+    target_rad_s: float
+
+
+class Stage(Protocol):
+    """A simulated rig, and a clock and ports to run a session on it."""
+
+    @property
+    def clock(self) -> HostClock:
+        """Of the session."""
+        ...
+
+    @property
+    def edge(self) -> Edge:
+        """Of the session."""
+        ...
+
+    def port_settings(self) -> list[str]:
+        """Settings that point a rig file's devices at this rig."""
+        ...
+
+    def after(self, seconds: float, do: Callable[[], object]) -> None:
+        """Have the world do something so long from now."""
+        ...
+
+    def ask(self, do: str, **what: Any) -> object:
+        """See `daq.virtual_rig.control`.
+
+        Raises:
+            ValueError: the rig refused.
+        """
+        ...
+
+    def busy(self, seconds: float) -> None:
+        """The host does nothing of ours for so long."""
+        ...
+
+    def end(self) -> Truth:
+        """Let the world go on for a while, and say what was."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it."""
+        ...
+
+
+class _Kept:
+    """The whole motion of a simulated rig."""
+
+    def __init__(self, motion: Motion) -> None:
+        self._stretches: list[Trajectory] = []
+        advance = motion.advance
+
+        def kept(until_s: float) -> Trajectory | None:
+            stretch = advance(until_s)
+            if stretch is not None:
+                self._stretches.append(stretch)
+            return stretch
+
+        motion.advance = kept
+
+    def arrays(self) -> tuple[Array, Array]:
+        """Times and rows."""
+        return (
+            np.concatenate([stretch.time_s[1:] for stretch in self._stretches]),
+            np.concatenate([stretch.rows[1:] for stretch in self._stretches]),
+        )
+
+
+class LockstepStage:
+    """See Stage: on simulated time.
+
+    Args:
+        rig: with a [virtual] table.
+        turn_s: at random between these the adapters hand over what has come, s.
+    """
+
+    def __init__(self, rig: Rig, turn_s: tuple[float, float]) -> None:
+        self._sim = LockstepRig(rig)
+        self._kept = _Kept(self._sim.far.motion)
+        self._sim.turn_s = turn_s
+        self.clock, self.edge = self._sim.clock, self._sim.edge
+
+    def port_settings(self) -> list[str]:
+        """See Stage."""
+        return self._sim.port_settings()
+
+    def after(self, seconds: float, do: Callable[[], object]) -> None:
+        """See Stage."""
+        self.clock.after(seconds, do, world=True)
+
+    def ask(self, do: str, **what: Any) -> object:
+        """See Stage."""
+        return self._sim.ask(do, **what)
+
+    def busy(self, seconds: float) -> None:
+        """See Stage."""
+        self.clock.busy(seconds)
+
+    def end(self) -> Truth:
+        """See Stage."""
+        self._sim.turn_s = _COARSE_S
+        self.clock.wait(AFTER_S)
+        time_s, rows = self._kept.arrays()
+        zero_ns = self.clock.now_ns() - round(self.clock.wall_s() * 1e9)
+        return Truth(time_s, rows, zero_ns, float(self._sim.far.motion.target_rad_s))
+
+    def close(self) -> None:
+        """See Stage."""
+
+
+class RealTimeStage:
+    """See Stage: the simulated rig in a process of its own, on the wires of `rig virtual`.
+
+    A busy host is a process that is stopped.
+
+    Args:
+        rig: with a [virtual] table.
+
+    Raises:
+        RuntimeError: the rig did not come up.
+        OSError: on a system whose processes cannot be stopped for a while.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        if sys.platform == "win32":
+            raise OSError("faults in real time need a POSIX system: its signals stop and continue a process")
+        self._folder = tempfile.TemporaryDirectory()
+        self._truth = Path(self._folder.name, "truth.npz")
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(rig, self._truth, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        if not ours.poll(_READY_S):
+            raise RuntimeError(f"the simulated rig did not come up within {_READY_S:g} s")
+        self._ports, port, token = ours.recv()
+        self._line = OperatorLine(port, token)
+        self._timers: list[threading.Timer] = []
+        self.clock, self.edge = HostClock(), Edge(real_edge().connect, self._places, real_edge().disk)
+
+    def _places(self, port: str) -> tuple[str, ...]:
+        """Where a device is now that was at a port at first: what an adapter's serial number tells elsewhere."""
+        now: Mapping[str, Any] = self._line.ask("state")["devices"]
+        return tuple(now[name]["port"] for name, first in self._ports.items() if first == port and now[name]["plugged"])
+
+    def port_settings(self) -> list[str]:
+        """See Stage."""
+        return [f"devices.{name}.port={json.dumps(port)}" for name, port in self._ports.items()]
+
+    def after(self, seconds: float, do: Callable[[], object]) -> None:
+        """See Stage; by a thread of the host, so later where that is stopped."""
+        timer = threading.Timer(seconds, do)
+        timer.daemon = True
+        self._timers.append(timer)
+        timer.start()
+
+    def ask(self, do: str, **what: Any) -> object:
+        """See Stage."""
+        return self._line.ask(do, **what)
+
+    def busy(self, seconds: float) -> None:
+        """See Stage: this process is stopped by another, which continues it."""
+        own = os.getpid()
+        subprocess.run(["/bin/sh", "-c", f"kill -STOP {own}; sleep {seconds:.3f}; kill -CONT {own}"], check=True)
+
+    def end(self) -> Truth:
+        """See Stage."""
+        for timer in self._timers:
+            timer.cancel()
+        for _ in range(int(AFTER_S / 0.1)):
+            if abs(self._line.ask("state")["speed_rpm"]) < 1.0:
+                break
+            self.clock.wait(0.1)
+        with contextlib.suppress(ConnectionError):
+            self._line.ask("quit")
+        self._process.join(_GONE_S)
+        with np.load(self._truth) as kept:
+            return Truth(kept["time_s"], kept["rows"], int(kept["zero_ns"]), float(kept["target_rad_s"]))
+
+    def close(self) -> None:
+        """See Stage."""
+        for timer in self._timers:
+            timer.cancel()
+        self._line.close()
+        self._process.kill()
+        self._process.join()
+        self._folder.cleanup()
+
+
+def _serve(rig: Rig, path: Path, ready: Connection) -> None:  # pragma: no cover - in a process of its own
+    """Run a simulated rig until it is asked to quit, then leave its truth."""
+    virtual = VirtualRig(rig, link="pty")
+    kept = _Kept(virtual.rig.motion)
+    ready.send((virtual.ports(), virtual.control.port, virtual.token))
+    virtual.run()
+    virtual.close()
+    time_s, rows = kept.arrays()
+    target = virtual.rig.motion.target_rad_s
+    np.savez(path, time_s=time_s, rows=rows, zero_ns=np.int64(virtual.zero_ns), target_rad_s=target)
