@@ -415,6 +415,11 @@ class Core:
 
     # --- what is known -----------------------------------------------------------------------------------------
 
+    @property
+    def calm(self) -> bool:
+        """Whether nothing turns that a sample could stop, and no dialogue of the opening waits for an answer."""
+        return self.guarding and self.interlocks.resting
+
     def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
         """Counted losses of every device since the log began; a silence counts while it lasts."""
         silences = self.interlocks.losses(now_ns)

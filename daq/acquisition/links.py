@@ -66,8 +66,11 @@ class Links:
             device.driver.prepare()
         for name, device in self._devices.items():
             link = self._edge.connect(device.line, device.line.port)
-            self._readers[name] = DeviceReader(name, link, self._clock, device.driver.rest_s)
+            self._readers[name] = DeviceReader(name, link, self._clock, device.driver.rest_s, self._calm)
             self._core.renew(name, device.pipeline({}))
+
+    def _calm(self) -> bool:
+        return self._core.calm
 
     def __bool__(self) -> bool:
         return bool(self._readers)
@@ -180,7 +183,7 @@ class Links:
             except LinkLost:
                 continue
             old.stop()
-            self._readers[name] = DeviceReader(name, link, self._clock, device.driver.rest_s)
+            self._readers[name] = DeviceReader(name, link, self._clock, device.driver.rest_s, self._calm)
             self._read(name)
             try:
                 if command is not None:
