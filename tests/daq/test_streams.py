@@ -183,9 +183,44 @@ def test_a_node_with_other_encoders_than_the_rig_file_says_is_a_fault() -> None:
     assert "1024" in next(e.text for e in events if e.kind == "fault")
 
 
-def encoder_wire(seq: int, index: int, node_us: int, n: int = 20) -> bytes:
+def encoder_wire(seq: int, index: int, node_us: int, n: int = 20, flags: int = 0) -> bytes:
     counts = np.column_stack([index + np.arange(n), np.full(n, 2048)]).astype(np.int32)
-    return rotorlink.wire(rotorlink.EncoderBlock(1, seq, index, node_us, 1000, 0, counts).pack())
+    return rotorlink.wire(rotorlink.EncoderBlock(1, seq, index, node_us, 1000, flags, counts).pack())
+
+
+def test_a_restart_hands_out_what_still_waited_for_a_repeat() -> None:
+    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
+    start_us = 60_000_000
+    parts = [encoder_wire(i, 20 * i, start_us + 20_000 * i) for i in range(2)]
+    parts += [encoder_wire(2, 20, start_us + 20_000, flags=channels.REPEATED)]
+    parts += [encoder_wire(4, 60, start_us + 60_000), encoder_wire(0, 0, 0)]
+    batches, events = feed(pipeline, parts)
+    index = np.concatenate([b.columns["index"] for b in batches])
+    assert np.array_equal(index, [*range(40), *range(60, 80), *range(20)])
+    assert pipeline.losses["samples"] == 20
+    kinds = [e.kind for e in events]
+    assert kinds.index("restart") > max(k for k, e in enumerate(events) if "samples" in e.facts)
+
+
+@settings(max_examples=200)
+@given(st.sets(st.integers(4, 89), max_size=60), st.booleans(), st.integers(1, 2))
+def test_samples_sent_again_fill_the_holes_of_lost_blocks(lost: set[int], own_seq: bool, behind: int) -> None:
+    """Each block is sent twice, the second time behind one newer block or two; a loss is what never came."""
+    sent = []  # number of the block, sequence, flags
+    for i in range(50):
+        sent.append((i, len(sent), 0))
+        if i >= behind:
+            seq = next(s for n, s, f in sent if n == i - behind and not f) if own_seq else len(sent)
+            sent.append((i - behind, seq, channels.REPEATED))
+    came = [each for place, each in enumerate(sent) if place not in lost]
+    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
+    batches, events = feed(pipeline, [encoder_wire(s, 20 * n, 20_000 * n, flags=f) for n, s, f in came])
+    there = sorted({n for n, _, _ in came})
+    index = np.concatenate([b.columns["index"] for b in batches])
+    assert np.array_equal(index, [20 * n + k for n in there for k in range(20)])
+    assert pipeline.losses["samples"] == 20 * (50 - len(there))
+    assert sum(e.facts.get("samples", 0) for e in events if e.kind == "gap") == pipeline.losses["samples"]
+    assert np.all(np.diff(np.concatenate([b.time_ns for b in batches])) > 0)
 
 
 def test_lost_radio_frames_say_how_many_and_over_how_long() -> None:

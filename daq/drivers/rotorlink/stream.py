@@ -12,6 +12,7 @@ from daq import channels
 from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from rig_configs.device import RotorNodeSettings
 
 
@@ -51,6 +52,7 @@ class NodePipeline:
         self._time = Unwrap(2**32)
         self._clock = ClockMap(self._tolerance_ppm, self._rules)
         self._next_index: int | None = None
+        self._repeats = Repeats()
         self._last_us: int | None = None
 
     @property
@@ -116,19 +118,21 @@ class NodePipeline:
         span_s = 0.0 if node_us is None or last_us is None else _seconds(last_us, node_us)
         stepped_back = self._time_stepped_back(node_us)
         lost, repeated = (0, False) if stepped_back else self._air.feed(frame.seq)
-        if repeated:
+        if repeated and not (isinstance(frame, rotorlink.EncoderBlock) and frame.flags & channels.REPEATED):
             return out
         if stepped_back or self._air.restarts > restarts:
+            out += self._blocks(self._repeats.end())
             out.append(Event("restart", self._device, "the node started again: its counters begin anew"))
             self._restart()
             self._air.feed(frame.seq)
             self._time_stepped_back(node_us)
         lost, self._cable_lost = max(0, lost - self._cable_lost), 0  # what the cable lost the air had brought
-        self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
+        if not repeated:
+            self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
         self._count("radio_frames", lost, span_s, out)
         match frame:
             case rotorlink.EncoderBlock():
-                out += self._encoder(frame, host_ns)
+                out += self._blocks(self._repeats.feed(frame, host_ns, self._next_index))
             case rotorlink.IndexMark():
                 node_us = self._time.feed(np.array([frame.node_time_us]))
                 time_ns = self._clock.map(node_us * 1000, host_ns)
@@ -170,6 +174,9 @@ class NodePipeline:
         if not stepped and (self._last_us is None or back > 0x80000000):
             self._last_us = node_time_us
         return stepped
+
+    def _blocks(self, arrived: Iterable[Arrived]) -> list[Batch | Event]:
+        return [item for block, host_ns in arrived for item in self._encoder(block, host_ns)]
 
     def _encoder(self, block: rotorlink.EncoderBlock, host_ns: int) -> list[Batch | Event]:
         n = len(block.counts)
