@@ -202,6 +202,15 @@ def test_a_restart_hands_out_what_still_waited_for_a_repeat() -> None:
     assert kinds.index("restart") > max(k for k, e in enumerate(events) if "samples" in e.facts)
 
 
+def test_what_waits_for_a_repeat_is_handed_out_at_the_logs_end() -> None:
+    parts = [encoder_wire(0, 0, 0), encoder_wire(1, 0, 0, flags=channels.REPEATED), encoder_wire(3, 40, 40_000)]
+    for end, last in ((b"", 59), (None, 19)):
+        pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
+        batches, _ = feed(pipeline, parts if end is None else [*parts, end])
+        assert batches[-1].columns["index"][-1] == last
+        assert pipeline.losses["samples"] == (20 if end is not None else 0)
+
+
 @settings(max_examples=200)
 @given(st.sets(st.integers(4, 89), max_size=60), st.booleans(), st.integers(1, 2))
 def test_samples_sent_again_fill_the_holes_of_lost_blocks(lost: set[int], own_seq: bool, behind: int) -> None:

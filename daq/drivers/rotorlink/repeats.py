@@ -2,8 +2,7 @@
 """Encoder blocks in the order of their samples, where a node sends some of them again (flag b4).
 
 A block that stands behind a hole waits for the block that fills it, if its node has been seen to repeat: for as long
-as `WAIT_US` of the node's samples, then the hole is a loss. Blocks of a node that repeats nothing never wait. A log
-that ends while some wait holds them as raw bytes only.
+as `WAIT_US` of the node's samples, then the hole is a loss. Blocks of a node that repeats nothing never wait.
 """
 
 from __future__ import annotations

@@ -64,10 +64,16 @@ class NodePipeline:
         """See Pipeline."""
         if direction == TX:
             return []
+        if not data:
+            return self.waited()
         found = self._decoder.feed(data)
         bad = found.bad if self._joined else found.bad[1:]  # a log may begin in the middle of a frame
         self._joined |= bool(found.frames or found.bad)
         return [*(self.damaged(reason) for reason, _ in bad), *self.take(found.frames, host_ns)]
+
+    def waited(self) -> list[Batch | Event]:
+        """Samples that wait for others to come before them, which will not."""
+        return self._blocks(self._repeats.end())
 
     def damaged(self, reason: str) -> Event:
         """Count a frame that is dropped, and why."""
@@ -121,7 +127,7 @@ class NodePipeline:
         if repeated and not (isinstance(frame, rotorlink.EncoderBlock) and frame.flags & channels.REPEATED):
             return out
         if stepped_back or self._air.restarts > restarts:
-            out += self._blocks(self._repeats.end())
+            out += self.waited()
             out.append(Event("restart", self._device, "the node started again: its counters begin anew"))
             self._restart()
             self._air.feed(frame.seq)

@@ -40,6 +40,8 @@ class XBeePipeline(NodePipeline):
         """See Pipeline."""
         if direction == TX:
             return []
+        if not data:
+            return self.waited()
         out: list[Batch | Event] = []
         for found in self._line.feed(data):
             if isinstance(found, framing.Damage):
