@@ -223,7 +223,7 @@ DEVICE_TICK_S = 1e-5
 """Unit of `device_ticks` of displacement samples: their device's own clock."""
 SUSPECT_BEFORE, SUSPECT_PLACES = 0x1, 10
 """Bit of a displacement sample's flags: the sample so many places before it in the channel is suspect."""
-ENCODER_FAULT_A, ENCODER_FAULT_B, BATTERY_LOW, REPEATED, LOCK_A_CLOSED, LOCK_B_CLOSED = 0x1, 0x2, 0x8, 0x10, 0x20, 0x40
+ENCODER_FAULT_A, ENCODER_FAULT_B, BATTERY_LOW, LOCK_A_CLOSED, LOCK_B_CLOSED = 0x1, 0x2, 0x8, 0x20, 0x40
 """Bits of a pendulum sample's flags."""
 LOCKS_CLOSED = LOCK_A_CLOSED | LOCK_B_CLOSED
 

@@ -1,43 +1,68 @@
 # pyright: strict
 """Encoder blocks in the order of their samples, where a node sends some of them again (flag b4).
 
-A block that stands behind a hole waits for the block that fills it, if its node has been seen to repeat: for as long
-as `WAIT_US` of the node's samples, then the hole is a loss. Blocks of a node that repeats nothing never wait.
+A block behind a hole waits for the one that fills it: as long as four blocks last, `_LEAST_US` at least, then the hole
+is a loss. A node that has left `_GIVEN_UP` holes open and repeated nothing is not waited for any more.
 """
 
 from __future__ import annotations
 
-from daq.channels import REPEATED
-from daq.drivers.rotorlink.wire import EncoderBlock
+from typing import NamedTuple
 
-WAIT_US = 50_000
-_MOST = 32  # blocks that wait
+from daq.drivers.rotorlink.wire import FLAG_REPEATS, EncoderBlock
 
-Arrived = tuple[EncoderBlock, int]
-"""A block and the host's time of its arrival, ns."""
+_LEAST_US, _MOST_US, _BLOCKS = 50_000, 1_000_000, 4
+_MOST = 64  # blocks that wait
+_GIVEN_UP = 3
+
+
+class Arrived(NamedTuple):
+    """A block.
+
+    Attributes:
+        first: index of its first sample, unwrapped.
+        host_ns: when it came.
+    """
+
+    first: int
+    block: EncoderBlock
+    host_ns: int
+
+    @property
+    def behind(self) -> int:
+        """Index of the sample behind its last one."""
+        return self.first + len(self.block.counts)
 
 
 class Repeats:
-    """See the module."""
+    """See the module.
 
-    def __init__(self) -> None:
+    Args:
+        waits: whether a node is waited for that has not repeated anything yet.
+    """
+
+    def __init__(self, *, waits: bool) -> None:
+        self._chances = _GIVEN_UP if waits else 0
         self._known = False
         self._waiting: list[Arrived] = []
 
-    def feed(self, block: EncoderBlock, host_ns: int, expected: int | None) -> list[Arrived]:
+    def feed(self, arrived: Arrived, expected: int | None) -> list[Arrived]:
         """Take the next block; returns those whose turn it is.
 
         Args:
             expected: index of the sample behind the last one that was handed out; None before the first.
         """
-        self._known = self._known or bool(block.flags & REPEATED)
-        if not self._known or expected is None:
-            return [*self.end(), (block, host_ns)]
-        waiting = sorted([*self._waiting, (block, host_ns)], key=lambda arrived: arrived[0].first_index)
+        self._known = self._known or bool(arrived.block.flags & FLAG_REPEATS)
+        waiting = [*self._waiting, arrived]
+        if len(waiting) > 1:
+            waiting.sort(key=lambda each: each.first)
         out: list[Arrived] = []
-        while waiting and (waiting[0][0].first_index <= expected or _too_long(waiting)):
+        while waiting:
+            filled = expected is None or waiting[0].first <= expected
+            if not (filled or self._is_lost(waiting)):
+                break
             out.append(waiting.pop(0))
-            expected = max(expected, _behind(out[-1][0]))
+            expected = max(expected or 0, out[-1].behind)
         self._waiting = waiting
         return out
 
@@ -46,12 +71,14 @@ class Repeats:
         out, self._waiting = self._waiting, []
         return out
 
-
-def _too_long(waiting: list[Arrived]) -> bool:
-    first = waiting[0][0]
-    newest = max(_behind(block) for block, _ in waiting)
-    return (newest - first.first_index) * first.period_us > WAIT_US or len(waiting) > _MOST
-
-
-def _behind(block: EncoderBlock) -> int:
-    return block.first_index + len(block.counts)
+    def _is_lost(self, waiting: list[Arrived]) -> bool:
+        """Whether the hole before what waits will not be filled."""
+        if not (self._known or self._chances):
+            return True
+        first = waiting[0].block
+        limit_us = min(max(_LEAST_US, _BLOCKS * len(first.counts) * first.period_us), _MOST_US)
+        waited_us = (max(each.behind for each in waiting) - waiting[0].first) * first.period_us
+        if waited_us <= limit_us and len(waiting) <= _MOST:
+            return False
+        self._chances = max(0, self._chances - 1)
+        return True

@@ -82,7 +82,10 @@ class XBeePipeline(NodePipeline):
         try:
             inner = rotorlink.parse_node(frame.payload)
         except rotorlink.BadFrame as fault:
-            return [self.damaged(f"payload {fault.reason}")]
+            numbered = (
+                [] if fault.skipped is None or fault.skipped.kind not in rotorlink.Skipped.NODES else [fault.skipped]
+            )
+            return [self.damaged(f"payload {fault.reason}"), *self.take(numbered, host_ns)]
         return self.take([inner], host_ns)
 
     def _stranger(self, text: str, facts: Mapping[str, Any]) -> list[Batch | Event]:
