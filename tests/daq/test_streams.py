@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from daq import channels
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch, Event
@@ -19,7 +20,7 @@ from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
-from daq.transports import slcan
+from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices
@@ -497,3 +498,38 @@ def test_a_drive_that_starts_again_or_leaves_operation_is_an_event() -> None:
     assert told == [("restart", None, None), ("network", 0x7F, False), ("network", 0x05, True), ("network", 4, False)]
     assert heard((beat + 1, b"\x00"), (beat, b""), (beat, b"\x05")) == []
     assert [e.facts["network_state"] for e in heard((beat, b"\x04"))] == [4]  # found so: nobody started it
+
+
+def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
+    """29-bit frames and remote requests whose numbers look like those of the drive."""
+    node = DEVICES["drive"].node_id
+    report = cia402.pack_tpdo1(0x0627, 600)
+    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    others = [
+        slcan.CanFrame(cia402.cob_tpdo(1, node), cia402.pack_tpdo1(0x0608, -5), extended=True),
+        slcan.CanFrame(cia402.cob_tpdo(1, node), bytes(4), remote=True),
+        slcan.CanFrame(cia402.cob_emergency(node), bytes((0x10, 0x23, 1, 0, 0, 0, 0, 0)), extended=True),
+        slcan.CanFrame(cia402.cob_heartbeat(node), b"\x00", extended=True),
+        slcan.CanFrame(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(0x0F, 999), extended=True),
+    ]
+    own = slcan.CanFrame(cia402.cob_tpdo(1, node), report)
+    control = DriveControl(DEVICES["drive"], lambda data: None, HostClock())
+    items = []
+    for k, frame in enumerate([own, *[f for other in others for f in (other, own)]]):
+        items += pipeline.feed(RX, slcan.encode(frame), START_NS + k)
+        control.heed(slcan.LineDecoder().feed(slcan.encode(frame)).frames)
+        assert (control.state, control.actual_rpm, control.emergencies) == (cia402.state(0x0627), 600.0, [])
+    batches = [x for x in items if isinstance(x, Batch)]
+    assert [float(b.columns["speed_rpm"][0]) for b in batches] == [600.0] * 6
+    assert all(b.columns["target_rpm"][0] == 0 for b in batches)
+    assert [x.kind for x in items if isinstance(x, Event)] == ["drive"]
+
+
+def test_a_report_may_be_longer_and_one_that_is_too_short_is_told() -> None:
+    identifier = cia402.cob_tpdo(1, DEVICES["drive"].node_id)
+    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    items = []
+    for data in (cia402.pack_tpdo1(0x0627, -600) + b"\x02", b"\x27\x06", b"\x27\x06"):
+        items += pipeline.feed(RX, slcan.encode(slcan.CanFrame(identifier, data)), START_NS)
+    assert [b.columns["speed_rpm"].tolist() for b in items if isinstance(b, Batch)] == [[-600.0]]
+    assert [x.kind for x in items if isinstance(x, Event)] == ["drive", "mapping"]
