@@ -2,7 +2,8 @@
 """Encoder blocks in the order of their samples, where a node sends some of them again (flag b4).
 
 A block behind a hole waits for the one that fills it: as long as four blocks last, `_LEAST_US` at least, then the hole
-is a loss. A node that has left `_GIVEN_UP` holes open and repeated nothing is not waited for any more.
+is a loss. A node that has not repeated anything yet is waited for at short holes only, and no more after `_GIVEN_UP` that
+stayed open.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ class Repeats:
             waiting.sort(key=lambda each: each.first)
         out: list[Arrived] = []
         while waiting:
-            filled = expected is None or waiting[0].first <= expected
-            if not (filled or self._is_lost(waiting)):
+            hole = 0 if expected is None else waiting[0].first - expected
+            if hole > 0 and not self._is_lost(hole, waiting):
                 break
             out.append(waiting.pop(0))
             expected = max(expected or 0, out[-1].behind)
@@ -71,12 +72,12 @@ class Repeats:
         out, self._waiting = self._waiting, []
         return out
 
-    def _is_lost(self, waiting: list[Arrived]) -> bool:
-        """Whether the hole before what waits will not be filled."""
-        if not (self._known or self._chances):
-            return True
+    def _is_lost(self, hole: int, waiting: list[Arrived]) -> bool:
+        """Whether so many samples before what waits will not come."""
         first = waiting[0].block
         limit_us = min(max(_LEAST_US, _BLOCKS * len(first.counts) * first.period_us), _MOST_US)
+        if not self._known and (not self._chances or hole * first.period_us > limit_us):
+            return True
         waited_us = (max(each.behind for each in waiting) - waiting[0].first) * first.period_us
         if waited_us <= limit_us and len(waiting) <= _MOST:
             return False
