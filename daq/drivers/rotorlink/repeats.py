@@ -2,8 +2,8 @@
 """Encoder blocks in the order of their samples, where a node sends some of them again (flag b4).
 
 A block behind a hole waits for the one that fills it: as long as four blocks last, `_LEAST_US` at least, then the hole
-is a loss. A node that has not repeated anything yet is waited for at short holes only, and no more after `_GIVEN_UP` that
-stayed open.
+is a loss. A node that has not repeated anything yet is waited for at short holes only, and no more after `_GIVEN_UP`
+that stayed open.
 """
 
 from __future__ import annotations
