@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -19,9 +19,13 @@ def _measurable(rate_Hz: float) -> float:
 
 
 class Laser(DisplacementSettings):
-    """An optoNCDT displacement sensor on its serial line."""
+    """An optoNCDT displacement sensor on its serial line.
+
+    scaling is the model by whose formula its distance words are read; without it the name that the sensor gives tells.
+    """
 
     names_its_channel: ClassVar[bool] = True
 
     baud: Annotated[int, Field(ge=9600, le=1_000_000)] = 921_600
     rate_Hz: Annotated[float, AfterValidator(_measurable)] = 4000.0
+    scaling: Literal["ILD1420", "ILD1900"] | None = None
