@@ -143,13 +143,14 @@ def test_the_rig_files_scaling_goes_before_the_names() -> None:
     assert HandMadeLaser("ILD1420-25").set_up(scaling="ILD1900")["scaling"] == "ILD1900"
 
 
-def test_mastering_is_switched_off_before_the_stream() -> None:
+@pytest.mark.parametrize("command", ["MASTERMV NONE", "OUTREDUCEDEVICE NONE"])
+def test_what_changes_words_or_leaves_samples_out_is_switched_off_before_the_stream(command: str) -> None:
     sensor = HandMadeLaser()
     sensor.set_up()
-    assert sensor.heard.index("MASTERMV NONE") < sensor.heard.index("OUTPUT RS422")
+    assert sensor.heard.index(command) < sensor.heard.index("OUTPUT RS422")
 
 
-@pytest.mark.parametrize("command", ["MASTERMV"])
+@pytest.mark.parametrize("command", ["MASTERMV", "OUTREDUCEDEVICE"])
 @pytest.mark.parametrize("refusal", ["E200 Unknown command", "E210 unknown command MASTERMV", "E1 Command not known"])
 def test_a_model_that_does_not_know_such_a_command_is_set_up_all_the_same(command: str, refusal: str) -> None:
     sensor = HandMadeLaser(answers={command: refusal})
@@ -157,7 +158,7 @@ def test_a_model_that_does_not_know_such_a_command_is_set_up_all_the_same(comman
     assert "OUTPUT RS422" in sensor.heard
 
 
-@pytest.mark.parametrize("command", ["MASTERMV"])
+@pytest.mark.parametrize("command", ["MASTERMV", "OUTREDUCEDEVICE"])
 @pytest.mark.parametrize("refusal", ["E202 Access denied", "E104 Timeout", "E230 Unknown parameter"])
 def test_a_refusal_that_leaves_it_as_it_was_is_an_error(command: str, refusal: str) -> None:
     with pytest.raises(DeviceError, match=f"'{command} NONE' refused: {refusal}"):

@@ -76,6 +76,7 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
             f"{info['serial']}). If it has the scaling of one of these, set devices.{device}.scaling"
         )
     command("OUTHOLD NONE")
+    command("OUTREDUCEDEVICE NONE", may_lack=True)  # samples left out look lost
     command("MASTERMV NONE", may_lack=True)  # a zero set in the sensor shifts its words
     command(f"MEASRATE {config.rate_Hz / 1000:g}")
     command("OUTADD_RS422 COUNTER TIMESTAMP")
