@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from daq.drivers.contract import Talk
@@ -80,12 +81,23 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     command("MASTERMV NONE", may_lack=True)  # a zero set in the sensor shifts its words
     command(f"MEASRATE {config.rate_Hz / 1000:g}")
     command("OUTADD_RS422 COUNTER TIMESTAMP")
-    answer = next((x for x in command("GETOUTINFO_RS422") if x.upper().startswith("GETOUTINFO_RS422 ")), "")
-    words = optoncdt.parse_outinfo(answer)
-    if optoncdt.places_of(words) is None:
-        raise DeviceError(
-            f"{device}: expected distance, counter and timestamp among its output words, got {' '.join(words)}: "
-            "does its firmware know OUTADD_RS422 COUNTER TIMESTAMP?"
-        )
+    words = config.output_words or _told_words(device, command("GETOUTINFO_RS422"))
     command("OUTPUT RS422")
     return {**info, "scaling": scaling, "words": list(words)}
+
+
+def _told_words(device: str, answer: Sequence[str]) -> tuple[str, ...]:
+    """The output words of an answer to GETOUTINFO_RS422; an echo or a warning may stand beside the line that counts.
+
+    Raises:
+        DeviceError: no line has distance, counter and timestamp.
+    """
+    told = [words for line in answer if (words := optoncdt.announced(line)) is not None]
+    readable = [words for words in told if optoncdt.places_of(words) is not None]
+    if not readable:
+        raise DeviceError(
+            f"{device}: expected distance, counter and timestamp among its output words, got {list(answer)!r:.200} in "
+            "answer to GETOUTINFO_RS422: does its firmware know OUTADD_RS422 COUNTER TIMESTAMP? If these words are in "
+            f"its stream by other names, set devices.{device}.words, in stream order"
+        )
+    return readable[-1]

@@ -74,7 +74,7 @@ class PlayedLaser(PlayedDevice):
     expects = "OUTPUT RS422"
 
     def __init__(self, identity: Mapping[str, Any], config: Laser) -> None:
-        words = identity.get("words", DEFAULT_WORDS)
+        words = identity.get("words", config.output_words or DEFAULT_WORDS)
         if not isinstance(words, list | tuple) or not words or not all(_is_word(word) for word in words):
             raise LogError(f"identities.json: expected names of output words as the sensor gives them, got {words!r}")
         super().__init__(WholeBlocks(len(words)))

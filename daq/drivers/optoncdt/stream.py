@@ -40,7 +40,7 @@ class LaserPipeline:
         usual = config.scaling or optoncdt.USUAL_SCALING  # logs of earlier versions do not tell
         self._scaling = _scaling(device, identity.get("scaling", usual))
         self._to_disk = 1.0 / config.lever_ratio
-        words = _words(device, identity.get("words", DEFAULT_WORDS))
+        words = _words(device, identity.get("words", config.output_words or DEFAULT_WORDS))
         self._decoder = optoncdt.StreamDecoder(words, heed_answers=True)
         self._places = optoncdt.places_of(words)
         self._trial: WordsTrial | None = None
