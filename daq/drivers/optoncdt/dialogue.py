@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import queue
+import re
+from collections.abc import Sequence
 from typing import Any
 
 from daq.drivers.contract import Talk
@@ -12,6 +14,7 @@ from daq.drivers.quiet import run_dry
 from daq.errors import DeviceError
 
 _ANSWER_S = 1.0  # wall seconds
+_UNKNOWN_COMMAND = re.compile(r"unknown command|command (is )?(unknown|not (known|supported))", re.IGNORECASE)
 
 
 def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
@@ -21,14 +24,15 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     ours, and its counter and timestamp need not go on in ours: it is let run dry before anything is asked or chosen.
 
     Returns:
-        Identity: name, serial, version, range_m, words.
+        Identity: name, serial, version, range_m, scaling, words.
     Raises:
         DeviceError: no answer, a refusal, or a sensor that is not what the rig file says.
     """
 
     replies, send = talk.replies, talk.send
 
-    def command(text: str) -> list[str]:
+    def command(text: str, *, may_lack: bool = False) -> list[str]:
+        """The lines of an answer. A sensor that `may_lack` the command may say that it does not know it."""
         while not replies.empty():
             replies.get_nowait()
         send(text.encode("ascii") + b"\n")
@@ -41,7 +45,7 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
                 break
             if text_line == optoncdt.PROMPT:
                 bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)
-                if bad:
+                if bad and not (may_lack and _UNKNOWN_COMMAND.search(bad)):
                     raise DeviceError(f"{device}: {text!r} refused: {bad}. Check rate and output words in the rig file")
                 return lines
             lines.append(text_line)
@@ -65,15 +69,35 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
             f"{device}: rig file says range {config.range_m * 1e3:g} mm, the sensor {info['range_m'] * 1e3:g} mm "
             f"(serial {info['serial']}). Correct devices.{device}.range_m or plug in the right sensor"
         )
+    scaling = config.scaling or optoncdt.scaling_of(info["name"])
+    if scaling is None:
+        known = "; ".join(f"{', '.join(each.models)} as {key}" for key, each in optoncdt.SCALINGS.items())
+        raise DeviceError(
+            f"{device}: expected a sensor whose scaling is known, models {known}; got {info['name']!r} (serial "
+            f"{info['serial']}). If it has the scaling of one of these, set devices.{device}.scaling"
+        )
     command("OUTHOLD NONE")
+    command("OUTREDUCEDEVICE NONE", may_lack=True)  # samples left out look lost
+    command("MASTERMV NONE", may_lack=True)  # a zero set in the sensor shifts its words
     command(f"MEASRATE {config.rate_Hz / 1000:g}")
     command("OUTADD_RS422 COUNTER TIMESTAMP")
-    answer = next((x for x in command("GETOUTINFO_RS422") if x.upper().startswith("GETOUTINFO_RS422 ")), "")
-    words = optoncdt.parse_outinfo(answer)
-    if optoncdt.places_of(words) is None:
-        raise DeviceError(
-            f"{device}: expected distance, counter and timestamp among its output words, got {' '.join(words)}: "
-            "does its firmware know OUTADD_RS422 COUNTER TIMESTAMP?"
-        )
+    words = config.output_words or _told_words(device, command("GETOUTINFO_RS422"))
     command("OUTPUT RS422")
-    return {**info, "words": list(words)}
+    return {**info, "scaling": scaling, "words": list(words)}
+
+
+def _told_words(device: str, answer: Sequence[str]) -> tuple[str, ...]:
+    """The output words of an answer to GETOUTINFO_RS422; an echo or a warning may stand beside the line that counts.
+
+    Raises:
+        DeviceError: no line has distance, counter and timestamp.
+    """
+    told = [words for line in answer if (words := optoncdt.announced(line)) is not None]
+    readable = [words for words in told if optoncdt.places_of(words) is not None]
+    if not readable:
+        raise DeviceError(
+            f"{device}: expected distance, counter and timestamp among its output words, got {list(answer)!r:.200} in "
+            "answer to GETOUTINFO_RS422: does its firmware know OUTADD_RS422 COUNTER TIMESTAMP? If these words are in "
+            f"its stream by other names, set devices.{device}.words, in stream order"
+        )
+    return readable[-1]
