@@ -14,7 +14,7 @@ from daq.drivers.quiet import run_dry
 from daq.errors import DeviceError
 
 _ANSWER_S = 1.0  # wall seconds
-_UNKNOWN_COMMAND = re.compile(r"unknown command|command (is )?(unknown|not (known|supported))", re.IGNORECASE)
+_KNOWN_COMMAND = re.compile(r"access|denied|parameter|argument|value|range|timeout", re.IGNORECASE)
 
 
 def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
@@ -32,7 +32,9 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     replies, send = talk.replies, talk.send
 
     def command(text: str, *, may_lack: bool = False) -> list[str]:
-        """The lines of an answer. A sensor that `may_lack` the command may say that it does not know it."""
+        """The lines of an answer. One that `may_lack` the command may refuse it, unless it is the words behind it or
+        the right to give it that the refusal names; or say nothing.
+        """
         while not replies.empty():
             replies.get_nowait()
         send(text.encode("ascii") + b"\n")
@@ -45,10 +47,12 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
                 break
             if text_line == optoncdt.PROMPT:
                 bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)
-                if bad and not (may_lack and _UNKNOWN_COMMAND.search(bad)):
+                if bad and (not may_lack or _KNOWN_COMMAND.search(bad)):
                     raise DeviceError(f"{device}: {text!r} refused: {bad}. Check rate and output words in the rig file")
                 return lines
             lines.append(text_line)
+        if may_lack:
+            return lines
         raise DeviceError(
             f"{device} on {config.port}: no answer to {text!r} within {_ANSWER_S:g} s (got {lines}). "
             f"Is the baud rate {config.baud} and the sensor powered?"
