@@ -101,7 +101,6 @@ class NodePipeline:
         for frame in frames:
             if isinstance(frame, rotorlink.Wrapped | rotorlink.DongleStatus):
                 self.rssi_dBm = frame.rssi_dbm
-            if isinstance(frame, rotorlink.Wrapped | rotorlink.DongleStatus):
                 repeated = self._dongle_frame(frame, host_ns, out)
                 inner = frame.inner if isinstance(frame, rotorlink.Wrapped) and not repeated else None
                 if inner is not None:
