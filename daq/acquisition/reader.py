@@ -24,7 +24,7 @@ _NEXT_S = 0.005  # wall seconds to wait for the next arrival
 _QUICK = 8  # arrivals in a row, each so soon behind the one before
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
 _LARGE_BYTES = 128 * 1024
-_LEAST_WALL_S = 0.0025  # wall seconds of a rest, however fast rig time passes
+_HURRIED_S = 0.015  # rig seconds of a rest where rig time passes faster: a turn costs more of it
 _CALM_S = 0.04  # rig seconds that bytes may gather where no interlock waits for them
 _WAIT_S = 0.1  # wall seconds between two looks whether to end
 
@@ -214,8 +214,8 @@ class DeviceReader:
                 self._arrived(rested + data, take)
                 alone, rested = bool(rested) and not data, b""  # not twice, should the next line fail
                 if not sparse.arrived(alone, bool(data), self._clock.wall_s()):
-                    calm_s = _CALM_S if self._calm() else 0.0
-                    yield Rest(max(self._rest_s, calm_s, self._clock.patience(_LEAST_WALL_S)))
+                    least_s = _CALM_S if self._calm() else _HURRIED_S if self._clock.rate > 1 else 0.0
+                    yield Rest(max(self._rest_s, least_s))
                     rested = yield Read(0.0)
 
     def _arrived(self, data: bytes, take: Take) -> None:
