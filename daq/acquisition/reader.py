@@ -214,7 +214,7 @@ class DeviceReader:
                 self._arrived(rested + data, take)
                 alone, rested = bool(rested) and not data, b""  # not twice, should the next line fail
                 if not sparse.arrived(alone, bool(data), self._clock.wall_s()):
-                    least_s = _CALM_S if self._calm() else _HURRIED_S if self._clock.rate > 1 else 0.0
+                    least_s = _HURRIED_S if self._clock.rate > 1 else _CALM_S if self._calm() else 0.0
                     yield Rest(max(self._rest_s, least_s))
                     rested = yield Read(0.0)
 
