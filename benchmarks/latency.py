@@ -127,13 +127,15 @@ def main() -> int:
             session.stop_recording({})
         stops: list[float] = []
         for _ in range(given.trips):
+            line.ask("pluck", x_mm=0.0, y_mm=0.0, hold_s=0.2)  # the column still rings from the last one
+            clock.wait(0.3)
             try:
                 with Session(here, HostClock()) as session:
                     session.drive.enable()
                     session.drive.set_ramp(600.0)
                     session.drive.set_speed(_RPM)
                     clock.wait(1.0 + dice.uniform(0.0, 0.3))
-                    line.ask("pluck", x_mm=1e3 * _PULL * rig.limits.amplitude_m, y_mm=0.0, hold_s=1.0)
+                    line.ask("pluck", x_mm=1e3 * _PULL * rig.limits.amplitude_m, y_mm=0.0, hold_s=0.2)
                     session.wait_for(lambda: False, 3.0, "the trip")
             except RigError as ended:
                 if not ours.poll(1.0):

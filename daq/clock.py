@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
-"""Key of a device's identity, and of a log's facts: by which rules its `ClockMap` goes. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 2
+"""Key of a device's identity, and of a log's facts: by which rules its bytes are decoded. See `clock_rules`."""
+FIRST_RULES, NEWEST_RULES = 1, 3
+_IN_ORDER_RULES = 3
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: how its clock stood when the log began. See `ClockSeed`."""
 _SEED_EARLY_NS, _SEED_LATE_NS = 5_000_000, 1_000_000_000
@@ -77,7 +78,9 @@ def compile_line() -> None:
 
 
 def clock_rules(identity: Mapping[str, Any]) -> int:
-    """By which rules a pipeline's clock map goes.
+    """By which rules a pipeline decodes, its clock map first of all.
+
+    From 3 on encoder blocks of a node wait at a hole for blocks that are sent again; for 1 and 2 see `ClockMap`.
 
     Args:
         identity: as a pipeline is given it: of a log that is decoded again it holds the log's rules.
@@ -132,7 +135,8 @@ class ClockMap:
 
     Args:
         tolerance_ppm: standard uncertainty of the device's rate; the estimated rate is kept within five of them.
-        rules: 1: a correction goes on until the next read, however late that comes; 2: only until it is made good.
+        rules: 1: a correction goes on until the next read, however late that comes; from 2 on: only until it is made
+            good; from 3 on nothing is learnt of samples older than those that came before.
         seed: how the clock stood before; without it the first read counts as one that was not delayed.
     """
 
@@ -140,6 +144,7 @@ class ClockMap:
         self._seed = seed
         self._limit = 5e-6 * tolerance_ppm
         self._correct_ns = np.inf if rules == FIRST_RULES else float(_SETTLE_NS)
+        self._in_order = rules >= _IN_ORDER_RULES
         self._bins: deque[tuple[int, float, float]] = deque(maxlen=_BINS)  # bin, device ns, lag ns (relative)
         self._device0 = 0
         self._host0 = 0
@@ -167,7 +172,8 @@ class ClockMap:
         if ahead[-1] > self._correct_ns:  # a gap
             lag -= self._correction * np.maximum(ahead - self._correct_ns, 0.0)
         times = relative + np.rint(lag).astype(np.int64) + self._host0
-        self._learn(float(relative[-1]), float(host_ns - self._host0 - int(relative[-1])))
+        if relative[-1] >= self._at or not self._in_order:
+            self._learn(float(relative[-1]), float(host_ns - self._host0 - int(relative[-1])))
         return times
 
     def _begin(self) -> None:

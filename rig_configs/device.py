@@ -109,6 +109,7 @@ class RotorNodeSettings(DeviceSettings):
     zero_std_deg: NotNegative = USUAL_ZERO_STD_DEG
     clock_tolerance_ppm: Positive = 30.0
     locks: bool = True
+    node: Annotated[int | None, Field(ge=0, le=255)] = None
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""

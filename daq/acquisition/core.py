@@ -196,6 +196,13 @@ class Core:
                         self.recent.add(item)
         return sorted(out, key=lambda kept: kept.host_ns)
 
+    def finish(self, now_ns: int) -> Iterator[Keep]:
+        """No more bytes come before the log's end: what pipelines still hold back belongs into it too."""
+        for name in self._known:
+            kept = self._decoded(name, RX, b"", now_ns)
+            if kept.items:
+                yield kept
+
     def end(self, now_ns: int) -> tuple[dict[str, Any], list[Event]]:
         """The log ends.
 
@@ -414,6 +421,11 @@ class Core:
         self._suspect, self.mute = still, (self.mute | certain) & still
 
     # --- what is known -----------------------------------------------------------------------------------------
+
+    @property
+    def calm(self) -> bool:
+        """Whether nothing turns that a sample could stop, and no dialogue of the opening waits for an answer."""
+        return self.guarding and self.interlocks.resting
 
     def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
         """Counted losses of every device since the log began; a silence counts while it lasts."""

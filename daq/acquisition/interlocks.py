@@ -107,6 +107,9 @@ class Interlocks:
         roles: of the rig's devices; what is not there guards nothing.
         patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
         driving: whether this session may turn the rotor; one that only listens stops nothing.
+
+    Attributes:
+        resting: whether the rotor stood at the last tick, and was not told to turn since.
     """
 
     def __init__(self, limits: Limits, roles: Roles, patience: Callable[[float], float], *, driving: bool) -> None:
@@ -140,7 +143,7 @@ class Interlocks:
         self._faulty_samples = 0
         self._needed: frozenset[str] = frozenset()
         self._ours = False  # the rotor was told to turn, and has not been seen at rest since
-        self._rests = False  # at the last tick
+        self.resting = False
         self._lock = threading.RLock()
 
     # --- what happens ------------------------------------------------------------------------------------------
@@ -169,6 +172,7 @@ class Interlocks:
         """The drive is told a speed."""
         with self._lock:
             self._ours = self._ours or rpm != 0
+            self.resting = self.resting and rpm == 0
             self.rotor.told(rpm)
 
     def feed(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
@@ -195,7 +199,7 @@ class Interlocks:
             if event.kind in ("fault", "restart"):
                 if event.device == self._device_of.get(self._speed or ""):
                     self.rotor.drive_unknown()
-                elif event.kind == "restart" and self._rests and event.device not in self._needed_devices():
+                elif event.kind == "restart" and self.resting and event.device not in self._needed_devices():
                     return []  # a sensor that lost power while nothing turned: a gap
                 return [Stop("device", f"{event.device}: {event.text}", event.kind)]
             if event.kind == "network" and event.facts.get("operational") is False:
@@ -212,7 +216,7 @@ class Interlocks:
             if self.rotor.at_rest(now_ns) and not self.rotor.target_rpm:
                 self._ours = False
             turning = self.turning(now_ns)
-            self._rests = not turning
+            self.resting = not turning
             out: list[Event | Stop] = [*self.channels.tick(now_ns)]
             if self._marks is None:
                 pass

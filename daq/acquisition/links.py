@@ -14,10 +14,11 @@ from daq.acquisition.core import Core, Note, Order
 from daq.acquisition.edge import Edge
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
+from daq.drivers.contract import claims_of
 from daq.drivers.devices import Device
 from daq.drivers.items import Event
 from daq.errors import DeviceError, LinkLost
-from daq.transports import HostClock
+from daq.transports import HostClock, Link
 
 _AGAIN_S = 2.0  # wall seconds between two attempts to open a device that was unplugged
 
@@ -66,8 +67,14 @@ class Links:
             device.driver.prepare()
         for name, device in self._devices.items():
             link = self._edge.connect(device.line, device.line.port)
-            self._readers[name] = DeviceReader(name, link, self._clock, device.driver.rest_s)
+            self._readers[name] = self._reader(name, link)
             self._core.renew(name, device.pipeline({}))
+
+    def _reader(self, name: str, link: Link) -> DeviceReader:
+        """Of a device that counts its own samples bytes may gather; where the host's time counts they may not."""
+        driver = self._devices[name].driver
+        counts = "counts exactly" in claims_of(driver)
+        return DeviceReader(name, link, self._clock, driver.rest_s, lambda: counts and self._core.calm)
 
     def __bool__(self) -> bool:
         return bool(self._readers)
@@ -180,7 +187,7 @@ class Links:
             except LinkLost:
                 continue
             old.stop()
-            self._readers[name] = DeviceReader(name, link, self._clock, device.driver.rest_s)
+            self._readers[name] = self._reader(name, link)
             self._read(name)
             try:
                 if command is not None:

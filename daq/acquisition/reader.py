@@ -24,6 +24,8 @@ _NEXT_S = 0.005  # wall seconds to wait for the next arrival
 _QUICK = 8  # arrivals in a row, each so soon behind the one before
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
 _LARGE_BYTES = 128 * 1024
+_HURRIED_S = 0.015  # rig seconds of a rest where rig time passes faster: a turn costs more of it
+_CALM_S = 0.04  # rig seconds that bytes may gather where no interlock waits for them
 _WAIT_S = 0.1  # wall seconds between two looks whether to end
 
 Take = Callable[[Sequence[tuple[bytes, int]], bytes, int], None]
@@ -103,6 +105,7 @@ class DeviceReader:
         link: an open one.
         clock: stamps arrivals.
         rest_s: rig time between two turns: what a wake-up costs counts, not the bytes.
+        calm: whether nothing waits for the device's samples: bytes may gather for longer then.
 
     Attributes:
         lock: held while bytes, in either direction, go to log and pipeline: both see one order. Nothing that goes out
@@ -112,7 +115,9 @@ class DeviceReader:
         heard_s: when bytes came last, wall s of the clock.
     """
 
-    def __init__(self, name: str, link: Link, clock: HostClock, rest_s: float = 0.01) -> None:
+    def __init__(
+        self, name: str, link: Link, clock: HostClock, rest_s: float = 0.01, calm: Callable[[], bool] = bool
+    ) -> None:
         self.name, self.link = name, link
         self.lock = threading.Lock()
         self.replies: queue.Queue[str] = clock.queue()
@@ -121,7 +126,7 @@ class DeviceReader:
         self._clock = clock
         self._writing, self._stamping = threading.Lock(), threading.Lock()
         self._sent: list[tuple[bytes, int]] = []  # on their way into the log
-        self._rest_s = rest_s
+        self._rest_s, self._calm = rest_s, calm
         self._ending = False
         self._thread: threading.Thread | None = None
 
@@ -191,7 +196,7 @@ class DeviceReader:
             wanted = turns.send(data)
 
     def turns(self, take: Take) -> Turns:
-        """Take bytes some fifty times a second, each turn stamped with the arrival of its last byte.
+        """Take bytes at every rest's end, each turn stamped with the arrival of its last byte.
 
         What came during a rest is not stamped as it is fetched, which would be late by an unknown part of the rest: it
         waits for the next arrival, as long as that is near. Where none is, bytes come message by message: there is no
@@ -209,7 +214,8 @@ class DeviceReader:
                 self._arrived(rested + data, take)
                 alone, rested = bool(rested) and not data, b""  # not twice, should the next line fail
                 if not sparse.arrived(alone, bool(data), self._clock.wall_s()):
-                    yield Rest(self._rest_s)
+                    least_s = _HURRIED_S if self._clock.rate > 1 else _CALM_S if self._calm() else 0.0
+                    yield Rest(max(self._rest_s, least_s))
                     rested = yield Read(0.0)
 
     def _arrived(self, data: bytes, take: Take) -> None:

@@ -482,6 +482,8 @@ class Session:
         assert recorder is not None
         with self._log_changes, self._open.between_reads():
             now_ns = self.clock.now_ns()
+            for order in self._core.finish(now_ns):
+                _keep(recorder, order)
             facts, events = self._core.end(now_ns)
             for event in events:
                 recorder.event(event, now_ns)

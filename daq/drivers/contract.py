@@ -79,7 +79,10 @@ class Pipeline(Protocol):
     losses: dict[str, int]
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
-        """Take one read (RX) or one write (TX) with the host time it happened."""
+        """Take one read (RX) or one write (TX) with the host time it happened.
+
+        A read without bytes tells that the log ends: what still waits for bytes to come is handed out.
+        """
         ...
 
 

@@ -35,7 +35,7 @@ _NEEDED = 2 * LOOK_AHEAD + 1  # readings in a row
 _QUIET_CODES = 4  # a median below is that of rounding alone
 _SCALE = 8  # bits behind the point of the running median
 _QUICK_SAMPLES = 96  # after the beginning, while the median is still looked for
-_COUNTER_WRAP, _CODE_MAX = 2**18, 65520  # codes above are no readings
+_COUNTER_WRAP, _CODE_MAX = 2**18, 65520  # codes above are no readings of most sensors
 
 
 @njit(cache=True, nogil=True)
@@ -68,7 +68,7 @@ def _off(code, i, side, half):  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _watch(new, counter, before, state, flags):  # pragma: no cover - compiled
+def _watch(new, counter, most, before, state, flags):  # pragma: no cover - compiled
     """Judge new samples; state: running median, samples seen, readings in a row, last counter. True if any is found."""
     median, seen, row, last = state
     begin, found = len(before), False
@@ -78,11 +78,11 @@ def _watch(new, counter, before, state, flags):  # pragma: no cover - compiled
     for k in range(len(new)):
         j = begin + k
         count = np.int64(counter[k])
-        if code[j] > _CODE_MAX or (count != last + 1 and (count - last) % _COUNTER_WRAP != 1):
+        if code[j] > most or (count != last + 1 and (count - last) % _COUNTER_WRAP != 1):
             row = 0
         last = count
         flags[k] = 0
-        if code[j] <= _CODE_MAX:
+        if code[j] <= most:
             row += 1
         if row < 5:
             continue
@@ -102,13 +102,17 @@ def _watch(new, counter, before, state, flags):  # pragma: no cover - compiled
 class SpikeWatch:
     """Watches one laser's codes as they come.
 
+    Args:
+        most: largest code that is a reading.
+
     Attributes:
         found: whether the last `feed` gave a verdict.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = _CODE_MAX) -> None:
+        self._most = most
         # far above any median, so that nothing is judged until it has come down to the signal's own
-        self._state = np.array([_CODE_MAX << _SCALE, 0, 0, 0], np.int64)
+        self._state = np.array([most << _SCALE, 0, 0, 0], np.int64)
         self._before = np.zeros(_NEEDED, np.int64)
         self.found = False
 
@@ -123,7 +127,7 @@ class SpikeWatch:
         """
         flags = np.empty(len(code), np.uint32)
         words, counts = np.ascontiguousarray(code, np.uint32), np.ascontiguousarray(counter, np.uint32)
-        self.found = _watch(words, counts, self._before, self._state, flags)
+        self.found = _watch(words, counts, self._most, self._before, self._state, flags)
         return flags
 
 

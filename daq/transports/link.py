@@ -103,6 +103,9 @@ class SerialLink:
         self._port.open()
         with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
+        if sys.platform == "win32":  # 4096 by default: less than comes between two looks at a quick sensor
+            with contextlib.suppress(AttributeError):  # a port behind a URL
+                self._port.set_buffer_size(rx_size=_READ_BYTES)
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._descriptor = None
         if parity != "N":

@@ -255,7 +255,7 @@ def test_a_check_shows_the_devices_of_the_log(long_log: Path) -> None:
     # the rotor of the log turns, its counts go on in closed locks, its node never told its status
     assert failed - {"laser_y lost_samples"} == {"drive speed_rpm", "encoder locked_A_deg", "encoder status"}
     for name in ("laser_x", "laser_y"):
-        assert found["identities"][name] == IDENTITIES[name]
+        assert found["identities"][name] == {**IDENTITIES[name], "scaling": "ILD1420"}
     assert found["rates_Hz"]["laser/x"] == pytest.approx(4000, rel=0.2)
     assert (player.code, player.result["configured"]) == (0, True)
     assert "to be started yet: drive (the network's start), laser_x (OUTPUT RS422), laser_y" in player.said
@@ -272,7 +272,7 @@ def test_a_host_that_configures_records_again_what_the_log_holds(long_log: Path,
     assert 3.0 < player.result["played_s"] <= 14.01
     with open_log(long_log) as one, open_log(again) as two:
         said = json.loads(two.attachments["identities.json"])
-        assert said["laser_x"] == IDENTITIES["laser_x"]
+        assert said["laser_x"] == {**IDENTITIES["laser_x"], "scaling": "ILD1420"}
         assert check(again).identical
         for topic, key in (("laser/x", "counter"), ("laser/y", "device_ticks"), ("pendulums", "index"),
                            ("tacho", "revolutions"), ("motor", "speed_rpm")):  # fmt: skip

@@ -105,6 +105,19 @@ def test_a_seed_that_no_clock_can_have_is_refused(told: object) -> None:
         ClockSeed.of({"clock_seed": told})
 
 
+def test_samples_that_come_behind_newer_ones_change_nothing() -> None:
+    """Across a boundary of the bins, which are in order."""
+    alone, mixed = ClockMap(30.0), ClockMap(30.0)
+    rng = np.random.default_rng(3)
+    for k in range(200):
+        device_ns = np.array([k * 50_000_000], np.int64)
+        host_ns = 10**18 + int(device_ns[0]) + int(rng.exponential(2e6))
+        if k % 5 == 0 and k:
+            late = mixed.map(device_ns - 80_000_000, host_ns - 10_000_000)
+            assert late[0] == pytest.approx(10**18 + int(device_ns[0]) - 80_000_000, abs=3e6)
+        assert mixed.map(device_ns, host_ns) == alone.map(device_ns, host_ns)
+
+
 def test_the_first_rules_are_kept_for_old_logs() -> None:
     """The numbers behind a gap are those that the first version gave."""
     rng = np.random.default_rng(3)

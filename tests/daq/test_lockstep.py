@@ -116,6 +116,24 @@ def test_every_shipped_rig_is_recorded_as_in_real_time(rig: str, tmp_path: Path)
             assert (times[-1] - times[0]) * 1e-9 == pytest.approx(3.0, abs=0.5), topic
 
 
+def test_samples_that_wait_behind_a_gap_are_in_a_log_that_ends_meanwhile(tmp_path: Path) -> None:
+    sim, session = opened("other_devices")
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.clock.wait(4.0)
+        sim.ask("fail", device="east", what="mute", value=1, seconds=0.3)
+        sim.clock.wait(0.4)
+        end_ns = sim.clock.now_ns()
+        session.stop_recording({})
+    assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
+    with open_log(tmp_path / "a.mcap") as log:
+        times = log["laser/x"].time_ns
+        assert (end_ns - times[-1]) * 1e-9 < 0.06
+        assert np.sum(np.diff(times) > 0.25e9) == 1
+        lost = [event["samples"] for event in log.events if event["kind"] == "gap" and event["device"] == "east"]
+    assert sum(lost) == pytest.approx(0.3 * 4000, abs=12)
+
+
 def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> None:
     sim, session = opened("virtual")
     with session:

@@ -113,9 +113,9 @@ def test_our_own_set_up_finds_the_sensor_of_the_log() -> None:
     laser = PlayedLaser(IDENTITY, LASER)
     talk = Asking(laser)
     assert not laser.sending
-    assert lasers.configure("laser_x", LASER, talk) == IDENTITY
+    assert lasers.configure("laser_x", LASER, talk) == {**IDENTITY, "scaling": "ILD1420"}
     assert laser.sending
-    assert laser.commands == 9
+    assert laser.commands == 11
     assert laser.unfollowed == 0
 
 
@@ -128,7 +128,8 @@ def test_of_a_sensor_that_was_never_asked_the_rig_file_tells() -> None:
     laser = PlayedLaser({}, LASER)
     talk = Asking(laser)
     identity = lasers.configure("laser_x", LASER, talk)
-    assert identity == {"name": "unknown", "serial": "unknown", "version": "unknown", "range_m": LASER.range_m,
+    assert identity == {"name": "ILD1420", "scaling": "ILD1420", "serial": "unknown", "version": "unknown",
+                        "range_m": LASER.range_m,
                         "words": list(optoncdt.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP"))}  # fmt: skip
 
 

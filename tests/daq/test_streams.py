@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from daq import channels
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch, Event
@@ -18,7 +20,7 @@ from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
-from daq.transports import slcan
+from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices
@@ -33,6 +35,11 @@ def blocks(counters: np.ndarray, metres: np.ndarray) -> np.ndarray:
 
 
 def feed(pipeline: LaserPipeline | NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[Event]]:
+    """A whole log, to its end."""
+    return feed_on(pipeline, [*parts, b""])
+
+
+def feed_on(pipeline: LaserPipeline | NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[Event]]:
     items = [x for i, p in enumerate(parts) for x in pipeline.feed(RX, p, START_NS + i * 10_000_000)]
     return [x for x in items if isinstance(x, Batch)], [x for x in items if isinstance(x, Event)]
 
@@ -137,15 +144,14 @@ def test_the_split_into_reads_changes_no_value(cut: int) -> None:
 
 
 def test_a_rebooted_node_is_an_event_and_its_samples_are_kept() -> None:
-    before = node_frames(30, first_seq=40_000)
     after = node_frames(30, first_seq=0)
     pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
     # half an hour of node time before the reboot
     old = rotorlink.EncoderBlock(1, 40_030, 1_800_000, 1_800_000_000, 1000, 96, np.zeros((20, 2), np.int32))
-    batches, events = feed(pipeline, [before[0], rotorlink.wire(old.pack()), *after])
+    batches, events = feed(pipeline, [rotorlink.wire(old.pack()), *after])
     assert [e.kind for e in events if e.kind == "restart"] == ["restart"]
-    assert sum(len(b.time_ns) for b in batches) == 20 + 20 + 600
-    assert pipeline.losses["radio_frames"] == 29
+    assert sum(len(b.time_ns) for b in batches) == 20 + 600
+    assert pipeline.losses["radio_frames"] == 0
 
 
 @given(st.integers(1, 38), st.integers(0, 3), st.integers(1, 0x3FFFF))
@@ -183,9 +189,226 @@ def test_a_node_with_other_encoders_than_the_rig_file_says_is_a_fault() -> None:
     assert "1024" in next(e.text for e in events if e.kind == "fault")
 
 
-def encoder_wire(seq: int, index: int, node_us: int, n: int = 20) -> bytes:
+def encoder_wire(seq: int, index: int, node_us: int, n: int = 20, flags: int = 0) -> bytes:
     counts = np.column_stack([index + np.arange(n), np.full(n, 2048)]).astype(np.int32)
-    return rotorlink.wire(rotorlink.EncoderBlock(1, seq, index, node_us, 1000, 0, counts).pack())
+    return rotorlink.wire(rotorlink.EncoderBlock(1, seq, index, node_us, 1000, flags, counts).pack())
+
+
+def test_a_restart_hands_out_what_still_waited_for_a_repeat() -> None:
+    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
+    start_us = 60_000_000
+    parts = [encoder_wire(i, 20 * i, start_us + 20_000 * i) for i in range(2)]
+    parts += [encoder_wire(2, 20, start_us + 20_000, flags=rotorlink.FLAG_REPEATS)]
+    parts += [encoder_wire(4, 60, start_us + 60_000), encoder_wire(0, 0, 0)]
+    batches, events = feed(pipeline, parts)
+    index = np.concatenate([b.columns["index"] for b in batches])
+    assert np.array_equal(index, [*range(40), *range(60, 80), *range(20)])
+    assert pipeline.losses["samples"] == 20
+    kinds = [e.kind for e in events]
+    assert kinds.index("restart") > max(k for k, e in enumerate(events) if "samples" in e.facts)
+
+
+def test_what_waits_for_a_repeat_is_handed_out_at_the_logs_end() -> None:
+    parts = [encoder_wire(0, 0, 0), encoder_wire(1, 0, 0, flags=rotorlink.FLAG_REPEATS), encoder_wire(3, 40, 40_000)]
+    for end, last in ((b"", 59), (None, 19)):
+        pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
+        batches, _ = feed_on(pipeline, parts if end is None else [*parts, end])
+        assert batches[-1].columns["index"][-1] == last
+        assert pipeline.losses["samples"] == (20 if end is not None else 0)
+
+
+def decoded(sent: list[tuple[float, bytes]]) -> tuple[NodePipeline, list[int], list[Event]]:
+    """A node's frames, each with the host's time of its arrival in s; what came out, to the log's end."""
+    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
+    items = [x for s, frame in [*sent, (sent[-1][0], b"")] for x in pipeline.feed(RX, frame, START_NS + round(s * 1e9))]
+    index = [int(k) for x in items if isinstance(x, Batch) for k in x.columns["index"]]
+    return pipeline, index, [x for x in items if isinstance(x, Event)]
+
+
+def blocks_from(start_s: float, count: int, seq: int = 0, index: int = 0, node_s: float | None = None,
+                period_us: int = 1000, n: int = 20, **other: int) -> list[tuple[float, bytes]]:  # fmt: skip
+    """Encoder blocks of a node as they come: each when its last sample is made."""
+    node_us = round(1e6 * (start_s if node_s is None else node_s))
+    return [
+        (start_s + 1e-6 * (i + 1) * n * period_us,
+         rotorlink.wire(rotorlink.EncoderBlock(
+             other.get("node", 1), (seq + i) % 2**16, (index + n * i) % 2**32, (node_us + i * n * period_us) % 2**32,
+             period_us, other.get("flags", 0), np.zeros((n, 2), np.int32)).pack()))
+        for i in range(count)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("minutes", [0.1, 10, 36, 40, 60, 71, 75])
+def test_a_node_that_starts_again_is_seen_however_long_it_ran(minutes: float) -> None:
+    ran_s = 60.0 * minutes
+    seq, index = round(50 * ran_s), round(1000 * ran_s)
+    sent = [*blocks_from(0.0, 50, seq % 2**16, index, node_s=ran_s), *blocks_from(2.0, 100, node_s=0.0)]
+    pipeline, found, events = decoded(sent)
+    assert found == [*range(index, index + 1000), *range(2000)]
+    assert [event.kind for event in events] == ["restart"]
+    assert not any(pipeline.losses.values())
+
+
+@pytest.mark.parametrize("minutes", [1, 30, 40, 71.6, 75])
+def test_a_node_that_is_out_of_reach_for_long_has_lost_so_many_samples(minutes: float) -> None:
+    away = round(3000 * minutes)  # blocks
+    sent = [*blocks_from(0.0, 50), *blocks_from(0.02 * (50 + away), 50, (50 + away) % 2**16, 20 * (50 + away))]
+    pipeline, found, events = decoded(sent)
+    assert len(found) == 2000
+    assert "restart" not in [event.kind for event in events]
+    assert pipeline.losses["samples"] == 20 * away
+
+
+def test_times_go_on_behind_an_outage_longer_than_the_nodes_clock() -> None:
+    away = 75 * 3000
+    sent = [*blocks_from(0.0, 50), *blocks_from(0.02 * (50 + away), 50, (50 + away) % 2**16, 20 * (50 + away))]
+    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
+    items = [x for s, frame in sent for x in pipeline.feed(RX, frame, START_NS + round(s * 1e9))]
+    times = np.concatenate([x.time_ns for x in items if isinstance(x, Batch)])
+    assert times[-1] - START_NS == pytest.approx(1e9 * sent[-1][0], abs=2e7)
+
+
+@pytest.mark.parametrize("later", [1, 3, 60, 100])
+def test_a_block_sent_again_is_no_restart_however_late(later: int) -> None:
+    sent = blocks_from(0.0, 300)
+    again = rotorlink.EncoderBlock(1, 30, 600, 600_000, 1000, rotorlink.FLAG_REPEATS, np.zeros((20, 2), np.int32))
+    for came in (True, False):
+        frames = [each for k, each in enumerate(sent) if came or k != 30]
+        place = 30 + later + came
+        frames.insert(place, (frames[place - 1][0], rotorlink.wire(again.pack())))
+        pipeline, found, events = decoded(frames)
+        there = came or later <= 3
+        assert found == [k for k in range(6000) if there or not 600 <= k < 620]
+        assert pipeline.losses["samples"] == (0 if there else 20)
+        assert "restart" not in [event.kind for event in events]
+
+
+@pytest.mark.parametrize(("period_us", "n"), [(1000, 29), (2000, 20), (5000, 29), (4000, 10)])
+def test_repeats_are_waited_for_as_long_as_blocks_last(period_us: int, n: int) -> None:
+    sent: list[tuple[float, bytes]] = []
+    for i in range(100):
+        for k, flags in ((i, 0), (i - 2, rotorlink.FLAG_REPEATS)):
+            if k >= 0 and (k, flags) != (50, 0):
+                ((_, frame),) = blocks_from(
+                    0.0, 1, len(sent), n * k, 1e-6 * period_us * n * k, period_us, n, flags=flags
+                )
+                sent.append((1e-6 * period_us * n * (i + 1), frame))
+    pipeline, found, _ = decoded(sent)
+    assert found == list(range(100 * n))
+    assert pipeline.losses["samples"] == 0
+
+
+@pytest.mark.parametrize("period_us", [20_000, 40_000, 65_535])
+def test_a_status_within_a_long_block_is_no_restart(period_us: int) -> None:
+    length_s = 29e-6 * period_us
+    frames = [(s, 1, frame) for s, frame in blocks_from(0.0, 30, period_us=period_us, n=29)]
+    status = [
+        (0.9 * k, 0, rotorlink.Status(1, 0, round(9e5 * k), 3700, 250, 0, 0, 1, 1, 4096))
+        for k in range(int(33 * length_s))
+    ]
+    told = sorted([*frames, *status], key=lambda each: each[:2])
+    sent = [(s, _numbered(frame, k)) for k, (s, _, frame) in enumerate(told) if s <= 30 * length_s]
+    pipeline, found, events = decoded(sent)
+    assert found == list(range(870))
+    assert {event.kind for event in events} == {"status"}
+    assert not any(pipeline.losses.values())
+
+
+def _numbered(frame: bytes | rotorlink.Status, seq: int) -> bytes:
+    """A frame with its place in the sender's sequence."""
+    found = rotorlink.FrameDecoder().feed(frame).frames[0] if isinstance(frame, bytes) else frame
+    assert isinstance(found, rotorlink.EncoderBlock | rotorlink.Status)
+    return rotorlink.wire(replace(found, seq=seq).pack())
+
+
+@pytest.mark.parametrize("dongle_seq", [20, 33_049, 50_049, 65_049])
+def test_a_dongle_that_starts_again_has_lost_nothing(dongle_seq: int) -> None:
+    sent = []
+    for k, (s, frame) in enumerate(blocks_from(0.0, 100)):
+        inner = rotorlink.FrameDecoder().feed(frame).frames[0]
+        seq, dongle_s = (dongle_seq + k, 3600 + s) if k < 50 else (k - 50, s - 1.0)
+        sent.append((s, rotorlink.wire(rotorlink.Wrapped(1, seq % 2**16, round(dongle_s * 1e6), -60, inner).pack())))
+    pipeline, found, events = decoded(sent)
+    assert found == list(range(2000))
+    assert not any(pipeline.losses.values())
+    assert [event.kind for event in events] == ["dongle"]
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_a_sound_frame_of_a_type_that_nobody_knows_is_no_lost_one(wrapped: bool) -> None:
+    sent = []
+    for k, (s, frame) in enumerate(blocks_from(0.0, 100)):
+        sent.append((s, frame))
+        if k % 10 == 5:
+            strange = rotorlink.encode_frame(bytes((0x17, 1)) + k.to_bytes(2, "little") + b"something")
+            sent[-1] = (s, rotorlink.wire(strange))
+        if wrapped:
+            (inner,) = rotorlink.FrameDecoder().feed(sent[-1][1]).frames
+            damaged = strange if isinstance(inner, rotorlink.Skipped) else b""
+            outer = rotorlink.Wrapped(1, k, round(s * 1e6), -60, None if damaged else inner, damaged)
+            sent[-1] = (s, rotorlink.wire(outer.pack()))
+    pipeline, _, _ = decoded(sent)
+    assert pipeline.losses["damaged_frames"] == 10
+    assert pipeline.losses["radio_frames"] == pipeline.losses["cable_frames"] == 0
+
+
+def test_only_one_node_is_listened_to() -> None:
+    of_seven, of_two = (blocks_from(0.0, 50, node=number, seq=9 * number, index=100 * number) for number in (7, 2))
+    mixed = [each for pair in zip(of_seven, of_two, strict=True) for each in pair]
+    pipeline, found, events = decoded(mixed)
+    assert found == list(range(700, 1700))
+    assert not any(pipeline.losses.values())
+    assert [event.text for event in events] == [
+        "the node's number is 7",
+        "frames of node 2 ignored: this rig's is node 7",
+    ]
+    config = DEVICES["encoder"].model_copy(update={"node": 2})
+    chosen = NodePipeline("encoder", config, {})
+    batches, _ = feed(chosen, [frame for _, frame in mixed])
+    assert batches[0].columns["index"][0] == 200
+
+
+def test_indices_go_on_behind_their_wrap() -> None:
+    pipeline, found, events = decoded(blocks_from(0.0, 100, index=2**32 - 1000))
+    assert found == [*range(2**32 - 1000, 2**32), *range(1000)]
+    assert not events
+    assert not any(pipeline.losses.values())
+
+
+def test_samples_that_a_node_lost_before_it_counted_them_are_counted_by_its_clock() -> None:
+    late = blocks_from(1.01, 50, 50, 1000, flags=rotorlink.FLAG_SAMPLES_LOST)[:1] + blocks_from(1.03, 49, 51, 1020)
+    pipeline, found, events = decoded([*blocks_from(0.0, 50), *late])
+    assert found == list(range(2000))
+    assert pipeline.losses["samples"] == 10 == sum(event.facts.get("samples", 0) for event in events)
+
+
+def test_a_status_of_a_dongle_lost_on_the_cable_hides_no_frame_lost_on_air() -> None:
+    sent = blocks_from(0.0, 100)
+    dongle = [rotorlink.wire(rotorlink.DongleStatus(0, k, 20_000 * k, 0, 0, -60).pack()) for k in range(100)]
+    mixed = [(s, part) for k, (s, frame) in enumerate(sent) for part in (dongle[k], frame) if k != 40]
+    pipeline, _, _ = decoded(mixed)
+    assert (pipeline.losses["cable_frames"], pipeline.losses["radio_frames"]) == (1, 1)
+
+
+@settings(max_examples=200)
+@given(st.sets(st.integers(4, 89), max_size=60), st.booleans(), st.integers(1, 2))
+def test_samples_sent_again_fill_the_holes_of_lost_blocks(lost: set[int], own_seq: bool, behind: int) -> None:
+    """Each block is sent twice, the second time behind one newer block or two; a loss is what never came."""
+    sent = []  # number of the block, sequence, flags
+    for i in range(50):
+        sent.append((i, len(sent), 0))
+        if i >= behind:
+            seq = next(s for n, s, f in sent if n == i - behind and not f) if own_seq else len(sent)
+            sent.append((i - behind, seq, rotorlink.FLAG_REPEATS))
+    came = [each for place, each in enumerate(sent) if place not in lost]
+    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
+    batches, events = feed(pipeline, [encoder_wire(s, 20 * n, 20_000 * n, flags=f) for n, s, f in came])
+    there = sorted({n for n, _, _ in came})
+    index = np.concatenate([b.columns["index"] for b in batches])
+    assert np.array_equal(index, [20 * n + k for n in there for k in range(20)])
+    assert pipeline.losses["samples"] == 20 * (50 - len(there))
+    assert sum(e.facts.get("samples", 0) for e in events if e.kind == "gap") == pipeline.losses["samples"]
+    assert np.all(np.diff(np.concatenate([b.time_ns for b in batches])) > 0)
 
 
 def test_lost_radio_frames_say_how_many_and_over_how_long() -> None:
@@ -275,3 +498,38 @@ def test_a_drive_that_starts_again_or_leaves_operation_is_an_event() -> None:
     assert told == [("restart", None, None), ("network", 0x7F, False), ("network", 0x05, True), ("network", 4, False)]
     assert heard((beat + 1, b"\x00"), (beat, b""), (beat, b"\x05")) == []
     assert [e.facts["network_state"] for e in heard((beat, b"\x04"))] == [4]  # found so: nobody started it
+
+
+def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
+    """29-bit frames and remote requests whose numbers look like those of the drive."""
+    node = DEVICES["drive"].node_id
+    report = cia402.pack_tpdo1(0x0627, 600)
+    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    others = [
+        slcan.CanFrame(cia402.cob_tpdo(1, node), cia402.pack_tpdo1(0x0608, -5), extended=True),
+        slcan.CanFrame(cia402.cob_tpdo(1, node), bytes(4), remote=True),
+        slcan.CanFrame(cia402.cob_emergency(node), bytes((0x10, 0x23, 1, 0, 0, 0, 0, 0)), extended=True),
+        slcan.CanFrame(cia402.cob_heartbeat(node), b"\x00", extended=True),
+        slcan.CanFrame(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(0x0F, 999), extended=True),
+    ]
+    own = slcan.CanFrame(cia402.cob_tpdo(1, node), report)
+    control = DriveControl(DEVICES["drive"], lambda data: None, HostClock())
+    items = []
+    for k, frame in enumerate([own, *[f for other in others for f in (other, own)]]):
+        items += pipeline.feed(RX, slcan.encode(frame), START_NS + k)
+        control.heed(slcan.LineDecoder().feed(slcan.encode(frame)).frames)
+        assert (control.state, control.actual_rpm, control.emergencies) == (cia402.state(0x0627), 600.0, [])
+    batches = [x for x in items if isinstance(x, Batch)]
+    assert [float(b.columns["speed_rpm"][0]) for b in batches] == [600.0] * 6
+    assert all(b.columns["target_rpm"][0] == 0 for b in batches)
+    assert [x.kind for x in items if isinstance(x, Event)] == ["drive"]
+
+
+def test_a_report_may_be_longer_and_one_that_is_too_short_is_told() -> None:
+    identifier = cia402.cob_tpdo(1, DEVICES["drive"].node_id)
+    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    items = []
+    for data in (cia402.pack_tpdo1(0x0627, -600) + b"\x02", b"\x27\x06", b"\x27\x06"):
+        items += pipeline.feed(RX, slcan.encode(slcan.CanFrame(identifier, data)), START_NS)
+    assert [b.columns["speed_rpm"].tolist() for b in items if isinstance(b, Batch)] == [[-600.0]]
+    assert [x.kind for x in items if isinstance(x, Event)] == ["drive", "mapping"]

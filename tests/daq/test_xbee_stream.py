@@ -60,7 +60,7 @@ def block(i: int, first_seq: int = 0, samples: int = 5) -> bytes:
 
 
 def feed(into: NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[Event]]:
-    found = [item for i, part in enumerate(parts) for item in into.feed(RX, part, START_NS + 20_000_000 * i)]
+    found = [item for i, part in enumerate([*parts, b""]) for item in into.feed(RX, part, START_NS + 20_000_000 * i)]
     return [x for x in found if isinstance(x, Batch)], [x for x in found if isinstance(x, Event)]
 
 
@@ -134,7 +134,7 @@ def test_lost_frames_are_counted_across_the_wrap(lost: set[int]) -> None:
 
 def test_a_repeated_frame_gives_no_sample_twice_and_a_restart_begins_anew() -> None:
     into = pipeline()
-    late = rotorlink.EncoderBlock(1, 900, 10, 2_000_000_000, 4000, 96, np.zeros((5, 2), np.int32)).pack()
+    late = rotorlink.EncoderBlock(1, 900, 10, 2_000_000, 4000, 96, np.zeros((5, 2), np.int32)).pack()
     batches, events = feed(
         into, [api(p) for p in (block(0, 898), block(0, 898), block(1, 898), late, block(0), block(1))]
     )

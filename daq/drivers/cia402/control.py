@@ -118,9 +118,9 @@ class DriveControl:
     def heed(self, frames: list[slcan.CanFrame]) -> None:
         """Frames from the drive."""
         node = self._config.node_id
-        for frame in frames:
+        for frame in cia402.own_frames(frames):
             identifier, data = frame.arbitration_id, frame.data
-            if identifier == cia402.cob_tpdo(1, node) and len(data) == 4:
+            if identifier == cia402.cob_tpdo(1, node) and len(data) >= cia402.TPDO1_BYTES:
                 self._statusword, rpm = cia402.unpack_tpdo1(data)
                 self._word_rpm, self._word_ns = float(rpm), self._clock.now_ns()
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:

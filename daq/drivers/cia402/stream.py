@@ -27,16 +27,17 @@ class DrivePipeline:
         self._target_rpm = 0.0
         self._status: int | None = None
         self._network: cia402.Heartbeat | None = None
+        self._short_told = False
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
         if direction == TX:
-            for frame in self._tx.feed(data).frames:
+            for frame in cia402.own_frames(self._tx.feed(data).frames):
                 self._heed_target(frame)
             self.frames = []
             return []
         found = self._rx.feed(data)
-        self.frames = found.frames
+        self.frames = cia402.own_frames(found.frames)
         out: list[Batch | Event] = []
         damaged = found.damaged if self._joined else max(0, found.damaged - 1)
         self._joined = True
@@ -45,10 +46,12 @@ class DrivePipeline:
             out.append(Event("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
         rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
         report, beat = cia402.cob_tpdo(1, self._node), cia402.cob_heartbeat(self._node)
-        for frame in found.frames:
+        for frame in self.frames:
             if frame.arbitration_id == report:  # nearly all of them
-                if len(frame.data) == 4:
+                if len(frame.data) >= cia402.TPDO1_BYTES:
                     rows.append((*cia402.unpack_tpdo1(frame.data), self._target_rpm))
+                elif not self._short_told:
+                    out.append(self._short(frame))
                 continue
             self._heed_target(frame)
             if frame.arbitration_id == beat:
@@ -60,6 +63,15 @@ class DrivePipeline:
         if rows:
             out += self._speed(rows, host_ns)
         return out
+
+    def _short(self, frame: slcan.CanFrame) -> Event:
+        """A report that cannot hold statusword and speed; told once."""
+        self._short_told = True
+        text = (
+            f"its reports (TPDO1) have {len(frame.data)} bytes; statusword and actual speed are "
+            f"{cia402.TPDO1_BYTES}. Look at the drive's mapping (1A00h)"
+        )
+        return Event("mapping", self._device, text, {"bytes": len(frame.data)})
 
     def _heed_target(self, frame: slcan.CanFrame) -> None:
         if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:

@@ -4,8 +4,11 @@ Used by the host and by the simulated drive alike; no bus and no clock here. Spe
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+
+from daq.transports.slcan import CanFrame
 
 # Object dictionary
 ERROR_REGISTER, PREDEFINED_ERROR_FIELD = 0x1001, 0x1003
@@ -94,13 +97,21 @@ def pack_tpdo1(statusword: int, actual_rpm: int) -> bytes:
     return _STATUS_SPEED.pack(statusword, actual_rpm)
 
 
+def own_frames(frames: Sequence[CanFrame]) -> list[CanFrame]:
+    """CANopen's frames: with data, and with identifiers of 11 bits; others share the bus."""
+    return [frame for frame in frames if not (frame.extended or frame.remote)]
+
+
+TPDO1_BYTES = 4
+
+
 def unpack_tpdo1(data: bytes) -> tuple[int, int]:
-    """Statusword and actual speed in rpm.
+    """Statusword and actual speed in rpm; what a drive maps behind them is not looked at.
 
     Raises:
-        ValueError: not 4 bytes.
+        ValueError: fewer than 4 bytes.
     """
-    return _four(data, "TPDO1 (statusword u16, actual rpm i16)")
+    return _four(data[:TPDO1_BYTES], "TPDO1 (statusword u16, actual rpm i16)")
 
 
 def pack_rpdo1(controlword: int, target_rpm: int) -> bytes:

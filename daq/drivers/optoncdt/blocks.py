@@ -18,7 +18,7 @@ from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.spikes import compile_watch
 
 _COUNTER_WRAP, _TIMESTAMP_WRAP = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
-_CODE_MAX = optoncdt.CODE_MAX
+_USUAL = optoncdt.SCALINGS[optoncdt.USUAL_SCALING]
 
 
 class CleanBlocks(NamedTuple):
@@ -84,12 +84,13 @@ def take_clean_blocks(
 
 
 @njit(cache=True, nogil=True)
-def _measure(code, range_m, to_disk, displacement):  # pragma: no cover - compiled
+def _measure(code, formula, range_m, to_disk, displacement):  # pragma: no cover - compiled
     """Fill in displacements, by the operations of `optoncdt.metres` in their order; returns how many are none."""
+    most, gain, zero, whole = formula
     invalid = 0
     for i in range(len(code)):
-        if code[i] <= _CODE_MAX:
-            metres = (102.0 / _CODE_MAX * code[i] - 1.0) * range_m / 100.0
+        if code[i] <= most:
+            metres = (gain * code[i] - zero) * range_m / whole
             displacement[i] = (metres - 0.5 * range_m) * to_disk
         else:
             displacement[i] = np.nan
@@ -97,19 +98,23 @@ def _measure(code, range_m, to_disk, displacement):  # pragma: no cover - compil
     return invalid
 
 
-def measure(code: NDArray[np.uint32], range_m: float, to_disk: float) -> tuple[NDArray[np.float64], int]:
+def measure(
+    code: NDArray[np.uint32], range_m: float, to_disk: float, scaling: optoncdt.Scaling = _USUAL
+) -> tuple[NDArray[np.float64], int]:
     """Displacement of the disk, and how many words are no reading.
 
     Args:
         code: distance words, shape (n,).
         range_m: measuring range of the sensor, m; displacement 0 is its middle.
         to_disk: displacement of the disk over displacement at the sensor.
+        scaling: of the sensor's model.
 
     Returns:
         m, shape (n,), NaN for an error code; the number of those.
     """
     displacement = np.empty(len(code))
-    return displacement, int(_measure(code, range_m, to_disk, displacement))
+    formula = scaling.most, scaling.span / scaling.steps, scaling.zero, scaling.whole
+    return displacement, int(_measure(code, formula, range_m, to_disk, displacement))
 
 
 def compile_loop() -> None:

@@ -65,6 +65,8 @@ class SensorCommands:
             "GETOUTINFO_RS422": lambda _: [" ".join(("GETOUTINFO_RS422", optoncdt.DISTANCE, *self.outputs))],
             "MEASRATE": self._measrate,
             "OUTHOLD": lambda _: [],
+            "OUTREDUCEDEVICE": lambda _: [],
+            "MASTERMV": lambda _: [],
             "RESETCNT": self._reset,
         }
 

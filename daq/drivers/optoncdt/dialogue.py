@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import queue
+import re
+from collections.abc import Sequence
 from typing import Any
 
 from daq.drivers.contract import Talk
@@ -12,6 +14,7 @@ from daq.drivers.quiet import run_dry
 from daq.errors import DeviceError
 
 _ANSWER_S = 1.0  # wall seconds
+_KNOWN_COMMAND = re.compile(r"access|denied|parameter|argument|value|range|timeout", re.IGNORECASE)
 
 
 def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
@@ -21,14 +24,17 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     ours, and its counter and timestamp need not go on in ours: it is let run dry before anything is asked or chosen.
 
     Returns:
-        Identity: name, serial, version, range_m, words.
+        Identity: name, serial, version, range_m, scaling, words.
     Raises:
         DeviceError: no answer, a refusal, or a sensor that is not what the rig file says.
     """
 
     replies, send = talk.replies, talk.send
 
-    def command(text: str) -> list[str]:
+    def command(text: str, *, may_lack: bool = False) -> list[str]:
+        """The lines of an answer. One that `may_lack` the command may refuse it, unless it is the words behind it or
+        the right to give it that the refusal names; or say nothing.
+        """
         while not replies.empty():
             replies.get_nowait()
         send(text.encode("ascii") + b"\n")
@@ -41,10 +47,12 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
                 break
             if text_line == optoncdt.PROMPT:
                 bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)
-                if bad:
+                if bad and (not may_lack or _KNOWN_COMMAND.search(bad)):
                     raise DeviceError(f"{device}: {text!r} refused: {bad}. Check rate and output words in the rig file")
                 return lines
             lines.append(text_line)
+        if may_lack:
+            return lines
         raise DeviceError(
             f"{device} on {config.port}: no answer to {text!r} within {_ANSWER_S:g} s (got {lines}). "
             f"Is the baud rate {config.baud} and the sensor powered?"
@@ -65,15 +73,35 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
             f"{device}: rig file says range {config.range_m * 1e3:g} mm, the sensor {info['range_m'] * 1e3:g} mm "
             f"(serial {info['serial']}). Correct devices.{device}.range_m or plug in the right sensor"
         )
+    scaling = config.scaling or optoncdt.scaling_of(info["name"])
+    if scaling is None:
+        known = "; ".join(f"{', '.join(each.models)} as {key}" for key, each in optoncdt.SCALINGS.items())
+        raise DeviceError(
+            f"{device}: expected a sensor whose scaling is known, models {known}; got {info['name']!r} (serial "
+            f"{info['serial']}). If it has the scaling of one of these, set devices.{device}.scaling"
+        )
     command("OUTHOLD NONE")
+    command("OUTREDUCEDEVICE NONE", may_lack=True)  # samples left out look lost
+    command("MASTERMV NONE", may_lack=True)  # a zero set in the sensor shifts its words
     command(f"MEASRATE {config.rate_Hz / 1000:g}")
     command("OUTADD_RS422 COUNTER TIMESTAMP")
-    answer = next((x for x in command("GETOUTINFO_RS422") if x.upper().startswith("GETOUTINFO_RS422 ")), "")
-    words = optoncdt.parse_outinfo(answer)
-    if optoncdt.places_of(words) is None:
-        raise DeviceError(
-            f"{device}: expected distance, counter and timestamp among its output words, got {' '.join(words)}: "
-            "does its firmware know OUTADD_RS422 COUNTER TIMESTAMP?"
-        )
+    words = config.output_words or _told_words(device, command("GETOUTINFO_RS422"))
     command("OUTPUT RS422")
-    return {**info, "words": list(words)}
+    return {**info, "scaling": scaling, "words": list(words)}
+
+
+def _told_words(device: str, answer: Sequence[str]) -> tuple[str, ...]:
+    """The output words of an answer to GETOUTINFO_RS422; an echo or a warning may stand beside the line that counts.
+
+    Raises:
+        DeviceError: no line has distance, counter and timestamp.
+    """
+    told = [words for line in answer if (words := optoncdt.announced(line)) is not None]
+    readable = [words for words in told if optoncdt.places_of(words) is not None]
+    if not readable:
+        raise DeviceError(
+            f"{device}: expected distance, counter and timestamp among its output words, got {list(answer)!r:.200} in "
+            "answer to GETOUTINFO_RS422: does its firmware know OUTADD_RS422 COUNTER TIMESTAMP? If these words are in "
+            f"its stream by other names, set devices.{device}.words, in stream order"
+        )
+    return readable[-1]

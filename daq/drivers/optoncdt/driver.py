@@ -23,7 +23,7 @@ class OptoNcdt:
 
     name = "optoncdt"
     settings = Laser
-    rest_s = 0.015
+    rest_s = 0.01
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
     claims = frozenset({"counts exactly"})
 

@@ -50,7 +50,9 @@ class SimulatedLaser(FarEnd):
         self.fault_code: int | None = None
         self._next = 0  # number of the next sample on the device's clock
         self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
-        self._info = optoncdt.Info(name="ILD1420", serial=serial, range_m=config.range_m, version="001.019")
+        model = config.scaling or optoncdt.USUAL_SCALING
+        self._scaling = optoncdt.SCALINGS[model]
+        self._info = optoncdt.Info(name=model, serial=serial, range_m=config.range_m, version="001.019")
         self._commands = self._fresh_commands()
 
     def _fresh_commands(self) -> SensorCommands:
@@ -124,7 +126,7 @@ class SimulatedLaser(FarEnd):
         self, seen: NDArray[np.floating], counter: NDArray[np.int_], device_s: NDArray[np.floating]
     ) -> NDArray[np.uint32]:
         half = 0.5 * self._config.range_m
-        codes = optoncdt.code(np.clip(seen, -half, half) + half, self._config.range_m).astype(np.int64)
+        codes = optoncdt.code(np.clip(seen, -half, half) + half, self._config.range_m, self._scaling).astype(np.int64)
         codes[seen > half] = _ERROR_BEHIND
         codes[seen < -half] = _ERROR_BEFORE
         if self.fault_code is not None:

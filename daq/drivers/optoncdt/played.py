@@ -74,7 +74,7 @@ class PlayedLaser(PlayedDevice):
     expects = "OUTPUT RS422"
 
     def __init__(self, identity: Mapping[str, Any], config: Laser) -> None:
-        words = identity.get("words", DEFAULT_WORDS)
+        words = identity.get("words", config.output_words or DEFAULT_WORDS)
         if not isinstance(words, list | tuple) or not words or not all(_is_word(word) for word in words):
             raise LogError(f"identities.json: expected names of output words as the sensor gives them, got {words!r}")
         super().__init__(WholeBlocks(len(words)))
@@ -104,8 +104,12 @@ def _is_word(word: object) -> bool:
 
 def _told(identity: Mapping[str, Any], config: Laser) -> optoncdt.Info:
     """What the sensor said of itself when it was asked; a range corrected afterwards is not what it says."""
+    scaling = identity.get("scaling", config.scaling or optoncdt.USUAL_SCALING)
+    if not isinstance(scaling, str) or scaling not in optoncdt.SCALINGS:
+        raise LogError(f"identities.json: expected a scaling, one of {', '.join(optoncdt.SCALINGS)}, got {scaling!r}")
     range_m = identity.get("told_range_m", identity.get("range_m", config.range_m))
     if not isinstance(range_m, int | float) or not 0 < range_m < 100:
         raise LogError(f"identities.json: expected a measuring range in m, got {range_m!r}")
-    name, serial, version = (str(identity.get(key, _UNKNOWN)) for key in ("name", "serial", "version"))
+    serial, version = (str(identity.get(key, _UNKNOWN)) for key in ("serial", "version"))
+    name = str(identity.get("name", scaling))  # a host must find the scaling by it
     return optoncdt.Info(name=name, serial=serial, range_m=float(range_m), version=version)

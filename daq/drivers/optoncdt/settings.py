@@ -3,25 +3,48 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import Field, field_validator
 
 from rig_configs.device import DisplacementSettings
 
-_RATES_HZ = (250, 500, 1000, 2000, 4000)
+_TIMESTAMP = ("TIMESTAMP_LO", "TIMESTAMP_HI")
+
+Word = Annotated[str, Field(strict=True, pattern=r"^[A-Z0-9_]{1,40}$")]
 
 
-def _measurable(rate_Hz: float) -> float:
-    if rate_Hz not in _RATES_HZ:
-        raise ValueError(f"expected one of the sensor's rates, {', '.join(map(str, _RATES_HZ))} Hz")
-    return rate_Hz
+def _halves(words: tuple[str, ...]) -> tuple[str, ...]:
+    """The values of a block; a timestamp is two, low half first."""
+    return tuple(each for word in words for each in (_TIMESTAMP if word == "TIMESTAMP" else (word,)))
 
 
 class Laser(DisplacementSettings):
-    """An optoNCDT displacement sensor on its serial line."""
+    """An optoNCDT displacement sensor on its serial line.
+
+    rate_Hz is one that its model has, 250, 500, 1000, 2000 or 4000 for an ILD1420; another is refused by the sensor.
+    scaling is the model by whose formula its distance words are read; without it the name that the sensor gives tells.
+    words are the outputs in stream order, DIST, COUNTER and TIMESTAMP among them; without them the sensor is asked.
+    """
 
     names_its_channel: ClassVar[bool] = True
 
     baud: Annotated[int, Field(ge=9600, le=1_000_000)] = 921_600
-    rate_Hz: Annotated[float, AfterValidator(_measurable)] = 4000.0
+    rate_Hz: Annotated[float, Field(ge=10, le=50_000)] = 4000.0
+    scaling: Literal["ILD1420", "ILD1900"] | None = None
+    words: Annotated[tuple[Word, ...], Field(strict=False, max_length=31)] = ()
+
+    @property
+    def output_words(self) -> tuple[str, ...]:
+        """Names of a block's values, as in the identity; none where the sensor is to be asked."""
+        return _halves(self.words)
+
+    @field_validator("words")
+    @classmethod
+    def _give_samples(cls, words: tuple[str, ...]) -> tuple[str, ...]:
+        values = _halves(words)
+        if words and (len({*values}) != len(values) or not {"DIST", "COUNTER", *_TIMESTAMP} <= {*values}):
+            raise ValueError(
+                f"expected the outputs in stream order, each once, DIST, COUNTER and TIMESTAMP among them, got {words}"
+            )
+        return words

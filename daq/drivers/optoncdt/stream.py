@@ -30,15 +30,17 @@ class LaserPipeline:
     """optoNCDT bytes to displacement of the disk centre, with counted gaps.
 
     Raises:
-        DeviceError: the identity's range or words are none.
+        DeviceError: the identity's range, scaling or words are none.
     """
 
     def __init__(self, device: str, config: Laser, channel: channels.Channel, identity: Mapping[str, Any]) -> None:
         self.losses = {"samples": 0, "bytes": 0, "damaged": 0, "invalid": 0, "suspect": 0, "unusable": 0}
         self._device, self._channel = device, channel
         self._range_m = _range(device, identity.get("range_m", config.range_m))
+        usual = config.scaling or optoncdt.USUAL_SCALING  # logs of earlier versions do not tell
+        self._scaling = _scaling(device, identity.get("scaling", usual))
         self._to_disk = 1.0 / config.lever_ratio
-        words = _words(device, identity.get("words", DEFAULT_WORDS))
+        words = _words(device, identity.get("words", config.output_words or DEFAULT_WORDS))
         self._decoder = optoncdt.StreamDecoder(words, heed_answers=True)
         self._places = optoncdt.places_of(words)
         self._trial: WordsTrial | None = None
@@ -62,7 +64,7 @@ class LaserPipeline:
         self._ticks = Unwrap(optoncdt.TIMESTAMP_WRAP)
         self._clock = ClockMap(self._tolerance_ppm, self._rules)
         self._last: tuple[int, int] | None = None  # counter and ticks, these unwrapped
-        self._spikes = SpikeWatch()
+        self._spikes = SpikeWatch(self._scaling.most)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -184,7 +186,7 @@ class LaserPipeline:
         time_ns = self._clock.map(ticks * 10_000, host_ns)
         out = [] if gapless else self._gaps(before, counter, ticks, time_ns)
         code = np.ascontiguousarray(rows.code, np.uint32)
-        displacement, invalid = measure(code, self._range_m, self._to_disk)
+        displacement, invalid = measure(code, self._range_m, self._to_disk, self._scaling)
         self.losses["invalid"] += invalid
         flags = self._spikes.feed(code, counter)
         columns = {
@@ -246,6 +248,15 @@ def _range(device: str, told: object) -> float:
     if isinstance(told, int | float) and not isinstance(told, bool) and math.isfinite(told) and told > 0:
         return float(told)
     raise DeviceError(f"{device}: expected a measuring range in m above 0 in its identity, got range_m {told!r:.80}")
+
+
+def _scaling(device: str, told: object) -> optoncdt.Scaling:
+    """The scaling that a sensor, or a log, says it has."""
+    if isinstance(told, str) and told in optoncdt.SCALINGS:
+        return optoncdt.SCALINGS[told]
+    raise DeviceError(
+        f"{device}: expected a scaling in its identity, one of {', '.join(optoncdt.SCALINGS)}, got {told!r:.80}"
+    )
 
 
 def _words(device: str, told: object) -> tuple[str, ...]:

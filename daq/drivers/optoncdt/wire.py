@@ -33,7 +33,7 @@ TIMESTAMP_WRAP = 2**32
 TICK_S = 1e-5
 """One timestamp tick, s."""
 CODE_MAX = 65520
-"""Largest distance code; anything above is an error code."""
+"""Largest distance code of an ILD1420; anything above is an error code."""
 
 OUT_OF_RANGE = (262077, 262078)
 """Codes of a target before or behind the measuring range."""
@@ -297,35 +297,70 @@ def encode_block(values: ArrayLike) -> bytes:
     return out.tobytes()
 
 
-def metres(code: ArrayLike, range_m: float) -> NDArray[np.float64]:
-    """Distance from the start of the measuring range, ILD1220/1320/1420/2300 without mastering.
+class Scaling(NamedTuple):
+    """What a distance word x means: d = (span / steps · x − zero) · range / whole, without mastering.
+
+    Attributes:
+        models: numbers of those that have it.
+        most: largest word that is a distance; anything above is an error code.
+        span, steps, zero, whole: of the formula.
+    """
+
+    models: tuple[str, ...]
+    most: int
+    span: float
+    steps: float
+    zero: float
+    whole: float
+
+
+SCALINGS = {
+    "ILD1420": Scaling(("1220", "1320", "1420", "2300"), CODE_MAX, 102.0, float(CODE_MAX), 1.0, 100.0),
+    "ILD1900": Scaling(("1750", "1900"), 230_604, 1.0, 1.0, 98_232.0, 65_536.0),
+}
+"""By a model that has it. Sources: ILD1420 manual, scaling of the 16-bit distance, −1 … 101 % of the range; for the
+ILD1750 and ILD1900, of 18 bits, the manuals of the IF2030 and IF2035 field-bus converters."""
+USUAL_SCALING = "ILD1420"
+"""Of a log that does not tell of any."""
+
+
+def scaling_of(name: str) -> str | None:
+    """The key in `SCALINGS` for what a sensor calls itself, like ``ILD1420-25``; None if its model is not known."""
+    model = re.search(r"(?<!\d)\d{4}(?!\d)", name)
+    return next((key for key, scaling in SCALINGS.items() if model and model[0] in scaling.models), None)
+
+
+def metres(code: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SCALING]) -> NDArray[np.float64]:
+    """Distance from the start of the measuring range.
 
     Args:
         code: distance words, any shape.
         range_m: measuring range, m.
+        scaling: of the sensor's model.
 
     Returns:
-        m, same shape; NaN where the word is above `CODE_MAX`, thus an error code.
-
-    Source: ILD1420 manual, scaling of the 16-bit distance: d = (102/65520·x − 1)·range/100.
+        m, same shape; NaN where the word is an error code.
     """
     words = np.asarray(code, np.float64)
-    return np.where(words <= CODE_MAX, (102.0 / CODE_MAX * words - 1.0) * range_m / 100.0, np.nan)
+    distance = (scaling.span / scaling.steps * words - scaling.zero) * range_m / scaling.whole
+    return np.where(words <= scaling.most, distance, np.nan)
 
 
-def code(metres: ArrayLike, range_m: float) -> NDArray[np.uint32]:
+def code(metres: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SCALING]) -> NDArray[np.uint32]:
     """Distance word a sensor would send; the inverse of `metres` to half a step (range · 7.8e-6).
 
     Args:
         metres: distance from the start of the measuring range, m, any shape; NaN means that nothing is seen.
         range_m: measuring range, m.
+        scaling: of the sensor's model.
 
     Returns:
-        uint32, same shape; error code 262077 before −1 % and 262078 behind 101 % of the range, 262076 for NaN.
+        uint32, same shape; error code 262077 before the first word that is a distance (ILD1420: −1 % of the range),
+        262078 behind the last (101 %), 262076 for NaN.
     """
     distance = np.asarray(metres, np.float64)
-    exact = np.rint((distance * 100.0 / range_m + 1.0) * (CODE_MAX / 102.0))
-    words = np.where(exact < 0, _BEFORE_RANGE, np.where(exact > CODE_MAX, _BEHIND_RANGE, exact))
+    exact = np.rint((distance * scaling.whole / range_m + scaling.zero) * (scaling.steps / scaling.span))
+    words = np.where(exact < 0, _BEFORE_RANGE, np.where(exact > scaling.most, _BEHIND_RANGE, exact))
     return np.where(np.isnan(exact), _NO_PEAK, words).astype(np.uint32)
 
 

@@ -23,7 +23,7 @@ class Riftek:
 
     name = "riftek"
     settings = RiftekLaser
-    rest_s = 0.015
+    rest_s = 0.01
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
 
     def line(self, settings: RiftekLaser) -> Line:

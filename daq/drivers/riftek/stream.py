@@ -67,20 +67,20 @@ class _Waiting:
         self.parts = [rows]
         self.count = len(rows.code)
         self.excess_ns = excess_ns
-        self._since_ns, self._reads = host_ns, 1
+        self._since_ns, self.reads = host_ns, 1
 
     def add(self, rows: _Rows, excess_ns: float, host_ns: int, guard_ns: float) -> None:
         """Take the next read; one that is less late begins the wait anew: the host is catching up."""
         self.parts.append(rows)
         self.count += len(rows.code)
         if excess_ns < self.excess_ns - guard_ns:
-            self._since_ns, self._reads = host_ns, 0
+            self._since_ns, self.reads = host_ns, 0
         self.excess_ns = min(self.excess_ns, excess_ns)
-        self._reads += 1
+        self.reads += 1
 
     def over(self, host_ns: int) -> bool:
         """Whether it has been waited for long enough."""
-        return self._reads >= _WAIT_READS and host_ns - self._since_ns >= _WAIT_NS
+        return self.reads >= _WAIT_READS and host_ns - self._since_ns >= _WAIT_NS
 
     def rows(self, missing: int) -> _Rows:
         """All of them, with results missing before the first."""
@@ -126,6 +126,8 @@ class RiftekPipeline:
         if direction == TX:
             self._decoder.expect(wire.awaited(data))
             return self._release(0, host_ns) if self._waiting is not None else []
+        if not data:
+            return self._ended(host_ns)
         found = self._decoder.feed(data)
         out: Items = [Event("reply", self._device, answer.hex()) for answer in found.answers]
         if found.skipped_bytes:
@@ -182,6 +184,14 @@ class RiftekPipeline:
         out = self._hand_out(rows.part(0, first), host_ns, late=True) if first else []
         self._waiting = _Waiting(rows.part(first, None), excess, host_ns)
         return out
+
+    def _ended(self, host_ns: int) -> Items:
+        """Hand out what waits: behind a gap, unless a single read alone was late, which may have been the host."""
+        waiting = self._waiting
+        if waiting is None:
+            return []
+        missing = self._arrears.missing(waiting.excess_ns) if waiting.reads > 1 else 0
+        return self._release(missing, host_ns, late=not missing)
 
     def _release(self, missing: int, host_ns: int, *, late: bool = False) -> Items:
         assert self._waiting is not None

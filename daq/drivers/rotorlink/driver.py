@@ -88,7 +88,7 @@ class RotorLink:
         """See MovesLocks."""
         from daq.drivers.rotorlink.locks import NodeLocks  # noqa: PLC0415
 
-        return NodeLocks(send, clock)
+        return NodeLocks(send, clock, settings.node)
 
 
 DRIVER = RotorLink()

@@ -11,7 +11,7 @@ from daq.drivers.rotorlink import wire
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
 
-_NODE = 1
+_USUAL_NODE = 1
 _TRIES, _TRY_S, _LOOK_S = 20, 0.15, 0.02  # wall seconds
 _ACCEPTED, _ALREADY = 0, 4
 
@@ -22,22 +22,27 @@ class NodeLocks:
     Args:
         send: writes bytes to the node's dongle.
         clock: for the waits.
+        node: the number of the node; None for the one that is heard, which says so where it is not 1.
     """
 
-    def __init__(self, send: Callable[[bytes], None], clock: HostClock) -> None:
+    def __init__(self, send: Callable[[bytes], None], clock: HostClock, node: int | None = None) -> None:
         self._send, self._clock = send, clock
+        self._node = _USUAL_NODE if node is None else node
         self._acknowledges: queue.Queue[Event] = clock.queue()
         # The node remembers the seq of past commands, also those of an earlier session, and acts once on each.
         self._seq = clock.now_ns() // 1_000_000 & 0x7FFF
 
     def heard(self, event: Event) -> None:
         """See PendulumLocks."""
+        if "node" in event.facts:
+            self._node = event.facts["node"]
+            return
         self._acknowledges.put(event)
 
     def command(self, action: str, check: Callable[[], None]) -> None:
         """See PendulumLocks; a lost frame is repeated with its seq."""
         self._seq = (self._seq + 1) & 0x7FFF
-        payload = wire.Command(_NODE, self._seq, wire.ACTIONS[action]).pack()
+        payload = wire.Command(self._node, self._seq, wire.ACTIONS[action]).pack()
         for _ in range(_TRIES):
             self._transmit(payload)
             deadline = self._clock.wall_s() + _TRY_S
@@ -64,7 +69,8 @@ class NodeLocks:
         """
         if event.facts["command_seq"] != self._seq:
             return False
-        if event.facts["result"] in (_ACCEPTED, _ALREADY):
+        result = event.facts["result"]
+        if result == _ACCEPTED or (result == _ALREADY and action != "zero"):  # not zeroed: not locked
             return True
         raise DeviceError(f"the node refuses {action!r}: {event.text}")
 

@@ -5,6 +5,8 @@ and its CRC-16/CCITT-FALSE, little endian like every number here. Each body star
 seq u16, which counts the sender's frames of all types; a gap in it is lost frames, a repeat is dropped.
 """
 
+from __future__ import annotations
+
 import binascii
 import struct
 from dataclasses import dataclass, field
@@ -36,11 +38,27 @@ RESULTS = (
 
 
 class BadFrame(ValueError):
-    """A payload is no frame; `reason` is ``crc``, ``type`` or ``length``."""
+    """A payload is no frame; `reason` is ``crc``, ``type`` or ``length``.
 
-    def __init__(self, reason: str, text: str) -> None:
+    Attributes:
+        skipped: what is known of it where its CRC is right.
+    """
+
+    def __init__(self, reason: str, text: str, skipped: Skipped | None = None) -> None:
         super().__init__(text)
-        self.reason = reason
+        self.reason, self.skipped = reason, skipped
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A frame with a right CRC that means nothing here: its sender has counted it."""
+
+    kind: int
+    node: int
+    seq: int
+
+    DONGLES: ClassVar[range] = range(0x20, 0x30)
+    NODES: ClassVar[range] = range(0x10, 0x20)
 
 
 def crc16(body: bytes) -> int:
@@ -237,7 +255,7 @@ class Wrapped:
     Attributes:
         dongle_time_us: dongle time at reception, µs, wraps at 2**32.
         rssi_dbm: signal strength of this frame, dBm.
-        inner: the node's frame, None when it is damaged.
+        inner: the node's frame, None when it is damaged; a `Skipped` one is in `damaged` too.
         damaged: the inner payload as received when it is no frame, else empty.
         damage: why it is none, as in `BadFrame.reason`.
     """
@@ -249,18 +267,18 @@ class Wrapped:
     seq: int
     dongle_time_us: int
     rssi_dbm: int
-    inner: NodeFrame | None
+    inner: NodeFrame | Skipped | None
     damaged: bytes = b""
     damage: str = ""
 
     def pack(self) -> bytes:
         """The payload: body and CRC."""
-        inner = self.damaged if self.inner is None else self.inner.pack()
+        inner = self.damaged if self.inner is None or isinstance(self.inner, Skipped) else self.inner.pack()
         head = self.HEAD.pack(self.TYPE, self.node, self.seq, self.dongle_time_us, self.rssi_dbm)
         return encode_frame(head + inner)
 
 
-Frame = NodeFrame | DongleStatus | Wrapped | Command | Ping
+Frame = NodeFrame | DongleStatus | Wrapped | Command | Ping | Skipped
 _NODE_CLASSES: dict[int, Any] = {kind.TYPE: kind for kind in (Status, LockEvent, Pong, IndexMark, Acknowledge)}
 _ALL_CLASSES = _NODE_CLASSES | {kind.TYPE: kind for kind in (DongleStatus, Command, Ping)}
 
@@ -275,13 +293,18 @@ def _checked_body(payload: bytes, limit: int) -> bytes:
     return body
 
 
+def _skipped(body: bytes) -> Skipped:
+    return Skipped(body[0], body[1], int.from_bytes(body[2:4], "little"))
+
+
 def _parse_body(body: bytes, layouts: dict[int, Any]) -> Any:
     """The frame of a constant-size body, by its type."""
     kind = layouts.get(body[0])
     if kind is None:
-        raise BadFrame("type", f"expected a type of {sorted(map(hex, layouts))}, got {body[0]:#04x}")
+        raise BadFrame("type", f"expected a type of {sorted(map(hex, layouts))}, got {body[0]:#04x}", _skipped(body))
     if len(body) != kind.LAYOUT.size:
-        raise BadFrame("length", f"expected {kind.LAYOUT.size} bytes for {kind.__name__}, got {len(body)}")
+        text = f"expected {kind.LAYOUT.size} bytes for {kind.__name__}, got {len(body)}"
+        raise BadFrame("length", text, _skipped(body))
     return kind(*kind.LAYOUT.unpack(body)[1:])
 
 
@@ -289,7 +312,8 @@ def _parse_encoder(body: bytes) -> EncoderBlock:
     head = EncoderBlock.HEAD
     samples = body[head.size - 2] if len(body) >= head.size else 0
     if not 1 <= samples <= MAX_SAMPLES or len(body) != head.size + 8 * samples:
-        raise BadFrame("length", f"expected 1 … {MAX_SAMPLES} samples of 8 bytes, got {samples} in {len(body)} bytes")
+        text = f"expected 1 … {MAX_SAMPLES} samples of 8 bytes, got {samples} in {len(body)} bytes"
+        raise BadFrame("length", text, _skipped(body))
     _, node, seq, first_index, node_time_us, period_us, _, flags = head.unpack_from(body)
     counts = np.frombuffer(body, COUNTS_DTYPE, offset=head.size).reshape(samples, 2)
     return EncoderBlock(node, seq, first_index, node_time_us, period_us, flags, counts)
@@ -323,7 +347,8 @@ def parse(payload: bytes) -> Frame:
     try:
         return Wrapped(*head, inner=parse_node(rest))
     except BadFrame as fault:
-        return Wrapped(*head, inner=None, damaged=rest, damage=fault.reason)
+        own = fault.skipped is not None and fault.skipped.kind in Skipped.NODES
+        return Wrapped(*head, inner=fault.skipped if own else None, damaged=rest, damage=fault.reason)
 
 
 @dataclass(frozen=True)
@@ -331,7 +356,8 @@ class Decoded:
     """What one `FrameDecoder.feed` found.
 
     Attributes:
-        frames: sound frames in order; a `Wrapped` around a damaged payload is one of them.
+        frames: sound frames in order; a `Wrapped` around a damaged payload is one of them, and so is a `Skipped` one,
+            which is in `bad` too.
         bad: reason and bytes of what was no frame; ``inner …`` reasons belong to a `Wrapped` that is in `frames`.
     """
 
@@ -384,9 +410,11 @@ def _decode_run(run: bytes, found: Decoded) -> None:
         frame = parse(payload)
     except BadFrame as fault:
         found.bad.append((fault.reason, payload))
+        if fault.skipped is not None:
+            found.frames.append(fault.skipped)
         return
     found.frames.append(frame)
-    if isinstance(frame, Wrapped) and frame.inner is None:
+    if isinstance(frame, Wrapped) and frame.damage:
         found.bad.append((f"inner {frame.damage}", frame.damaged))
 
 
@@ -409,14 +437,24 @@ class SequenceCounter:
         """The sender started again: the next seq follows nothing. The totals stay."""
         self._last = None
 
-    def feed(self, seq: int) -> tuple[int, bool]:
+    def go_on(self, seq: int) -> int:
+        """Take the next seq behind a long silence; returns the frames lost, but for multiples of 65536."""
+        lost = 0 if self._last is None else (seq - self._last - 1) & 0xFFFF
+        self._last = seq
+        self.lost += lost
+        return lost
+
+    def feed(self, seq: int, *, again: bool = False) -> tuple[int, bool]:
         """Take the seq of the next frame.
+
+        Args:
+            again: what it holds was sent before: a seq of long ago is no new beginning.
 
         Returns:
             Frames lost just before it, and whether it is a repeat to be dropped.
         """
         step = 1 if self._last is None else (seq - self._last) & 0xFFFF
-        if step == 0 or step >= 0x10000 - self.LATE:
+        if step == 0 or step >= (0x8000 if again else 0x10000 - self.LATE):
             self.repeats += 1
             return 0, True
         self._last = seq

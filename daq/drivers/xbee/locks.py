@@ -27,7 +27,7 @@ class XBeeLocks(NodeLocks):
     """
 
     def __init__(self, config: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> None:
-        super().__init__(send, clock)
+        super().__init__(send, clock, config.node)
         self._address = wire.Address.parse(config.node_address)
         self._escaped, self._legacy = config.api_mode == 2, config.legacy_transmit
         self._frame_id = 0

@@ -40,6 +40,8 @@ class XBeePipeline(NodePipeline):
         """See Pipeline."""
         if direction == TX:
             return []
+        if not data:
+            return self.waited()
         out: list[Batch | Event] = []
         for found in self._line.feed(data):
             if isinstance(found, framing.Damage):
@@ -80,7 +82,10 @@ class XBeePipeline(NodePipeline):
         try:
             inner = rotorlink.parse_node(frame.payload)
         except rotorlink.BadFrame as fault:
-            return [self.damaged(f"payload {fault.reason}")]
+            numbered = (
+                [] if fault.skipped is None or fault.skipped.kind not in rotorlink.Skipped.NODES else [fault.skipped]
+            )
+            return [self.damaged(f"payload {fault.reason}"), *self.take(numbered, host_ns)]
         return self.take([inner], host_ns)
 
     def _stranger(self, text: str, facts: Mapping[str, Any]) -> list[Batch | Event]:

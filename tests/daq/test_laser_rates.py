@@ -1,0 +1,124 @@
+"""Any rate a model may have is set, refused by the sensor if it cannot, and read with exact losses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from daq import channels
+from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt.settings import Laser
+from daq.drivers.optoncdt.stream import LaserPipeline
+from daq.errors import DeviceError
+from tests.daq.hand_made_laser import HandMadeLaser
+
+START_NS = 1_700_000_000_000_000_000
+RATES_HZ = (10.0, 250.0, 300.0, 333.3, 375.0, 1500.0, 2500.0, 4000.0, 7500.0, 10_000.0, 20_000.0, 30_000.0, 49_020.0,
+            50_000.0)  # fmt: skip
+
+
+def laser(rate_Hz: float) -> LaserPipeline:
+    config = Laser.model_validate({"driver": "optoncdt", "port": "p", "axis": "x", "rate_Hz": rate_Hz})
+    return LaserPipeline("laser_x", config, channels.LASER_X, {})
+
+
+def blocks(counters: np.ndarray, rate_Hz: float, tick0: int = 0) -> bytes:
+    ticks = tick0 + np.floor(counters * (1e5 / rate_Hz)).astype(np.int64)
+    columns = [np.full(len(counters), 30_000), counters % optoncdt.COUNTER_WRAP, ticks & 0xFFFF, ticks >> 16 & 0xFFFF]
+    return optoncdt.encode_block(np.column_stack(columns).astype(np.uint32))
+
+
+def read(
+    counters: np.ndarray, rate_Hz: float, tick0: int, sizes: list[int]
+) -> tuple[list[int], list[Event], dict[str, int]]:
+    """Counters that came out, events, losses; bytes come in pieces of these sizes, when they are made."""
+    pipeline, wire = laser(rate_Hz), blocks(counters, rate_Hz, tick0)
+    found: list[int] = []
+    events: list[Event] = []
+    at = turn = 0
+    while at < len(wire):
+        end = min(at + sizes[turn % len(sizes)], len(wire))
+        newest = counters[(end - 1) // 12] - counters[0]
+        for item in pipeline.feed(RX, wire[at:end], START_NS + round(newest / rate_Hz * 1e9)):
+            if isinstance(item, Batch):
+                found += item.columns["counter"].tolist()
+            else:
+                events.append(item)
+        at, turn = end, turn + 1
+    return found, events, pipeline.losses
+
+
+@pytest.mark.parametrize("rate_Hz", RATES_HZ)
+@pytest.mark.parametrize("lost", [0, 1, 2, 9, 300])
+def test_at_every_rate_losses_are_exact(rate_Hz: float, lost: int) -> None:
+    lost = min(lost, int(20 * rate_Hz))  # a gap of more than 30 s within one read would be a restart
+    counters = np.concatenate([np.arange(262_000, 263_000), np.arange(263_000 + lost, 264_000 + lost)])
+    for size in (12 * 40, 77, 5000):
+        found, events, losses = read(counters, rate_Hz, 2**32 - 60_000, [size])
+        assert found == (counters % optoncdt.COUNTER_WRAP).tolist()
+        assert losses == {**dict.fromkeys(losses, 0), "samples": lost}
+        assert [event.kind for event in events] == ["gap"] * (lost > 0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.one_of(st.sampled_from(RATES_HZ), st.floats(10.0, 50_000.0)), st.integers(0, 2**32 - 1),
+    st.lists(st.integers(0, 700), min_size=1, max_size=4), st.lists(st.integers(1, 2000), min_size=1, max_size=5),
+)  # fmt: skip
+@example(49_020.0, 0, [1, 1, 1], [12])
+@example(7500.0, 2**32 - 3, [2, 0, 5], [12, 500])
+def test_at_any_rate_nothing_is_lost_that_was_not(
+    rate_Hz: float, tick0: int, lost: list[int], sizes: list[int]
+) -> None:
+    lost = [min(each, int(20 * rate_Hz)) for each in lost]
+    starts = 1000 + np.cumsum([0, *(200 + np.array(lost))])
+    counters = np.concatenate([start + np.arange(200) for start in starts])
+    found, events, losses = read(counters, rate_Hz, tick0, sizes)
+    assert found == (counters % optoncdt.COUNTER_WRAP).tolist()
+    assert losses == {**dict.fromkeys(losses, 0), "samples": sum(lost)}
+    assert {event.kind for event in events} <= {"gap"}
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(RATES_HZ), st.integers(300, 600), st.integers(0, 11))
+def test_at_any_rate_a_lost_byte_costs_at_most_two_samples(rate_Hz: float, block: int, byte: int) -> None:
+    counters = np.arange(1000)
+    pipeline, wire = laser(rate_Hz), bytearray(blocks(counters, rate_Hz))
+    del wire[12 * block + byte]
+    found: list[int] = []
+    for at in range(0, len(wire), 480):
+        for item in pipeline.feed(RX, bytes(wire[at : at + 480]), START_NS + round(at / 12 / rate_Hz * 1e9)):
+            if isinstance(item, Batch):
+                found += item.columns["counter"].tolist()
+    assert set(found) <= set(counters.tolist())
+    assert len(found) + pipeline.losses["samples"] == 1000
+    assert pipeline.losses["samples"] <= 2
+
+
+# --- settings and set-up -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rate_Hz", "said"), [(300.0, "0.3"), (1500, "1.5"), (7500.0, "7.5"), (49_020.0, "49.02"), (20_000, "20")]
+)
+def test_the_rate_is_asked_for_in_kHz(rate_Hz: float, said: str) -> None:
+    sensor = HandMadeLaser()
+    sensor.set_up(rate_Hz=rate_Hz)
+    assert f"MEASRATE {said}" in sensor.heard
+
+
+def test_a_rate_the_sensor_has_not_is_refused_in_its_own_words() -> None:
+    sensor = HandMadeLaser(answers={"MEASRATE": "E230 Unknown parameter"})
+    with pytest.raises(DeviceError, match=r"laser_x: 'MEASRATE 7\.5' refused: E230 Unknown parameter\. Check rate"):
+        sensor.set_up(rate_Hz=7500)
+    assert "OUTPUT RS422" not in sensor.heard
+
+
+@pytest.mark.parametrize("rate_Hz", [0, -1.0, 0.1, 60_000, float("nan"), float("inf"), "4 kHz", True])
+def test_a_rate_that_is_none_is_refused_by_the_rig_file(rate_Hz: object) -> None:
+    with pytest.raises(ValidationError, match="rate_Hz"):
+        Laser.model_validate({"driver": "optoncdt", "port": "p", "axis": "x", "rate_Hz": rate_Hz})
