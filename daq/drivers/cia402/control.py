@@ -25,7 +25,11 @@ from daq.transports.host_clock import HostClock, Repeated
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets is said by us, in our words
 
+_RAMP_S = 10
 _SETUP_WAIT_S = 0.3  # wall seconds to wait for an SDO answer
+_DOWNLOAD, _UPLOAD = 1, 2  # command specifiers of CiA 301
+_RESET_S = 0.1  # wall seconds between two attempts to reset a fault
+_HEED_S = 0.3  # wall seconds that a drive has to heed a quick stop
 _WORD_S = 0.5  # wall seconds after which the drive's word is too old
 
 
@@ -56,13 +60,21 @@ class _SdoClient(SdoClient):
         super().__init__(cia402.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
         self.network = network
         self.responses: queue.Queue[bytes] = clock.queue()
+        self._asked = b""  # index and sub-index, as they stand in a request
         network.subscribe(answers, self.on_response)
+
+    def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """Take an answer, unless it is late and of another object, or of an order that was not waited for."""
+        if bytes(data[1:4]) == self._asked or not self._asked:
+            super().on_response(can_id, data, timestamp)
 
     def request_response(self, sdo_request: bytes) -> bytes:
         """Send a request and wait for its answer; one that comes late is not taken for the next one's."""
         with contextlib.suppress(queue.Empty):
             while True:
                 self.responses.get_nowait()
+        initiates = sdo_request[0] >> 5 in (_DOWNLOAD, _UPLOAD)  # what follows names no object
+        self._asked = bytes(sdo_request[1:4]) if initiates else b""
         self.send_request(sdo_request)
         try:
             return self.read_response()
@@ -109,6 +121,9 @@ class DriveControl:
         self.was_reset = ""  # what enable found and reset, for whoever runs the rig
         self.emergencies: list[int] = []
         self._armed = False
+        self._network_state: cia402.Heartbeat | None = None
+        self._started_again = False
+        self._stopping_s: float | None = None  # since when a drive out of operation was told to stop, wall s
 
     def notice(self, pipeline: Pipeline) -> None:
         """See SpeedSource."""
@@ -130,8 +145,10 @@ class DriveControl:
             elif identifier == cia402.cob_emergency(node) and len(data) == 8:
                 code = cia402.unpack_emergency(data).error_code
                 self.emergencies = [*self.emergencies, code] if code else []
-            elif identifier == cia402.cob_heartbeat(node) and cia402.heartbeat(data) == cia402.Heartbeat.BOOT_UP:
-                self._statusword = None
+            elif identifier == cia402.cob_heartbeat(node) and (state := cia402.heartbeat(data)) is not None:
+                self._network_state = state
+                if state == cia402.Heartbeat.BOOT_UP:
+                    self._statusword, self._started_again = None, True
 
     @property
     def actual_rpm(self) -> float:
@@ -156,6 +173,7 @@ class DriveControl:
             DeviceError: the drive does not answer or refuses a setting.
         """
         c = self._config
+        self._started_again, self._stopping_s = False, None
         rate = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}[c.bitrate]
         self._bus_open = True
         self._send(b"\rC\r" + rate + b"\rO\r")
@@ -184,10 +202,20 @@ class DriveControl:
 
     def set_ramp(self, rpm_per_s: float) -> None:
         """Ramp for speeding up and slowing down, rpm/s."""
-        seconds = 10  # resolution of 0.1 rpm/s
-        for index in (0x6048, 0x6049):
+        for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
+            seconds = self._ramp_seconds(index)
             self._write(index, 1, max(1, round(rpm_per_s * seconds)), 4)
-            self._write(index, 2, seconds, 2)
+
+    def _ramp_seconds(self, index: int) -> int:
+        """The time of a ramp: 10 s, for a resolution of 0.1 rpm/s, or the drive's own where it cannot be changed."""
+        try:
+            self._write(index, 2, _RAMP_S, 2)
+        except DeviceError:
+            with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
+                if own := int.from_bytes(self._sdo.upload(index, 2)[:2], "little"):
+                    return own
+            raise
+        return _RAMP_S
 
     def enable(self) -> None:
         """Walk the state machine to OPERATION ENABLED with target speed 0.
@@ -201,8 +229,9 @@ class DriveControl:
         """
         deadline = self._clock.wall_s() + 3.0
         self._armed, self.dropped_out = False, None
+        self._check_watch()
         if self.state == cia402.FAULT:
-            self._reset_if_only_heartbeat()
+            self._reset_if_only_heartbeat(deadline)
         while self.state != cia402.OPERATION_ENABLED:
             self._guarded.permit(None)
             word = cia402.towards_operation(self.state)
@@ -215,6 +244,17 @@ class DriveControl:
                 )
             self._clock.wait(0.005)
         self._armed = True
+
+    def _check_watch(self) -> None:
+        """Nothing turns without the drive's own watch over our heartbeat: one that has started again has none."""
+        watched = 0
+        with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
+            watched = int.from_bytes(self._sdo.upload(cia402.CONSUMER_HEARTBEAT, 1)[:4], "little")
+        if self._started_again or not watched & 0xFFFF:
+            raise DeviceError(
+                "drive: it started again since it was set up, so it does not watch the host any more. Look at its "
+                "supply, then begin anew"
+            )
 
     def fault_code(self) -> int | None:
         """Why the drive stands in FAULT, by its own word; None when it tells nothing.
@@ -233,7 +273,7 @@ class DriveControl:
                 return cia402.HEARTBEAT_ERROR
         return None
 
-    def _reset_if_only_heartbeat(self) -> None:
+    def _reset_if_only_heartbeat(self, deadline_s: float) -> None:
         code = self.fault_code()
         if code != cia402.HEARTBEAT_ERROR:
             said = "it does not tell why" if code is None else f"its error code is 0x{code:04X}"
@@ -241,8 +281,10 @@ class DriveControl:
                 f"drive: it stands in FAULT, {said}. Look into its manual, mend the cause and reset it there"
             )
         self.was_reset = "the drive stood in FAULT because a host's heartbeat had stayed away (0x8130); it was reset"
-        self._pdo(cia402.DISABLE_VOLTAGE, 0)  # a reset is the bit's rising edge
-        self._pdo(cia402.FAULT_RESET, 0)
+        while self.state == cia402.FAULT and self._clock.wall_s() < deadline_s:
+            self._pdo(cia402.DISABLE_VOLTAGE, 0)  # a reset is the bit's rising edge; one may be refused
+            self._pdo(cia402.FAULT_RESET, 0)
+            self._clock.wait(_RESET_S)
 
     def set_speed(self, rpm: float) -> None:
         """Ramp to a speed (whole rpm on this drive's wire).
@@ -259,9 +301,24 @@ class DriveControl:
         self._pdo(cia402.SHUTDOWN, 0)
 
     def quick_stop(self) -> None:
-        """Stop as fast as the drive can."""
+        """Stop as fast as the drive can, in whatever network state it is.
+
+        Out of operation a drive heeds no process data. It is ordered through its objects, and into operation; one that
+        heeds neither is left to its own watch: the host's heartbeat ends.
+        """
         self._armed = False
         self._pdo(cia402.QUICK_STOP, 0)
+        if self._network_state in (None, cia402.Heartbeat.OPERATIONAL):
+            self._stopping_s = None
+            return
+        order = cia402.write_word(cia402.CONTROLWORD, cia402.QUICK_STOP)
+        self._network.send_message(cia402.cob_sdo_request(self._config.node_id), order)  # no time for an answer
+        self._network.send_message(0, bytes([NMT_START, self._config.node_id]))
+        self._pdo(cia402.QUICK_STOP, 0)
+        now_s = self._clock.wall_s()
+        self._stopping_s = now_s if self._stopping_s is None else self._stopping_s
+        if now_s - self._stopping_s > _HEED_S and self._beat is not None:
+            self._beat.stop(0.0)
 
     def why(self) -> str:
         """The emergencies that stand, in words for a message: code and meaning; empty without one."""
@@ -298,6 +355,8 @@ class DriveControl:
             rest = rest or self._rest(told)
             if rest and self._watched:
                 with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
+                    self._write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)  # confirmed, as no process data is
+                with contextlib.suppress(DeviceError):
                     self._write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
                 self._watched = False
         finally:

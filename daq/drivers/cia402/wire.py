@@ -102,6 +102,11 @@ def own_frames(frames: Sequence[CanFrame]) -> list[CanFrame]:
     return [frame for frame in frames if not (frame.extended or frame.remote)]
 
 
+def write_word(index: int, value: int) -> bytes:
+    """The request that writes a u16 to an object, sub-index 0 (CiA 301, expedited)."""
+    return struct.pack("<BHBHH", 0x2B, index, 0, value, 0)
+
+
 TPDO1_BYTES = 4
 
 
