@@ -226,7 +226,8 @@ class Session:
         bytes_in, losses = self._core.bytes_in[name], self._core.pipelines[name].losses
         lost = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in losses.items() if n)
         came = f"{bytes_in} bytes came, none of them a sample" if bytes_in else "silent"
-        return f"{name}: {came}{f' ({lost})' if lost else ''}. Look at its power, its settings and the rig file"
+        why = self.told(name)[1] or "Look at its power, its settings and the rig file"
+        return f"{name}: {came}{f' ({lost})' if lost else ''}. {why[:1].upper()}{why[1:]}"
 
     # --- bytes, and what the core makes of them ------------------------------------------------------------------
 

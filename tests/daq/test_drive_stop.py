@@ -33,7 +33,7 @@ class FarEnd:
         self.fixed: set[tuple[int, int]] = set()  # objects that cannot be written
         self.stray = b""  # an answer that comes before the right one
         self._lines, self._answers = slcan.LineDecoder(), slcan.LineDecoder()
-        self._sdo = SdoServer(drive_objects(), {}, self._written)
+        self._sdo = SdoServer(drive_objects(CONFIG.node_id), {}, self._written)
         guard = RotorGuard(lambda rpm: None, lambda: self.rpm == 0, lambda: abs(self.rpm))
         self.control = DriveControl(CONFIG, self.send, HostClock(), guard)
 

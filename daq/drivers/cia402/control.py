@@ -1,20 +1,15 @@
-"""The host's side of the motor drive: canopen's SDO client and NMT over our own recorded link, and the heartbeat."""
+"""The host's side of the motor drive: its set-up, its states, its speed and its stop, and the host's heartbeat."""
 
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
-import queue
 from collections.abc import Callable
-
-import can
-import canopen
-from canopen.sdo.client import ABORT_TIMED_OUT, SdoClient
-from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
+from daq.drivers.cia402.objects import NodeObjects
+from daq.drivers.cia402.process_data import map_process_data
 from daq.drivers.cia402.settings import Drive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard
@@ -23,64 +18,10 @@ from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock, Repeated
 
-logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets is said by us, in our words
-
 _RAMP_S = 10
-_SETUP_WAIT_S = 0.3  # wall seconds to wait for an SDO answer
-_DOWNLOAD, _UPLOAD = 1, 2  # command specifiers of CiA 301
 _RESET_S = 0.1  # wall seconds between two attempts to reset a fault
 _HEED_S = 0.3  # wall seconds that a drive has to heed a quick stop
 _WORD_S = 0.5  # wall seconds after which the drive's word is too old
-
-
-class _SendOnlyBus(can.BusABC):
-    """What canopen needs to send: frames leave as slcan text through the recorded link.
-
-    Received frames come to canopen from the link's reader thread (Network.notify), so there is no second reader.
-    """
-
-    def __init__(self, send: Callable[[bytes], None]) -> None:
-        super().__init__(channel="recorded link")
-        self._send_bytes = send
-        self._is_shutdown = True  # it owns no hardware: nothing to shut down, and no warning about it
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send one frame."""
-        frame = slcan.CanFrame(msg.arbitration_id, bytes(msg.data), msg.is_extended_id, msg.is_remote_frame)
-        self._send_bytes(slcan.encode(frame))
-
-
-class _SdoClient(SdoClient):
-    """canopen's client of a node's objects, whose wait for an answer is the host clock's."""
-
-    RESPONSE_TIMEOUT = _SETUP_WAIT_S
-
-    def __init__(self, node_id: int, network: canopen.Network, clock: HostClock) -> None:
-        answers = cia402.cob_sdo_answer(node_id)
-        super().__init__(cia402.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
-        self.network = network
-        self.responses: queue.Queue[bytes] = clock.queue()
-        self._asked = b""  # index and sub-index, as they stand in a request
-        network.subscribe(answers, self.on_response)
-
-    def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Take an answer, unless it is late and of another object, or of an order that was not waited for."""
-        if bytes(data[1:4]) == self._asked or not self._asked:
-            super().on_response(can_id, data, timestamp)
-
-    def request_response(self, sdo_request: bytes) -> bytes:
-        """Send a request and wait for its answer; one that comes late is not taken for the next one's."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self.responses.get_nowait()
-        initiates = sdo_request[0] >> 5 in (_DOWNLOAD, _UPLOAD)  # what follows names no object
-        self._asked = bytes(sdo_request[1:4]) if initiates else b""
-        self.send_request(sdo_request)
-        try:
-            return self.read_response()
-        except SdoCommunicationError:
-            self.abort(ABORT_TIMED_OUT)
-            raise
 
 
 class DriveControl:
@@ -107,13 +48,13 @@ class DriveControl:
         self._config, self._send, self._clock = config, send, clock
         self._guarded = guard or RotorGuard(
             permit=lambda rpm: None,
-            at_rest=lambda: None if math.isnan(self.actual_rpm) else self.actual_rpm == 0,
+            at_rest=lambda: None if math.isnan(self.actual_rpm) else abs(self.actual_rpm) <= config.rest_rpm,
             speed_rpm=lambda: abs(self.actual_rpm),
         )
-        self._network = canopen.Network(bus=_SendOnlyBus(send))
-        self._sdo = _SdoClient(config.node_id, self._network, clock)
+        self._objects = NodeObjects(config.node_id, send, clock)
         self._beat: Repeated | None = None
         self._bus_open = self._watched = self._ordered = False
+        self._run_word = cia402.ENABLE_OPERATION | (cia402.RAMP_BITS if config.ramp_bits else 0)
         self._statusword: int | None = None
         self._word_rpm = 0.0
         self._word_ns = 0
@@ -141,7 +82,7 @@ class DriveControl:
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
                     self.dropped_out = self.state
             elif identifier == cia402.cob_sdo_answer(node) and len(data) == 8:
-                self._network.notify(identifier, bytearray(data), self._clock.now_s())
+                self._objects.heed(data)
             elif identifier == cia402.cob_emergency(node) and len(data) == 8:
                 code = cia402.unpack_emergency(data).error_code
                 self.emergencies = [*self.emergencies, code] if code else []
@@ -179,41 +120,27 @@ class DriveControl:
         self._send(b"\rC\r" + rate + b"\rO\r")
         watchdog_ms = min(65535, round(self._clock.patience(c.heartbeat_timeout_ms)))
         self._start_heartbeat()  # before it is watched: a drive may miss it from the moment it is told to
-        self._write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
-        self._write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
+        self._objects.write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
+        self._objects.write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
         self._watched = True
-        self._write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
+        self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
         self.set_ramp(c.ramp_rpm_per_s)
-        self._network.send_message(0, bytes([NMT_START, c.node_id]))
-
-    def _write(self, index: int, sub: int, value: int, size: int) -> None:
-        for attempt in (1, 2, 3):
-            try:
-                self._sdo.download(index, sub, value.to_bytes(size, "little"))
-                return
-            except SdoCommunicationError as error:
-                if attempt == 3:
-                    raise DeviceError(
-                        f"drive: no answer to writing {index:04X}h sub {sub} after 3 tries ({error}). Is node "
-                        f"{self._config.node_id} powered, the bit rate right, the bus terminated?"
-                    ) from error
-            except SdoAbortedError as error:
-                raise DeviceError(f"drive: refused {value} at {index:04X}h sub {sub}: {error}") from error
+        map_process_data(self._objects, c.node_id)
+        self._objects.send(0, bytes([NMT_START, c.node_id]))
 
     def set_ramp(self, rpm_per_s: float) -> None:
         """Ramp for speeding up and slowing down, rpm/s."""
         for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
             seconds = self._ramp_seconds(index)
-            self._write(index, 1, max(1, round(rpm_per_s * seconds)), 4)
+            self._objects.write(index, 1, max(1, round(rpm_per_s * seconds)), 4)
 
     def _ramp_seconds(self, index: int) -> int:
         """The time of a ramp: 10 s, for a resolution of 0.1 rpm/s, or the drive's own where it cannot be changed."""
         try:
-            self._write(index, 2, _RAMP_S, 2)
+            self._objects.write(index, 2, _RAMP_S, 2)
         except DeviceError:
-            with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
-                if own := int.from_bytes(self._sdo.upload(index, 2)[:2], "little"):
-                    return own
+            if own := self._objects.read(index, 2):
+                return own
             raise
         return _RAMP_S
 
@@ -229,14 +156,14 @@ class DriveControl:
         """
         deadline = self._clock.wall_s() + 3.0
         self._armed, self.dropped_out = False, None
-        self._check_watch()
         if self.state == cia402.FAULT:
             self._reset_if_only_heartbeat(deadline)
+        self._check_watch()
         while self.state != cia402.OPERATION_ENABLED:
             self._guarded.permit(None)
             word = cia402.towards_operation(self.state)
             if word is not None:
-                self._pdo(word, 0)
+                self._pdo(self._run_word if word == cia402.ENABLE_OPERATION else word, 0)
             if self._clock.wall_s() > deadline:
                 raise DeviceError(
                     f"drive: expected OPERATION ENABLED, it stays in {self.state}{self.why()}. "
@@ -247,9 +174,7 @@ class DriveControl:
 
     def _check_watch(self) -> None:
         """Nothing turns without the drive's own watch over our heartbeat: one that has started again has none."""
-        watched = 0
-        with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
-            watched = int.from_bytes(self._sdo.upload(cia402.CONSUMER_HEARTBEAT, 1)[:4], "little")
+        watched = self._objects.read(cia402.CONSUMER_HEARTBEAT, 1) or 0
         if self._started_again or not watched & 0xFFFF:
             raise DeviceError(
                 "drive: it started again since it was set up, so it does not watch the host any more. Look at its "
@@ -262,14 +187,12 @@ class DriveControl:
         603Fh, where it has none 1003h, and where it has neither the register 1001h, when only the line is at fault.
         """
         for index, sub in ((cia402.ERROR_CODE, 0), (cia402.PREDEFINED_ERROR_FIELD, 1)):
-            try:
-                code = int.from_bytes(self._sdo.upload(index, sub)[:2], "little")
-            except (SdoAbortedError, SdoCommunicationError):
-                continue
-            if code:
-                return code
-        with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
-            if self._sdo.upload(cia402.ERROR_REGISTER, 0)[0] & ~0x01 == cia402.REGISTER_COMMUNICATION:
+            with contextlib.suppress(DeviceError):
+                if code := (self._objects.read(index, sub) or 0) & 0xFFFF:
+                    return code
+        with contextlib.suppress(DeviceError):
+            register = self._objects.read(cia402.ERROR_REGISTER, 0)
+            if register is not None and register & 0xFE == cia402.REGISTER_COMMUNICATION:
                 return cia402.HEARTBEAT_ERROR
         return None
 
@@ -293,7 +216,7 @@ class DriveControl:
             RigError: whatever `permit` raises.
         """
         self._guarded.permit(rpm)
-        self._pdo(cia402.ENABLE_OPERATION, round(rpm))
+        self._pdo(self._run_word, round(rpm))
 
     def disable(self) -> None:
         """Take the torque away; the rotor must be at rest."""
@@ -312,8 +235,8 @@ class DriveControl:
             self._stopping_s = None
             return
         order = cia402.write_word(cia402.CONTROLWORD, cia402.QUICK_STOP)
-        self._network.send_message(cia402.cob_sdo_request(self._config.node_id), order)  # no time for an answer
-        self._network.send_message(0, bytes([NMT_START, self._config.node_id]))
+        self._objects.send(cia402.cob_sdo_request(self._config.node_id), order)  # no time for an answer
+        self._objects.send(0, bytes([NMT_START, self._config.node_id]))
         self._pdo(cia402.QUICK_STOP, 0)
         now_s = self._clock.wall_s()
         self._stopping_s = now_s if self._stopping_s is None else self._stopping_s
@@ -326,13 +249,13 @@ class DriveControl:
 
     def _pdo(self, control: int, rpm: int) -> None:
         self._ordered = True
-        self._network.send_message(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
+        self._objects.send(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
 
     def _start_heartbeat(self) -> None:
         identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])
 
         def beat() -> None:
-            self._network.send_message(identifier, operational)
+            self._objects.send(identifier, operational)
 
         beat()
         if self._beat is not None:  # of a line that was lost
@@ -354,10 +277,10 @@ class DriveControl:
         try:
             rest = rest or self._rest(told)
             if rest and self._watched:
+                with contextlib.suppress(DeviceError):  # confirmed, as no process data is
+                    self._objects.write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)
                 with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
-                    self._write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)  # confirmed, as no process data is
-                with contextlib.suppress(DeviceError):
-                    self._write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
+                    self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
                 self._watched = False
         finally:
             self._let_go(rest)
@@ -370,7 +293,7 @@ class DriveControl:
             self._beat = None
             if rest:
                 self._pdo(cia402.DISABLE_VOLTAGE, 0)
-                self._network.send_message(0, bytes([NMT_PRE_OPERATIONAL, self._config.node_id]))
+                self._objects.send(0, bytes([NMT_PRE_OPERATIONAL, self._config.node_id]))
         if self._bus_open:
             self._bus_open = False
             self._send(b"C\r")

@@ -19,6 +19,10 @@ CONTROLWORD, STATUSWORD = 0x6040, 0x6041
 TARGET_VELOCITY, VELOCITY_DEMAND, ACTUAL_VELOCITY = 0x6042, 0x6043, 0x6044
 VELOCITY_ACCELERATION, VELOCITY_DECELERATION = 0x6048, 0x6049
 """Ramps: sub 1 Δspeed in rpm (u32), sub 2 Δtime in s (u16)."""
+RPDO1, TPDO1 = 0x1400, 0x1800
+"""How each one's PDO 1 travels: sub 1 COB-ID (u32), 2 transmission type (u8), 5 event timer in ms (u16)."""
+RPDO1_MAPPING, TPDO1_MAPPING = 0x1600, 0x1A00
+"""What is in them: sub 0 how many objects (u8), each index << 16 | sub-index << 8 | bits (u32)."""
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
 MODE_VELOCITY = 2
 
@@ -26,6 +30,8 @@ MODE_VELOCITY = 2
 DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN = 0x0000, 0x0002, 0x0006
 SWITCH_ON, ENABLE_OPERATION = 0x0007, 0x000F
 FAULT_RESET, HALT = 0x0080, 0x0100
+RAMP_BITS = 0x0070
+"""Bits 4 … 6 in velocity mode: the ramp generator runs, follows its ramp and takes the target."""
 
 HEARTBEAT_ERROR = 0x8130
 """Emergency and error code of a drive that missed its host's heartbeat (CiA 301)."""
@@ -105,6 +111,11 @@ def own_frames(frames: Sequence[CanFrame]) -> list[CanFrame]:
 def write_word(index: int, value: int) -> bytes:
     """The request that writes a u16 to an object, sub-index 0 (CiA 301, expedited)."""
     return struct.pack("<BHBHH", 0x2B, index, 0, value, 0)
+
+
+def mapped_word(index: int) -> int:
+    """An object of 16 bits, sub-index 0, as it stands in a PDO's mapping."""
+    return index << 16 | 16
 
 
 TPDO1_BYTES = 4
