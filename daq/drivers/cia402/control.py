@@ -51,6 +51,7 @@ class DriveControl:
             at_rest=lambda: None if math.isnan(self.actual_rpm) else abs(self.actual_rpm) <= config.rest_rpm,
             speed_rpm=lambda: abs(self.actual_rpm),
         )
+        self._report = cia402.cob_tpdo(1, config.node_id)
         self._objects = NodeObjects(config.node_id, send, clock)
         self._beat: Repeated | None = None
         self._bus_open = self._watched = self._ordered = False
@@ -73,10 +74,10 @@ class DriveControl:
 
     def heed(self, frames: list[slcan.CanFrame]) -> None:
         """Frames from the drive."""
-        node = self._config.node_id
+        node, report = self._config.node_id, self._report
         for frame in cia402.own_frames(frames):
             identifier, data = frame.arbitration_id, frame.data
-            if identifier == cia402.cob_tpdo(1, node) and len(data) >= cia402.TPDO1_BYTES:
+            if identifier == report and len(data) >= cia402.TPDO1_BYTES:  # nearly all of them
                 self._statusword, rpm = cia402.unpack_tpdo1(data)
                 self._word_rpm, self._word_ns = float(rpm), self._clock.now_ns()
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 
 from daq.transports.slcan import CanFrame
 
@@ -88,6 +89,7 @@ class Emergency:
     maker_bytes: bytes
 
 
+@lru_cache(1024)
 def state(statusword: int) -> str:
     """Name of the drive state, one of `STATES`, or `UNKNOWN` for a pattern the table does not have."""
     return next((name for name, (mask, value) in STATES.items() if statusword & mask == value), UNKNOWN)
