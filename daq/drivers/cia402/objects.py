@@ -72,11 +72,10 @@ class _SdoClient(SdoClient):
         self._asked = bytes(sdo_request[1:4]) if initiates else b""
         self.send_request(sdo_request)  # pyright: ignore[reportUnknownMemberType]
         try:
-            answer: bytes = self.read_response()  # pyright: ignore[reportUnknownVariableType]
+            return bytes(self.read_response())
         except SdoCommunicationError:
             self.abort(ABORT_TIMED_OUT)
             raise
-        return answer
 
 
 class NodeObjects:
