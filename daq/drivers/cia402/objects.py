@@ -72,7 +72,7 @@ class _SdoClient(SdoClient):
         self._asked = bytes(sdo_request[1:4]) if initiates else b""
         self.send_request(sdo_request)  # pyright: ignore[reportUnknownMemberType]
         try:
-            return bytes(self.read_response())
+            return bytes(self.read_response())  # pyright: ignore[reportUnknownArgumentType] (untyped)
         except SdoCommunicationError:
             self.abort(ABORT_TIMED_OUT)
             raise
