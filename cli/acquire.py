@@ -120,7 +120,7 @@ def _record_until(
             heard = heard or session.bytes_in > 0
             if until_silent_s is not None and heard and session.silent_s > until_silent_s:
                 return "silence"
-            time.sleep(0.05)
+            time.sleep(0.1)
     except KeyboardInterrupt as stop:
         return str(stop) or "Ctrl-C"
     return "duration"

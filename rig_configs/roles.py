@@ -19,6 +19,8 @@ from rig_configs.table import Finite, NotNegative, Positive
 Axis = Literal["x", "y"]
 AXIS_TOLERANCE_DEG, SQUARE_TOLERANCE_DEG = 10.0, 3.0
 """How far a sensor may look off its axis before that is more than mounting; how far two may be off a right angle."""
+AT_REST_RPM = 1.0
+"""A speed source's reading of a standing rotor may flicker by one count, where nothing else is said of it."""
 USUAL_GAIN_STD, USUAL_ZERO_STD_DEG = 0.001, 0.05
 """Of a sensor of which nothing is said: also of one that recorded elsewhere and that the rig file does not know."""
 
@@ -110,6 +112,7 @@ class SpeedSource:
 
     Attributes:
         ramp_rpm_per_s: how fast it speeds up where a test has no ramp of its own.
+        rest_rpm: its reading of a standing rotor is up to this.
     """
 
     role: ClassVar[str] = "speed source"
@@ -117,6 +120,7 @@ class SpeedSource:
     device: str
     topic: str
     ramp_rpm_per_s: Positive
+    rest_rpm: Positive = AT_REST_RPM
 
 
 @dataclass(frozen=True)
@@ -189,6 +193,11 @@ class Roles:
     locks: PendulumLocks | None = None
     others: tuple[OtherQuantity, ...] = ()
     witnesses: tuple[Displacement, ...] = ()
+
+    @property
+    def rest_rpm(self) -> float:
+        """What the speed source's word on a standing rotor is at most."""
+        return AT_REST_RPM if self.speed is None else self.speed.rest_rpm
 
     @classmethod
     def of(cls, played: Iterable[Role]) -> Roles:

@@ -283,7 +283,7 @@ class Core:
 
     @property
     def _stopped(self) -> str:
-        return "stop the rotor" if self._rig.roles.speed is None else "the rotor was stopped"
+        return "stop the rotor" if self._rig.roles.speed is None else "the rotor was told to stop"
 
     # --- what ends the run -------------------------------------------------------------------------------------
 

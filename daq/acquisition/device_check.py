@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from daq.acquisition.lock_positions import flagged, lock_positions, lock_tolerance_deg, misplaced
 from daq.acquisition.rate_watch import Rate
-from daq.acquisition.rotor_watch import AT_REST_RPM
 from daq.drivers.checks import Check, Checks
 from daq.drivers.contract import FOREIGN
 from daq.drivers.items import Event
@@ -84,7 +83,7 @@ def device_checks(rig: Rig, look: Look) -> dict[str, Checks]:
         out[roles.angles.device] |= _rate_checks(look.rates.get(roles.angles.topic), roles.angles.rate_Hz)
         out[roles.angles.device] |= _encoders(look.angles)
     if roles.speed is not None and look.speed is not None:
-        out[roles.speed.device] |= _speed(look.speed)
+        out[roles.speed.device] |= _speed(look.speed, roles.rest_rpm)
     for name, checks in look.own.items():
         out[name] |= checks
     if roles.angles is not None and roles.locks is not None and look.angles is not None:
@@ -163,9 +162,9 @@ def _locks(angles: PendulumAngles, seen: AnglesSeen) -> Checks:
     return out
 
 
-def _speed(seen: SpeedSeen) -> Checks:
+def _speed(seen: SpeedSeen, rest_rpm: float) -> Checks:
     enough = seen.reports_Hz >= _SPEED_REPORTS_HZ
-    still = abs(seen.speed_rpm) <= AT_REST_RPM
+    still = abs(seen.speed_rpm) <= rest_rpm
     note = "" if still else "its speed is not known" if math.isnan(seen.speed_rpm) else "the rotor turns"
     return {
         "speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_SPEED_REPORTS_HZ:g}", enough),

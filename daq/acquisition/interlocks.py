@@ -32,7 +32,7 @@ from daq.acquisition.interlock_table import (
     LARGE,
     SPEED_S,
 )
-from daq.acquisition.rotor_watch import AT_REST_RPM, Finding, RotorWatch
+from daq.acquisition.rotor_watch import Finding, RotorWatch
 from daq.acquisition.stuck_watch import StuckWatch
 from daq.drivers.items import Batch, Event
 from rig_configs.roles import Roles
@@ -131,7 +131,9 @@ class Interlocks:
         if self._marks:
             deadlines[self._marks] = (self._device_of[self._marks], math.inf)
         self.channels = ChannelWatch(deadlines, patience)
-        self.rotor = RotorWatch(limits.speed_rpm, patience, driven=self._speed is not None)
+        self._rest_rpm = roles.rest_rpm
+        driven = self._speed is not None
+        self.rotor = RotorWatch(limits.speed_rpm, patience, driven=driven, rest_rpm=self._rest_rpm)
         self._sight = {topic: Share(BLIND_S) for topic in self._lasers}
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
         self._stuck = StuckWatch(self._lasers)
@@ -245,7 +247,7 @@ class Interlocks:
             if self._speed is None:  # a test turns it by hand, or the index marks show that somebody does
                 rest = self.rotor.at_rest(now_ns)
                 return rest is False or (self._ours and rest is not True)
-            by_hand = not self._ours and abs(self.rotor.word_rpm(now_ns)) <= AT_REST_RPM
+            by_hand = not self._ours and abs(self.rotor.word_rpm(now_ns)) <= self._rest_rpm
             return not by_hand and self.rotor.at_rest(now_ns) is not True
 
     def at_rest(self, now_ns: int) -> bool | None:

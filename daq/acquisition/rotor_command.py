@@ -70,6 +70,11 @@ class RotorCommand:
         """Whether the rotor turns, or may."""
         return self._core.interlocks.turning(self._clock.now_ns())
 
+    @property
+    def dropped_out(self) -> bool:
+        """Whether the drive left operation by itself."""
+        return self.drive is not None and self.drive.dropped_out is not None
+
     def seen(self) -> DriveSeen | None:
         """How the drive stands; None where there is none."""
         drive = self.drive

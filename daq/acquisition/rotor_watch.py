@@ -16,8 +16,8 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-AT_REST_RPM = 1.0
-"""A drive's reading of a standing rotor may flicker by one count."""
+from rig_configs.roles import AT_REST_RPM
+
 _RPM_PER_TURN_NS = 60e9
 _MARKLESS_S = 3.0  # a rotor that gave no index mark for so long, and for three of its last turns, stands
 TURNS_UNSEEN = 2.5
@@ -57,13 +57,21 @@ class RotorWatch:
         limit_rpm: fastest speed allowed.
         patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
         driven: whether a device turns the rotor and tells how fast.
+        rest_rpm: its word on a rotor that stands is up to this.
 
     Attributes:
         target_rpm: what the drive was last told.
     """
 
-    def __init__(self, limit_rpm: float, patience: Callable[[float], float], *, driven: bool = True) -> None:
-        self._limit_rpm, self._driven = limit_rpm, driven
+    def __init__(
+        self,
+        limit_rpm: float,
+        patience: Callable[[float], float],
+        *,
+        driven: bool = True,
+        rest_rpm: float = AT_REST_RPM,
+    ) -> None:
+        self._limit_rpm, self._driven, self._rest_rpm = limit_rpm, driven, rest_rpm
         self._word_age_ns = _ns(patience(0.5))
         self._late_ns = _ns(patience(0.3))  # how late a host may notice something
         self._settled_ns = _ns(patience(0.1))
@@ -101,7 +109,7 @@ class RotorWatch:
         else:
             passed = min(host_ns - self._word_ns, self._word_age_ns) * 1e-9
             self._turns_unseen += max(0.0, passed) * abs(last) / 60.0
-        if abs(last) > AT_REST_RPM:
+        if abs(last) > self._rest_rpm:
             self._zero_since_ns = None
         elif self._zero_since_ns is None:  # found at rest, or just come to it
             self._zero_since_ns = host_ns - (self._settled_ns if self._word is None else 0)

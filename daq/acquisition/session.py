@@ -226,7 +226,8 @@ class Session:
         bytes_in, losses = self._core.bytes_in[name], self._core.pipelines[name].losses
         lost = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in losses.items() if n)
         came = f"{bytes_in} bytes came, none of them a sample" if bytes_in else "silent"
-        return f"{name}: {came}{f' ({lost})' if lost else ''}. Look at its power, its settings and the rig file"
+        why = self.told(name)[1] or "Look at its power, its settings and the rig file"
+        return f"{name}: {came}{f' ({lost})' if lost else ''}. {why[:1].upper()}{why[1:]}"
 
     # --- bytes, and what the core makes of them ------------------------------------------------------------------
 
@@ -496,15 +497,15 @@ class Session:
 
     def check(self) -> None:
         """Raise the first trouble; devices that were unplugged are looked for meanwhile."""
-        core, seen = self._core, self._command.seen() if self._command is not None else None
-        if core.trouble is None and seen is not None and seen.dropped_out is not None and core.guarding:
+        core, command = self._core, self._command
+        if core.trouble is None and command is not None and command.dropped_out and core.guarding:
             end = self.clock.wall_s() + 2.0  # the core stops the rotor, and waits a moment for the drive's reason
             while core.trouble is None and self.clock.wall_s() < end:
                 self.clock.wait(0.01)
         if core.trouble is not None:
             raise core.trouble
         if self._opened:
-            self._carry_out(self._open.attend(self._command))
+            self._carry_out(self._open.attend(command))
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
         """Wait until a condition holds, at most so long on the wall's clock.

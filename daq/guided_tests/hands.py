@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.lock_positions import lock_positions, misplaced
-from daq.acquisition.rotor_watch import AT_REST_RPM
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.drivers.items import Event
@@ -164,7 +163,7 @@ class DrivenRotor:
     def stop(self) -> None:
         """See Rotor."""
         drive = self._s.drive
-        if abs(drive.actual_rpm) <= AT_REST_RPM and not drive.enabled:
+        if abs(drive.actual_rpm) <= self._s.rig.roles.rest_rpm and not drive.enabled:
             return
         drive.set_ramp(_STOP_RAMP_RPM_S)
         if not drive.enabled:  # it coasts, perhaps since a host was killed: brake it

@@ -140,7 +140,9 @@ class _Run:
         standing = standing_order(self._facts)
         if self._roles.speed is None:
             tell_hand(self._locks.told, self._facts, self._rig.limits.speed_rpm)
-        self._orders = Orders(self._locks.told, whole=whole, standing=standing if whole else None)
+        self._orders = Orders(
+            self._locks.told, whole=whole, standing=standing if whole else None, rest_rpm=self._roles.rest_rpm
+        )
         self._tick_ns, self._stood = now_ns + self._period_ns, False
         self.now_ns = max(self.now_ns, now_ns)
 

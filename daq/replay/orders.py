@@ -21,9 +21,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.rotor_watch import AT_REST_RPM
 from daq.drivers.items import Batch
 from daq.guided_tests.kinds import KINDS, kind_of
+from rig_configs.roles import AT_REST_RPM
 
 _FIELD = "target_rpm"
 
@@ -35,13 +35,21 @@ class Orders:
         tell: called with every speed, rpm, before the samples that follow it are judged (`Interlocks.told`).
         whole: nothing is missing before: a device that is sent bytes and stands has no order that is not seen.
         standing: what the rotor was told before the log began, rpm; None where that is not known.
+        rest_rpm: the speed source's word on a standing rotor is up to this.
 
     Attributes:
         rpm: what the rotor was last told; None as long as nobody can tell.
     """
 
-    def __init__(self, tell: Callable[[float], None], *, whole: bool, standing: float | None = None) -> None:
-        self._tell, self._whole = tell, whole
+    def __init__(
+        self,
+        tell: Callable[[float], None],
+        *,
+        whole: bool,
+        standing: float | None = None,
+        rest_rpm: float = AT_REST_RPM,
+    ) -> None:
+        self._tell, self._whole, self._rest_rpm = tell, whole, rest_rpm
         self._sent = self._ordered = False
         self._stood = True
         self._first: float | None = None
@@ -65,12 +73,12 @@ class Orders:
                 self._told(target)
         if self.rpm is not None:
             return
-        self._stood = self._stood and bool(np.all(np.abs(said) <= AT_REST_RPM))
+        self._stood = self._stood and bool(np.all(np.abs(said) <= self._rest_rpm))
         if self._whole and self._sent and self._stood and self._first is not None:
             self._told(self._first)
             return
         for rpm in (float(said.min()), float(said.max()), float(said[-1])):
-            self._tell(rpm if abs(rpm) > AT_REST_RPM else 0.0)
+            self._tell(rpm if abs(rpm) > self._rest_rpm else 0.0)
 
     def _told(self, rpm: float) -> None:
         if rpm != self.rpm:

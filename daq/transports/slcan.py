@@ -8,14 +8,13 @@ stand, which are ignored. Source: LAWICEL CAN232 manual.
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 LINE_LIMIT_BYTES = 64
 BEL = "\a"
 _FRAME = re.compile(
     rb"(?:t([0-9A-Fa-f]{3})|T([0-9A-Fa-f]{8})|r([0-9A-Fa-f]{3})|R([0-9A-Fa-f]{8}))([0-8])([0-9A-Fa-f]*)"
 )
-_STANDARD = re.compile(rb"t([0-9A-Fa-f])[0-9A-Fa-f]{2}([0-8])([0-9A-Fa-f]*)")
-"""The commonest frame."""
 _PLAIN = re.compile(rb"[\x20-\x7e]*")
 _LINE_END = re.compile(rb"[\r\x07]")
 
@@ -126,18 +125,22 @@ class LineDecoder:
 
 def _take(line: bytes, frames: list[CanFrame], other: list[str]) -> int:
     """Sort one line; returns 1 when it is damaged."""
-    plain = _STANDARD.fullmatch(line)
-    if plain is not None and len(plain[3]) == 2 * int(plain[2]) and plain[1] <= b"7":
-        frames.append(CanFrame(int(line[1:4], 16), bytes.fromhex(plain[3].decode("ascii"))))
-        return 0
+    what = _read(line)
+    if isinstance(what, CanFrame):
+        frames.append(what)
+    elif what is not None:
+        other.append(what)
+    return what is None
+
+
+@lru_cache(4096)
+def _read(line: bytes) -> CanFrame | str | None:
+    """A frame, another line, or None of a damaged one. On a bus nearly every line has been there just before."""
     if line[:1] not in (b"t", b"T", b"r", b"R"):
-        if _PLAIN.fullmatch(line):
-            other.append(line.decode("ascii"))
-            return 0
-        return 1
+        return line.decode("ascii") if _PLAIN.fullmatch(line) else None
     match = _FRAME.fullmatch(line)
     if match is None:
-        return 1
+        return None
     standard, extended, remote_standard, remote_extended, length_digit, digits = match.groups()
     remote = standard is None and extended is None
     arbitration_id = int(standard or extended or remote_standard or remote_extended, 16)
@@ -145,7 +148,6 @@ def _take(line: bytes, frames: list[CanFrame], other: list[str]) -> int:
     length = int(length_digit)
     expected = 0 if remote else 2 * length
     if len(digits) not in (expected, expected + 4) or arbitration_id > (0x1FFFFFFF if is_extended else 0x7FF):
-        return 1
+        return None
     data = bytes(length) if remote else bytes.fromhex(digits[:expected].decode("ascii"))
-    frames.append(CanFrame(arbitration_id, data, is_extended, remote))
-    return 0
+    return CanFrame(arbitration_id, data, is_extended, remote)

@@ -50,6 +50,7 @@ def test_what_goes_wrong_in_the_tracker_does_not_end_the_test(
         raise ValueError("not positive definite")
 
     rig = load_rig("virtual", settings=virtual_rig.port_settings())
+    compile_tracker(rig.physics)  # not while the session runs: its readers would fall behind
     with Session(rig, HostClock(TIME_SCALE)) as session, LiveTracking(session) as following:
         monkeypatch.setattr(Tracker, "feed_encoders", broken)
         done = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).spin_down()

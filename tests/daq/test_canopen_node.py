@@ -33,7 +33,7 @@ class Wire:
 
 def test_what_a_client_writes_it_reads_again() -> None:
     written: list[tuple[int, int, int]] = []
-    wire = Wire(SdoServer(drive_objects(), {}, lambda *what: written.append(what)))
+    wire = Wire(SdoServer(drive_objects(5), {}, lambda *what: written.append(what)))
     for index, sub, value in ((0x1017, 0, b"\x64\0"), (0x6060, 0, b"\x02"), (0x6048, 1, b"\xe8\x03\0\0")):
         wire.node.sdo.download(index, sub, value)
         assert wire.node.sdo.upload(index, sub) == value
@@ -51,15 +51,15 @@ def test_what_is_measured_is_read_from_where_it_is() -> None:
     ("index", "data", "code"), [(0x2000, b"\0", "0x06020000"), (0x1017, b"\0\0\0\0", "0x06070010")]
 )
 def test_what_cannot_be_written_is_refused_and_changes_nothing(index: int, data: bytes, code: str) -> None:
-    server = SdoServer(drive_objects(), {})
+    server = SdoServer(drive_objects(5), {})
     with pytest.raises(SdoAbortedError, match=code):
         Wire(server).node.sdo.download(index, 0, data)
-    assert server.objects == drive_objects()
+    assert server.objects == drive_objects(5)
 
 
 @given(st.binary(min_size=8, max_size=8))
 def test_any_request_gets_eight_bytes_that_name_its_object(request: bytes) -> None:
-    answer = SdoServer(drive_objects(), {}).answer(request)
+    answer = SdoServer(drive_objects(5), {}).answer(request)
     assert len(answer) == 8
     assert answer[1:4] == request[1:4]
 

@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import SdoServer, drive_objects
+from daq.drivers.cia402.canopen_node import NMT_START, SdoServer, drive_objects
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.contract import RotorGuard
 from daq.errors import DeviceError, LinkLost
@@ -28,30 +28,58 @@ class FarEnd:
         self.refused: set[int] = set()
         self.gone = False
         self.brakes = True
+        self.network = cia402.Heartbeat.OPERATIONAL
+        self.deaf = False  # to the network's start too
+        self.fixed: set[tuple[int, int]] = set()  # objects that cannot be written
+        self.stray = b""  # an answer that comes before the right one
         self._lines, self._answers = slcan.LineDecoder(), slcan.LineDecoder()
-        self._sdo = SdoServer(drive_objects(), {}, self._written)
+        self._sdo = SdoServer(drive_objects(CONFIG.node_id), {}, self._written)
         guard = RotorGuard(lambda rpm: None, lambda: self.rpm == 0, lambda: abs(self.rpm))
         self.control = DriveControl(CONFIG, self.send, HostClock(), guard)
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == WATCH:
             self.watched.append((value, self.rpm))
+        if (index, sub) == (cia402.CONTROLWORD, 0) and value == cia402.QUICK_STOP:
+            self._stops()
+
+    def _stops(self) -> None:
+        if self.brakes:
+            self.rpm = max(0, self.rpm - 100)
+            self.state = cia402.QUICK_STOP_ACTIVE
+
+    def shows(self, state: cia402.Heartbeat) -> None:
+        """Its heartbeat."""
+        self.network = state
+        self.report(cia402.cob_heartbeat(CONFIG.node_id), bytes([state]))
 
     def send(self, data: bytes) -> None:
         if self.gone:
             raise LinkLost("gone")
         for frame in self._lines.feed(data).frames:
             self.told.append((frame.arbitration_id, frame.data))
+            if frame.arbitration_id == 0 and not self.deaf:
+                self.network = cia402.Heartbeat.OPERATIONAL
             if frame.arbitration_id == cia402.cob_sdo_request(CONFIG.node_id):
+                if self.deaf:
+                    continue
+                if self.stray:
+                    self.report(cia402.cob_sdo_answer(CONFIG.node_id), self.stray)
+                index, sub = struct.unpack_from("<HB", frame.data, 1)
+                if frame.data[0] >> 5 == 1 and (index, sub) in self.fixed:
+                    answer = b"\x80" + frame.data[1:4] + struct.pack("<I", 0x06010002)
+                    self.report(cia402.cob_sdo_answer(CONFIG.node_id), answer)
+                    continue
                 answer = self._sdo.answer(frame.data)
                 if struct.unpack_from("<H", frame.data, 1)[0] in self.refused:
                     answer = b"\x80" + frame.data[1:4] + struct.pack("<I", 0x06090030)
                 self.report(cia402.cob_sdo_answer(CONFIG.node_id), answer)
             if frame.arbitration_id == cia402.cob_rpdo(1, CONFIG.node_id):
+                if self.network != cia402.Heartbeat.OPERATIONAL:
+                    continue
                 word, _ = cia402.unpack_rpdo1(frame.data)
-                if word == cia402.QUICK_STOP and self.brakes:
-                    self.rpm = max(0, self.rpm - 100)
-                    self.state = cia402.QUICK_STOP_ACTIVE
+                if word == cia402.QUICK_STOP:
+                    self._stops()
                 self.speak()
 
     def report(self, identifier: int, data: bytes) -> None:
@@ -141,3 +169,65 @@ def test_emergencies_stand_until_they_are_reset() -> None:
         far.report(cia402.cob_emergency(CONFIG.node_id), cia402.pack_emergency(cia402.Emergency(code, 0, bytes(5))))
         assert far.control.emergencies == standing
         assert ("DC link under-voltage" in far.control.why()) == (0x3220 in standing)
+
+
+def test_out_of_operation_it_is_stopped_through_its_objects() -> None:
+    far = FarEnd()
+    far.runs(50)
+    far.shows(cia402.Heartbeat.PRE_OPERATIONAL)
+    far.control.quick_stop()
+    assert (far.rpm, far.state) == (0, cia402.QUICK_STOP_ACTIVE)
+    assert (0, bytes([NMT_START, CONFIG.node_id])) in far.told[-3:]
+    far.control.stop()
+
+
+def test_a_drive_that_heeds_nothing_is_left_to_its_own_watch() -> None:
+    far = FarEnd()
+    far.runs(50)
+    far.shows(cia402.Heartbeat.STOPPED)
+    far.deaf = True
+    clock = HostClock()
+    for _ in range(10):
+        far.control.quick_stop()
+        clock.wait(0.05)
+    beats = [identifier for identifier, _ in far.told].count(cia402.cob_heartbeat(CONFIG.host_node_id))
+    clock.wait(3e-3 * CONFIG.heartbeat_ms)
+    now = [identifier for identifier, _ in far.told].count(cia402.cob_heartbeat(CONFIG.host_node_id))
+    assert (far.rpm, now) == (50, beats)
+
+
+def test_nothing_turns_without_the_drives_own_watch() -> None:
+    for restarts in (True, False):
+        far = FarEnd()
+        far.control.start()
+        far.speak()
+        if restarts:
+            far.shows(cia402.Heartbeat.BOOT_UP)
+        else:
+            far._sdo.answer(struct.pack("<BHBI", 0x23, cia402.CONSUMER_HEARTBEAT, 1, 0))
+        with pytest.raises(DeviceError, match="started again"):
+            far.control.enable()
+        assert cia402.ENABLE_OPERATION not in far.controlwords()
+        far.control.stop()
+
+
+def test_an_answer_of_another_object_answers_nothing() -> None:
+    far = FarEnd()
+    for stray in (b"\x60\x42\x60\x00" + bytes(4), b"\x80\x42\x60\x00" + struct.pack("<I", 0x06090030)):
+        far.stray = stray
+        far.control.start()
+        assert far.watched[-1][0] & 0xFFFF > 0
+    far.control.stop()
+
+
+def test_a_ramp_whose_time_is_fixed_is_set_by_its_speed() -> None:
+    far = FarEnd()
+    for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
+        far._sdo.answer(struct.pack("<BHBHH", 0x2B, index, 2, 1, 0))
+        far.fixed.add((index, 2))
+    far.control.start()
+    far.control.set_ramp(120.0)
+    for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
+        found = far._sdo.answer(struct.pack("<BHBI", 0x40, index, 1, 0))
+        assert struct.unpack_from("<I", found, 4)[0] == 120
+    far.control.stop()

@@ -133,7 +133,8 @@ class FaultyDrive:
 
         rig = load_rig("virtual")
         self.state, self.control = cia402.FAULT, 0
-        self._sdo = SdoServer(drive_objects() | reason, {}, lambda index, sub, value: None)
+        watched = {(cia402.CONSUMER_HEARTBEAT, 1): (cia402.consumer_heartbeat(1, 500), "<I")}
+        self._sdo = SdoServer(drive_objects(5) | watched | reason, {}, lambda index, sub, value: None)
         self._lines = slcan.LineDecoder()
         self.host = DriveControl(rig.devices["drive"], self._hear, HostClock())
         self._report()

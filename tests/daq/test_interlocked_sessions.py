@@ -86,7 +86,7 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigPro
 
     try:
         with (
-            pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was stopped"),
+            pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was told to stop"),
             Session(rig, HostClock(TIME_SCALE)) as session,
         ):
             Procedures(session, SimulatedOperator(far_end.line), tmp_path, dies).run_up(600.0, 25.0)
@@ -244,7 +244,7 @@ def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
 
     try:
         with (
-            pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was stopped"),
+            pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was told to stop"),
             Session(rig, HostClock(TIME_SCALE)) as session,
         ):
             Procedures(session, Breaks(far_end.line), tmp_path, quiet).spin_down()

@@ -299,6 +299,16 @@ def test_a_drive_that_follows_its_orders_never_ran_away(
             assert watch.drive_said(now, np.array(out)) is None
 
 
+@pytest.mark.parametrize(("rest_rpm", "stands"), [(1.0, False), (3.0, True)])
+def test_a_word_that_flickers_at_rest_is_rest_where_the_rig_file_says_so(rest_rpm: float, stands: bool) -> None:
+    watch = RotorWatch(1200.0, lambda s: s, rest_rpm=rest_rpm)
+    for k in range(100):
+        watch.drive_said(k * 10_000_000, np.array([2.0 * (-1) ** k]))
+    assert watch.at_rest(100 * 10_000_000) is stands
+    assert watch.drive_said(10**9, np.array([4.0])) is None
+    assert watch.at_rest(10**9) is False
+
+
 @given(st.integers(-1000, 1000), st.sampled_from([-1, 1]))
 def test_a_drive_that_goes_on_past_its_order_or_the_other_way_is_found(target: int, sign: int) -> None:
     watch = RotorWatch(1200.0, patience)

@@ -15,7 +15,7 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, Batch, Event
+from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
@@ -533,3 +533,26 @@ def test_a_report_may_be_longer_and_one_that_is_too_short_is_told() -> None:
         items += pipeline.feed(RX, slcan.encode(slcan.CanFrame(identifier, data)), START_NS)
     assert [b.columns["speed_rpm"].tolist() for b in items if isinstance(b, Batch)] == [[-600.0]]
     assert [x.kind for x in items if isinstance(x, Event)] == ["drive", "mapping"]
+    assert "have 2 bytes" in pipeline.complaint
+
+
+def test_an_emergency_keeps_its_makers_bytes() -> None:
+    identifier = cia402.cob_emergency(DEVICES["drive"].node_id)
+    with_bytes, without = heard((identifier, bytes.fromhex("1042 11 0102030405")), (identifier, bytes(8)))
+    assert with_bytes.facts == {"error_code": 0x4210, "register": 0x11, "maker_bytes": "01 02 03 04 05"}
+    assert without.facts == {"error_code": 0, "register": 0}
+
+
+def test_frames_that_the_adapter_refused_are_counted_and_its_own_orders_are_not() -> None:
+    """BEL answers a frame that did not go out, and an order that cannot be now: the bus is closed already."""
+    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    speed = slcan.encode(slcan.CanFrame(cia402.cob_rpdo(1, DEVICES["drive"].node_id), cia402.pack_rpdo1(0x0F, 99)))
+    pipeline.feed(TX, b"\rC\rS6\rO\r", START_NS)
+    assert pipeline.feed(RX, b"\r\x07\r\r", START_NS) == []  # it was closed
+    pipeline.feed(TX, speed * 3, START_NS)
+    (event,) = pipeline.feed(RX, b"z\r\x07\x07", START_NS)
+    assert isinstance(event, Event)
+    assert (event.kind, event.facts) == ("refused", {"lines": 2})
+    assert pipeline.losses == {"damaged_lines": 0, "refused_lines": 2}
+    pipeline.feed(TX, b"C\r", START_NS)
+    assert pipeline.feed(RX, b"\x07", START_NS) == []

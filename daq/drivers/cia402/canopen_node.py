@@ -119,9 +119,20 @@ class NmtState:
         return command
 
 
-def drive_objects() -> Objects:
-    """What a velocity-mode drive has at least, with the values of a fresh one; ramps 100 rpm/s."""
+def drive_objects(node: int) -> Objects:
+    """What a velocity-mode drive has at least, with the values of a fresh one: ramps 100 rpm/s, no reports at rest."""
     return {
+        (cia402.RPDO1, 1): (cia402.cob_rpdo(1, node), "<I"),
+        (cia402.RPDO1, 2): (255, "<B"),
+        (cia402.RPDO1_MAPPING, 0): (2, "<B"),
+        (cia402.RPDO1_MAPPING, 1): (cia402.mapped_word(cia402.CONTROLWORD), "<I"),
+        (cia402.RPDO1_MAPPING, 2): (cia402.mapped_word(cia402.TARGET_VELOCITY), "<I"),
+        (cia402.TPDO1, 1): (cia402.cob_tpdo(1, node), "<I"),
+        (cia402.TPDO1, 2): (255, "<B"),
+        (cia402.TPDO1, 5): (0, "<H"),
+        (cia402.TPDO1_MAPPING, 0): (2, "<B"),
+        (cia402.TPDO1_MAPPING, 1): (cia402.mapped_word(cia402.STATUSWORD), "<I"),
+        (cia402.TPDO1_MAPPING, 2): (cia402.mapped_word(cia402.ACTUAL_VELOCITY), "<I"),
         (0x1000, 0): (0x00020192, "<I"),
         (0x1001, 0): (0, "<B"),
         (cia402.CONSUMER_HEARTBEAT, 1): (0, "<I"),

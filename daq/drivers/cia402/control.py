@@ -1,20 +1,15 @@
-"""The host's side of the motor drive: canopen's SDO client and NMT over our own recorded link, and the heartbeat."""
+"""The host's side of the motor drive: its set-up, its states, its speed and its stop, and the host's heartbeat."""
 
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
-import queue
 from collections.abc import Callable
-
-import can
-import canopen
-from canopen.sdo.client import ABORT_TIMED_OUT, SdoClient
-from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
+from daq.drivers.cia402.objects import NodeObjects
+from daq.drivers.cia402.process_data import map_process_data
 from daq.drivers.cia402.settings import Drive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard
@@ -23,52 +18,10 @@ from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock, Repeated
 
-logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets is said by us, in our words
-
-_SETUP_WAIT_S = 0.3  # wall seconds to wait for an SDO answer
+_RAMP_S = 10
+_RESET_S = 0.1  # wall seconds between two attempts to reset a fault
+_HEED_S = 0.3  # wall seconds that a drive has to heed a quick stop
 _WORD_S = 0.5  # wall seconds after which the drive's word is too old
-
-
-class _SendOnlyBus(can.BusABC):
-    """What canopen needs to send: frames leave as slcan text through the recorded link.
-
-    Received frames come to canopen from the link's reader thread (Network.notify), so there is no second reader.
-    """
-
-    def __init__(self, send: Callable[[bytes], None]) -> None:
-        super().__init__(channel="recorded link")
-        self._send_bytes = send
-        self._is_shutdown = True  # it owns no hardware: nothing to shut down, and no warning about it
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send one frame."""
-        frame = slcan.CanFrame(msg.arbitration_id, bytes(msg.data), msg.is_extended_id, msg.is_remote_frame)
-        self._send_bytes(slcan.encode(frame))
-
-
-class _SdoClient(SdoClient):
-    """canopen's client of a node's objects, whose wait for an answer is the host clock's."""
-
-    RESPONSE_TIMEOUT = _SETUP_WAIT_S
-
-    def __init__(self, node_id: int, network: canopen.Network, clock: HostClock) -> None:
-        answers = cia402.cob_sdo_answer(node_id)
-        super().__init__(cia402.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
-        self.network = network
-        self.responses: queue.Queue[bytes] = clock.queue()
-        network.subscribe(answers, self.on_response)
-
-    def request_response(self, sdo_request: bytes) -> bytes:
-        """Send a request and wait for its answer; one that comes late is not taken for the next one's."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self.responses.get_nowait()
-        self.send_request(sdo_request)
-        try:
-            return self.read_response()
-        except SdoCommunicationError:
-            self.abort(ABORT_TIMED_OUT)
-            raise
 
 
 class DriveControl:
@@ -95,13 +48,14 @@ class DriveControl:
         self._config, self._send, self._clock = config, send, clock
         self._guarded = guard or RotorGuard(
             permit=lambda rpm: None,
-            at_rest=lambda: None if math.isnan(self.actual_rpm) else self.actual_rpm == 0,
+            at_rest=lambda: None if math.isnan(self.actual_rpm) else abs(self.actual_rpm) <= config.rest_rpm,
             speed_rpm=lambda: abs(self.actual_rpm),
         )
-        self._network = canopen.Network(bus=_SendOnlyBus(send))
-        self._sdo = _SdoClient(config.node_id, self._network, clock)
+        self._report = cia402.cob_tpdo(1, config.node_id)
+        self._objects = NodeObjects(config.node_id, send, clock)
         self._beat: Repeated | None = None
         self._bus_open = self._watched = self._ordered = False
+        self._run_word = cia402.ENABLE_OPERATION | (cia402.RAMP_BITS if config.ramp_bits else 0)
         self._statusword: int | None = None
         self._word_rpm = 0.0
         self._word_ns = 0
@@ -109,6 +63,9 @@ class DriveControl:
         self.was_reset = ""  # what enable found and reset, for whoever runs the rig
         self.emergencies: list[int] = []
         self._armed = False
+        self._network_state: cia402.Heartbeat | None = None
+        self._started_again = False
+        self._stopping_s: float | None = None  # since when a drive out of operation was told to stop, wall s
 
     def notice(self, pipeline: Pipeline) -> None:
         """See SpeedSource."""
@@ -117,21 +74,23 @@ class DriveControl:
 
     def heed(self, frames: list[slcan.CanFrame]) -> None:
         """Frames from the drive."""
-        node = self._config.node_id
+        node, report = self._config.node_id, self._report
         for frame in cia402.own_frames(frames):
             identifier, data = frame.arbitration_id, frame.data
-            if identifier == cia402.cob_tpdo(1, node) and len(data) >= cia402.TPDO1_BYTES:
+            if identifier == report and len(data) >= cia402.TPDO1_BYTES:  # nearly all of them
                 self._statusword, rpm = cia402.unpack_tpdo1(data)
                 self._word_rpm, self._word_ns = float(rpm), self._clock.now_ns()
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
                     self.dropped_out = self.state
             elif identifier == cia402.cob_sdo_answer(node) and len(data) == 8:
-                self._network.notify(identifier, bytearray(data), self._clock.now_s())
+                self._objects.heed(data)
             elif identifier == cia402.cob_emergency(node) and len(data) == 8:
                 code = cia402.unpack_emergency(data).error_code
                 self.emergencies = [*self.emergencies, code] if code else []
-            elif identifier == cia402.cob_heartbeat(node) and cia402.heartbeat(data) == cia402.Heartbeat.BOOT_UP:
-                self._statusword = None
+            elif identifier == cia402.cob_heartbeat(node) and (state := cia402.heartbeat(data)) is not None:
+                self._network_state = state
+                if state == cia402.Heartbeat.BOOT_UP:
+                    self._statusword, self._started_again = None, True
 
     @property
     def actual_rpm(self) -> float:
@@ -156,38 +115,35 @@ class DriveControl:
             DeviceError: the drive does not answer or refuses a setting.
         """
         c = self._config
+        self._started_again, self._stopping_s = False, None
         rate = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}[c.bitrate]
         self._bus_open = True
         self._send(b"\rC\r" + rate + b"\rO\r")
         watchdog_ms = min(65535, round(self._clock.patience(c.heartbeat_timeout_ms)))
         self._start_heartbeat()  # before it is watched: a drive may miss it from the moment it is told to
-        self._write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
-        self._write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
+        self._objects.write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
+        self._objects.write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
         self._watched = True
-        self._write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
+        self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
         self.set_ramp(c.ramp_rpm_per_s)
-        self._network.send_message(0, bytes([NMT_START, c.node_id]))
-
-    def _write(self, index: int, sub: int, value: int, size: int) -> None:
-        for attempt in (1, 2, 3):
-            try:
-                self._sdo.download(index, sub, value.to_bytes(size, "little"))
-                return
-            except SdoCommunicationError as error:
-                if attempt == 3:
-                    raise DeviceError(
-                        f"drive: no answer to writing {index:04X}h sub {sub} after 3 tries ({error}). Is node "
-                        f"{self._config.node_id} powered, the bit rate right, the bus terminated?"
-                    ) from error
-            except SdoAbortedError as error:
-                raise DeviceError(f"drive: refused {value} at {index:04X}h sub {sub}: {error}") from error
+        map_process_data(self._objects, c.node_id)
+        self._objects.send(0, bytes([NMT_START, c.node_id]))
 
     def set_ramp(self, rpm_per_s: float) -> None:
         """Ramp for speeding up and slowing down, rpm/s."""
-        seconds = 10  # resolution of 0.1 rpm/s
-        for index in (0x6048, 0x6049):
-            self._write(index, 1, max(1, round(rpm_per_s * seconds)), 4)
-            self._write(index, 2, seconds, 2)
+        for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
+            seconds = self._ramp_seconds(index)
+            self._objects.write(index, 1, max(1, round(rpm_per_s * seconds)), 4)
+
+    def _ramp_seconds(self, index: int) -> int:
+        """The time of a ramp: 10 s, for a resolution of 0.1 rpm/s, or the drive's own where it cannot be changed."""
+        try:
+            self._objects.write(index, 2, _RAMP_S, 2)
+        except DeviceError:
+            if own := self._objects.read(index, 2):
+                return own
+            raise
+        return _RAMP_S
 
     def enable(self) -> None:
         """Walk the state machine to OPERATION ENABLED with target speed 0.
@@ -202,12 +158,13 @@ class DriveControl:
         deadline = self._clock.wall_s() + 3.0
         self._armed, self.dropped_out = False, None
         if self.state == cia402.FAULT:
-            self._reset_if_only_heartbeat()
+            self._reset_if_only_heartbeat(deadline)
+        self._check_watch()
         while self.state != cia402.OPERATION_ENABLED:
             self._guarded.permit(None)
             word = cia402.towards_operation(self.state)
             if word is not None:
-                self._pdo(word, 0)
+                self._pdo(self._run_word if word == cia402.ENABLE_OPERATION else word, 0)
             if self._clock.wall_s() > deadline:
                 raise DeviceError(
                     f"drive: expected OPERATION ENABLED, it stays in {self.state}{self.why()}. "
@@ -216,24 +173,31 @@ class DriveControl:
             self._clock.wait(0.005)
         self._armed = True
 
+    def _check_watch(self) -> None:
+        """Nothing turns without the drive's own watch over our heartbeat: one that has started again has none."""
+        watched = self._objects.read(cia402.CONSUMER_HEARTBEAT, 1) or 0
+        if self._started_again or not watched & 0xFFFF:
+            raise DeviceError(
+                "drive: it started again since it was set up, so it does not watch the host any more. Look at its "
+                "supply, then begin anew"
+            )
+
     def fault_code(self) -> int | None:
         """Why the drive stands in FAULT, by its own word; None when it tells nothing.
 
         603Fh, where it has none 1003h, and where it has neither the register 1001h, when only the line is at fault.
         """
         for index, sub in ((cia402.ERROR_CODE, 0), (cia402.PREDEFINED_ERROR_FIELD, 1)):
-            try:
-                code = int.from_bytes(self._sdo.upload(index, sub)[:2], "little")
-            except (SdoAbortedError, SdoCommunicationError):
-                continue
-            if code:
-                return code
-        with contextlib.suppress(SdoAbortedError, SdoCommunicationError):
-            if self._sdo.upload(cia402.ERROR_REGISTER, 0)[0] & ~0x01 == cia402.REGISTER_COMMUNICATION:
+            with contextlib.suppress(DeviceError):
+                if code := (self._objects.read(index, sub) or 0) & 0xFFFF:
+                    return code
+        with contextlib.suppress(DeviceError):
+            register = self._objects.read(cia402.ERROR_REGISTER, 0)
+            if register is not None and register & 0xFE == cia402.REGISTER_COMMUNICATION:
                 return cia402.HEARTBEAT_ERROR
         return None
 
-    def _reset_if_only_heartbeat(self) -> None:
+    def _reset_if_only_heartbeat(self, deadline_s: float) -> None:
         code = self.fault_code()
         if code != cia402.HEARTBEAT_ERROR:
             said = "it does not tell why" if code is None else f"its error code is 0x{code:04X}"
@@ -241,8 +205,10 @@ class DriveControl:
                 f"drive: it stands in FAULT, {said}. Look into its manual, mend the cause and reset it there"
             )
         self.was_reset = "the drive stood in FAULT because a host's heartbeat had stayed away (0x8130); it was reset"
-        self._pdo(cia402.DISABLE_VOLTAGE, 0)  # a reset is the bit's rising edge
-        self._pdo(cia402.FAULT_RESET, 0)
+        while self.state == cia402.FAULT and self._clock.wall_s() < deadline_s:
+            self._pdo(cia402.DISABLE_VOLTAGE, 0)  # a reset is the bit's rising edge; one may be refused
+            self._pdo(cia402.FAULT_RESET, 0)
+            self._clock.wait(_RESET_S)
 
     def set_speed(self, rpm: float) -> None:
         """Ramp to a speed (whole rpm on this drive's wire).
@@ -251,7 +217,7 @@ class DriveControl:
             RigError: whatever `permit` raises.
         """
         self._guarded.permit(rpm)
-        self._pdo(cia402.ENABLE_OPERATION, round(rpm))
+        self._pdo(self._run_word, round(rpm))
 
     def disable(self) -> None:
         """Take the torque away; the rotor must be at rest."""
@@ -259,9 +225,24 @@ class DriveControl:
         self._pdo(cia402.SHUTDOWN, 0)
 
     def quick_stop(self) -> None:
-        """Stop as fast as the drive can."""
+        """Stop as fast as the drive can, in whatever network state it is.
+
+        Out of operation a drive heeds no process data. It is ordered through its objects, and into operation; one that
+        heeds neither is left to its own watch: the host's heartbeat ends.
+        """
         self._armed = False
         self._pdo(cia402.QUICK_STOP, 0)
+        if self._network_state in (None, cia402.Heartbeat.OPERATIONAL):
+            self._stopping_s = None
+            return
+        order = cia402.write_word(cia402.CONTROLWORD, cia402.QUICK_STOP)
+        self._objects.send(cia402.cob_sdo_request(self._config.node_id), order)  # no time for an answer
+        self._objects.send(0, bytes([NMT_START, self._config.node_id]))
+        self._pdo(cia402.QUICK_STOP, 0)
+        now_s = self._clock.wall_s()
+        self._stopping_s = now_s if self._stopping_s is None else self._stopping_s
+        if now_s - self._stopping_s > _HEED_S and self._beat is not None:
+            self._beat.stop(0.0)
 
     def why(self) -> str:
         """The emergencies that stand, in words for a message: code and meaning; empty without one."""
@@ -269,13 +250,13 @@ class DriveControl:
 
     def _pdo(self, control: int, rpm: int) -> None:
         self._ordered = True
-        self._network.send_message(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
+        self._objects.send(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
 
     def _start_heartbeat(self) -> None:
         identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])
 
         def beat() -> None:
-            self._network.send_message(identifier, operational)
+            self._objects.send(identifier, operational)
 
         beat()
         if self._beat is not None:  # of a line that was lost
@@ -297,8 +278,10 @@ class DriveControl:
         try:
             rest = rest or self._rest(told)
             if rest and self._watched:
+                with contextlib.suppress(DeviceError):  # confirmed, as no process data is
+                    self._objects.write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)
                 with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
-                    self._write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
+                    self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
                 self._watched = False
         finally:
             self._let_go(rest)
@@ -311,7 +294,7 @@ class DriveControl:
             self._beat = None
             if rest:
                 self._pdo(cia402.DISABLE_VOLTAGE, 0)
-                self._network.send_message(0, bytes([NMT_PRE_OPERATIONAL, self._config.node_id]))
+                self._objects.send(0, bytes([NMT_PRE_OPERATIONAL, self._config.node_id]))
         if self._bus_open:
             self._bus_open = False
             self._send(b"C\r")

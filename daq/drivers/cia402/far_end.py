@@ -14,6 +14,7 @@ from daq.drivers.cia402.canopen_node import (
     NMT_STOP,
     Adapter,
     NmtState,
+    Objects,
     SdoServer,
     drive_objects,
 )
@@ -76,7 +77,7 @@ class SimulatedDrive(FarEnd):
         self._heard_s: float | None = None  # last host heartbeat; None until the first
         self._tpdo_due = self._heartbeat_due = 0.0
         self._without_supply = False
-        self._objects = drive_objects() | _MAKERS
+        self._objects = self._fresh()
         measured = {
             (cia402.STATUSWORD, 0): lambda: struct.pack("<H", _STATUS[self.state]),
             (cia402.ACTUAL_VELOCITY, 0): lambda: struct.pack("<h", self._reported_rpm),
@@ -84,6 +85,10 @@ class SimulatedDrive(FarEnd):
         }
         self._sdo = SdoServer(self._objects, measured, self._written)
         self._out: list[slcan.CanFrame] = []
+
+    def _fresh(self) -> Objects:
+        timer_ms = max(1, round(self._report_s * 1e3))
+        return drive_objects(self._node) | _MAKERS | {(cia402.TPDO1, 5): (timer_ms, "<H")}
 
     @classmethod
     def of(cls, config: Drive, world: World) -> SimulatedDrive:
@@ -129,7 +134,7 @@ class SimulatedDrive(FarEnd):
         """
         self._without_supply = not on
         if on:
-            self._objects.update(drive_objects() | _MAKERS)
+            self._objects.update(self._fresh())
             self._start_anew()
 
     def _emergency(self, code: int) -> None:

@@ -67,7 +67,7 @@ class PlayedDrive(PlayedDevice):
         self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
         self._report = re.compile(f"t{cia402.cob_tpdo(1, config.node_id):03X}4([0-9A-Fa-f]{{8}})".encode())
         self._reported = bytes(4)
-        objects = drive_objects()
+        objects = drive_objects(config.node_id)
         measured = {
             (cia402.STATUSWORD, 0): lambda: self._reported[:2],
             (cia402.ACTUAL_VELOCITY, 0): lambda: self._reported[2:],

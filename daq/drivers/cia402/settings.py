@@ -8,11 +8,16 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from rig_configs.device import DeviceSettings
-from rig_configs.roles import Role, SpeedSource
+from rig_configs.roles import AT_REST_RPM, Role, SpeedSource
 
 
 class Drive(DeviceSettings):
-    """The CiA 402 motor drive behind a CAN adapter."""
+    """The CiA 402 motor drive behind a CAN adapter.
+
+    Attributes:
+        ramp_bits: the controlword's bits 4 … 6 are set while it runs (007Fh for 000Fh), as some drives ask.
+        rest_rpm: its reading of a standing rotor may be up to this.
+    """
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
     node_id: Annotated[int, Field(ge=1, le=127)] = 5
@@ -20,10 +25,12 @@ class Drive(DeviceSettings):
     heartbeat_ms: Annotated[int, Field(ge=10, le=1000)] = 100
     heartbeat_timeout_ms: Annotated[int, Field(ge=50, le=800)] = 500
     ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
+    ramp_bits: bool = False
+    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=20)] = AT_REST_RPM
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""
-        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s),)
+        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s, rest_rpm=self.rest_rpm),)
 
     @model_validator(mode="after")
     def _beats_before_timeout(self) -> Drive:

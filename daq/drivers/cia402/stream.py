@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from daq import channels
@@ -16,23 +18,32 @@ class DrivePipeline:
 
     The target speed is the host's own: it is in what the host sends, or, for one who only listens to the bus, among
     the frames that arrive. Frame by frame in their order, so that both see the same.
+
+    Attributes:
+        frames: what the last feed found, for the host's own CANopen client.
+        told, complaint: see TellsItself; a drive says by its reports how it is set up.
     """
 
+    told = True
+
     def __init__(self, device: str, config: Drive) -> None:
-        self.losses = {"damaged_lines": 0}
-        self.frames: list[slcan.CanFrame] = []  # what the last feed found, for the host's own CANopen client
+        self.losses = {"damaged_lines": 0, "refused_lines": 0}
+        self.frames: list[slcan.CanFrame] = []
+        self.complaint = ""
         self._device, self._node = device, config.node_id
         self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder()
         self._joined = False
         self._target_rpm = 0.0
         self._status: int | None = None
         self._network: cia402.Heartbeat | None = None
-        self._short_told = False
+        self._may_refuse = 0  # orders to the adapter itself, which has its reasons to refuse them
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
         if direction == TX:
-            for frame in cia402.own_frames(self._tx.feed(data).frames):
+            sent = self._tx.feed(data)
+            self._may_refuse += len(sent.other_lines)
+            for frame in cia402.own_frames(sent.frames):
                 self._heed_target(frame)
             self.frames = []
             return []
@@ -41,6 +52,8 @@ class DrivePipeline:
         out: list[Batch | Event] = []
         damaged = found.damaged if self._joined else max(0, found.damaged - 1)
         self._joined = True
+        if found.other_lines:
+            out += self._answered(found.other_lines)
         if damaged:
             self.losses["damaged_lines"] += damaged
             out.append(Event("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
@@ -50,7 +63,7 @@ class DrivePipeline:
             if frame.arbitration_id == report:  # nearly all of them
                 if len(frame.data) >= cia402.TPDO1_BYTES:
                     rows.append((*cia402.unpack_tpdo1(frame.data), self._target_rpm))
-                elif not self._short_told:
+                elif not self.complaint:
                     out.append(self._short(frame))
                 continue
             self._heed_target(frame)
@@ -58,7 +71,9 @@ class DrivePipeline:
                 out += self._heartbeat(frame)
             elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
                 emergency = cia402.unpack_emergency(frame.data)
-                facts = {"error_code": emergency.error_code, "register": emergency.error_register}
+                facts: dict[str, Any] = {"error_code": emergency.error_code, "register": emergency.error_register}
+                if any(emergency.maker_bytes):
+                    facts["maker_bytes"] = emergency.maker_bytes.hex(" ")
                 out.append(Event("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
         if rows:
             out += self._speed(rows, host_ns)
@@ -66,12 +81,24 @@ class DrivePipeline:
 
     def _short(self, frame: slcan.CanFrame) -> Event:
         """A report that cannot hold statusword and speed; told once."""
-        self._short_told = True
-        text = (
+        self.complaint = (
             f"its reports (TPDO1) have {len(frame.data)} bytes; statusword and actual speed are "
             f"{cia402.TPDO1_BYTES}. Look at the drive's mapping (1A00h)"
         )
-        return Event("mapping", self._device, text, {"bytes": len(frame.data)})
+        return Event("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
+
+    def _answered(self, lines: list[str]) -> list[Event]:
+        """The adapter's answers in their order: of its refusals, those of frames that did not go out."""
+        refused = 0
+        for line in lines:
+            if line in ("", slcan.BEL):
+                refused += line == slcan.BEL and not self._may_refuse
+                self._may_refuse = max(0, self._may_refuse - 1)
+        if not refused:
+            return []
+        self.losses["refused_lines"] += refused
+        text = f"the adapter refused {refused} lines: these frames did not go out. Look at the bus and its termination"
+        return [Event("refused", self._device, text, {"lines": refused})]
 
     def _heed_target(self, frame: slcan.CanFrame) -> None:
         if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 
 from daq.transports.slcan import CanFrame
 
@@ -19,6 +20,10 @@ CONTROLWORD, STATUSWORD = 0x6040, 0x6041
 TARGET_VELOCITY, VELOCITY_DEMAND, ACTUAL_VELOCITY = 0x6042, 0x6043, 0x6044
 VELOCITY_ACCELERATION, VELOCITY_DECELERATION = 0x6048, 0x6049
 """Ramps: sub 1 Δspeed in rpm (u32), sub 2 Δtime in s (u16)."""
+RPDO1, TPDO1 = 0x1400, 0x1800
+"""How each one's PDO 1 travels: sub 1 COB-ID (u32), 2 transmission type (u8), 5 event timer in ms (u16)."""
+RPDO1_MAPPING, TPDO1_MAPPING = 0x1600, 0x1A00
+"""What is in them: sub 0 how many objects (u8), each index << 16 | sub-index << 8 | bits (u32)."""
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
 MODE_VELOCITY = 2
 
@@ -26,6 +31,8 @@ MODE_VELOCITY = 2
 DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN = 0x0000, 0x0002, 0x0006
 SWITCH_ON, ENABLE_OPERATION = 0x0007, 0x000F
 FAULT_RESET, HALT = 0x0080, 0x0100
+RAMP_BITS = 0x0070
+"""Bits 4 … 6 in velocity mode: the ramp generator runs, follows its ramp and takes the target."""
 
 HEARTBEAT_ERROR = 0x8130
 """Emergency and error code of a drive that missed its host's heartbeat (CiA 301)."""
@@ -82,6 +89,7 @@ class Emergency:
     maker_bytes: bytes
 
 
+@lru_cache(1024)
 def state(statusword: int) -> str:
     """Name of the drive state, one of `STATES`, or `UNKNOWN` for a pattern the table does not have."""
     return next((name for name, (mask, value) in STATES.items() if statusword & mask == value), UNKNOWN)
@@ -100,6 +108,16 @@ def pack_tpdo1(statusword: int, actual_rpm: int) -> bytes:
 def own_frames(frames: Sequence[CanFrame]) -> list[CanFrame]:
     """CANopen's frames: with data, and with identifiers of 11 bits; others share the bus."""
     return [frame for frame in frames if not (frame.extended or frame.remote)]
+
+
+def write_word(index: int, value: int) -> bytes:
+    """The request that writes a u16 to an object, sub-index 0 (CiA 301, expedited)."""
+    return struct.pack("<BHBHH", 0x2B, index, 0, value, 0)
+
+
+def mapped_word(index: int) -> int:
+    """An object of 16 bits, sub-index 0, as it stands in a PDO's mapping."""
+    return index << 16 | 16
 
 
 TPDO1_BYTES = 4

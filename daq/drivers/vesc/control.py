@@ -63,7 +63,7 @@ class VescControl:
         self._settings, self._send, self._clock = settings, send, clock
         self._guarded = guard or RotorGuard(
             permit=lambda rpm: None,
-            at_rest=lambda: None if math.isnan(self.actual_rpm) else self.actual_rpm == 0,
+            at_rest=lambda: None if math.isnan(self.actual_rpm) else abs(self.actual_rpm) <= settings.rest_rpm,
             speed_rpm=lambda: abs(self.actual_rpm),
         )
         self._ramp = Ramp(settings.ramp_rpm_per_s, settings.min_rpm, clock.patience(_STEP_S))

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from rig_configs.device import DeviceSettings
-from rig_configs.roles import Role, SpeedSource
+from rig_configs.roles import AT_REST_RPM, Role, SpeedSource
 from rig_configs.table import Positive
 
 _POLL_BYTES = 6 + 80  # of a poll and its answer with every field, framed
@@ -34,6 +34,7 @@ class Vesc(DeviceSettings):
         brake_A: motor current of a stop, and of the hold at speed 0.
         min_erpm: electrical speed below which the controller cannot hold a speed; the firmware's own default, not
             verified on a motor. The ramp leaves out what lies below.
+        rest_rpm: its reading of a standing rotor may be up to this.
         follow_s: how long the rotor may turn at another speed than the set-point before it counts as not following.
     """
 
@@ -45,11 +46,12 @@ class Vesc(DeviceSettings):
     ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
     brake_A: Annotated[float, Field(gt=0, le=200)]
     min_erpm: Annotated[float, Field(ge=0, le=20_000)] = 900.0
+    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=20)] = AT_REST_RPM
     follow_s: Positive = 3.0
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""
-        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s),)
+        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s, rest_rpm=self.rest_rpm),)
 
     @model_validator(mode="after")
     def _commands_before_timeout(self) -> Vesc:

@@ -1,0 +1,185 @@
+"""How a drive is set up when it is opened: its process data as we pack it, whatever its maker mapped."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import cast
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.canopen_node import NMT_START, Objects, SdoServer, drive_objects
+from daq.drivers.cia402.control import DriveControl
+from daq.drivers.cia402.settings import Drive
+from daq.errors import DeviceError
+from daq.transports import HostClock, slcan
+from rig_configs import load_rig
+
+CONFIG = cast("Drive", load_rig("virtual").devices["drive"])
+NODE = CONFIG.node_id
+OFF = 1 << 31
+STATUS, ACTUAL, TORQUE = (index << 16 | 16 for index in (cia402.STATUSWORD, cia402.ACTUAL_VELOCITY, 0x6077))
+WANTED = {
+    (cia402.RPDO1, 1): cia402.cob_rpdo(1, NODE),
+    (cia402.RPDO1_MAPPING, 1): cia402.CONTROLWORD << 16 | 16,
+    (cia402.RPDO1_MAPPING, 2): cia402.TARGET_VELOCITY << 16 | 16,
+    (cia402.TPDO1, 1): cia402.cob_tpdo(1, NODE),
+    (cia402.TPDO1_MAPPING, 1): STATUS,
+    (cia402.TPDO1_MAPPING, 2): ACTUAL,
+}
+_STATE, _ACCESS = 0x08000022, 0x06010000  # abort codes of CiA 301
+
+
+class MappedDrive:
+    """A drive that guards its mapping as CiA 301 asks: changed only while the PDO is off, entries only at count 0."""
+
+    def __init__(self, changes: dict[tuple[int, int], int], *, settings: Drive = CONFIG) -> None:
+        self.objects: Objects = drive_objects(NODE)
+        forms = {0: "<B", 1: "<I", 2: "<B", 5: "<H"}
+        for (index, sub), value in changes.items():
+            self.objects[index, sub] = (value, "<I" if index in _MAPPINGS and sub else forms[sub])
+        self.written: list[tuple[int, int, int]] = []
+        self.orders: list[int] = []
+        self.fixed = False
+        self.state = cia402.SWITCH_ON_DISABLED
+        self.started = False
+        self._lines, self._sdo = slcan.LineDecoder(), SdoServer(self.objects, {}, self._take)
+        self.host = DriveControl(settings, self.hear, HostClock())
+
+    def value(self, index: int, sub: int) -> int:
+        return self.objects[index, sub][0]
+
+    def _take(self, index: int, sub: int, value: int) -> None:
+        self.written.append((index, sub, value))
+
+    def hear(self, data: bytes) -> None:
+        for frame in self._lines.feed(data).frames:
+            if frame.arbitration_id == cia402.cob_sdo_request(NODE):
+                self._answer(cia402.cob_sdo_answer(NODE), self._refusal(frame.data) or self._sdo.answer(frame.data))
+            elif frame.arbitration_id == 0 and frame.data[0] == NMT_START:
+                self.started = True
+            elif frame.arbitration_id == cia402.cob_rpdo(1, NODE):
+                word = cia402.unpack_rpdo1(frame.data)[0]
+                self.orders.append(word)
+                if word == CONFIG_STEPS.get(self.state, (None,))[0] or word & 0x0F == 0x0F:
+                    self.state = CONFIG_STEPS.get(self.state, (None, self.state))[1]
+            if self.started:
+                report = cia402.pack_tpdo1(cia402.STATES[self.state][1], 0)
+                self._answer(cia402.cob_tpdo(1, NODE), report)
+
+    def _answer(self, identifier: int, data: bytes) -> None:
+        self.host.heed([slcan.CanFrame(identifier, data)])
+
+    def _refusal(self, request: bytes) -> bytes:
+        index, sub = struct.unpack_from("<HB", request, 1)
+        if request[0] >> 5 != 1 or index not in _MAPPINGS:
+            return b""
+        if self.fixed:
+            return b"\x80" + request[1:4] + struct.pack("<I", _ACCESS)
+        used = not self.value(index - 0x200, 1) & OFF
+        if used or (sub and self.value(index, 0)):
+            return b"\x80" + request[1:4] + struct.pack("<I", _STATE)
+        return b""
+
+
+_MAPPINGS = (cia402.RPDO1_MAPPING, cia402.TPDO1_MAPPING)
+CONFIG_STEPS = {
+    cia402.SWITCH_ON_DISABLED: (cia402.SHUTDOWN, cia402.READY),
+    cia402.READY: (cia402.SWITCH_ON, cia402.SWITCHED_ON),
+    cia402.SWITCHED_ON: (cia402.ENABLE_OPERATION, cia402.OPERATION_ENABLED),
+}
+
+
+def opened(changes: dict[tuple[int, int], int], prepare: Callable[[MappedDrive], None] = lambda d: None) -> MappedDrive:
+    drive = MappedDrive(changes)
+    prepare(drive)
+    drive.host.start()
+    drive.host.stop()
+    return drive
+
+
+def of_process_data(drive: MappedDrive) -> list[tuple[int, int, int]]:
+    return [w for w in drive.written if w[0] in (cia402.RPDO1, cia402.TPDO1, *_MAPPINGS)]
+
+
+def test_a_mapping_that_is_right_is_left_alone() -> None:
+    assert of_process_data(opened({(cia402.TPDO1, 5): 20})) == []
+
+
+def test_a_drive_that_would_report_changes_only_gets_a_period() -> None:
+    assert of_process_data(opened({})) == [(cia402.TPDO1, 5, 10)]
+
+
+def test_more_behind_the_speed_may_stay_but_not_behind_the_orders() -> None:
+    behind = {(cia402.TPDO1_MAPPING, 0): 3, (cia402.TPDO1_MAPPING, 3): TORQUE, (cia402.TPDO1, 5): 20}
+    assert of_process_data(opened(behind)) == []
+    drive = opened({(cia402.RPDO1_MAPPING, 0): 3, (cia402.RPDO1_MAPPING, 3): TORQUE, (cia402.TPDO1, 5): 20})
+    assert drive.value(cia402.RPDO1_MAPPING, 0) == 2
+    assert drive.value(cia402.RPDO1, 1) == cia402.cob_rpdo(1, NODE)
+
+
+words = st.sampled_from([STATUS, ACTUAL, TORQUE, cia402.CONTROLWORD << 16 | 16, cia402.TARGET_VELOCITY << 16 | 16, 0])
+kinds = st.sampled_from([0, 1, 240, 254, 255])
+
+
+@given(
+    counts=st.tuples(st.integers(0, 2), st.integers(0, 2)),
+    entries=st.tuples(words, words, words, words),
+    kinds=st.tuples(kinds, kinds),
+    identifiers=st.tuples(*[st.sampled_from([OFF, OFF | 0x185, 0x185, 0x205, 0x385, OFF | 0x4000_0185])] * 2),
+    timer=st.sampled_from([0, 5, 100]),
+)
+def test_whatever_is_mapped_orders_are_taken_and_speeds_reported(
+    counts: tuple[int, int],
+    entries: tuple[int, int, int, int],
+    kinds: tuple[int, int],
+    identifiers: tuple[int, int],
+    timer: int,
+) -> None:
+    changes = {(cia402.TPDO1, 5): timer}
+    for n, (travels, mapping) in enumerate(
+        [(cia402.RPDO1, cia402.RPDO1_MAPPING), (cia402.TPDO1, cia402.TPDO1_MAPPING)]
+    ):
+        changes |= {(travels, 1): identifiers[n], (travels, 2): kinds[n], (mapping, 0): counts[n]}
+        changes |= {(mapping, 1): entries[2 * n], (mapping, 2): entries[2 * n + 1]}
+    drive = opened(changes)
+    assert {where: drive.value(*where) for where in WANTED} == {
+        where: value | (drive.value(*where) & 0x4000_0000) for where, value in WANTED.items()
+    }
+    assert drive.value(cia402.RPDO1_MAPPING, 0) == 2
+    assert drive.value(cia402.TPDO1_MAPPING, 0) == 2
+    assert drive.value(cia402.RPDO1, 2) > 240
+    assert drive.value(cia402.TPDO1, 2) > 240
+    assert drive.value(cia402.TPDO1, 5) == (timer or 10)
+
+
+def test_a_drive_that_cannot_be_mapped_is_refused_with_what_it_needs() -> None:
+    drive = MappedDrive({(cia402.TPDO1_MAPPING, 0): 1})
+    drive.fixed = True
+    with pytest.raises(DeviceError, match=r"1A00h sub 0.*1A00h statusword and actual speed \(6041h, 6044h\).*tool"):
+        drive.host.start()
+    assert not drive.started
+
+
+def test_a_drive_that_does_not_show_its_mapping_is_taken_as_set_up_by_hand() -> None:
+    def hide(drive: MappedDrive) -> None:
+        for where in list(drive.objects):
+            if where[0] in (cia402.RPDO1, cia402.TPDO1, *_MAPPINGS):
+                del drive.objects[where]
+
+    assert opened({}, hide).started
+
+
+@pytest.mark.parametrize(("ramp_bits", "word"), [(False, 0x0F), (True, 0x7F)])
+def test_drives_that_ask_for_their_ramp_get_bits_4_to_6(ramp_bits: bool, word: int) -> None:
+    drive = MappedDrive({}, settings=CONFIG.model_copy(update={"ramp_bits": ramp_bits}))
+    drive.host.start()
+    drive.host.enable()
+    drive.host.set_speed(100)
+    assert drive.orders == [cia402.SHUTDOWN, cia402.SWITCH_ON, word, word]
+    drive.host.quick_stop()
+    assert drive.orders[-1] == cia402.QUICK_STOP
+    drive.host.stop()
