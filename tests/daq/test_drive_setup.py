@@ -34,7 +34,10 @@ _STATE, _ACCESS = 0x08000022, 0x06010000  # abort codes of CiA 301
 
 
 class MappedDrive:
-    """A drive that guards its mapping as CiA 301 asks: changed only while the PDO is off, entries only at count 0."""
+    """A drive that guards its process data as CiA 301 asks.
+
+    Mapping, transmission type and identifier are changed only while the PDO is off, entries only at count 0.
+    """
 
     def __init__(self, changes: dict[tuple[int, int], int], *, settings: Drive = CONFIG) -> None:
         self.objects: Objects = drive_objects(NODE)
@@ -74,13 +77,15 @@ class MappedDrive:
         self.host.heed([slcan.CanFrame(identifier, data)])
 
     def _refusal(self, request: bytes) -> bytes:
-        index, sub = struct.unpack_from("<HB", request, 1)
-        if request[0] >> 5 != 1 or index not in _MAPPINGS:
+        index, sub, value = struct.unpack_from("<HBI", request, 1)
+        if request[0] >> 5 != 1 or index not in (cia402.RPDO1, cia402.TPDO1, *_MAPPINGS):
             return b""
         if self.fixed:
             return b"\x80" + request[1:4] + struct.pack("<I", _ACCESS)
-        used = not self.value(index - 0x200, 1) & OFF
-        if used or (sub and self.value(index, 0)):
+        mapping = index in _MAPPINGS
+        own = self.value(index - 0x200 if mapping else index, 1)
+        changes = mapping or sub == 2 or (sub == 1 and (own ^ value) & ~OFF)
+        if (changes and not own & OFF) or (mapping and sub and self.value(index, 0)):
             return b"\x80" + request[1:4] + struct.pack("<I", _STATE)
         return b""
 
@@ -122,14 +127,16 @@ def test_more_behind_the_speed_may_stay_but_not_behind_the_orders() -> None:
 
 
 words = st.sampled_from([STATUS, ACTUAL, TORQUE, cia402.CONTROLWORD << 16 | 16, cia402.TARGET_VELOCITY << 16 | 16, 0])
-kinds = st.sampled_from([0, 1, 240, 254, 255])
+kinds = st.sampled_from([0, 1, 240, 252, 253, 254, 255])
 
 
 @given(
     counts=st.tuples(st.integers(0, 2), st.integers(0, 2)),
     entries=st.tuples(words, words, words, words),
     kinds=st.tuples(kinds, kinds),
-    identifiers=st.tuples(*[st.sampled_from([OFF, OFF | 0x185, 0x185, 0x205, 0x385, OFF | 0x4000_0185])] * 2),
+    identifiers=st.tuples(
+        *[st.sampled_from([OFF, OFF | 0x185, 0x185, 0x205, 0x385, OFF | 0x4000_0185, 0x2000_0185, 0x2000_0205])] * 2
+    ),
     timer=st.sampled_from([0, 5, 100]),
 )
 def test_whatever_is_mapped_orders_are_taken_and_speeds_reported(
@@ -151,15 +158,15 @@ def test_whatever_is_mapped_orders_are_taken_and_speeds_reported(
     }
     assert drive.value(cia402.RPDO1_MAPPING, 0) == 2
     assert drive.value(cia402.TPDO1_MAPPING, 0) == 2
-    assert drive.value(cia402.RPDO1, 2) > 240
-    assert drive.value(cia402.TPDO1, 2) > 240
+    assert drive.value(cia402.RPDO1, 2) >= 254
+    assert drive.value(cia402.TPDO1, 2) >= 254
     assert drive.value(cia402.TPDO1, 5) == (timer or 10)
 
 
 def test_a_drive_that_cannot_be_mapped_is_refused_with_what_it_needs() -> None:
     drive = MappedDrive({(cia402.TPDO1_MAPPING, 0): 1})
     drive.fixed = True
-    with pytest.raises(DeviceError, match=r"1A00h sub 0.*1A00h statusword and actual speed \(6041h, 6044h\).*tool"):
+    with pytest.raises(DeviceError, match=r"1800h sub 1.*1A00h statusword and actual speed \(6041h, 6044h\).*tool"):
         drive.host.start()
     assert not drive.started
 

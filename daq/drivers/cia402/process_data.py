@@ -9,6 +9,7 @@ not show its mapping is taken to have been set up by hand. Source: CiA 301, PDO 
 from __future__ import annotations
 
 import contextlib
+from dataclasses import dataclass
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.objects import NodeObjects
@@ -16,10 +17,20 @@ from daq.errors import DeviceError
 
 REPORT_MS = 10
 """Period of the reports of a drive that has none of its own."""
-_OFF = 1 << 31  # in a COB-ID: this PDO is not used
-_ID = 0x1FFF_FFFF
-_OWN_EVENTS = 255  # transmission type: at once, or by the event timer; to 240 by a SYNC, which nobody sends here
-_ON_SYNC = range(241)
+_OFF, _NO_REMOTE = 1 << 31, 1 << 30  # in a COB-ID: this PDO is not used; nobody may ask for it
+_OWN_EVENTS = 255  # transmission type: at once, or by the event timer
+_EVENTS_FROM = 254  # types below wait for a SYNC or a remote request, which nobody sends here
+
+
+@dataclass(frozen=True)
+class _Pdo:
+    """A PDO: index of its communication parameters and of its mapping, what belongs into it, and its identifier."""
+
+    travels: int
+    mapping: int
+    objects: tuple[int, ...]
+    identifier: int
+    more_behind: bool  # whether what is mapped behind the objects does no harm
 
 
 def map_process_data(objects: NodeObjects, node_id: int) -> None:
@@ -32,15 +43,10 @@ def map_process_data(objects: NodeObjects, node_id: int) -> None:
     Raises:
         DeviceError: it does not answer, or refuses the mapping.
     """
-    ordered = [cia402.mapped_word(index) for index in (cia402.CONTROLWORD, cia402.TARGET_VELOCITY)]
-    reported = [cia402.mapped_word(index) for index in (cia402.STATUSWORD, cia402.ACTUAL_VELOCITY)]
-    orders, reports = cia402.cob_rpdo(1, node_id), cia402.cob_tpdo(1, node_id)
+    ordered, reported = (cia402.CONTROLWORD, cia402.TARGET_VELOCITY), (cia402.STATUSWORD, cia402.ACTUAL_VELOCITY)
     try:
-        _map(objects, cia402.RPDO1, cia402.RPDO1_MAPPING, ordered, orders, more_behind=False)
-        _map(objects, cia402.TPDO1, cia402.TPDO1_MAPPING, reported, reports, more_behind=True)
-        for travels in (cia402.RPDO1, cia402.TPDO1):
-            if objects.read(travels, 2) in _ON_SYNC:
-                objects.write(travels, 2, _OWN_EVENTS, 1)
+        _map(objects, _Pdo(cia402.RPDO1, cia402.RPDO1_MAPPING, ordered, cia402.cob_rpdo(1, node_id), more_behind=False))
+        _map(objects, _Pdo(cia402.TPDO1, cia402.TPDO1_MAPPING, reported, cia402.cob_tpdo(1, node_id), more_behind=True))
     except DeviceError as error:
         raise DeviceError(
             f"{error}. Process data is to be: {cia402.RPDO1_MAPPING:04X}h controlword and target speed (6040h, 6042h), "
@@ -52,22 +58,24 @@ def map_process_data(objects: NodeObjects, node_id: int) -> None:
             objects.write(cia402.TPDO1, 5, REPORT_MS, 2)
 
 
-def _map(
-    objects: NodeObjects, travels: int, mapping: int, wanted: list[int], identifier: int, *, more_behind: bool
-) -> None:
-    count = objects.read(mapping, 0)
+def _map(objects: NodeObjects, pdo: _Pdo) -> None:
+    """Map a PDO where it is not right, in the standard's order: nothing of it is changed while it is used."""
+    wanted = [cia402.mapped_word(index) for index in pdo.objects]
+    own, kind, count = (objects.read(*where) for where in ((pdo.travels, 1), (pdo.travels, 2), (pdo.mapping, 0)))
     if count is None:
         return
-    mapped = [objects.read(mapping, sub) for sub in range(1, min(count, len(wanted)) + 1)]
-    own = objects.read(travels, 1)
-    right = mapped == wanted and (more_behind or count == len(wanted))
-    if right and (own is None or own & (_OFF | _ID) == identifier):
+    mapped = [objects.read(pdo.mapping, sub) for sub in range(1, min(count, len(wanted)) + 1)]
+    mapped_right = mapped == wanted and (pdo.more_behind or count == len(wanted))
+    own = pdo.identifier if own is None else own
+    kind = _OWN_EVENTS if kind is None else kind
+    if mapped_right and own & ~_NO_REMOTE == pdo.identifier and kind >= _EVENTS_FROM:
         return
-    kept = (own or 0) & ~(_OFF | _ID)
-    objects.write(travels, 1, kept | _OFF | identifier, 4)  # only a PDO that is not used can be mapped
-    if not right:
-        objects.write(mapping, 0, 0, 1)
+    objects.write(pdo.travels, 1, own | _OFF, 4)
+    if kind < _EVENTS_FROM:
+        objects.write(pdo.travels, 2, _OWN_EVENTS, 1)
+    if not mapped_right:
+        objects.write(pdo.mapping, 0, 0, 1)
         for sub, entry in enumerate(wanted, 1):
-            objects.write(mapping, sub, entry, 4)
-        objects.write(mapping, 0, len(wanted), 1)
-    objects.write(travels, 1, kept | identifier, 4)
+            objects.write(pdo.mapping, sub, entry, 4)
+        objects.write(pdo.mapping, 0, len(wanted), 1)
+    objects.write(pdo.travels, 1, own & _NO_REMOTE | pdo.identifier, 4)
