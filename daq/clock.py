@@ -254,10 +254,11 @@ def fit_line(
     """The line of a whole record, its rate combined with the clock's stated tolerance.
 
     A read tells the time of its last sample, which is up to a sample's period old. Where samples are fetched at random,
-    some have just been made. Where they are fetched in step (a whole number of periods apart: a bus that is polled every
-    millisecond, a sensor of 4 kHz) that age stays the same until the clocks have drifted apart by a period: the lags are
-    a staircase, and a record within one step of it does not show the drift at all. So a rate is not known better than
-    to a period in the record's length, unless the lags follow a line over more than a period without stairs.
+    some have just been made. Where they are fetched in step (a whole number of periods apart: a bus that is polled
+    every millisecond, a sensor of 4 kHz) that age stays the same until the clocks have drifted apart by a period: the
+    lags are a staircase, and a record within one step of it does not show the drift at all. So a rate is not known
+    better than to a period in the record's length, unless the lags follow a line over more than a period without
+    stairs.
 
     Args:
         device_s, host_s: shape (n,), device time of the last sample of each read and when the read returned.

@@ -6,10 +6,10 @@ import json
 from dataclasses import asdict
 
 import numpy as np
-from numpy.typing import NDArray
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from daq.clock import ClockMap, ClockSeed, Unwrap, fit_line
 from daq.errors import DeviceError
@@ -162,7 +162,7 @@ def test_rate_intervals_hold(seconds: float) -> None:
 
 def in_step(
     rng: np.random.Generator, seconds: float, drift: float, step_s: float, grid_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Reads of samples that are handed over on a grid of the host's: as by a bus that it polls."""
     device_s = np.arange(int(seconds / step_s)) * step_s
     handed_over_s = np.ceil((device_s * (1 + drift) + rng.uniform(0, step_s)) / grid_s) * grid_s
