@@ -108,7 +108,7 @@ class DrivePipeline:
         """A boot-up message, or a change of the drive's network state; only in operation does it report its speed."""
         state = cia402.heartbeat(frame.data)
         before, self._network = self._network, self._network if state is None else state
-        if state is None or state == before:
+        if state is None or (state == before and state != cia402.Heartbeat.BOOT_UP):
             return []
         if state == cia402.Heartbeat.BOOT_UP:
             text = "the drive started again (boot-up message): its settings are gone, its speed is unknown"
