@@ -32,6 +32,7 @@ _SEED_EARLY_NS, _SEED_LATE_NS = 5_000_000, 1_000_000_000
 _BIN_NS = 250_000_000
 _BINS = 120
 _SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that time never runs backwards
+_STRAIGHT = 0.15  # mean distance of least lags from their line, in the samples' periods; a staircase's is 0.25 and more
 _SETTLE_NS = 300_000_000  # time constant of a correction: a first read that came late is soon made good
 
 
@@ -247,12 +248,22 @@ class ClockLine:
         return self.offset_s + (1 + self.rate) * device_s
 
 
-def fit_line(device_s: NDArray[np.floating], host_s: NDArray[np.floating], tolerance_ppm: float) -> ClockLine:
+def fit_line(
+    device_s: NDArray[np.floating], host_s: NDArray[np.floating], tolerance_ppm: float, step_s: float = 0.0
+) -> ClockLine:
     """The line of a whole record, its rate combined with the clock's stated tolerance.
+
+    A read tells the time of its last sample, which is up to a sample's period old. Where samples are fetched at random,
+    some have just been made. Where they are fetched in step (a whole number of periods apart: a bus that is polled
+    every millisecond, a sensor of 4 kHz) that age stays the same until the clocks have drifted apart by a period: the
+    lags are a staircase, and a record within one step of it does not show the drift at all. So a rate is not known
+    better than to a period in the record's length, unless the lags follow a line over more than a period without
+    stairs.
 
     Args:
         device_s, host_s: shape (n,), device time of the last sample of each read and when the read returned.
         tolerance_ppm: prior standard uncertainty of the rate.
+        step_s: period of the samples.
     """
     prior = 1e-6 * tolerance_ppm
     lag = host_s - device_s
@@ -267,7 +278,9 @@ def fit_line(device_s: NDArray[np.floating], host_s: NDArray[np.floating], toler
         return ClockLine(offset, 0.0, prior, float(np.mean(y - y.min())))
     constant, slope = lower_line(x, y)
     jitter = float(np.mean(y - constant - slope * x))
-    own = max(jitter, 1e-6) * np.sqrt(12.0 / len(x)) / span
+    straight = abs(slope) * span > step_s and jitter < _STRAIGHT * step_s
+    unseen = 0.0 if straight else step_s
+    own = np.hypot(max(jitter, 1e-6) * np.sqrt(12.0 / len(x)), unseen / np.sqrt(3.0)) / span
     weight = prior**2 / (prior**2 + own**2)
     rate = slope * weight
     offset = float(np.min(y - rate * x)) + float(lag[0]) - rate * float(device_s[0])

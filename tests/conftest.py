@@ -19,14 +19,14 @@ settings.register_profile(
 )
 settings.load_profile("suite")
 
-TIME_SCALE = 8.0
+TIME_SCALE = 5.0
 LATE_BEATS = "devices.drive.heartbeat_timeout_ms=800"
 """The most that is allowed: a busy machine may keep this process waiting for half a second."""
 
 
 @pytest.fixture
 def virtual_rig() -> Iterator[VirtualRigProcess]:
-    """A virtual rig at eight times the speed of life, on ptys where there are any."""
+    """A virtual rig at five times the speed of life, on ptys where there are any."""
     with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE) as process:
         yield process
 

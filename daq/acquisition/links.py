@@ -51,6 +51,7 @@ class Links:
     ) -> None:
         self._devices, self._clock, self._edge, self._core = devices, clock, edge, core
         self._identities, self._taken, self._lost = identities, take, lost
+        self._asked: dict[str, frozenset[str]] = {}  # what of an identity a device says when it is asked
         self._readers: dict[str, DeviceReader] = {}
         self._attending = False
         self._again_s = 0.0
@@ -96,6 +97,7 @@ class Links:
         """
         for name, device in self._devices.items():
             self._identities[name] = device.driver.open(name, device.settings, self._talk(name))
+            self._asked[name] = frozenset(self._identities[name]) - {"port"}
 
     def stop_streams(self) -> None:
         """End the streams; a device that is gone does not keep the others from being stopped."""
@@ -214,7 +216,7 @@ class Links:
         device = self._devices[name]
         talk = OpenDevice(self._readers[name], self._clock, lambda: None)
         found, known = device.driver.open(name, device.settings, talk), self._identities.get(name, {})
-        changed = [what for what in known if what != "port" and found.get(what) != known[what]]
+        changed = [what for what in known if what in self._asked[name] and found.get(what) != known[what]]
         if changed:
             differences = ", ".join(f"{what} {found.get(what)} instead of {known[what]}" for what in changed)
             raise _AnotherDevice(f"{name}: another device answers there: {differences}")

@@ -109,7 +109,7 @@ class RotorWatch:
         else:
             passed = min(host_ns - self._word_ns, self._word_age_ns) * 1e-9
             self._turns_unseen += max(0.0, passed) * abs(last) / 60.0
-        if abs(last) > self._rest_rpm:
+        if abs(last) > (AT_REST_RPM if self.target_rpm else self._rest_rpm):  # what is told to turn may turn slowly
             self._zero_since_ns = None
         elif self._zero_since_ns is None:  # found at rest, or just come to it
             self._zero_since_ns = host_ns - (self._settled_ns if self._word is None else 0)

@@ -30,7 +30,7 @@ from daq.acquisition.recorder import DiskState, Recorder
 from daq.acquisition.rotor_command import RotorCommand
 from daq.clock import CLOCK_RULES, NEWEST_RULES, compile_line
 from daq.drivers.checks import Checks
-from daq.drivers.contract import KeepsTime, SpeedSource, TellsItself
+from daq.drivers.contract import KeepsTime, LearnsIdentity, SpeedSource, TellsItself
 from daq.drivers.devices import channels_of, devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
 from daq.errors import DeviceError, RigError
@@ -436,6 +436,7 @@ class Session:
         """
         if self._recorder is not None:
             self.stop_recording({"ended": self._ended(None) or "another recording began"})
+        self._learn()
         facts = {
             "rig": self.rig.name,
             "software": software_version(),
@@ -455,6 +456,13 @@ class Session:
         devices = tuple(self._known)
         recorder = Recorder(path, self.clock, facts, attachments, devices, self._channels, self._edge.disk)
         self._begin_anew(recorder, before_s, seeds)
+
+    def _learn(self) -> None:
+        """What devices are by their own bytes holds from log to log, as what they say when they are opened."""
+        for name, pipeline in self._core.pipelines.items():
+            if isinstance(pipeline, LearnsIdentity):
+                with self._open.unread(name):
+                    self.identities.setdefault(name, {}).update(pipeline.learned)
 
     def _seeds(self) -> dict[str, dict[str, Any]]:
         """How the devices' clocks stand, as far as it is known: a log's first samples need not find it out again."""

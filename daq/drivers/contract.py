@@ -110,6 +110,16 @@ class KeepsTime(Protocol):
 
 
 @runtime_checkable
+class LearnsIdentity(Protocol):
+    """A pipeline of a device that is known by what it sends, where nobody can ask it."""
+
+    @property
+    def learned(self) -> Mapping[str, str | int]:
+        """What it is by its own bytes: part of its identity from the next log on."""
+        ...
+
+
+@runtime_checkable
 class CountsFrames(Protocol):
     """A pipeline of frames that came by radio.
 

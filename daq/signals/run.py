@@ -237,7 +237,8 @@ def _recorder(run: Mapping[str, str]) -> str:
 def _line(device_s: NDArray[np.floating], log_ns: NDArray[np.int64], start_s: float, tolerance_ppm: float) -> ClockLine:
     """Clock line through the last sample of every read."""
     last = np.flatnonzero(np.diff(log_ns, append=log_ns[-1] + 1))
-    return fit_line(device_s[last], _since(log_ns[last], start_s), tolerance_ppm)
+    step_s = float(np.median(np.diff(device_s))) if len(device_s) > 1 else 0.0
+    return fit_line(device_s[last], _since(log_ns[last], start_s), tolerance_ppm, step_s)
 
 
 def _since(time_ns: NDArray[np.int64], start_s: float) -> NDArray[np.floating]:

@@ -15,7 +15,10 @@ BEL = "\a"
 _FRAME = re.compile(
     rb"(?:t([0-9A-Fa-f]{3})|T([0-9A-Fa-f]{8})|r([0-9A-Fa-f]{3})|R([0-9A-Fa-f]{8}))([0-8])([0-9A-Fa-f]*)"
 )
-_PLAIN = re.compile(rb"[\x20-\x7e]*")
+_ORDER_OR_ANSWER = re.compile(  # LAWICEL's own: an answer to an order, or the order itself
+    rb"[zZ]?|[CLOAPEF]|F[0-9A-Fa-f]{2}|[Vv][0-9A-Za-z.]{0,4}|N[0-9A-Za-z]{0,4}|S[0-8]|s[0-9A-Fa-f]{4,6}"
+    rb"|[mM][0-9A-Fa-f]{8}|[XZQUW][0-9]"
+)
 _LINE_END = re.compile(rb"[\r\x07]")
 
 
@@ -42,8 +45,9 @@ class Decoded:
 
     Attributes:
         frames: CAN frames in order.
-        other_lines: answers without CR: ``""`` (done), ``"z"``/``"Z"`` (sent), ``"V1013"`` …; BEL as ``"\\a"``.
-        damaged: lines that were neither: wrong digits, wrong length, foreign bytes, overlong.
+        other_lines: the adapter's orders and answers without CR: ``""`` (done), ``"z"``/``"Z"`` (sent), ``"V1013"`` …;
+            BEL as ``"\\a"``.
+        damaged: lines that were neither: no known letter, wrong digits, wrong length, foreign bytes, overlong.
     """
 
     frames: list[CanFrame]
@@ -67,6 +71,12 @@ def encode(frame: CanFrame) -> bytes:
     letter = letter.upper() if frame.extended else letter
     data = "" if frame.remote else frame.data.hex().upper()
     return f"{letter}{frame.arbitration_id:0{digits}X}{len(frame.data)}{data}\r".encode()
+
+
+def first_line_end(data: bytes) -> int:
+    """How many bytes the first line has, its end included; 0 when it does not end in them."""
+    end = _LINE_END.search(data)
+    return end.end() if end else 0
 
 
 class LineDecoder:
@@ -137,7 +147,7 @@ def _take(line: bytes, frames: list[CanFrame], other: list[str]) -> int:
 def _read(line: bytes) -> CanFrame | str | None:
     """A frame, another line, or None of a damaged one. On a bus nearly every line has been there just before."""
     if line[:1] not in (b"t", b"T", b"r", b"R"):
-        return line.decode("ascii") if _PLAIN.fullmatch(line) else None
+        return line.decode("ascii") if _ORDER_OR_ANSWER.fullmatch(line) else None
     match = _FRAME.fullmatch(line)
     if match is None:
         return None

@@ -163,7 +163,18 @@ def test_start_ups_are_recorded_one_by_one_and_classed(
     virtual_rig: VirtualRigProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
-    words = ["test", "virtual", "start-ups", "B", "--count", "2", "--out", str(tmp_path), "--time-scale", "8"]
+    words = [
+        "test",
+        "virtual",
+        "start-ups",
+        "B",
+        "--count",
+        "2",
+        "--out",
+        str(tmp_path),
+        "--time-scale",
+        f"{TIME_SCALE:g}",
+    ]
     code, out, _ = said(capsys, *words, "--json", *ports)
     result = json.loads(out)
     assert code == 0

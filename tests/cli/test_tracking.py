@@ -13,10 +13,10 @@ from cli.tracking import LiveTracking, compile_tracker, imbalance_std
 from daq.acquisition.session import Session
 from daq.errors import LinkLost
 from daq.guided_tests.procedure import Procedures
+from daq.lockstep.rig import LockstepRig
 from daq.transports import HostClock
 from identification.tracking.tracker import Tracker
 from rig_configs import IdentifiedParameters, load_rig
-from tests.conftest import TIME_SCALE
 
 WRONG = ["pendulums.a.damping_Nms_per_rad=*2", "pendulums.b.damping_Nms_per_rad=*0.5"]
 
@@ -43,18 +43,19 @@ def test_a_spin_down_is_followed_from_wrong_dampings(tmp_path: Path) -> None:
         assert high < 10 * low  # at the start it was a factor 50
 
 
-def test_what_goes_wrong_in_the_tracker_does_not_end_the_test(
-    virtual_rig: VirtualRigProcess, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_what_goes_wrong_in_the_tracker_does_not_end_the_test(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def broken(*_: object) -> None:
         raise ValueError("not positive definite")
 
-    rig = load_rig("virtual", settings=virtual_rig.port_settings())
-    compile_tracker(rig.physics)  # not while the session runs: its readers would fall behind
-    with Session(rig, HostClock(TIME_SCALE)) as session, LiveTracking(session) as following:
+    changes = ["virtual.seed=3"]
+    sim = LockstepRig(load_rig("virtual", settings=changes))
+    rig = load_rig("virtual", settings=[*changes, *sim.port_settings()])
+    compile_tracker(rig.physics)
+    with Session(rig, sim.clock, edge=sim.edge) as session, LiveTracking(session) as following:
         monkeypatch.setattr(Tracker, "feed_encoders", broken)
-        done = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).spin_down()
-        assert following.words() == "tracking stopped: not positive definite"
+        done = Procedures(session, SimulatedOperator(sim), tmp_path, quiet).spin_down()
+        following._thread.join(10.0)
+    assert following.words() == "tracking stopped: not positive definite"
     assert done.summary == {"slowed_down": True, "reached": True, "ended": "done"}
     assert not following.facts()["trusted"]
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from daq.clock import ClockMap, ClockSeed, Unwrap, fit_line
 from daq.errors import DeviceError
@@ -157,6 +158,40 @@ def test_rate_intervals_hold(seconds: float) -> None:
     assert np.mean(np.abs(z) < 1) > 0.6
     assert np.max(np.abs(z)) < 4
     assert seconds < 30 or line.rate_std < 10e-6
+
+
+def in_step(
+    rng: np.random.Generator, seconds: float, drift: float, step_s: float, grid_s: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Reads of samples that are handed over on a grid of the host's: as by a bus that it polls."""
+    device_s = np.arange(int(seconds / step_s)) * step_s
+    handed_over_s = np.ceil((device_s * (1 + drift) + rng.uniform(0, step_s)) / grid_s) * grid_s
+    read_s = np.sort(rng.uniform(0.1, seconds, int(100 * seconds)))
+    last = np.unique(np.searchsorted(handed_over_s, read_s, side="right") - 1)
+    return device_s[last], handed_over_s[last] + np.abs(rng.normal(0, 1e-4, len(last)))
+
+
+@pytest.mark.parametrize("seconds", [4.7, 12.7, 41.0])
+@pytest.mark.parametrize("grid_s", [2.5e-4, 1e-3, 1e-2])
+def test_rate_intervals_hold_where_the_host_polls_in_step_with_the_samples(seconds: float, grid_s: float) -> None:
+    rng = np.random.default_rng(12)
+    z = []
+    for _ in range(60):
+        drift = 30e-6 * rng.standard_normal()
+        line = fit_line(*in_step(rng, seconds, drift, 2.5e-4, grid_s), tolerance_ppm=30.0, step_s=2.5e-4)
+        z.append((line.rate - drift) / line.rate_std)
+    assert np.mean(np.abs(z) < 1.96) >= 0.85
+    assert np.max(np.abs(z)) < 4
+
+
+def test_a_line_without_stairs_over_more_than_a_period_is_known_as_well_as_its_reads_are() -> None:
+    rng = np.random.default_rng(13)
+    found = []
+    for _ in range(30):
+        line = fit_line(*in_step(rng, 41.0, 25e-6, 2.5e-4, 1e-9), tolerance_ppm=30.0, step_s=2.5e-4)
+        assert line.rate_std < 1e-6
+        found.append((line.rate - 25e-6) / line.rate_std)
+    assert np.max(np.abs(found)) < 4
 
 
 def test_a_short_record_says_no_more_than_the_data_sheet() -> None:

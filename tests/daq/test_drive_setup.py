@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import NMT_START, Objects, SdoServer, drive_objects
+from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START, Objects, SdoServer, drive_objects
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.settings import Drive
 from daq.errors import DeviceError
@@ -34,16 +34,22 @@ _STATE, _ACCESS = 0x08000022, 0x06010000  # abort codes of CiA 301
 
 
 class MappedDrive:
-    """A drive that guards its mapping as CiA 301 asks: changed only while the PDO is off, entries only at count 0."""
+    """A drive that guards its process data as CiA 301 asks.
+
+    Mapping, transmission type and identifier are changed only while the PDO is off, entries only at count 0.
+    """
 
     def __init__(self, changes: dict[tuple[int, int], int], *, settings: Drive = CONFIG) -> None:
         self.objects: Objects = drive_objects(NODE)
-        forms = {0: "<B", 1: "<I", 2: "<B", 5: "<H"}
+        forms = {0: "<B", 1: "<I", 2: "<B", 3: "<H", 5: "<H"}
         for (index, sub), value in changes.items():
             self.objects[index, sub] = (value, "<I" if index in _MAPPINGS and sub else forms[sub])
         self.written: list[tuple[int, int, int]] = []
         self.orders: list[int] = []
         self.fixed = False
+        self.fixed_in_operation = False
+        self.refused_entry: int | None = None
+        self.network_orders: list[int] = []
         self.state = cia402.SWITCH_ON_DISABLED
         self.started = False
         self._lines, self._sdo = slcan.LineDecoder(), SdoServer(self.objects, {}, self._take)
@@ -59,8 +65,9 @@ class MappedDrive:
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id == cia402.cob_sdo_request(NODE):
                 self._answer(cia402.cob_sdo_answer(NODE), self._refusal(frame.data) or self._sdo.answer(frame.data))
-            elif frame.arbitration_id == 0 and frame.data[0] == NMT_START:
-                self.started = True
+            elif frame.arbitration_id == 0:
+                self.network_orders.append(frame.data[0])
+                self.started = frame.data[0] == NMT_START
             elif frame.arbitration_id == cia402.cob_rpdo(1, NODE):
                 word = cia402.unpack_rpdo1(frame.data)[0]
                 self.orders.append(word)
@@ -74,13 +81,15 @@ class MappedDrive:
         self.host.heed([slcan.CanFrame(identifier, data)])
 
     def _refusal(self, request: bytes) -> bytes:
-        index, sub = struct.unpack_from("<HB", request, 1)
-        if request[0] >> 5 != 1 or index not in _MAPPINGS:
+        index, sub, value = struct.unpack_from("<HBI", request, 1)
+        if request[0] >> 5 != 1 or index not in (cia402.RPDO1, cia402.TPDO1, *_MAPPINGS):
             return b""
-        if self.fixed:
+        if self.fixed or (self.fixed_in_operation and self.started) or self.refused_entry == value:
             return b"\x80" + request[1:4] + struct.pack("<I", _ACCESS)
-        used = not self.value(index - 0x200, 1) & OFF
-        if used or (sub and self.value(index, 0)):
+        mapping = index in _MAPPINGS
+        own = self.value(index - 0x200 if mapping else index, 1)
+        changes = mapping or sub in (2, 3) or (sub == 1 and (own ^ value) & ~OFF)
+        if (changes and not own & OFF) or (mapping and sub and self.value(index, 0)):
             return b"\x80" + request[1:4] + struct.pack("<I", _STATE)
         return b""
 
@@ -122,14 +131,16 @@ def test_more_behind_the_speed_may_stay_but_not_behind_the_orders() -> None:
 
 
 words = st.sampled_from([STATUS, ACTUAL, TORQUE, cia402.CONTROLWORD << 16 | 16, cia402.TARGET_VELOCITY << 16 | 16, 0])
-kinds = st.sampled_from([0, 1, 240, 254, 255])
+kinds = st.sampled_from([0, 1, 240, 252, 253, 254, 255])
 
 
 @given(
     counts=st.tuples(st.integers(0, 2), st.integers(0, 2)),
     entries=st.tuples(words, words, words, words),
     kinds=st.tuples(kinds, kinds),
-    identifiers=st.tuples(*[st.sampled_from([OFF, OFF | 0x185, 0x185, 0x205, 0x385, OFF | 0x4000_0185])] * 2),
+    identifiers=st.tuples(
+        *[st.sampled_from([OFF, OFF | 0x185, 0x185, 0x205, 0x385, OFF | 0x4000_0185, 0x2000_0185, 0x2000_0205])] * 2
+    ),
     timer=st.sampled_from([0, 5, 100]),
 )
 def test_whatever_is_mapped_orders_are_taken_and_speeds_reported(
@@ -151,17 +162,57 @@ def test_whatever_is_mapped_orders_are_taken_and_speeds_reported(
     }
     assert drive.value(cia402.RPDO1_MAPPING, 0) == 2
     assert drive.value(cia402.TPDO1_MAPPING, 0) == 2
-    assert drive.value(cia402.RPDO1, 2) > 240
-    assert drive.value(cia402.TPDO1, 2) > 240
+    assert drive.value(cia402.RPDO1, 2) >= 254
+    assert drive.value(cia402.TPDO1, 2) >= 254
     assert drive.value(cia402.TPDO1, 5) == (timer or 10)
 
 
 def test_a_drive_that_cannot_be_mapped_is_refused_with_what_it_needs() -> None:
     drive = MappedDrive({(cia402.TPDO1_MAPPING, 0): 1})
     drive.fixed = True
-    with pytest.raises(DeviceError, match=r"1A00h sub 0.*1A00h statusword and actual speed \(6041h, 6044h\).*tool"):
+    with pytest.raises(DeviceError, match=r"1800h sub 1.*1A00h statusword and actual speed \(6041h, 6044h\).*tool"):
         drive.host.start()
     assert not drive.started
+
+
+def test_a_drive_that_refuses_changes_in_operation_is_taken_out_of_it() -> None:
+    def run(drive: MappedDrive) -> None:
+        drive.started = drive.fixed_in_operation = True
+
+    drive = opened({(cia402.TPDO1_MAPPING, 0): 1}, run)
+    assert drive.value(cia402.TPDO1_MAPPING, 0) == 2
+    assert drive.network_orders[:2] == [NMT_PRE_OPERATIONAL, NMT_START]
+
+
+def test_a_drive_in_operation_that_is_right_is_not_taken_out_of_it() -> None:
+    drive = MappedDrive({(cia402.TPDO1, 5): 20})
+    drive.started = True
+    drive.host.start()
+    orders = list(drive.network_orders)
+    drive.host.stop()
+    assert orders == [NMT_START]
+
+
+def test_what_a_drive_had_is_put_back_when_it_refuses_ours() -> None:
+    had = {(cia402.TPDO1_MAPPING, 0): 2, (cia402.TPDO1_MAPPING, 1): TORQUE, (cia402.TPDO1_MAPPING, 2): STATUS,
+           (cia402.TPDO1, 1): 0x4000_0185, (cia402.TPDO1, 2): 1}  # fmt: skip
+    drive = MappedDrive(had)
+    drive.refused_entry = ACTUAL
+    with pytest.raises(DeviceError, match="1A00h sub 2"):
+        drive.host.start()
+    assert {where: drive.value(*where) for where in had} == had
+
+
+@pytest.mark.parametrize("period_ms", [0, 101, 2000, 65535])
+def test_reports_that_come_too_seldom_get_a_period(period_ms: int) -> None:
+    assert opened({(cia402.TPDO1, 5): period_ms}).value(cia402.TPDO1, 5) == 10
+
+
+def test_an_inhibit_time_of_a_second_is_taken_off_and_a_short_one_is_left() -> None:
+    drive = opened({(cia402.TPDO1, 3): 10_000, (cia402.TPDO1, 5): 20})
+    assert drive.value(cia402.TPDO1, 3) == 0
+    assert drive.value(cia402.TPDO1, 1) == cia402.cob_tpdo(1, NODE)
+    assert of_process_data(opened({(cia402.TPDO1, 3): 50, (cia402.TPDO1, 5): 20})) == []
 
 
 def test_a_drive_that_does_not_show_its_mapping_is_taken_as_set_up_by_hand() -> None:
@@ -170,7 +221,7 @@ def test_a_drive_that_does_not_show_its_mapping_is_taken_as_set_up_by_hand() -> 
             if where[0] in (cia402.RPDO1, cia402.TPDO1, *_MAPPINGS):
                 del drive.objects[where]
 
-    assert opened({}, hide).started
+    assert NMT_START in opened({}, hide).network_orders
 
 
 @pytest.mark.parametrize(("ramp_bits", "word"), [(False, 0x0F), (True, 0x7F)])

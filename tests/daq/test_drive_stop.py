@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import threading
+import time
 
 import pytest
 
@@ -27,7 +29,9 @@ class FarEnd:
         self.rpm, self.state = 0, cia402.SWITCH_ON_DISABLED
         self.refused: set[int] = set()
         self.gone = False
+        self.deaf_to_beats, self.beats_refused = False, 0
         self.brakes = True
+        self.keeps_torque = False
         self.network = cia402.Heartbeat.OPERATIONAL
         self.deaf = False  # to the network's start too
         self.fixed: set[tuple[int, int]] = set()  # objects that cannot be written
@@ -40,11 +44,15 @@ class FarEnd:
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == WATCH:
             self.watched.append((value, self.rpm))
-        if (index, sub) == (cia402.CONTROLWORD, 0) and value == cia402.QUICK_STOP:
-            self._stops()
+        if (index, sub) == (cia402.CONTROLWORD, 0):
+            self._heeds(value)
 
-    def _stops(self) -> None:
-        if self.brakes:
+    def _heeds(self, word: int) -> None:
+        if word == cia402.DISABLE_VOLTAGE and not self.keeps_torque and self.state != cia402.FAULT:
+            self.state = cia402.SWITCH_ON_DISABLED
+        elif word == cia402.SHUTDOWN and not self.keeps_torque and self.state == cia402.OPERATION_ENABLED:
+            self.state = cia402.READY
+        elif word == cia402.QUICK_STOP and self.brakes:
             self.rpm = max(0, self.rpm - 100)
             self.state = cia402.QUICK_STOP_ACTIVE
 
@@ -57,6 +65,9 @@ class FarEnd:
         if self.gone:
             raise LinkLost("gone")
         for frame in self._lines.feed(data).frames:
+            if self.deaf_to_beats and frame.arbitration_id == cia402.cob_heartbeat(CONFIG.host_node_id):
+                self.beats_refused += 1
+                raise LinkLost("no buffer space")
             self.told.append((frame.arbitration_id, frame.data))
             if frame.arbitration_id == 0 and not self.deaf:
                 self.network = cia402.Heartbeat.OPERATIONAL
@@ -78,8 +89,7 @@ class FarEnd:
                 if self.network != cia402.Heartbeat.OPERATIONAL:
                     continue
                 word, _ = cia402.unpack_rpdo1(frame.data)
-                if word == cia402.QUICK_STOP:
-                    self._stops()
+                self._heeds(word)
                 self.speak()
 
     def report(self, identifier: int, data: bytes) -> None:
@@ -205,7 +215,7 @@ def test_nothing_turns_without_the_drives_own_watch() -> None:
             far.shows(cia402.Heartbeat.BOOT_UP)
         else:
             far._sdo.answer(struct.pack("<BHBI", 0x23, cia402.CONSUMER_HEARTBEAT, 1, 0))
-        with pytest.raises(DeviceError, match="started again"):
+        with pytest.raises(DeviceError, match="started again" if restarts else "is 0x00000000"):
             far.control.enable()
         assert cia402.ENABLE_OPERATION not in far.controlwords()
         far.control.stop()
@@ -230,4 +240,103 @@ def test_a_ramp_whose_time_is_fixed_is_set_by_its_speed() -> None:
     for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
         found = far._sdo.answer(struct.pack("<BHBI", 0x40, index, 1, 0))
         assert struct.unpack_from("<I", found, 4)[0] == 120
+    far.control.stop()
+
+
+def test_a_ramp_that_a_fixed_time_does_not_allow_is_refused() -> None:
+    far = FarEnd()
+    for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
+        far._sdo.answer(struct.pack("<BHBHH", 0x2B, index, 2, 1, 0))
+        far.fixed.add((index, 2))
+    far.control.start()
+    with pytest.raises(DeviceError, match=r"0\.3 rpm/s wanted.*fixed at 1 s.*as 1 rpm/s"):
+        far.control.set_ramp(0.3)
+    far.control.stop()
+
+
+def test_a_drive_that_keeps_its_torque_keeps_its_watch() -> None:
+    far = FarEnd()
+    far.runs(0)
+    far.keeps_torque = True
+    told: list[str] = []
+    assert far.control.stop(told.append) is False
+    assert far.watched[-1][0] & 0xFFFF == CONFIG.heartbeat_timeout_ms
+    assert any("stays in QUICK STOP ACTIVE" in text for text in told)
+
+
+def test_torque_is_taken_away_until_the_drives_own_word_says_so() -> None:
+    far = FarEnd()
+    far.runs(0)
+    far.keeps_torque = True
+    with pytest.raises(DeviceError, match="stays in OPERATION ENABLED"):
+        far.control.disable()
+    assert far.controlwords().count(cia402.SHUTDOWN) > 3
+    far.keeps_torque = False
+    far.control.disable()
+    assert far.control.state == cia402.READY
+    assert far.control.stop() is True
+
+
+def test_a_heartbeat_that_did_not_go_out_once_goes_on() -> None:
+    far = FarEnd()
+    far.control.start()
+    before = far.control._beats
+    far.deaf_to_beats = True
+    deadline = time.monotonic() + 5.0
+    while far.beats_refused < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    far.deaf_to_beats = False
+    while far.control._beats < before + 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert far.beats_refused >= 2
+    assert far.control._beats >= before + 2
+    far.control.stop()
+
+
+def test_nothing_is_turned_while_the_heartbeat_does_not_go_out() -> None:
+    """A drive that was told to watch does so from the next heartbeat on: without one it watches nothing."""
+    far = FarEnd()
+    far.control.start()
+    far.speak()
+    far.control._beats_unwatched = far.control._beats
+    far.deaf_to_beats = True
+    with pytest.raises(DeviceError, match="heartbeat does not go out"):
+        far.control.enable()
+    far.deaf_to_beats = False
+    assert cia402.ENABLE_OPERATION not in far.controlwords()
+    far.control.stop()
+
+
+def test_a_fault_that_comes_on_the_way_is_its_operators() -> None:
+    far = FarEnd()
+    far.control.start()
+    far.state = cia402.FAULT
+    far._sdo.objects[cia402.ERROR_CODE, 0] = (0x2320, "<H")
+    far.control._statusword = cia402.STATES[cia402.FAULT_REACTION][1]
+    far.control._word_ns = far.control._clock.now_ns()
+    threading.Timer(0.05, far.speak).start()
+    with pytest.raises(DeviceError, match="error code is 0x2320"):
+        far.control.enable()
+    assert cia402.FAULT_RESET not in far.controlwords()
+    far.control.stop()
+
+
+def test_a_drive_found_in_operation_is_told_to_stand() -> None:
+    far = FarEnd()
+    far.control.start()
+    far.rpm, far.state = 300, cia402.OPERATION_ENABLED
+    far.speak()
+    far.control.enable()
+    orders = [d for i, d in far.told if i == cia402.cob_rpdo(1, CONFIG.node_id)]
+    assert [cia402.unpack_rpdo1(d) for d in orders] == [(cia402.ENABLE_OPERATION, 0)]
+    far.control.stop()
+
+
+def test_a_watch_over_another_nodes_heartbeat_is_none() -> None:
+    far = FarEnd()
+    far.control.start()
+    far.speak()
+    far._sdo.objects[WATCH] = (cia402.consumer_heartbeat(7, 500), "<I")
+    with pytest.raises(DeviceError, match="does not watch the heartbeat of node 1: 1016h sub 1 is 0x000701F4"):
+        far.control.enable()
     far.control.stop()

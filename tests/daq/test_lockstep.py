@@ -164,6 +164,7 @@ def test_a_log_s_first_samples_bear_the_times_that_its_last_ones_do(rig: str, tm
     assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
     with open_log(tmp_path / "a.mcap") as log:
         assert set(json.loads(log.attachments["clocks.json"])) >= {angles.device}
+        assert json.loads(log.attachments["identities.json"])[angles.device]["node"] == 1
         samples = log[angles.topic]
         lag_ms = 1e-6 * (samples.time_ns - 1000 * samples["node_time_us"].astype(np.int64))
         assert abs(lag_ms[:50].mean() - lag_ms[-1000:].mean()) < 1.0

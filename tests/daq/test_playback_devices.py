@@ -212,12 +212,13 @@ def test_our_own_control_starts_and_stops_a_played_drive() -> None:
     assert drive.sending
     bus.bring(drive.play(RX, report(0x237, 300)))
     assert (bus.control.actual_rpm, bus.control.state) == (300, cia402.OPERATION_ENABLED)
+    bus.control.enable()
     bus.control.set_speed(500)
     bus.bring(drive.play(RX, report(0x240, 0)))
     bus.control.stop()
     assert not drive.sending
     assert drive.play(RX, report(0x237, 100)) == b""
-    assert drive.unfollowed == 1  # the speed; that it was to stop in the end is no wish that was refused
+    assert drive.unfollowed == 2  # torque and speed; that it was to stop in the end is no wish that was refused
 
 
 def test_what_it_measures_is_what_the_log_said_last() -> None:

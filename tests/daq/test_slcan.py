@@ -67,6 +67,11 @@ def test_a_sound_line_survives_whatever_came_before(pieces):
         b"t1231\xff0",
         b"\x80",
         b"t" * 65,
+        b"v1854370",  # a frame's letter with a flipped bit
+        b"437022C01",
+        b"4370",
+        b"hello",
+        b" ",
     ],
 )
 def test_damaged_lines_are_counted(line):
@@ -92,3 +97,8 @@ def test_an_endless_line_is_bounded():
 def test_a_frame_that_cannot_be_is_refused(frame):
     with pytest.raises(ValueError, match="expected an identifier"):
         encode(frame)
+
+
+@pytest.mark.parametrize("line", ["C", "O", "L", "S6", "s031C", "Z1", "V1013", "NA123", "F04", "M00000000", "z", "Z"])
+def test_what_adapters_say_and_are_told_is_no_damage(line):
+    assert decode([line.encode() + b"\r"]) == Decoded([], [line], 0)

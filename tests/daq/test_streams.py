@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
+from daq.errors import DeviceError
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
@@ -368,6 +370,23 @@ def test_only_one_node_is_listened_to() -> None:
     assert batches[0].columns["index"][0] == 200
 
 
+def test_the_node_of_one_log_is_that_of_the_next_whoever_is_heard_first_there() -> None:
+    first, *_ = decoded(blocks_from(0.0, 10, node=7))
+    again = NodePipeline("encoder", DEVICES["encoder"], json.loads(json.dumps(first.learned)))
+    neighbour, ours = blocks_from(1.0, 1, node=2), blocks_from(1.0, 10, 10, 200, node=7)
+    batches, events = feed(again, [frame for _, frame in neighbour + ours])
+    assert sum(len(batch.time_ns) for batch in batches) == 200
+    assert [event.text for event in events] == ["frames of node 2 ignored: this rig's is node 7"]
+    chosen = NodePipeline("encoder", DEVICES["encoder"].model_copy(update={"node": 2}), first.learned)
+    assert chosen.learned == {"node": 2}  # the rig file decides
+
+
+@pytest.mark.parametrize("node", ["7", True, -1, 256, 7.0, [7]])
+def test_no_identity_has_a_node_that_cannot_be(node: object) -> None:
+    with pytest.raises(DeviceError, match="a node's number, 0 to 255"):
+        NodePipeline("encoder", DEVICES["encoder"], {"node": node})
+
+
 def test_indices_go_on_behind_their_wrap() -> None:
     pipeline, found, events = decoded(blocks_from(0.0, 100, index=2**32 - 1000))
     assert found == [*range(2**32 - 1000, 2**32), *range(1000)]
@@ -556,3 +575,24 @@ def test_frames_that_the_adapter_refused_are_counted_and_its_own_orders_are_not(
     assert pipeline.losses == {"damaged_lines": 0, "refused_lines": 2}
     pipeline.feed(TX, b"C\r", START_NS)
     assert pipeline.feed(RX, b"\x07", START_NS) == []
+
+
+def test_an_adapter_that_answers_no_order_is_not_excused_for_ever() -> None:
+    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    node = DEVICES["drive"].node_id
+    pipeline.feed(TX, b"\rC\rS6\rO\r", START_NS)
+    pipeline.feed(RX, slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, node), cia402.pack_tpdo1(0x237, 0))), START_NS)
+    pipeline.feed(RX, b"\x07\x07", START_NS)
+    assert pipeline.losses == {"damaged_lines": 0, "refused_lines": 2}
+
+
+@pytest.mark.parametrize("at", range(12))
+def test_a_log_may_begin_in_a_line_and_only_there(at: int) -> None:
+    report = slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, DEVICES["drive"].node_id), cia402.pack_tpdo1(0x237, 300)))
+    data = report[5:] + report + report[3:] + report  # the third one has lost its beginning
+    for cuts in ([at], [at, 3], range(1, len(data))):
+        pipeline = DrivePipeline("drive", DEVICES["drive"])
+        ends = sorted({0, *cuts, len(data)})
+        items = [item for a, b in itertools.pairwise(ends) for item in pipeline.feed(RX, data[a:b], START_NS)]
+        assert sum(len(item.time_ns) for item in items if isinstance(item, Batch)) == 2
+        assert pipeline.losses == {"damaged_lines": 1, "refused_lines": 0}

@@ -14,12 +14,17 @@ from daq.drivers.cia402.settings import Drive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard
 from daq.drivers.running_down import runs_down
-from daq.errors import DeviceError
+from daq.errors import DeviceError, LinkLost
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock, Repeated
 
 _RAMP_S = 10
-_RESET_S = 0.1  # wall seconds between two attempts to reset a fault
+_RAMP_SHARE = 0.05  # by which a ramp may differ from what is wanted
+_RESET_S = 0.05  # wall seconds that a controlword stands while a fault is reset
+_ALIVE_S = 0.3  # wall seconds that a heartbeat may be late on a busy host
+_LEAVE_S, _LEAVE_AGAIN_S = 0.5, 0.1  # wall seconds to wait for a drive without torque, and until it is told again
+_EMERGENCIES = 30  # that are kept for a message
+_LOOK = "Look into its manual, mend the cause and reset it there"
 _HEED_S = 0.3  # wall seconds that a drive has to heed a quick stop
 _WORD_S = 0.5  # wall seconds after which the drive's word is too old
 
@@ -64,6 +69,8 @@ class DriveControl:
         self.emergencies: list[int] = []
         self._armed = False
         self._network_state: cia402.Heartbeat | None = None
+        self._beats, self._beats_unwatched = 0, 0  # that went out, and those of them before the drive was told to watch
+        self._beat_s = -math.inf  # when the last one went out, wall s
         self._started_again = False
         self._stopping_s: float | None = None  # since when a drive out of operation was told to stop, wall s
 
@@ -78,6 +85,8 @@ class DriveControl:
         for frame in cia402.own_frames(frames):
             identifier, data = frame.arbitration_id, frame.data
             if identifier == report and len(data) >= cia402.TPDO1_BYTES:  # nearly all of them
+                if self._started_again:  # its mapping may be its maker's again: what looks like a speed may be none
+                    continue
                 self._statusword, rpm = cia402.unpack_tpdo1(data)
                 self._word_rpm, self._word_ns = float(rpm), self._clock.now_ns()
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
@@ -86,7 +95,7 @@ class DriveControl:
                 self._objects.heed(data)
             elif identifier == cia402.cob_emergency(node) and len(data) == 8:
                 code = cia402.unpack_emergency(data).error_code
-                self.emergencies = [*self.emergencies, code] if code else []
+                self.emergencies = [*self.emergencies[-_EMERGENCIES:], code] if code else []
             elif identifier == cia402.cob_heartbeat(node) and (state := cia402.heartbeat(data)) is not None:
                 self._network_state = state
                 if state == cia402.Heartbeat.BOOT_UP:
@@ -115,7 +124,7 @@ class DriveControl:
             DeviceError: the drive does not answer or refuses a setting.
         """
         c = self._config
-        self._started_again, self._stopping_s = False, None
+        self._started_again, self._stopping_s, self.emergencies = False, None, []
         rate = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}[c.bitrate]
         self._bus_open = True
         self._send(b"\rC\r" + rate + b"\rO\r")
@@ -125,15 +134,26 @@ class DriveControl:
         self._objects.write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
         self._watched = True
         self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
+        self._beats_unwatched = self._beats
         self.set_ramp(c.ramp_rpm_per_s)
         map_process_data(self._objects, c.node_id)
         self._objects.send(0, bytes([NMT_START, c.node_id]))
 
     def set_ramp(self, rpm_per_s: float) -> None:
-        """Ramp for speeding up and slowing down, rpm/s."""
+        """Ramp for speeding up and slowing down, rpm/s.
+
+        Raises:
+            DeviceError: the time of the drive's ramp is fixed, and it can do no ramp near this one.
+        """
         for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
             seconds = self._ramp_seconds(index)
-            self._objects.write(index, 1, max(1, round(rpm_per_s * seconds)), 4)
+            change = max(1, round(rpm_per_s * seconds))
+            if abs(change / seconds - rpm_per_s) > _RAMP_SHARE * rpm_per_s:
+                raise DeviceError(
+                    f"drive: {rpm_per_s:g} rpm/s wanted; the time of its ramp ({index:04X}h sub 2) is fixed at "
+                    f"{seconds} s, which allows whole rpm in {seconds} s only, as {change / seconds:g} rpm/s"
+                )
+            self._objects.write(index, 1, change, 4)
 
     def _ramp_seconds(self, index: int) -> int:
         """The time of a ramp: 10 s, for a resolution of 0.1 rpm/s, or the drive's own where it cannot be changed."""
@@ -148,22 +168,30 @@ class DriveControl:
     def enable(self) -> None:
         """Walk the state machine to OPERATION ENABLED with target speed 0.
 
-        A drive whose host was killed may stand in FAULT because the heartbeat stayed away: that one is reset. Any
-        other fault is its operator's to look into.
+        A drive whose host was killed may stand in FAULT because the heartbeat stayed away: that one is reset, once. Any
+        other fault is its operator's to look into, also one that comes on the way.
 
         Raises:
-            DeviceError: it does not get there, or stands in a fault of its own.
+            DeviceError: it does not get there, stands in a fault of its own, or does not watch the host's heartbeat.
             RigError: whatever `permit` raises.
         """
         deadline = self._clock.wall_s() + 3.0
-        self._armed, self.dropped_out = False, None
-        if self.state == cia402.FAULT:
-            self._reset_if_only_heartbeat(deadline)
-        self._check_watch()
+        self._armed, self.dropped_out, was_reset = False, None, False
+        if self.state != cia402.FAULT:
+            self._check_watch()
+        if self.state == cia402.OPERATION_ENABLED:  # found so: whatever it was told to do, it is told to stand
+            self._guarded.permit(None)
+            self._pdo(self._run_word, 0)
         while self.state != cia402.OPERATION_ENABLED:
             self._guarded.permit(None)
-            word = cia402.towards_operation(self.state)
-            if word is not None:
+            state = self.state
+            if state == cia402.FAULT and not was_reset:
+                self._reset_if_only_heartbeat(deadline)
+                self._check_watch()
+                was_reset = True
+            elif state == cia402.FAULT:
+                raise DeviceError(f"drive: it fell into FAULT again{self.why()}. {_LOOK}")
+            elif (word := cia402.towards_operation(state)) is not None:
                 self._pdo(self._run_word if word == cia402.ENABLE_OPERATION else word, 0)
             if self._clock.wall_s() > deadline:
                 raise DeviceError(
@@ -174,13 +202,35 @@ class DriveControl:
         self._armed = True
 
     def _check_watch(self) -> None:
-        """Nothing turns without the drive's own watch over our heartbeat: one that has started again has none."""
-        watched = self._objects.read(cia402.CONSUMER_HEARTBEAT, 1) or 0
-        if self._started_again or not watched & 0xFFFF:
+        """Nothing turns without the drive's own watch over our heartbeat, or without the heartbeat.
+
+        A drive that has started again has none. One that has been told to watches from the next heartbeat on (CiA 301).
+        """
+        if self._started_again:
             raise DeviceError(
                 "drive: it started again since it was set up, so it does not watch the host any more. Look at its "
                 "supply, then begin anew"
             )
+        if self._beat is None or self._stopping_s is not None:  # ended, so that the drive stops by itself
+            self._stopping_s = None
+            self._start_heartbeat()
+        watched = self._objects.read(cia402.CONSUMER_HEARTBEAT, 1)
+        if watched is None or not watched & 0xFFFF or watched >> 16 & 0x7F != self._config.host_node_id:
+            said = "cannot be read" if watched is None else f"is 0x{watched:08X}"
+            raise DeviceError(
+                f"drive: it does not watch the heartbeat of node {self._config.host_node_id}: 1016h sub 1 {said}. "
+                "Nothing is turned by a drive that does not stop when its host is gone"
+            )
+        end = self._clock.wall_s() + 3e-3 * self._config.heartbeat_ms + _ALIVE_S
+        while self._beats <= self._beats_unwatched and self._clock.wall_s() < end:
+            self._clock.wait(0.005)
+        self._check_heartbeat()
+
+    def _check_heartbeat(self) -> None:
+        """Raise when the host's heartbeat does not go out: the drive does not watch it, or stops by itself soon."""
+        patience_s = max(_ALIVE_S, 1e-3 * self._config.heartbeat_timeout_ms)
+        if self._beats <= self._beats_unwatched or self._clock.wall_s() - self._beat_s > patience_s:
+            raise DeviceError("drive: the host's heartbeat does not go out. Look at adapter, bus and cable")
 
     def fault_code(self) -> int | None:
         """Why the drive stands in FAULT, by its own word; None when it tells nothing.
@@ -201,12 +251,11 @@ class DriveControl:
         code = self.fault_code()
         if code != cia402.HEARTBEAT_ERROR:
             said = "it does not tell why" if code is None else f"its error code is 0x{code:04X}"
-            raise DeviceError(
-                f"drive: it stands in FAULT, {said}. Look into its manual, mend the cause and reset it there"
-            )
+            raise DeviceError(f"drive: it stands in FAULT, {said}{self.why()}. {_LOOK}")
         self.was_reset = "the drive stood in FAULT because a host's heartbeat had stayed away (0x8130); it was reset"
         while self.state == cia402.FAULT and self._clock.wall_s() < deadline_s:
             self._pdo(cia402.DISABLE_VOLTAGE, 0)  # a reset is the bit's rising edge; one may be refused
+            self._clock.wait(_RESET_S)  # a drive looks at the word in cycles of its own
             self._pdo(cia402.FAULT_RESET, 0)
             self._clock.wait(_RESET_S)
 
@@ -217,12 +266,40 @@ class DriveControl:
             RigError: whatever `permit` raises.
         """
         self._guarded.permit(rpm)
+        if rpm:
+            self._check_heartbeat()
         self._pdo(self._run_word, round(rpm))
 
     def disable(self) -> None:
-        """Take the torque away; the rotor must be at rest."""
+        """Take the torque away; the rotor must be at rest.
+
+        Raises:
+            DeviceError: the drive stays in operation.
+        """
         self._armed = False
-        self._pdo(cia402.SHUTDOWN, 0)
+        if not self._leaves_operation(cia402.SHUTDOWN):
+            raise DeviceError(f"drive: told to take the torque away, it stays in {self.state}. {_LOOK}")
+
+    def _leaves_operation(self, word: int) -> bool:
+        """Send a controlword until the drive's own reports show that it has no torque; whether they do.
+
+        A drive that has fallen silent is not waited for.
+        """
+        deadline = self._clock.wall_s() + _LEAVE_S
+        while True:
+            self._pdo(word, 0)
+            again = self._clock.wall_s() + _LEAVE_AGAIN_S
+            while self._in_torque and self._clock.wall_s() < again:
+                self._clock.wait(0.005)
+            if not self._in_torque:
+                return True
+            if self._clock.wall_s() > deadline:
+                return False
+
+    @property
+    def _in_torque(self) -> bool:
+        """Whether the drive's fresh word is that it turns the rotor, or holds it."""
+        return not math.isnan(self.actual_rpm) and self.state in (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE)
 
     def quick_stop(self) -> None:
         """Stop as fast as the drive can, in whatever network state it is.
@@ -256,12 +333,18 @@ class DriveControl:
         identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])
 
         def beat() -> None:
-            self._objects.send(identifier, operational)
+            try:
+                self._objects.send(identifier, operational)
+            except (
+                DeviceError,
+                LinkLost,
+            ):  # a link that is gone is its reader's to report; one that is not takes the next one
+                return
+            self._beats, self._beat_s = self._beats + 1, self._clock.wall_s()
 
         beat()
         if self._beat is not None:  # of a line that was lost
             self._beat.stop()
-        # a link that is gone is its reader's to report; a heartbeat that ends stops the drive
         self._beat = self._clock.every(self._config.heartbeat_ms * 1e-3, beat, "heartbeat", lambda error: None)
 
     def stop(self, told: Callable[[str], None] = lambda text: None) -> bool:
@@ -278,14 +361,25 @@ class DriveControl:
         try:
             rest = rest or self._rest(told)
             if rest and self._watched:
-                with contextlib.suppress(DeviceError):  # confirmed, as no process data is
-                    self._objects.write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)
-                with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
-                    self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
-                self._watched = False
+                rest = self._disarms(told)
         finally:
             self._let_go(rest)
         return rest
+
+    def _disarms(self, told: Callable[[str], None]) -> bool:
+        """Take torque and watch away, in this order; whether nothing is left armed.
+
+        A drive that keeps its torque keeps its watch too, and stops by itself when the heartbeat ends.
+        """
+        with contextlib.suppress(DeviceError):  # also out of network operation
+            self._objects.write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)
+        if not self._leaves_operation(cia402.DISABLE_VOLTAGE):
+            told(f"the drive was told to take the torque away and stays in {self.state}. {_LOOK}")
+            return False
+        with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
+            self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
+        self._watched = False
+        return True
 
     def _let_go(self, rest: bool) -> None:
         """End the heartbeat, the node's operation and the adapter's; of a rotor that may turn nothing is taken away."""
@@ -304,4 +398,6 @@ class DriveControl:
         never_turned = not self._word_ns and not self._ordered  # it never said a word, nor was it told one
         if never_turned or (self._guarded.at_rest() and self.state != cia402.OPERATION_ENABLED):
             return True
+        if self.state == cia402.OPERATION_ENABLED:  # also at rest: it may have an order to turn
+            self.quick_stop()
         return runs_down(self._clock, self._guarded, self.quick_stop, told)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import queue
+import struct
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -23,7 +24,8 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets 
 
 _ANSWER_S = 0.3  # wall seconds to wait for an answer
 _TRIES = 3
-_DOWNLOAD, _UPLOAD = 1, 2  # command specifiers of CiA 301
+_READ = struct.Struct("<BHBI")
+_EXPEDITED = 0x42  # an answer that holds the value itself, under the mask 0xE2
 
 _T = TypeVar("_T")
 
@@ -55,12 +57,12 @@ class _SdoClient(SdoClient):
         super().__init__(cia402.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
         self.network = network
         self.responses: queue.Queue[bytes] = clock.queue()
-        self._asked = b""  # index and sub-index, as they stand in a request
+        self._asked = b""  # index and sub-index, as they stand in a request; empty where no answer is waited for
         network.subscribe(answers, self.on_response)
 
     def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Take an answer, unless it is late and of another object, or of an order that was not waited for."""
-        if bytes(data[1:4]) == self._asked or not self._asked:
+        """Take an answer, unless it is late and of another object, or of an order that is not waited for."""
+        if bytes(data[1:4]) == self._asked:
             super().on_response(can_id, data, timestamp)  # pyright: ignore[reportUnknownMemberType] (untyped)
 
     def request_response(self, sdo_request: bytes) -> bytes:
@@ -68,14 +70,15 @@ class _SdoClient(SdoClient):
         with contextlib.suppress(queue.Empty):
             while True:
                 self.responses.get_nowait()
-        initiates = sdo_request[0] >> 5 in (_DOWNLOAD, _UPLOAD)  # what follows names no object
-        self._asked = bytes(sdo_request[1:4]) if initiates else b""
+        self._asked = bytes(sdo_request[1:4])
         self.send_request(sdo_request)  # pyright: ignore[reportUnknownMemberType]
         try:
             return bytes(self.read_response())  # pyright: ignore[reportUnknownArgumentType] (untyped)
         except SdoCommunicationError:
             self.abort(ABORT_TIMED_OUT)
             raise
+        finally:
+            self._asked = b""
 
 
 class NodeObjects:
@@ -124,9 +127,13 @@ class NodeObjects:
 
     def _upload(self, index: int, sub: int) -> int | None:
         try:
-            return int.from_bytes(self._sdo.upload(index, sub)[:4], "little")
+            answer = self._sdo.request_response(_READ.pack(0x40, index, sub, 0))
         except SdoAbortedError:
             return None
+        if answer[0] & 0xE2 != _EXPEDITED:  # longer than what is asked for here
+            return None
+        size = 4 - (answer[0] >> 2 & 3) if answer[0] & 1 else 4
+        return int.from_bytes(answer[4 : 4 + size], "little")
 
     def _tried(self, what: str, request: Callable[[], _T]) -> _T:
         attempt = 1

@@ -65,7 +65,7 @@ class PlayedDrive(PlayedDevice):
         super().__init__(BothWays())
         self._node = config.node_id
         self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
-        self._report = re.compile(f"t{cia402.cob_tpdo(1, config.node_id):03X}4([0-9A-Fa-f]{{8}})".encode())
+        self._report = re.compile(f"t{cia402.cob_tpdo(1, config.node_id):03X}[4-8]([0-9A-Fa-f]{{8}})".encode())
         self._reported = bytes(4)
         objects = drive_objects(config.node_id)
         measured = {
@@ -112,4 +112,4 @@ class PlayedDrive(PlayedDevice):
 
     def _turn(self, controlword: int) -> None:
         """Torque and speed are as they were; that a host takes them away at its end is no wish a log refuses."""
-        self.unfollowed += controlword == cia402.ENABLE_OPERATION
+        self.unfollowed += controlword & 0x0F == cia402.ENABLE_OPERATION

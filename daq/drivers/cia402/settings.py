@@ -26,7 +26,7 @@ class Drive(DeviceSettings):
     heartbeat_timeout_ms: Annotated[int, Field(ge=50, le=800)] = 500
     ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
     ramp_bits: bool = False
-    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=20)] = AT_REST_RPM
+    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=10)] = AT_REST_RPM
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""
@@ -34,6 +34,8 @@ class Drive(DeviceSettings):
 
     @model_validator(mode="after")
     def _beats_before_timeout(self) -> Drive:
+        if self.host_node_id == self.node_id:
+            raise ValueError(f"host_node_id and node_id are both {self.node_id}: the drive would watch itself")
         if self.heartbeat_timeout_ms < 2 * self.heartbeat_ms:
             raise ValueError("heartbeat_timeout_ms must be at least twice heartbeat_ms, or one late beat stops the rig")
         return self

@@ -47,13 +47,12 @@ class DrivePipeline:
                 self._heed_target(frame)
             self.frames = []
             return []
-        found = self._rx.feed(data)
+        found = self._rx.feed(data) if self._joined else self._join(data)
         self.frames = cia402.own_frames(found.frames)
         out: list[Batch | Event] = []
-        damaged = found.damaged if self._joined else max(0, found.damaged - 1)
-        self._joined = True
-        if found.other_lines:
-            out += self._answered(found.other_lines)
+        damaged = found.damaged
+        if found.other_lines or self._may_refuse:
+            out += self._answered(found)
         if damaged:
             self.losses["damaged_lines"] += damaged
             out.append(Event("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
@@ -87,13 +86,26 @@ class DrivePipeline:
         )
         return Event("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
 
-    def _answered(self, lines: list[str]) -> list[Event]:
+    def _join(self, data: bytes) -> slcan.Decoded:
+        """Take a log's first line, of which it may have the end only, without blame."""
+        behind = slcan.first_line_end(data)
+        if not behind:
+            return self._rx.feed(data)
+        self._joined = True
+        first, found = self._rx.feed(data[:behind]), self._rx.feed(data[behind:])
+        return slcan.Decoded(first.frames + found.frames, first.other_lines + found.other_lines, found.damaged)
+
+    def _answered(self, found: slcan.Decoded) -> list[Event]:
         """The adapter's answers in their order: of its refusals, those of frames that did not go out."""
         refused = 0
-        for line in lines:
+        for line in found.other_lines:
             if line in ("", slcan.BEL):
                 refused += line == slcan.BEL and not self._may_refuse
                 self._may_refuse = max(0, self._may_refuse - 1)
+            elif line in ("z", "Z"):  # a frame has gone out: its own orders before are over, answered or not
+                self._may_refuse = 0
+        if found.frames:
+            self._may_refuse = 0  # the bus is open
         if not refused:
             return []
         self.losses["refused_lines"] += refused
@@ -108,7 +120,7 @@ class DrivePipeline:
         """A boot-up message, or a change of the drive's network state; only in operation does it report its speed."""
         state = cia402.heartbeat(frame.data)
         before, self._network = self._network, self._network if state is None else state
-        if state is None or state == before:
+        if state is None or (state == before and state != cia402.Heartbeat.BOOT_UP):
             return []
         if state == cia402.Heartbeat.BOOT_UP:
             text = "the drive started again (boot-up message): its settings are gone, its speed is unknown"

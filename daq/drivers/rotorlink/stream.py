@@ -14,10 +14,12 @@ from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
+from daq.errors import DeviceError
 from rig_configs.device import RotorNodeSettings
 
 _REPEATS_RULES = 3  # of a log, since which blocks wait for those that are sent again
 _WRAP = 2**32
+_NODES = 256
 _SILENCE_US = 30_000_000  # behind a longer one the sequence, which wraps, tells nothing of a new beginning
 _OLD_US = 1_000_000  # a block that lies further back, and is not said to be sent again, is of a node that began anew
 
@@ -47,7 +49,8 @@ class NodePipeline:
         self._last_dongle_us: int | None = None
         self._dongle = SenderClock()
         self._wrapped = False  # the node's frames come in those of a dongle, which counts them
-        self._node, self._others = config.node, set[int]()
+        self._node = _node_of(identity) if config.node is None else config.node
+        self._others = set[int]()
         self._restart()
         self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
 
@@ -55,6 +58,11 @@ class NodePipeline:
     def clock_seed(self) -> ClockSeed | None:
         """See KeepsTime."""
         return self._clock.seed(1000 * 2**32)
+
+    @property
+    def learned(self) -> dict[str, int]:
+        """See LearnsIdentity."""
+        return {} if self._node is None else {"node": self._node}
 
     def _restart(self) -> None:
         self._air = rotorlink.SequenceCounter()
@@ -282,6 +290,14 @@ class NodePipeline:
             facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
             out.append(Event("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.2f} ms)", facts))
         return [*out, Batch(channels.PENDULUMS, time_ns, columns["index"], columns)]
+
+
+def _node_of(identity: Mapping[str, Any]) -> int | None:
+    """The node that logs before this one chose."""
+    node = identity.get("node")
+    if node is None or (type(node) is int and 0 <= node < _NODES):
+        return node
+    raise DeviceError(f"identities.json: expected a node's number, 0 to {_NODES - 1}, got {node!r:.80}")
 
 
 def _newest_us(node_us: int, block: rotorlink.EncoderBlock | None) -> int:

@@ -46,7 +46,7 @@ class Vesc(DeviceSettings):
     ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
     brake_A: Annotated[float, Field(gt=0, le=200)]
     min_erpm: Annotated[float, Field(ge=0, le=20_000)] = 900.0
-    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=20)] = AT_REST_RPM
+    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=10)] = AT_REST_RPM
     follow_s: Positive = 3.0
 
     def roles(self, device: str) -> tuple[Role, ...]:
