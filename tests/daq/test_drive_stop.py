@@ -337,6 +337,6 @@ def test_a_watch_over_another_nodes_heartbeat_is_none() -> None:
     far.control.start()
     far.speak()
     far._sdo.objects[WATCH] = (cia402.consumer_heartbeat(7, 500), "<I")
-    with pytest.raises(DeviceError, match="does not watch the heartbeat of node 1: 1016h sub 1 is 0x000701F4"):
+    with pytest.raises(DeviceError, match="node 1 for 500 ms: 1016h sub 1 is 0x000701F4"):
         far.control.enable()
     far.control.stop()
