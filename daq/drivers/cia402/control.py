@@ -77,7 +77,7 @@ class DriveControl:
         self._started_again = False
         self._stopping_s: float | None = None  # since when the drive is told to stop, wall s
         self._beat_ended = False  # so that the drive stops by itself
-        self._watch_ms = 0  # that the drive was told to
+        self._watch_ms = min(65535, round(clock.patience(config.heartbeat_timeout_ms)))
         self._found: tuple[int, int] | None = None  # statusword and rpm when it was opened, by its objects
 
     def notice(self, pipeline: Pipeline) -> None:
@@ -134,14 +134,13 @@ class DriveControl:
         rate = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}[c.bitrate]
         self._bus_open = True
         self._send(b"\rC\r" + rate + b"\rO\r")
-        watchdog_ms = min(65535, round(self._clock.patience(c.heartbeat_timeout_ms)))
         self._start_heartbeat()  # before it is watched: a drive may miss it from the moment it is told to
         self._objects.write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
         word, rpm = self._objects.read(cia402.STATUSWORD, 0), self._objects.read(cia402.ACTUAL_VELOCITY, 0)
         self._found = None if word is None or rpm is None else (word & 0xFFFF, cia402.signed(rpm))
         self._objects.write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
-        self._watched, self._watch_ms = True, watchdog_ms
-        self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
+        self._watched = True
+        self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, self._watch_ms), 4)
         self._beats_unwatched = self._beats
         self.set_ramp(c.ramp_rpm_per_s)
         map_process_data(self._objects, c.node_id, in_torque=self._found_in_torque)
@@ -337,13 +336,13 @@ class DriveControl:
         return self._found is not None and (self._found_in_torque or abs(self._found[1]) > self._config.rest_rpm)
 
     @property
-    def _off_by_its_objects(self) -> bool | None:
-        """Whether it has no torque, by 6041h; None when it does not tell."""
+    def _off_by_its_objects(self) -> bool:
+        """Whether it says by 6041h that it has no torque."""
         try:
             word = self._objects.read(cia402.STATUSWORD, 0)
         except DeviceError:
-            return None
-        return None if word is None else cia402.state(word & 0xFFFF) not in _TORQUE
+            return False
+        return word is not None and cia402.state(word & 0xFFFF) not in _TORQUE
 
     @property
     def _in_torque(self) -> bool:
@@ -428,12 +427,14 @@ class DriveControl:
 
         A drive that keeps its torque keeps its watch too, and stops by itself when the heartbeat ends.
         """
+        confirmed = False
         with contextlib.suppress(DeviceError):  # also out of network operation
             self._objects.write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)
+            confirmed = True
         if not self._leaves_operation(cia402.DISABLE_VOLTAGE):
             told(f"the drive was told to take the torque away and stays in {self.state}. {_LOOK}")
             return False
-        if self._fresh_state == cia402.UNKNOWN and self._off_by_its_objects is not True:
+        if self._fresh_state == cia402.UNKNOWN and not confirmed and not self._off_by_its_objects:
             return True  # nobody knows what it heard: its watch stays
         with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
             self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)

@@ -62,6 +62,8 @@ def map_process_data(objects: NodeObjects, node_id: int, *, in_torque: bool = Fa
         _check_others(objects, pdos)
         if in_torque and any(had.wrong for had in found):
             raise DeviceError("drive: it has torque, and its process data is another's. Stop it first")
+        for had in found:
+            had.set_period(objects)
         _map_all(objects, found)
     except DeviceError as error:
         raise DeviceError(
@@ -69,10 +71,6 @@ def map_process_data(objects: NodeObjects, node_id: int, *, in_torque: bool = Fa
             f"{cia402.TPDO1_MAPPING:04X}h statusword and actual speed (6041h, 6044h), 16 bits each, both of "
             "transmission type 255. Set the drive so with its maker's tool"
         ) from error
-    period_ms = objects.read(cia402.TPDO1, 5)
-    if period_ms is not None and not 0 < period_ms <= _LONGEST_MS:  # 0: it would report changes only
-        with contextlib.suppress(DeviceError):  # its silence, if it is one, is told by who waits for the first report
-            objects.write(cia402.TPDO1, 5, REPORT_MS, 2)
 
 
 class _Had:
@@ -103,6 +101,20 @@ class _Had:
         own = pdo.identifier if own is None else own
         return cls(pdo, own, _OWN_EVENTS if kind is None else kind, inhibit or 0, mapped)
 
+    def set_period(self, objects: NodeObjects) -> None:
+        """Have a drive report often enough that would report changes only, or seldom; some take it only when off."""
+        if not self.pdo.reports or self.wrong:
+            return
+        try:
+            self._write_period(objects)
+        except DeviceError:
+            self.wrong = True
+
+    def _write_period(self, objects: NodeObjects) -> None:
+        period_ms = objects.read(self.pdo.travels, 5)
+        if period_ms is not None and not 0 < period_ms <= _LONGEST_MS:
+            objects.write(self.pdo.travels, 5, REPORT_MS, 2)
+
     def put_right(self, objects: NodeObjects) -> None:
         """Change what is wrong, in the standard's order: nothing of a PDO is changed while it is used."""
         if not self.wrong:
@@ -114,9 +126,8 @@ class _Had:
         if self.too_rare:
             objects.write(pdo.travels, 3, 0, 2)
         if pdo.reports:
-            with contextlib.suppress(DeviceError):  # some drives take it now only
-                if not 0 < (objects.read(pdo.travels, 5) or 1) <= _LONGEST_MS:
-                    objects.write(pdo.travels, 5, REPORT_MS, 2)
+            with contextlib.suppress(DeviceError):  # its silence, if it is one, is told by who waits for its word
+                self._write_period(objects)
         if not self.entries_right:
             _map_entries(objects, pdo, self.wanted)
         objects.write(pdo.travels, 1, self.own & _NO_REMOTE | pdo.identifier, 4)
