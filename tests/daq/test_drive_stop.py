@@ -459,9 +459,14 @@ def test_the_watch_is_looked_at_also_when_a_fault_goes_by_itself() -> None:
     far.control.start()
     far._sdo.objects[WATCH] = (0, "<I")
     far.state = cia402.FAULT
-    far._sdo.objects[cia402.ERROR_CODE, 0] = (cia402.HEARTBEAT_ERROR, "<H")
-    far._sdo.objects[cia402.ERROR_REGISTER, 0] = (0x11, "<B")
     far.speak()
+
+    def reset_at_the_keypad(rpm: float | None) -> None:
+        if far.state == cia402.FAULT:
+            far.state = cia402.SWITCH_ON_DISABLED
+            far.speak()
+
+    far.control._guarded = RotorGuard(reset_at_the_keypad, lambda: far.rpm == 0, lambda: abs(far.rpm))
     with pytest.raises(DeviceError, match="is 0x00000000"):
         far.control.enable()
     assert cia402.ENABLE_OPERATION not in far.controlwords()
@@ -481,12 +486,11 @@ def test_a_rotor_that_brakes_is_not_left_without_torque() -> None:
     far.control.stop()
 
 
-def test_a_drive_that_hears_nothing_keeps_its_watch() -> None:
+def test_a_drive_whose_answers_do_not_come_keeps_its_watch() -> None:
     far = FarEnd()
     far.runs(0)
-    far.deaf = far.unheeded = True
+    far.report = lambda identifier, data: None  # type: ignore[method-assign]
     far.control._word_ns = 1  # its last report is long ago
-    far.speak = lambda: None  # type: ignore[method-assign]
     assert far.control.stop() is True
     assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms]
 
