@@ -39,11 +39,16 @@ def main() -> int:
             faults.append(f"{row['log']}: {row['counted']} radio frames counted lost, {row['dropped']} were")
     for path in result["logs"]:
         faults += [f"{path}: {fault}" for fault in log_faults(path)]
+    faults += [f"{test} did not reach: {missed}" for test, missed in result["not_reached"].items()]
     if not Path(result["report"]).stat().st_size > 100_000:
         faults.append("the report is suspiciously small")
     if result["seconds"] > 180:
         faults.append(f"the demo took {result['seconds']:.0f} s")
+    if (status := int(sys.argv[2])) != 0 and not faults:
+        faults.append(f"the demo ended with {status}")
     print(f"{result['seconds']:.0f} s")
+    for warning in result["warnings"] if faults else ():
+        print(f"WARNING {warning}")
     for fault in faults:
         print(f"FAULT {fault}")
     return 1 if faults else 0
