@@ -115,7 +115,7 @@ def test_two_seconds_show_twice_the_rate_and_admit_what_they_do_not_show() -> No
 
 @pytest.mark.parametrize("pace", [1, 8])
 def test_a_host_that_catches_up_is_no_wrong_rate_however_fast_the_rig_runs(pace: int) -> None:
-    """Half a second of the host's behind, made up for in another half: at eight times the speed of life eight seconds."""
+    """It is half a second behind, and makes up for it in another half: eight seconds of a rig eight times as fast."""
     watches = RateWatches(DEVICES, lambda seconds: seconds * pace)
     found: list[Event] = []
     for read in range(1, 400):
