@@ -20,8 +20,8 @@ DRIFTING_AVERAGE_S = 2.0  # the same while an end drift shows: a long mean would
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
 _DRIFTING_RAD, _DRIFTING_M = math.radians(0.01), 0.2e-6
-# The bound on what is to come is noisy, and a test ends where it is low. One that was low enough a moment ago holds for all
-# that came since, unless it is now above so many tolerances: then something has moved.
+# The bound on what is to come is noisy, and a test ends where it is low. One that was low enough a moment ago holds for
+# all that came since, unless it is now above so many tolerances: then something has moved.
 _LATELY_S = (0.5, 1.0, 1.5, 2.0, 2.5)
 _SLACK = 3.0
 _LEAST_SPEED_TOLERANCE = 5e-4  # a revolution further off the plateau's speed belongs to the stop

@@ -123,7 +123,7 @@ def test_creeping_pendulum_is_not_settled(rig: Rig, drawn: Drawn, runs: dict[str
 
 def shaken_at_the_end(run: Run, phase: float, last_second_m: float) -> Run:
     """The orbit's amplitude still beats by some tenths of a µm; in its last second it may grow besides."""
-    before_end = run.x_time_s - run.x_time_s[-1] + 1.6
+    before_end = run.x_time_s - run.x_time_s[-1] + 1.632
     noise = np.random.default_rng(int(10 * phase)).standard_normal(100)
     beat = 0.3e-6 * np.exp(-0.3 * before_end) * np.cos(3.0 * before_end + phase) * (before_end > -15)
     beat += 0.2e-6 * np.interp(run.x_time_s, np.arange(0, 50, 0.5), noise) * (before_end > -15)
