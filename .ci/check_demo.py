@@ -6,6 +6,7 @@ Every log is read to its last byte and decoded again, and must give what was dec
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from daq import open_log
 from daq.log.verdicts import verdict_of
@@ -18,6 +19,21 @@ WORST = {"k1_N_per_m": 5e-4, "k2_N_per_m": 5e-4, "zeta1": 1e-2, "zeta2": 1e-2, "
 def main() -> int:
     """Exit code 0 when everything holds; says what does not."""
     result = json.loads(Path(sys.argv[1]).read_text())
+    faults = parameter_faults(result) + campaign_faults(result)
+    for path in result["logs"]:
+        faults += [f"{path}: {fault}" for fault in log_faults(path)]
+    if int(sys.argv[2]) != 0 and not faults:
+        faults.append(f"the demo ended with {sys.argv[2]}")
+    print(f"{result['seconds']:.0f} s")
+    for warning in result["warnings"] if faults else ():
+        print(f"WARNING {warning}")
+    for fault in faults:
+        print(f"FAULT {fault}")
+    return 1 if faults else 0
+
+
+def parameter_faults(result: dict[str, Any]) -> list[str]:
+    """What was not found, or not as the simulated rig had it."""
     faults = []
     for name, relative in WORST.items():
         found, truth = result["parameters"].get(name), result["truth"][name]
@@ -30,23 +46,25 @@ def main() -> int:
             faults.append(f"{name}: {z:+.2f} standard deviations from the truth")
         if found["std"] > relative * truth:
             faults.append(f"{name}: standard deviation {found['std'] / truth:.2g} of the value, wanted {relative:g}")
+    return faults
+
+
+def campaign_faults(result: dict[str, Any]) -> list[str]:
+    """Points that do not pass, tests that ended early, frames not counted, no report, or too long."""
+    faults = []
     for name, point in result["points"].items():
         print(f"{name}: {point['verdict']} {point['state']}")
         if point["verdict"] != "pass":
             faults.append(f"point {name}: {point['verdict']}: {point['why']}")
+    faults += [f"{test} did not reach: {missed}" for test, missed in result["not_reached"].items()]
     for row in result["radio"]:
         if row["counted"] != row["dropped"]:
             faults.append(f"{row['log']}: {row['counted']} radio frames counted lost, {row['dropped']} were")
-    for path in result["logs"]:
-        faults += [f"{path}: {fault}" for fault in log_faults(path)]
     if not Path(result["report"]).stat().st_size > 100_000:
         faults.append("the report is suspiciously small")
     if result["seconds"] > 180:
         faults.append(f"the demo took {result['seconds']:.0f} s")
-    print(f"{result['seconds']:.0f} s")
-    for fault in faults:
-        print(f"FAULT {fault}")
-    return 1 if faults else 0
+    return faults
 
 
 def log_faults(path: str) -> list[str]:

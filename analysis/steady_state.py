@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,10 @@ DRIFTING_AVERAGE_S = 2.0  # the same while an end drift shows: a long mean would
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
 _DRIFTING_RAD, _DRIFTING_M = math.radians(0.01), 0.2e-6
+# The bound on what is to come is noisy, and a test ends where it is low. One that was low enough a moment ago holds for
+# all that came since, unless it is now above so many tolerances: then something has moved.
+_LATELY_S = (0.5, 1.0, 1.5, 2.0, 2.5)
+_SLACK = 3.0
 _LEAST_SPEED_TOLERANCE = 5e-4  # a revolution further off the plateau's speed belongs to the stop
 
 
@@ -163,19 +167,22 @@ def _locked(run: Run, angles: tuple[np.ndarray, np.ndarray]) -> tuple[bool, np.n
 
 def _settling(run: Run, release: float, end: float) -> tuple[Settling, float]:
     """How the end of the run is judged, and where the average begins: later while a long mean would lag behind."""
-    marks = (run.mark_time_s >= release) & (run.mark_time_s <= end)
     late = end - 40.0  # enough for any window; the locked part is needed to see whether the gap has changed
     angles = run.angle_time_s >= min(release - 1.0, late)
     x, y = run.x_time_s >= late, run.y_time_s >= late
 
-    def judged(average_s: float) -> Settling:
+    def judged(average_s: float = AVERAGE_S, at: float = end, slack: float = 1.0) -> Settling:
+        marks = (run.mark_time_s >= release) & (run.mark_time_s <= at)
         return settled(
             run.angle_time_s[angles], run.angle_rad[angles], run.mark_time_s[marks], run.mark_phase_rad[marks],
             run.x_time_s[x], run.x_m[x], run.y_time_s[y], run.y_m[y], release_time_s=release,
-            angle_step_rad=run.angle_step_rad, average_s=average_s,
+            angle_step_rad=run.angle_step_rad, average_s=average_s, slack=slack,
         )  # fmt: skip
 
-    found = judged(AVERAGE_S)
+    def was_settled() -> bool:
+        return judged(slack=_SLACK).settled and any(judged(at=end - since).settled for since in _LATELY_S)
+
+    found, start = judged(), end - AVERAGE_S
     if found.span_s == 0.0:
         raise NotEnoughData(found.why)
     off_rad, off_m = _mean_off(found)
@@ -183,8 +190,10 @@ def _settling(run: Run, release: float, end: float) -> tuple[Settling, float]:
         short = judged(DRIFTING_AVERAGE_S)
         short_rad, short_m = _mean_off(short)
         if short_rad < 0.5 * off_rad or short_m < 0.5 * off_m:
-            return short, end - DRIFTING_AVERAGE_S
-    return found, end - AVERAGE_S
+            found, start = short, end - DRIFTING_AVERAGE_S
+    if not found.settled and was_settled():
+        found = replace(found, settled=True, why=f"steady a moment ago; {found.why}", more_s=0.0)
+    return found, start
 
 
 def _mean_off(settling: Settling) -> tuple[float, float]:

@@ -143,7 +143,7 @@ class Core:
         self._rig, self._patience, self._driving = rig, patience, driving
         self._known = devices_of(rig.devices)
         self.recent = Recent(KEEP_S, tuple(channels_of(rig.devices).values()))
-        self.rates = RateWatches(rig.devices)
+        self.rates = RateWatches(rig.devices, patience)
         self.interlocks = Interlocks(rig.limits, rig.roles, patience, driving=driving)
         self.pipelines: dict[str, Pipeline] = {}
         self.commanding = self.guarding = self.lenient = self.closing = False
@@ -180,7 +180,7 @@ class Core:
         self.pipelines = dict(pipelines)
         self._undecodable.clear()
         self.recent.clear()
-        self.rates = RateWatches(self._rig.devices)
+        self.rates = RateWatches(self._rig.devices, self._patience)
         self.interlocks.begin(now_ns)
         self.trips = self._no_trips()
         for name in self._known:

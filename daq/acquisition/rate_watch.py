@@ -11,7 +11,7 @@ a minute some 50 ppm. A rate is called wrong only where it is off by more than t
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,9 +92,11 @@ class RateWatch:
 
     Args:
         clock: what its driver says of its samples' times.
+        floor_s: how well the delay's floor is known at best, s.
     """
 
-    def __init__(self, clock: SampleClock) -> None:
+    def __init__(self, clock: SampleClock, floor_s: float = _FLOOR_S) -> None:
+        self._floor_s = floor_s
         self._nominal, self._tolerance = clock.rate_Hz, _STDS * clock.tolerance_ppm
         self._field, self._tick_ns, self._wrap = clock.field, clock.tick_ns, clock.count_wrap
         self._bins: deque[tuple[int, int, int, int]] = deque(maxlen=_BINS)  # number, device ns, lag ns, count
@@ -143,7 +145,7 @@ class RateWatch:
             rate_Hz=count / span,
             nominal_Hz=self._nominal,
             clock_ppm=(1.0 / (1.0 + slope) - 1.0) * 1e6,
-            bound_ppm=max(_FLOOR_S, _JITTERS * jitter) / span * 1e6,
+            bound_ppm=max(self._floor_s, _JITTERS * jitter) / span * 1e6,
             tolerance_ppm=self._tolerance,
             span_s=span,
         )
@@ -153,12 +155,19 @@ class RateWatches:
     """All of a rig's devices that have a clock of their own: tells when one leaves the rig file's rate, and counts.
 
     Each device's batches may come from a thread of its own.
+
+    Args:
+        devices: of the rig file.
+        patience: rig seconds of so many of the host's: a host dozes by its own clock, however fast the rig runs.
     """
 
-    def __init__(self, devices: Mapping[str, DeviceSettings]) -> None:
+    def __init__(self, devices: Mapping[str, DeviceSettings], patience: Callable[[float], float] = float) -> None:
         known = devices_of(devices)
         clocks = [clock for device in known.values() for clock in device.clocks]
-        self._watches = {clock.topic: RateWatch(clock) for clock in clocks}
+        self._watches = {clock.topic: RateWatch(clock, patience(_FLOOR_S)) for clock in clocks}
+        self._least_s = min(patience(_LEAST_SPAN_S), 0.9e-9 * _BINS * _BIN_NS)
+        self._look_ns = round(patience(_LOOK_NS))
+        self._first_look_ns = round(patience(_FIRST_LOOK_NS))
         self._topics_of = {name: [clock.topic for clock in device.clocks] for name, device in known.items()}
         self._due: dict[str, int] = {}
         self._suspect: set[str] = set()
@@ -177,8 +186,8 @@ class RateWatches:
             if (watch := self._watches.get(item.channel.topic)) is not None:
                 watch.feed(item, host_ns)
                 topic = item.channel.topic
-                if host_ns >= self._due.setdefault(topic, host_ns + _FIRST_LOOK_NS):
-                    self._due[topic] = host_ns + _LOOK_NS
+                if host_ns >= self._due.setdefault(topic, host_ns + self._first_look_ns):
+                    self._due[topic] = host_ns + self._look_ns
                     out += self._look(topic, watch.rate())
         return out
 
@@ -189,7 +198,7 @@ class RateWatches:
 
     def _look(self, topic: str, rate: Rate | None) -> list[Event]:
         """Wrong twice in a row is wrong: once may be a host that dozed."""
-        if rate is None or rate.span_s < _LEAST_SPAN_S:  # so short a stretch would pass anything
+        if rate is None or rate.span_s < self._least_s:  # so short a stretch would pass anything
             return []
         if rate.ok:
             self._suspect.discard(topic)
@@ -202,7 +211,7 @@ class RateWatches:
         news = topic not in self._wrong
         self._wrong[topic] = rate
         self._worst[topic] = max(self._worst.get(topic, rate), rate, key=lambda r: abs(r.off_ppm))
-        self._seconds[topic] += _LOOK_NS * 1e-9
+        self._seconds[topic] += self._look_ns * 1e-9
         return [_event(topic, rate, f"{topic}: {rate.words()}")] if news else []
 
     def rates(self) -> Mapping[str, Rate | None]:

@@ -114,7 +114,7 @@ class Measures:
         Args:
             released_ns: when, ns since 1970.
             step_rad: of the encoders' code.
-            tolerances: other than the analysis's own, see `settled`.
+            tolerances: other than the usual ones, see `settled`.
         """
         since = released_ns - 1_500_000_000  # some of the time before, to know how the pendulums stood
         signals = self.signals(since, max(since, self.since(15.0)))

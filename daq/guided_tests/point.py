@@ -18,7 +18,7 @@ from rig_configs.schema import Rig
 _RPM = math.pi / 30
 _POINT_LIMIT_S = 90.0
 _LOCKED_STEADY_S = 60.0  # rig time
-# Stricter than the analysis, which asks the same again of the whole log: what is called steady here is so there.
+# Stricter than the second look, and that than the analysis of the whole log: what is called steady here is so there.
 _STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2e-6}
 _BEFORE_RELEASE_S = 4.0
 _AFTER_RELEASE_S = 3.0  # too early to look

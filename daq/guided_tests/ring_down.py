@@ -38,7 +38,7 @@ def _table(axis: str, asked: Asked) -> Table:
         return Look(enough, "looking at the column at rest", remember={"rest_m": view.measures.rest_m(topic, 0.5)})
 
     def plucked(view: View) -> Look:
-        since = max(view.entered_ns, view.measures.since(_SEEN_S))
+        since = max(view.asked_ns, view.measures.since(_SEEN_S))
         farthest = view.measures.largest_since(topic, since, view.memory["rest_m"])
         return Look(farthest > _PLUCKED_M, f"pluck the column along {axis} by 2 to 3 mm and let go")
 

@@ -122,6 +122,7 @@ class Runner:
         self._entered = state
         try:
             self._heed_requests(state)
+            asked_ns = self._clock.now_ns()
             state.enter(orders)
             limit_s = self._clock.patience(state.limit_s) if state.wall else state.limit_s
             entered_ns = self._clock.now_ns()
@@ -129,24 +130,25 @@ class Runner:
             while True:
                 orders.check()
                 end_ns += self._heed_requests(state)
-                look = state.look(self._view(entered_ns))
+                look = state.look(self._view(asked_ns, entered_ns))
                 orders.memory |= look.remember
                 orders.facts |= look.facts
                 self._show(state, look)
                 if look.done:
                     return Outcome.DONE
                 if self._clock.now_ns() > end_ns:
-                    return self._late(state, entered_ns)
+                    return self._late(state, self._view(asked_ns, entered_ns))
                 self._clock.sleep(state.period_s)
         except _Aborted:
             return Outcome.ABORT
 
-    def _view(self, entered_ns: int) -> View:
+    def _view(self, asked_ns: int, entered_ns: int) -> View:
         orders = self._orders
-        return View(orders.measures, self._clock.now_ns(), entered_ns, orders.rotor.speed_rpm, orders.memory)
+        now_ns = self._clock.now_ns()
+        return View(orders.measures, now_ns, entered_ns, asked_ns, orders.rotor.speed_rpm, orders.memory)
 
-    def _late(self, state: State, entered_ns: int) -> Outcome:
-        missed = state.missed(self._view(entered_ns))
+    def _late(self, state: State, view: View) -> Outcome:
+        missed = state.missed(view)
         self._orders.missed = self._orders.missed or missed
         self._orders.warn(state.late_warning)
         return Outcome.LATE

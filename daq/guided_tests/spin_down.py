@@ -20,10 +20,10 @@ _FLICKED_RAD = 0.5
 
 
 def _flicked(view: View) -> Look:
-    since = max(view.entered_ns, view.measures.since(_SEEN_S))
+    since = max(view.asked_ns, view.measures.since(_SEEN_S))
     turned = view.measures.turned_since(since)[0]
     words = "flick both pendulums, slower than two turns a second"
-    return Look(bool(np.all(turned > _FLICKED_RAD)), words, remember={"asked_ns": view.entered_ns})
+    return Look(bool(np.all(turned > _FLICKED_RAD)), words, remember={"asked_ns": view.asked_ns})
 
 
 def _slowed(view: View) -> Look:

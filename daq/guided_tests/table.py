@@ -46,7 +46,8 @@ class View:
 
     Attributes:
         measures: the newest stretch of each signal.
-        now_ns, entered_ns: host time, now and when the state was entered, ns since 1970.
+        now_ns, entered_ns: host time, now and when the state had been entered, ns since 1970.
+        asked_ns: host time when its entry began: what a person does while being asked counts, ns since 1970.
         rpm: the rotor's speed; NaN where it is not measured.
         memory: what entries and earlier looks remembered.
     """
@@ -54,6 +55,7 @@ class View:
     measures: Measures
     now_ns: int
     entered_ns: int
+    asked_ns: int
     rpm: float
     memory: Mapping[str, Any]
 

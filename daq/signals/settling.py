@@ -73,6 +73,7 @@ def settled(
     linger_s: float = 30.0,
     angle_step_rad: float | None = None,
     average_s: float = 2.0,
+    slack: float = 1.0,
 ) -> Settling:
     """Whether released pendulums and the orbit have reached their steady state at the end of the signals.
 
@@ -88,6 +89,8 @@ def settled(
             this after release: from an unstable balance it leaves exponentially, unseen at first.
         angle_step_rad: of the encoders' code; None: the smallest change in the samples.
         average_s: the stretch before the last mark whose mean's distance from the end is wanted.
+        slack: how many tolerances may still be to come; how well a mean is known goes by the tolerances themselves.
+
     Returns:
         Settling; `settled` is False, with the reason, when the signals are too short or too sparse.
     Source: docs/theory/steady_states.md.
@@ -111,14 +114,15 @@ def settled(
     held = release_time_s is not None and _still_as_released(
         time_s, angles_rad, angles.means[-1], edges[-1], release_time_s, linger_s
     )
+    angle_limit, amplitude_limit = slack * angle_tolerance_rad, slack * amplitude_tolerance_m
     reasons = [
         _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
         slip,
         "pendulums still stand as released; they may be on an unstable balance" if held else "",
-        _reason("pendulum angles", found.drift_rad, turning, angle_tolerance_rad, 180 / math.pi, "°"),
-        _reason("amplitudes", found.drift_m, whirling, amplitude_tolerance_m, 1e6, " µm"),
+        _reason("pendulum angles", found.drift_rad, turning, angle_limit, 180 / math.pi, "°"),
+        _reason("amplitudes", found.drift_m, whirling, amplitude_limit, 1e6, " µm"),
     ]
-    lasting = max(_more(turning, angle_tolerance_rad), _more(whirling, amplitude_tolerance_m))
+    lasting = max(_more(turning, angle_limit), _more(whirling, amplitude_limit))
     return _said(found, reasons, "angles and amplitudes are steady", math.inf if slip else lasting, bool(slip))
 
 

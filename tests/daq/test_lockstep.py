@@ -359,3 +359,22 @@ def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch:
     schedule = Schedule(2, 300.0, 8.0, STEP_S, (Fault(3.0, 4.0, "encoder", "radio", 1.0),))
     found = run("virtual", schedule, tmp_path)
     assert any("blind for" in text for text in found.wrong)
+
+
+@pytest.mark.parametrize("test", ["spin-down", "ring-down-x"])
+def test_what_a_person_does_while_still_being_asked_counts(test: str, tmp_path: Path) -> None:
+    """A host that is slow to come back from asking: the column rings and the pendulums swing meanwhile."""
+    sim, session = opened("virtual")
+
+    class Prompt(SimulatedOperator):
+        def flick(self) -> None:
+            super().flick()
+            sim.clock.wait(4.0)
+
+        def pluck(self, axis: str, mm: float | None = None) -> None:
+            super().pluck(axis, mm)
+            sim.clock.wait(8.0)
+
+    with session:
+        done = Procedures(session, Prompt(sim), tmp_path, lambda text, share: None).run(test)
+    assert done.missed == ""

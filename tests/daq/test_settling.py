@@ -203,3 +203,11 @@ def test_a_window_without_samples_does_not_hide_the_older_ones() -> None:
     assert settled(*data).settled
     silent = data[0] < 28.0
     assert "angles are missing" in settled(data[0][silent], data[1][silent], *data[2:]).why
+
+
+def test_slack_changes_the_decision_and_not_the_bound() -> None:
+    data = signals(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 2.5e-6 * np.exp(-0.3 * (t - 30.0)))
+    strict, lenient = settled(*data), settled(*data, slack=2.0)
+    assert (strict.settled, lenient.settled) == (False, True)
+    assert strict.remaining_m == lenient.remaining_m
+    assert lenient.more_s == 0.0
