@@ -23,6 +23,7 @@ KINDS = ("pty", "tcp")
 
 _BUFFER_BYTES = 4 * 1024 * 1024  # an adapter's driver queue, generous: a host may stall …
 _OLD_S = 1.5  # … this long, on the wall's clock
+_FETCHES_S = 0.5  # wall s: a host that has taken nothing for so long takes nothing
 
 
 class Wire(Protocol):
@@ -51,6 +52,10 @@ class Wire(Protocol):
         """
         ...
 
+    def held_up(self) -> bool:
+        """Whether bytes wait for a host that still fetches some."""
+        ...
+
     def connected(self) -> bool:
         """Whether a host has the port open."""
         ...
@@ -70,9 +75,16 @@ class _Outbox:
         self.overrun_bytes = 0
         self._parts: deque[tuple[float, bytes]] = deque()
         self._size = 0
+        self._fetched_s = 0.0  # when the last of it went out, or nothing waited
+
+    def held_up(self) -> bool:
+        """See Wire."""
+        return bool(self._parts) and time.monotonic() - self._fetched_s < _FETCHES_S
 
     def _queue(self, data: bytes) -> None:
         now = time.monotonic()
+        if not self._parts:
+            self._fetched_s = now
         if data:
             self._parts.append((now, data))
             self._size += len(data)
@@ -89,6 +101,7 @@ class _Outbox:
             except BlockingIOError:
                 return
             self._size -= written
+            self._fetched_s = time.monotonic()
             if written < len(data):
                 self._parts[0] = (queued, data[written:])
                 return

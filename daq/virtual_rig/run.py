@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.transports.host_clock import HostClock
+from daq.transports.paced_clock import PacedClock
 from daq.transports.wires import Wire, make_wire
 from daq.virtual_rig.control import ControlServer
 from daq.virtual_rig.rig import SimulatedRig
@@ -33,14 +34,15 @@ class VirtualRig:
         rig: a rig file with a [virtual] table.
         time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
+        pace: file of a clock that the host shares; time stands then while either is late. None: it never does.
 
     Attributes:
         moved: called when a device has got another port.
     """
 
-    def __init__(self, rig: Rig, time_scale: float = 1.0, link: str = "auto") -> None:
+    def __init__(self, rig: Rig, time_scale: float = 1.0, link: str = "auto", pace: Path | None = None) -> None:
         self._name, self._link = rig.name, link
-        self._clock = HostClock(time_scale)
+        self._clock = PacedClock(time_scale, pace) if pace is not None else HostClock(time_scale)
         self._t0_ns = self._clock.now_ns()
         self.rig = SimulatedRig(rig, self._clock.patience)
         self.rig.motion.advance(0.001)  # compile before anyone connects
@@ -75,6 +77,8 @@ class VirtualRig:
         due = time.monotonic()
         while self._running:
             self.step()
+            if isinstance(self._clock, PacedClock):
+                self._clock.go_on(any(wire.held_up() for wire in self.wires.values()))
             due = max(due + _TICK_S, time.monotonic())
             self._wait(due)
 
