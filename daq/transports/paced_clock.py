@@ -3,9 +3,9 @@
 
 A rig that runs faster than life asks for most of a machine. Where other programs want their part of it, rig or host
 falls behind, and the interlocks stop what looks like a blind rig: in eightfold time three quarters of a second without
-a processor are six seconds of silence. So here time passes only as far as both can follow. The rig lets it go on, a
-few hundredths of a second at a time (`go_on`), and does not while the host leaves bytes in a cable or reads no clock.
-Where the rig does not come to it, time stands by itself.
+a processor are six seconds of silence. And eight times as late are the bytes: clocks that are told by their arrival
+wander by milliseconds, and a steady speed seems to change. So here time passes a few hundredths of a second at a time,
+and stands then until the rig has moved so far and the host has fetched every byte: the last ones never arrive late.
 
 Both processes map one small file. What is read of it at one instant gives one time in both: the monotonic clock of a
 machine is that of all its processes.
@@ -17,12 +17,13 @@ import mmap
 import os
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from daq.transports.host_clock import HostClock
 
-_AHEAD_S = 0.025  # wall s that time may pass without the rig's word
-_LATE_S = 0.025  # wall s without a look at the clock: the host is late
+_AHEAD_S = 0.02  # wall s that time passes before it stands for those who are late
+_LATE_S = 0.01  # wall s without a look at the clock: the host is late
 _GONE_S = 2.0  # wall s without one: there is none that time would have to wait for …
 _UNSHARED_S = 60.0  # … and whoever else talks to the rig has a clock that never stands
 _ALONE_S = 2.0  # wall s without the rig's word: it is gone, and time passes again, so that waits come to their ends
@@ -68,15 +69,14 @@ class PacedClock(HostClock):
             self._page[_LOOKED] = round(time.monotonic() * 1e9)
         return self._seen()[0]
 
-    def _seen(self) -> tuple[int, int, float]:
-        """Time now and as it would be had it not stood since the rig's last word, ns; the monotonic clock's, s."""
+    def _seen(self) -> tuple[int, float]:
+        """Time now, ns, and the monotonic clock's, s."""
         while True:
             end_ns = self._page[_END]
             monotonic_s = time.monotonic()
             unhindered_ns = self._page[_FROM] + self._ns(monotonic_s)
             if self._page[_END] == end_ns:  # else the rig has just written
-                now_ns = max(min(unhindered_ns, end_ns), unhindered_ns - self._ns(_ALONE_S))
-                return now_ns, unhindered_ns, monotonic_s
+                return max(min(unhindered_ns, end_ns), unhindered_ns - self._ns(_ALONE_S)), monotonic_s
 
     def wall_s(self) -> float:
         """See HostClock; it stands when rig time does, so nobody's patience ends meanwhile."""
@@ -88,20 +88,28 @@ class PacedClock(HostClock):
         while (left_ns := end_ns - self.now_ns()) > 0:
             time.sleep(max(_LEAST_WAIT_S, left_ns * 1e-9 / self.rate))
 
-    def go_on(self, host_late: bool) -> None:
-        """Let time pass for a while, as the rig's process; not where the host is late.
+    def go_on(self, held_up: Callable[[], bool]) -> bool:
+        """Let time pass on, as the rig's process, once it stands and the host is not late; call it again and again.
 
         Args:
-            host_late: whether bytes wait in a cable for it.
+            held_up: whether bytes wait in a cable for the host; asked when time stands.
+
+        Returns:
+            Whether time passes.
         """
-        now_ns, unhindered_ns, monotonic_s = self._seen()
-        if now_ns < unhindered_ns:  # it has stood: on from here
-            self._page[_END] = now_ns
-            self._page[_FROM] = now_ns - self._ns(monotonic_s)
+        now_ns, monotonic_s = self._seen()
         unlooked_s = monotonic_s - self._page[_LOOKED] * 1e-9
-        end_ns = now_ns + self._ns(_AHEAD_S if unlooked_s < _GONE_S else _UNSHARED_S)
-        late = unlooked_s < _GONE_S and (host_late or unlooked_s > _LATE_S)
-        self._page[_END] = min(self._page[_END], end_ns) if late else end_ns
+        shared = unlooked_s < _GONE_S
+        end_ns = now_ns + self._ns(_AHEAD_S if shared else _UNSHARED_S)
+        if now_ns < self._page[_END]:
+            self._page[_END] = min(self._page[_END], end_ns) if shared else end_ns
+            return True
+        self._page[_END] = now_ns
+        self._page[_FROM] = now_ns - self._ns(monotonic_s)
+        if shared and (unlooked_s > _LATE_S or held_up()):
+            return False
+        self._page[_END] = end_ns
+        return True
 
     def close(self) -> None:
         """Let go of the file; who made it removes it."""

@@ -24,6 +24,7 @@ from daq.virtual_rig.running import Running, leave_note
 from rig_configs.schema import Rig
 
 _TICK_S = 0.002  # wall time between two looks at the world
+_LOOK_S = 0.0005  # the same while time stands
 _FAREWELL_S = 0.2  # wall time for the last answer to be fetched
 
 
@@ -77,10 +78,18 @@ class VirtualRig:
         due = time.monotonic()
         while self._running:
             self.step()
-            if isinstance(self._clock, PacedClock):
-                self._clock.go_on(any(wire.held_up() for wire in self.wires.values()))
-            due = max(due + _TICK_S, time.monotonic())
+            due = max(due + (_TICK_S if self._passes() else _LOOK_S), time.monotonic())
             self._wait(due)
+
+    def _passes(self) -> bool:
+        """Whether time passes, or stands until the host has fetched what is in the cables."""
+        if not isinstance(self._clock, PacedClock):
+            return True
+        return self._clock.go_on(self._held_up)
+
+    def _held_up(self) -> bool:
+        held_up = [wire.held_up() for wire in self.wires.values()]  # each looks
+        return any(held_up)
 
     def close(self) -> None:
         """Pull every cable and end the control port; the answer to the last request is still delivered."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+import time as real_time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from unittest.mock import patch
 
@@ -21,12 +22,7 @@ from daq.transports.wires import PtyWire
 from rig_configs import load_rig
 
 RATE = 8.0
-AHEAD_S, LATE_S, GONE_S, ALONE_S = (
-    paced_clock._AHEAD_S,
-    paced_clock._LATE_S,
-    paced_clock._GONE_S,
-    paced_clock._ALONE_S,
-)
+AHEAD_S, GONE_S, ALONE_S = paced_clock._AHEAD_S, paced_clock._GONE_S, paced_clock._ALONE_S
 on_ptys = pytest.mark.skipif(sys.platform == "win32", reason="ptys and signals need POSIX")
 
 
@@ -41,6 +37,14 @@ class MadeUpTime:
 
     def sleep(self, seconds: float) -> None:
         self.now_s += seconds
+
+
+def _soon(condition: Callable[[], bool]) -> bool:
+    """Whether it comes true; a terminal hands bytes on a moment later."""
+    end = real_time.monotonic() + 5.0
+    while not (met := condition()) and real_time.monotonic() < end:
+        pass
+    return met
 
 
 class Two:
@@ -64,7 +68,7 @@ class Two:
             if looks:
                 self.host.now_ns()
             if steps:
-                self.rig.go_on(held_up)
+                self.rig.go_on(lambda: held_up)
         return self.passed_s() - before
 
 
@@ -94,19 +98,19 @@ def test_time_passes_at_its_rate_in_both_processes_where_nobody_is_late(two: Two
 
 def test_time_stands_while_the_rig_is_late_and_goes_on_from_there(two: Two) -> None:
     two.go(1.0)
-    assert two.go(1.0, steps=False) == pytest.approx(RATE * AHEAD_S, abs=1e-6)
+    assert two.go(1.0, steps=False) <= RATE * AHEAD_S + 1e-6
     assert two.go(1.0) == pytest.approx(RATE, rel=0.003)
 
 
 def test_time_stands_while_bytes_wait_for_the_host(two: Two) -> None:
     two.go(1.0)
-    assert two.go(5.0, held_up=True) == pytest.approx(RATE * AHEAD_S, abs=1e-6)
+    assert two.go(5.0, held_up=True) <= RATE * AHEAD_S + 1e-6
     assert two.go(1.0) == pytest.approx(RATE, rel=0.003)
 
 
 def test_time_stands_while_the_host_does_not_look_but_not_for_one_that_has_gone(two: Two) -> None:
     two.go(1.0)
-    assert two.go(GONE_S - 0.01, looks=False) == pytest.approx(RATE * (LATE_S + AHEAD_S), abs=RATE * 0.003)
+    assert two.go(GONE_S - 0.01, looks=False) <= 2 * RATE * AHEAD_S + 1e-6
     assert two.go(2.0, looks=False) > RATE * 1.9
 
 
@@ -142,7 +146,7 @@ def test_time_never_steps_back_nor_runs_faster_than_its_rate(steps: list[tuple[f
                 assert two.host.now_ns() == two.rig.now_ns()
             if what != "look":
                 before = two.rig.now_ns()
-                two.rig.go_on(what == "held up")
+                two.rig.go_on(lambda: what == "held up")  # noqa: B023 (asked at once)
                 assert abs(two.rig.now_ns() - before) <= 1
             now_ns = two.rig.now_ns()
             assert -1 <= now_ns - last_ns <= RATE * 1e9 * (two.time.now_s - last_s) + 10
@@ -150,25 +154,31 @@ def test_time_never_steps_back_nor_runs_faster_than_its_rate(steps: list[tuple[f
 
 
 @on_ptys
-def test_a_cable_holds_time_up_as_long_as_its_host_fetches_some() -> None:
+def test_a_cable_holds_time_up_until_its_host_has_fetched_all_or_does_not_fetch() -> None:
     time = MadeUpTime()
     with patch.object(wires, "time", time):
         wire = PtyWire()
         link = open_link(wire.port, 921_600)
-        wire.send(b"x" * 1000)
         assert not wire.held_up()
-        wire.send(b"y" * 100_000)
+        wire.send(b"x" * 100_000)
         assert wire.held_up()
-        time.now_s += 0.4
-        assert link.read(0.1)
-        wire.send(b"")
-        time.now_s += 0.4
-        assert wire.held_up()  # 0.8 s, and it fetched some halfway
-        time.now_s += 0.2
-        assert not wire.held_up()  # nobody reads it
-        while link.read(0.0):
+        fetched = 0
+        while fetched < 100_000:
+            fetched += len(link.read(1.0))
             wire.send(b"")
         assert not wire.held_up()
+        wire.send(b"y")
+        assert _soon(wire.held_up)
+        time.now_s += 0.6  # nobody reads it …
+        assert not wire.held_up()
+        wire.send(b"z")
+        assert not wire.held_up()
+        fetched = 0
+        while fetched < 2:
+            fetched += len(link.read(1.0))
+        assert not wire.held_up()
+        wire.send(b"z")
+        assert _soon(wire.held_up)  # … until somebody does
         link.close()
         wire.close()
 
@@ -185,11 +195,11 @@ def test_a_process_that_gets_no_processor_for_a_while_stops_no_rotor(late: str) 
             session.wait_for(lambda: session.drive.actual_rpm > 250.0, 10.0, "the rotor to turn")
             before_s = far.clock.now_s()
             stopped = far._process.pid if late == "rig" else os.getpid()
-            begun_s = paced_clock.time.monotonic()
+            begun_s = real_time.monotonic()
             script = f"kill -STOP {stopped}; sleep 1.2; kill -CONT {stopped}"
             subprocess.run(["sh", "-c", script], check=True)
             session.wait_for(lambda: far.clock.now_s() > before_s + 5.0, 10.0, "five seconds of rig time")
             session.check()
             assert session.notices == []
-            wall_s = paced_clock.time.monotonic() - begun_s
+            wall_s = real_time.monotonic() - begun_s
             assert far.clock.now_s() - before_s < RATE * (wall_s - 0.9)
