@@ -66,7 +66,11 @@ def demo(
     workbench = Workbench()
     try:
         with progress:
-            far = LockstepRig(loaded) if lockstep else VirtualRigProcess(rig, changes, time_scale, link)
+            far = (
+                LockstepRig(loaded)
+                if lockstep
+                else VirtualRigProcess(rig, changes, time_scale, link, waits=time_scale > 1)
+            )
             result = _campaign(rig, changes, loaded, faults, folder, far, progress, workbench)
     finally:
         workbench.close()

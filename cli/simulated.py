@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from daq.errors import DeviceError
 from daq.transports import HostClock
+from daq.transports.paced_clock import PacedClock
 from daq.virtual_rig.control import OperatorLine
 
 
@@ -22,6 +23,7 @@ class VirtualRigProcess:
         settings: `--set` texts to lay over it.
         time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
+        waits: whether its time stands while it or we are late; who talks to it then has to use `clock`.
 
     Attributes:
         clock: of whoever runs the rig.
@@ -30,16 +32,21 @@ class VirtualRigProcess:
 
     edge = None
 
-    def __init__(self, rig: str, settings: list[str], time_scale: float, link: str = "auto") -> None:
+    def __init__(
+        self, rig: str, settings: list[str], time_scale: float, link: str = "auto", waits: bool = False
+    ) -> None:
         command = [sys.executable, "-m", "cli.main", "virtual", rig, "--time-scale", str(time_scale), "--link", link]
         command += ["--while-stdin-open"]  # it ends with us, however we end
         for setting in settings:
             command += ["--set", setting]
+        self.clock: HostClock = HostClock(time_scale)
+        if waits:
+            self.clock = PacedClock(time_scale)
+            command += ["--pace", str(self.clock.path)]
         # a session of its own: Ctrl-C is ours to handle, the wires must stay until the rotor has been stopped
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=sys.platform != "win32"
         )
-        self.clock = HostClock(time_scale)
         try:
             self.ports, self.line = self._connect()
         except BaseException:
@@ -85,6 +92,8 @@ class VirtualRigProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        if isinstance(self.clock, PacedClock):
+            self.clock.close()
 
 
 class Asked(Protocol):

@@ -36,6 +36,7 @@ def start(
     control: Control = None,
     settings: Settings = None,
     while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False,
+    pace: Annotated[Path | None, Parameter(show=False)] = None,
     json: Json = False,
 ) -> None:
     """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it."""
@@ -45,7 +46,7 @@ def start(
     loaded = load_rig(rig, settings=settings or [])
     if output is not None:
         need_free(output)
-    virtual = VirtualRig(loaded, time_scale, link)
+    virtual = VirtualRig(loaded, time_scale, link, pace)
 
     def ready(note: Path | None) -> None:
         if output is not None:

@@ -13,6 +13,7 @@ import contextlib
 import hashlib
 import json
 import math
+import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -168,11 +169,12 @@ def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
     path = folder / f"schedule-{schedule.seed}.mcap"
     begun_s = stage.clock.wall_s()
     session = Session(rig, stage.clock, edge=stage.edge)
+    over = threading.Event()  # what befalls a rig that nobody runs any more is no host's to see
     try:
         with session:
             session.start_recording(path, {"test": "record"})
             for fault in schedule.faults:
-                stage.after(fault.at_s, partial(_begin, stage, fault))
+                stage.after(fault.at_s, partial(_begin, stage, fault, over))
             _operate(session, schedule)
             session.stop_recording({})
     except RigError as error:
@@ -180,6 +182,7 @@ def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
     except Exception as error:
         result.wrong.append(f"ended with {type(error).__name__}: {error}")
         result.ended = str(error)
+    over.set()
     result.rig_s = stage.clock.wall_s() - begun_s
     truth = stage.end()
     if path.exists():
@@ -191,7 +194,9 @@ def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
     return result
 
 
-def _begin(stage: Stage, fault: Fault) -> None:
+def _begin(stage: Stage, fault: Fault, over: threading.Event) -> None:
+    if over.is_set():
+        return
     match fault.what:
         case "busy":
             stage.busy(fault.seconds)

@@ -26,8 +26,8 @@ LATE_BEATS = "devices.drive.heartbeat_timeout_ms=800"
 
 @pytest.fixture
 def virtual_rig() -> Iterator[VirtualRigProcess]:
-    """A virtual rig at five times the speed of life, on ptys where there are any."""
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE) as process:
+    """A virtual rig at five times the speed of life, on ptys where there are any; its time waits for this process."""
+    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
         yield process
 
 

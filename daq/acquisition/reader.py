@@ -185,7 +185,7 @@ class DeviceReader:
         wanted = next(turns)
         while not self._ending:
             if isinstance(wanted, Rest):
-                self._clock.sleep(wanted.seconds)
+                self._clock.wait(self._clock.wall(wanted.seconds))
                 wanted = turns.send(b"")
                 continue
             try:

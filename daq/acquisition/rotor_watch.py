@@ -32,6 +32,7 @@ DISAGREE = (0.20, 15.0)
 """… and between drive and marks: surely wrong, not slip or lag."""
 ROWS_BEYOND = 3
 """So many reports of the drive in a row beyond the limit."""
+_FALL_RPM = 100.0  # no brake takes so much between two reports: a word that falls to rest from there is no witness
 _HISTORY_S = 12.0
 _MARKS_S = 1.0  # least time, and …
 _MARKS = 5  # … least index marks over which their rate is compared with the drive's word
@@ -79,6 +80,7 @@ class RotorWatch:
         self._word: float | None = None
         self._word_ns = 0
         self._zero_since_ns: int | None = None
+        self._fell = False  # its word fell to rest at once, as that of a drive that does not measure when it is off
         self._words: deque[tuple[int, float, float]] = deque()  # host ns, least and greatest rpm of a read
         self.target_rpm = 0.0
         self._highest = self._lowest = 0.0  # what the drive may show of what it was told
@@ -112,6 +114,7 @@ class RotorWatch:
         if abs(last) > (AT_REST_RPM if self.target_rpm else self._rest_rpm):  # what is told to turn may turn slowly
             self._zero_since_ns = None
         elif self._zero_since_ns is None:  # found at rest, or just come to it
+            self._fell = self._falls([self._word or 0.0, *said])
             self._zero_since_ns = host_ns - (self._settled_ns if self._word is None else 0)
             self._marks_after_zero = 0
         self._word, self._word_ns = last, host_ns
@@ -119,6 +122,11 @@ class RotorWatch:
         while self._words[0][0] < host_ns - _ns(_HISTORY_S) - 3 * self._late_ns:
             self._words.popleft()
         return self._too_fast(max(abs(least), abs(greatest)), len(said)) or self._ran_away(least, greatest, last)
+
+    def _falls(self, said: list[float]) -> bool:
+        """Whether the word before the last ones, which are of rest, is of a speed too high for that."""
+        before = next((abs(rpm) for rpm in reversed(said) if abs(rpm) > self._rest_rpm), 0.0)
+        return before > _FALL_RPM
 
     def drive_unknown(self) -> None:
         """The drive's last word counts for nothing any more: it restarted, or left operation."""
@@ -212,9 +220,11 @@ class RotorWatch:
     def coasts(self, now_ns: int) -> bool:
         """Whether index marks go on although the drive says that nothing turns."""
         turn_ns = self._last_turn_ns()
-        if self._zero_since_ns is None or self._marks_after_zero < 2 or turn_ns is None or self._mark_host_ns is None:
+        if self._zero_since_ns is None or turn_ns is None or self._mark_host_ns is None:
             return False
-        return now_ns - self._mark_host_ns < 2.5 * turn_ns + self._late_ns
+        if self._fell and self._marks_after_zero < 2:  # they may be on the air still
+            return now_ns - self._mark_host_ns < 2.5 * turn_ns + self._late_ns + _ns(self._radio_s)
+        return self._marks_after_zero >= 2 and now_ns - self._mark_host_ns < 2.5 * turn_ns + self._late_ns
 
     def unseen(self, now_ns: int) -> str | None:
         """Whether the rotor turned on and on without an index mark: the deadline is short at speed, long near rest."""

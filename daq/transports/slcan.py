@@ -15,10 +15,8 @@ BEL = "\a"
 _FRAME = re.compile(
     rb"(?:t([0-9A-Fa-f]{3})|T([0-9A-Fa-f]{8})|r([0-9A-Fa-f]{3})|R([0-9A-Fa-f]{8}))([0-8])([0-9A-Fa-f]*)"
 )
-_ORDER_OR_ANSWER = re.compile(  # LAWICEL's own: an answer to an order, or the order itself
-    rb"[zZ]?|[CLOAPEF]|F[0-9A-Fa-f]{2}|[Vv][0-9A-Za-z.]{0,4}|N[0-9A-Za-z]{0,4}|S[0-8]|s[0-9A-Fa-f]{4,6}"
-    rb"|[mM][0-9A-Fa-f]{8}|[XZQUW][0-9]"
-)
+_ANSWER = re.compile(rb"[zZ]?|F[0-9A-Fa-f]{2}|[Vv][0-9A-Za-z.]{4}|N(?:[0-9A-Za-z]{4}){1,2}")
+_ORDER = re.compile(rb"|[CLOAPEFVvN]|S[0-8]|s[0-9A-Fa-f]{4,6}|[mM][0-9A-Fa-f]{8}|[XZQUW][0-9]")
 _LINE_END = re.compile(rb"[\r\x07]")
 
 
@@ -45,8 +43,8 @@ class Decoded:
 
     Attributes:
         frames: CAN frames in order.
-        other_lines: the adapter's orders and answers without CR: ``""`` (done), ``"z"``/``"Z"`` (sent), ``"V1013"`` …;
-            BEL as ``"\\a"``.
+        other_lines: an adapter's answers without CR, ``""`` (done), ``"z"``/``"Z"`` (sent), ``"V1013"`` …, BEL as
+            ``"\\a"``; of a host its orders to the adapter.
         damaged: lines that were neither: no known letter, wrong digits, wrong length, foreign bytes, overlong.
     """
 
@@ -80,9 +78,14 @@ def first_line_end(data: bytes) -> int:
 
 
 class LineDecoder:
-    """Bytes of an adapter in, CAN frames out; any split into calls, bounded memory, never raises."""
+    """Bytes of an adapter in, CAN frames out; any split into calls, bounded memory, never raises.
 
-    def __init__(self) -> None:
+    Args:
+        of_host: the bytes are a host's, so that orders to an adapter may stand among them, not answers.
+    """
+
+    def __init__(self, *, of_host: bool = False) -> None:
+        self._words = _ORDER if of_host else _ANSWER
         self._line = bytearray()
         self._overlong = False
 
@@ -105,7 +108,7 @@ class LineDecoder:
             if self._overlong:
                 damaged += 1
             elif line or not bell:
-                damaged += _take(line, frames, other)
+                damaged += _take(line, self._words, frames, other)
             if bell:
                 other.append(BEL)
             self._line.clear()
@@ -120,7 +123,7 @@ class LineDecoder:
         *lines, rest = data.split(b"\r")
         damaged = 0
         for line in lines:
-            damaged += 1 if len(line) > LINE_LIMIT_BYTES else _take(line, frames, other)
+            damaged += 1 if len(line) > LINE_LIMIT_BYTES else _take(line, self._words, frames, other)
         self._extend(rest)
         return Decoded(frames, other, damaged)
 
@@ -133,9 +136,9 @@ class LineDecoder:
             del self._line[LINE_LIMIT_BYTES:]
 
 
-def _take(line: bytes, frames: list[CanFrame], other: list[str]) -> int:
+def _take(line: bytes, words: re.Pattern[bytes], frames: list[CanFrame], other: list[str]) -> int:
     """Sort one line; returns 1 when it is damaged."""
-    what = _read(line)
+    what = _read(line, words)
     if isinstance(what, CanFrame):
         frames.append(what)
     elif what is not None:
@@ -144,10 +147,10 @@ def _take(line: bytes, frames: list[CanFrame], other: list[str]) -> int:
 
 
 @lru_cache(4096)
-def _read(line: bytes) -> CanFrame | str | None:
+def _read(line: bytes, words: re.Pattern[bytes]) -> CanFrame | str | None:
     """A frame, another line, or None of a damaged one. On a bus nearly every line has been there just before."""
     if line[:1] not in (b"t", b"T", b"r", b"R"):
-        return line.decode("ascii") if _ORDER_OR_ANSWER.fullmatch(line) else None
+        return line.decode("ascii") if words.fullmatch(line) else None
     match = _FRAME.fullmatch(line)
     if match is None:
         return None

@@ -23,6 +23,7 @@ KINDS = ("pty", "tcp")
 
 _BUFFER_BYTES = 4 * 1024 * 1024  # an adapter's driver queue, generous: a host may stall …
 _OLD_S = 1.5  # … this long, on the wall's clock
+_FETCHES_S = 0.5  # wall s: a host that has not fetched all for so long is no longer waited for
 
 
 class Wire(Protocol):
@@ -51,6 +52,10 @@ class Wire(Protocol):
         """
         ...
 
+    def held_up(self) -> bool:
+        """Whether bytes wait for a host that had fetched all of them a moment ago."""
+        ...
+
     def connected(self) -> bool:
         """Whether a host has the port open."""
         ...
@@ -70,6 +75,19 @@ class _Outbox:
         self.overrun_bytes = 0
         self._parts: deque[tuple[float, bytes]] = deque()
         self._size = 0
+        self._fetched_s = 0.0  # when nothing was seen to wait
+
+    def _underway(self) -> int:
+        """How many bytes are in the cable, as far as can be told."""
+        return 0
+
+    def held_up(self) -> bool:
+        """See Wire."""
+        now = time.monotonic()
+        waiting = bool(self._parts) or self._underway() > 0
+        if not waiting:
+            self._fetched_s = now
+        return waiting and now - self._fetched_s < _FETCHES_S
 
     def _queue(self, data: bytes) -> None:
         now = time.monotonic()
@@ -114,6 +132,14 @@ class PtyWire(_Outbox):
         if notice_host:  # our own hold on the host's end would hide that nobody else has it
             os.close(self._slave)
             self._slave = -1
+
+    def _underway(self) -> int:
+        if self._slave < 0:
+            return 0
+        import fcntl  # noqa: PLC0415 (POSIX only)
+        import termios  # noqa: PLC0415
+
+        return int.from_bytes(fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)), sys.byteorder)
 
     def descriptor(self) -> int | None:
         """See Wire."""

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.transports.host_clock import HostClock
+from daq.transports.paced_clock import PacedClock
 from daq.transports.wires import Wire, make_wire
 from daq.virtual_rig.control import ControlServer
 from daq.virtual_rig.rig import SimulatedRig
@@ -23,6 +24,7 @@ from daq.virtual_rig.running import Running, leave_note
 from rig_configs.schema import Rig
 
 _TICK_S = 0.002  # wall time between two looks at the world
+_LOOK_S = 0.0005  # the same while time stands
 _FAREWELL_S = 0.2  # wall time for the last answer to be fetched
 
 
@@ -33,14 +35,15 @@ class VirtualRig:
         rig: a rig file with a [virtual] table.
         time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
+        pace: file of a clock that the host shares; time stands then while either is late. None: it never does.
 
     Attributes:
         moved: called when a device has got another port.
     """
 
-    def __init__(self, rig: Rig, time_scale: float = 1.0, link: str = "auto") -> None:
+    def __init__(self, rig: Rig, time_scale: float = 1.0, link: str = "auto", pace: Path | None = None) -> None:
         self._name, self._link = rig.name, link
-        self._clock = HostClock(time_scale)
+        self._clock = PacedClock(time_scale, pace) if pace is not None else HostClock(time_scale)
         self._t0_ns = self._clock.now_ns()
         self.rig = SimulatedRig(rig, self._clock.patience)
         self.rig.motion.advance(0.001)  # compile before anyone connects
@@ -75,8 +78,18 @@ class VirtualRig:
         due = time.monotonic()
         while self._running:
             self.step()
-            due = max(due + _TICK_S, time.monotonic())
+            due = max(due + (_TICK_S if self._passes() else _LOOK_S), time.monotonic())
             self._wait(due)
+
+    def _passes(self) -> bool:
+        """Whether time passes, or stands until the host has fetched what is in the cables."""
+        if not isinstance(self._clock, PacedClock):
+            return True
+        return self._clock.go_on(self._held_up)
+
+    def _held_up(self) -> bool:
+        held_up = [wire.held_up() for wire in self.wires.values()]  # each looks
+        return any(held_up)
 
     def close(self) -> None:
         """Pull every cable and end the control port; the answer to the last request is still delivered."""

@@ -143,7 +143,7 @@ def test_an_abort_in_a_ramp_keeps_a_log_with_notes_and_leaves_the_rotor_at_rest(
             controls.note("it hums")
             controls.abort("it hums too much")
 
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, progress, controls=controls)
         done = tests.run_up(900.0, 20.0)
         assert session.rotor_at_rest() is True

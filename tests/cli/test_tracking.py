@@ -14,7 +14,6 @@ from daq.acquisition.session import Session
 from daq.errors import LinkLost
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
-from daq.transports import HostClock
 from identification.tracking.tracker import Tracker
 from rig_configs import IdentifiedParameters, load_rig
 
@@ -28,9 +27,9 @@ def quiet(text: str, share: float | None) -> None:
 def test_a_spin_down_is_followed_from_wrong_dampings(tmp_path: Path) -> None:
     compile_tracker(load_rig("virtual").physics)
     slow = 3.0  # seconds on a busy machine in which nothing is heard make the tracker start again
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], slow) as virtual_rig:
+    with VirtualRigProcess("virtual", ["virtual.seed=3"], slow, waits=True) as virtual_rig:
         rig = load_rig("virtual", settings=[*virtual_rig.port_settings(), *WRONG])
-        with Session(rig, HostClock(slow)) as session, LiveTracking(session) as following:
+        with Session(rig, virtual_rig.clock) as session, LiveTracking(session) as following:
             Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).spin_down()
             session.wait_for(lambda: following.now.trusted, 5.0, "the tracker to follow")
             facts, words = following.facts(), following.words()

@@ -14,7 +14,7 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START, Objects, SdoServer, drive_objects
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.settings import Drive
-from daq.errors import DeviceError
+from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
@@ -50,15 +50,22 @@ class MappedDrive:
         self.fixed_in_operation = False
         self.refused_entry: int | None = None
         self.network_orders: list[int] = []
+        self.interrupted = self.period_guarded = False
+        self.at_write: Callable[[int, int, int], None] = lambda index, sub, value: None
         self.state = cia402.SWITCH_ON_DISABLED
         self.started = False
-        self._lines, self._sdo = slcan.LineDecoder(), SdoServer(self.objects, {}, self._take)
+        measured = {
+            (cia402.STATUSWORD, 0): lambda: struct.pack("<H", cia402.STATES[self.state][1]),
+            (cia402.ACTUAL_VELOCITY, 0): lambda: bytes(2),
+        }
+        self._lines, self._sdo = slcan.LineDecoder(), SdoServer(self.objects, measured, self._take)
         self.host = DriveControl(settings, self.hear, HostClock())
 
     def value(self, index: int, sub: int) -> int:
         return self.objects[index, sub][0]
 
     def _take(self, index: int, sub: int, value: int) -> None:
+        self.at_write(index, sub, value)
         self.written.append((index, sub, value))
 
     def hear(self, data: bytes) -> None:
@@ -88,7 +95,7 @@ class MappedDrive:
             return b"\x80" + request[1:4] + struct.pack("<I", _ACCESS)
         mapping = index in _MAPPINGS
         own = self.value(index - 0x200 if mapping else index, 1)
-        changes = mapping or sub in (2, 3) or (sub == 1 and (own ^ value) & ~OFF)
+        changes = mapping or sub in (2, 3) or (self.period_guarded and sub == 5) or (sub == 1 and (own ^ value) & ~OFF)
         if (changes and not own & OFF) or (mapping and sub and self.value(index, 0)):
             return b"\x80" + request[1:4] + struct.pack("<I", _STATE)
         return b""
@@ -234,3 +241,61 @@ def test_drives_that_ask_for_their_ramp_get_bits_4_to_6(ramp_bits: bool, word: i
     drive.host.quick_stop()
     assert drive.orders[-1] == cia402.QUICK_STOP
     drive.host.stop()
+
+
+@pytest.mark.parametrize(("index", "identifier"), [(0x1801, 0x185), (0x1403, 0x205)])
+def test_another_pdo_that_bears_our_identifier_is_refused(index: int, identifier: int) -> None:
+    drive = MappedDrive({(index, 1): identifier})
+    with pytest.raises(DeviceError, match=f"{index:04X}h sub 1 has the identifier {identifier:03X}h too"):
+        drive.host.start()
+    assert opened({(index, 1): OFF | identifier}).network_orders[0] == NMT_START
+
+
+def test_a_drive_in_torque_is_not_mapped_anew() -> None:
+    had = {(cia402.TPDO1_MAPPING, 0): 1, (cia402.TPDO1, 5): 20}
+    drive = MappedDrive(had)
+    drive.state = cia402.QUICK_STOP_ACTIVE
+    with pytest.raises(DeviceError, match="it has torque"):
+        drive.host.start()
+    assert of_process_data(drive) == []
+    assert {where: drive.value(*where) for where in had} == had
+
+
+def test_all_that_a_drive_had_is_put_back_whatever_ends_the_set_up() -> None:
+    had = {(cia402.RPDO1_MAPPING, 0): 1, (cia402.RPDO1, 2): 1, (cia402.TPDO1_MAPPING, 0): 1, (cia402.TPDO1, 3): 20_000}
+    for ending in (KeyboardInterrupt, LinkLost):
+        drive = MappedDrive(had)
+        before = dict(drive.objects)
+
+        def interrupt(index: int, sub: int, value: int, drive: MappedDrive = drive, ending: type = ending) -> None:
+            if (index, sub, value) == (cia402.TPDO1_MAPPING, 2, ACTUAL) and not drive.interrupted:
+                drive.interrupted = True
+                raise ending("now")
+
+        drive.at_write = interrupt
+        with pytest.raises(ending):
+            drive.host.start()
+        assert {where: drive.value(*where) for where in had} == had
+        assert drive.value(cia402.TPDO1, 1) == before[cia402.TPDO1, 1][0]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_period_that_is_taken_only_while_the_pdo_is_off_is_set_then(count: int) -> None:
+    drive = MappedDrive({(cia402.TPDO1, 5): 0, (cia402.TPDO1_MAPPING, 0): count})
+    drive.period_guarded = True
+    drive.host.start()
+    drive.host.stop()
+    assert drive.value(cia402.TPDO1, 5) == 10
+    assert drive.value(cia402.TPDO1, 1) == cia402.cob_tpdo(1, NODE)
+
+
+def test_a_period_that_cannot_be_set_is_no_reason_to_refuse_a_drive() -> None:
+    drive = MappedDrive({(cia402.TPDO1, 5): 0})
+    drive.refused_entry = 10
+    drive.host.start()
+    assert drive.value(cia402.TPDO1, 1) == cia402.cob_tpdo(1, NODE)
+    drive.host.stop()
+
+
+def test_a_count_that_stands_for_another_kind_of_pdo_is_no_mapping() -> None:
+    assert opened({(cia402.TPDO1_MAPPING, 0): 254}).value(cia402.TPDO1_MAPPING, 0) == 2

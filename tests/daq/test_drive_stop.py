@@ -37,7 +37,14 @@ class FarEnd:
         self.fixed: set[tuple[int, int]] = set()  # objects that cannot be written
         self.stray = b""  # an answer that comes before the right one
         self._lines, self._answers = slcan.LineDecoder(), slcan.LineDecoder()
-        self._sdo = SdoServer(drive_objects(CONFIG.node_id), {}, self._written)
+        self.unheeded = False  # process data reaches it no more
+        self.missed = 0  # frames of process data that the adapter does not take
+        self.answers_reset = 0  # error code of another fault that answers a reset
+        measured = {
+            (cia402.STATUSWORD, 0): lambda: struct.pack("<H", cia402.STATES[self.state][1]),
+            (cia402.ACTUAL_VELOCITY, 0): lambda: struct.pack("<h", self.rpm),
+        }
+        self._sdo = SdoServer(drive_objects(CONFIG.node_id), measured, self._written)
         guard = RotorGuard(lambda rpm: None, lambda: self.rpm == 0, lambda: abs(self.rpm))
         self.control = DriveControl(CONFIG, self.send, HostClock(), guard)
 
@@ -52,6 +59,9 @@ class FarEnd:
             self.state = cia402.SWITCH_ON_DISABLED
         elif word == cia402.SHUTDOWN and not self.keeps_torque and self.state == cia402.OPERATION_ENABLED:
             self.state = cia402.READY
+        elif word == cia402.FAULT_RESET and self.state == cia402.FAULT:
+            self._sdo.objects[cia402.ERROR_CODE, 0] = (self.answers_reset, "<H")
+            self.state = cia402.FAULT if self.answers_reset else cia402.SWITCH_ON_DISABLED
         elif word == cia402.QUICK_STOP and self.brakes:
             self.rpm = max(0, self.rpm - 100)
             self.state = cia402.QUICK_STOP_ACTIVE
@@ -61,9 +71,15 @@ class FarEnd:
         self.network = state
         self.report(cia402.cob_heartbeat(CONFIG.node_id), bytes([state]))
 
+    def _miss(self, data: bytes) -> None:
+        if self.missed and data.startswith(f"t{cia402.cob_rpdo(1, CONFIG.node_id):03X}".encode()):
+            self.missed -= 1
+            raise LinkLost("no buffer space")
+
     def send(self, data: bytes) -> None:
         if self.gone:
             raise LinkLost("gone")
+        self._miss(data)
         for frame in self._lines.feed(data).frames:
             if self.deaf_to_beats and frame.arbitration_id == cia402.cob_heartbeat(CONFIG.host_node_id):
                 self.beats_refused += 1
@@ -86,6 +102,9 @@ class FarEnd:
                     answer = b"\x80" + frame.data[1:4] + struct.pack("<I", 0x06090030)
                 self.report(cia402.cob_sdo_answer(CONFIG.node_id), answer)
             if frame.arbitration_id == cia402.cob_rpdo(1, CONFIG.node_id):
+                if self.unheeded:
+                    self.speak()
+                    continue
                 if self.network != cia402.Heartbeat.OPERATIONAL:
                     continue
                 word, _ = cia402.unpack_rpdo1(frame.data)
@@ -337,6 +356,163 @@ def test_a_watch_over_another_nodes_heartbeat_is_none() -> None:
     far.control.start()
     far.speak()
     far._sdo.objects[WATCH] = (cia402.consumer_heartbeat(7, 500), "<I")
-    with pytest.raises(DeviceError, match="does not watch the heartbeat of node 1: 1016h sub 1 is 0x000701F4"):
+    with pytest.raises(DeviceError, match="node 1 for 500 ms: 1016h sub 1 is 0x000701F4"):
+        far.control.enable()
+    far.control.stop()
+
+
+def found_braking() -> FarEnd:
+    """A drive that stops the rotor of a host that was killed."""
+    far = FarEnd()
+    far.rpm, far.state, far.network = 1000, cia402.QUICK_STOP_ACTIVE, cia402.Heartbeat.PRE_OPERATIONAL
+    far.shows(far.network)
+    return far
+
+
+def test_nothing_is_taken_from_a_drive_found_turning_when_its_set_up_fails() -> None:
+    far = found_braking()
+    far.refused = {cia402.VELOCITY_DECELERATION}
+    with pytest.raises(DeviceError, match="refused"):
+        far.control.start()
+    assert far.state == cia402.QUICK_STOP_ACTIVE
+    assert far.control.stop() is True
+    assert far.watched[-1] == (0, 0)  # the watch, and at what speed it ended
+
+
+def test_a_silent_line_is_told_nothing() -> None:
+    far = FarEnd()
+    far.deaf = True
+    with pytest.raises(DeviceError, match="no answer"):
+        far.control.start()
+    assert far.control.stop() is True
+    assert far.controlwords() == []
+
+
+def test_a_drive_that_heeds_no_process_data_is_stopped_through_its_objects() -> None:
+    far = FarEnd()
+    far.runs(300)
+    far.shows(cia402.Heartbeat.OPERATIONAL)
+    far.unheeded = True
+    clock, begun = HostClock(), time.monotonic()
+    while far.state == cia402.OPERATION_ENABLED and time.monotonic() < begun + 2:
+        far.control.quick_stop()
+        far.speak()
+        clock.wait(0.02)
+    assert far.state == cia402.QUICK_STOP_ACTIVE
+    assert 0.3 <= time.monotonic() - begun < 1.0
+    assert not far.control._beat_ended
+    far.control.stop()
+
+
+def test_a_drive_that_heeds_no_order_at_all_loses_the_heartbeat() -> None:
+    far = FarEnd()
+    far.runs(300)
+    far.unheeded, far.brakes = True, False
+    clock, begun = HostClock(), time.monotonic()
+    while not far.control._beat_ended and time.monotonic() < begun + 3:
+        far.control.quick_stop()
+        far.speak()
+        clock.wait(0.02)
+    assert 0.6 <= time.monotonic() - begun < 2.0
+    far.control.stop()
+
+
+def test_one_frame_that_is_not_taken_cancels_no_stop() -> None:
+    far = FarEnd()
+    far.runs(300)
+    far.missed = 2
+    assert far.control.stop() is True
+    assert far.rpm == 0
+
+
+@pytest.mark.parametrize(("register", "emergency"), [(0x13, 0), (0x11, 0x2320)])
+def test_a_fault_behind_that_of_the_heartbeat_is_not_reset(register: int, emergency: int) -> None:
+    far = FarEnd()
+    far.control.start()
+    far.state = cia402.FAULT
+    far._sdo.objects[cia402.ERROR_CODE, 0] = (cia402.HEARTBEAT_ERROR, "<H")
+    far._sdo.objects[cia402.ERROR_REGISTER, 0] = (register, "<B")
+    for code in (emergency, cia402.HEARTBEAT_ERROR):
+        far.report(cia402.cob_emergency(CONFIG.node_id), cia402.pack_emergency(cia402.Emergency(code, 0, bytes(5))))
+    far.speak()
+    with pytest.raises(DeviceError, match=f"error register 0x{register:02X}"):
+        far.control.enable()
+    assert cia402.FAULT_RESET not in far.controlwords()
+    far.control.stop()
+
+
+def test_another_fault_that_answers_a_reset_is_not_reset() -> None:
+    far = FarEnd()
+    far.control.start()
+    far.state, far.answers_reset = cia402.FAULT, 0x2320
+    far._sdo.objects[cia402.ERROR_CODE, 0] = (cia402.HEARTBEAT_ERROR, "<H")
+    far._sdo.objects[cia402.ERROR_REGISTER, 0] = (0x11, "<B")
+    far.speak()
+    with pytest.raises(DeviceError, match="error code is 0x2320"):
+        far.control.enable()
+    assert far.controlwords().count(cia402.FAULT_RESET) == 1
+    far.control.stop()
+
+
+def test_the_watch_is_looked_at_also_when_a_fault_goes_by_itself() -> None:
+    far = FarEnd()
+    far.control.start()
+    far._sdo.objects[WATCH] = (0, "<I")
+    far.state = cia402.FAULT
+    far.speak()
+
+    def reset_at_the_keypad(rpm: float | None) -> None:
+        if far.state == cia402.FAULT:
+            far.state = cia402.SWITCH_ON_DISABLED
+            far.speak()
+
+    far.control._guarded = RotorGuard(reset_at_the_keypad, lambda: far.rpm == 0, lambda: abs(far.rpm))
+    with pytest.raises(DeviceError, match="is 0x00000000"):
+        far.control.enable()
+    assert cia402.ENABLE_OPERATION not in far.controlwords()
+    far.control.stop()
+
+
+def test_a_rotor_that_brakes_is_not_left_without_torque() -> None:
+    far = found_braking()
+    far.network = cia402.Heartbeat.OPERATIONAL
+    far.control.start()
+    far.speak()
+    keeps_saying = HostClock().every(0.02, far.speak, "reports", lambda error: None)
+    with pytest.raises(DeviceError, match="stays in QUICK STOP ACTIVE"):
+        far.control.enable()
+    keeps_saying.stop()
+    assert far.state == cia402.QUICK_STOP_ACTIVE
+    far.control.stop()
+
+
+def test_a_drive_whose_answers_do_not_come_keeps_its_watch() -> None:
+    far = FarEnd()
+    far.runs(0)
+    far.report = lambda identifier, data: None  # type: ignore[method-assign]
+    far.control._word_ns = 1  # its last report is long ago
+    assert far.control.stop() is True
+    assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms]
+
+
+def test_what_a_drive_said_long_ago_is_no_operation() -> None:
+    far = FarEnd()
+    far.runs(0)
+    far.deaf_to_beats = False
+    far.control._word_ns = 1
+    far.speak = lambda: None  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="expected OPERATION ENABLED"):
+        far.control.enable()
+    far.speak = FarEnd.speak.__get__(far)  # type: ignore[method-assign]
+    far.control.stop()
+
+
+@pytest.mark.parametrize("watch", [0x0001_FFFF, 0x0081_01F4])
+def test_a_watch_that_is_far_too_patient_or_over_no_node_is_none(watch: int) -> None:
+    far = FarEnd()
+    far.control.start()
+    far.speak()
+    far._sdo.objects[WATCH] = (watch, "<I")
+    with pytest.raises(DeviceError, match=f"is 0x{watch:08X}"):
         far.control.enable()
     far.control.stop()

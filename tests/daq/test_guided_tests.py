@@ -31,7 +31,7 @@ def quiet(text: str, share: float | None) -> None:
 def test_counters_zeroed_elsewhere_are_refused_until_they_are_zeroed_at_the_locks(
     virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
 ) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet)
         session.command_node("release both")
         session.clock.sleep(0.5)
@@ -52,7 +52,7 @@ def test_counters_zeroed_elsewhere_are_refused_until_they_are_zeroed_at_the_lock
 def test_a_speed_beyond_the_limit_is_refused_before_the_drive_is_enabled(
     virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
 ) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path / "out", quiet)
         for test in (
             lambda: tests.run_up(5000.0, 40.0),
@@ -119,7 +119,7 @@ def test_check_gives_a_verdict_per_device_and_exits_1_when_one_fails(
     other = load_rig("virtual", settings=[*virtual_rig.port_settings(), "devices.encoder.counts_per_revolution=2048"])
     with (
         pytest.raises(DeviceError, match="4096 counts per revolution, the rig file 2048"),
-        Session(other, HostClock(TIME_SCALE)) as session,
+        Session(other, virtual_rig.clock) as session,
     ):
         Procedures(session, SimulatedOperator(virtual_rig.line), Path("never"), quiet).spin_down()
     assert not Path("never").exists()

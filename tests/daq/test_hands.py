@@ -22,7 +22,6 @@ from daq.guided_tests.hands import SEEN_RAD, let_go
 from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.replay import check
 from daq.signals.run import load_run
-from daq.transports import HostClock
 from identification import NotIdentifiable, identify
 from identification.pendulums.release import fit_release
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -34,13 +33,13 @@ from tests.daq.far_ends import START_NS
 
 @pytest.fixture
 def one(tmp_path: Path) -> Iterator[tuple[VirtualRigProcess, Rig]]:
-    with VirtualRigProcess("one_laser", ["virtual.seed=3"], TIME_SCALE) as process:
+    with VirtualRigProcess("one_laser", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
         yield process, load_rig("one_laser", settings=process.port_settings())
 
 
 @pytest.fixture
 def hand(tmp_path: Path) -> Iterator[tuple[VirtualRigProcess, Rig]]:
-    with VirtualRigProcess("by_hand", ["virtual.seed=3"], TIME_SCALE) as process:
+    with VirtualRigProcess("by_hand", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
         yield process, load_rig("by_hand", settings=process.port_settings())
 
 
@@ -50,7 +49,7 @@ def quiet(text: str, share: float | None) -> None:
 
 def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
     process, rig = one
-    with Session(rig, HostClock(TIME_SCALE)) as session:
+    with Session(rig, process.clock) as session:
         checks = device_checks(rig, look_at(session, 0.5))
         assert list(checks) == ["probe"]
         assert [what for what, found in checks["probe"].items() if not found.passed] == []
@@ -71,7 +70,7 @@ def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[VirtualRig
 
 def test_pendulums_are_locked_let_go_and_flicked_by_hand(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
     process, rig = hand
-    with Session(rig, HostClock(TIME_SCALE)) as session:
+    with Session(rig, process.clock) as session:
         done = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).spin_down()
     run = load_run(done.log)
     assert (done.missed, done.warnings) == ("", ())
@@ -84,7 +83,7 @@ def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
 ) -> None:
     process, rig = hand
     said: list[str] = []
-    with Session(rig, HostClock(TIME_SCALE), say=said.append) as session:
+    with Session(rig, process.clock, say=said.append) as session:
         tests = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet)
         done = tests.point("B", rig.physics.speed_rad_s(1.6))
     run = load_run(done.log)
@@ -107,11 +106,11 @@ def test_a_hand_that_turns_too_fast_is_told_to_stop(hand: tuple[VirtualRigProces
             super().turn(2.5 * rpm, 400.0)
 
     words = r"index marks come at .* rpm, limits.speed_rpm is 1200; stop the rotor"
-    session = Session(rig, HostClock(TIME_SCALE), say=said.append)
+    session = Session(rig, process.clock, say=said.append)
     with pytest.raises(ProcedureError, match=words), session:
         Procedures(session, Hasty(process.line), tmp_path, quiet).run_up(900.0, 40.0)
     assert any("STOP THE ROTOR: the index marks" in text for text in said)
-    with pytest.raises(ProcedureError, match="nothing was turned"), Session(rig, HostClock(TIME_SCALE)) as session:
+    with pytest.raises(ProcedureError, match="nothing was turned"), Session(rig, process.clock) as session:
         Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).run_up(1300.0, 40.0)
 
 
@@ -119,13 +118,17 @@ def test_an_index_sensor_that_dies_is_no_rotor_at_rest(hand: tuple[VirtualRigPro
     process, rig = hand
     said: list[str] = []
 
+    def later() -> None:
+        process.clock.sleep(7.5)
+        process.line.ask("fail", device="encoder", what="marks lost")
+
     class Unlucky(SimulatedOperator):
         def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
             super().turn(rpm, ramp_rpm_per_s)
             if rpm > 0:
-                threading.Timer(1.5, lambda: process.line.ask("fail", device="encoder", what="marks lost")).start()
+                threading.Thread(target=later).start()
 
-    session = Session(rig, HostClock(TIME_SCALE), say=said.append)
+    session = Session(rig, process.clock, say=said.append)
     with pytest.raises(DeviceError, match=r"tacho: no index mark for .* nothing else shows"), session:
         Procedures(session, Unlucky(process.line), tmp_path, quiet).run_up(900.0, 40.0)
     assert any("STOP THE ROTOR: tacho" in text for text in said)
@@ -143,9 +146,9 @@ def test_a_covered_laser_ends_no_recording_of_a_rig_that_nobody_is_known_to_turn
 
 
 def test_other_makers_devices_record_turn_and_replay(tmp_path: Path) -> None:
-    with VirtualRigProcess("other_devices", ["virtual.seed=3"], TIME_SCALE) as process:
+    with VirtualRigProcess("other_devices", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
         rig = load_rig("other_devices", settings=process.port_settings())
-        with Session(rig, HostClock(TIME_SCALE)) as session:
+        with Session(rig, process.clock) as session:
             tests = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet)
             done = [tests.ring_down("y"), tests.run_down(600.0, 20.0)]
     for each in done:

@@ -16,7 +16,6 @@ from daq.acquisition.interlock_table import SESSION
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.log import open_log
-from daq.transports import HostClock
 from rig_configs import load_rig
 from tests.conftest import LATE_BEATS, TIME_SCALE
 
@@ -27,7 +26,7 @@ Trip = Callable[[Session, VirtualRigProcess, pytest.MonkeyPatch], None]
 
 @pytest.fixture(scope="module")
 def far_end() -> Iterator[VirtualRigProcess]:
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE) as process:
+    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
         yield process
 
 
@@ -87,7 +86,7 @@ def test_every_row_of_the_session_trips_and_stands_in_the_log(
     rig = load_rig("virtual", settings=[*far_end.port_settings(), LATE_BEATS])
     ended: BaseException | None = None
     try:
-        with Session(rig, HostClock(TIME_SCALE)) as session:
+        with Session(rig, far_end.clock) as session:
             session.start_recording(tmp_path / "a.mcap", {"test": "record"})
             trips(session, far_end, monkeypatch)
             session.stop_recording({})

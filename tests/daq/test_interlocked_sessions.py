@@ -19,7 +19,6 @@ from daq.guided_tests.procedure import Procedures
 from daq.log import open_log
 from daq.log.losses import losses_of
 from daq.replay import check
-from daq.transports import HostClock
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE
@@ -30,7 +29,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="one rig for all
 @pytest.fixture(scope="module")
 def far_end() -> Iterator[VirtualRigProcess]:
     """One virtual rig for all tests: what one breaks it mends."""
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE) as process:
+    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
         yield process
 
 
@@ -68,7 +67,7 @@ def summary_of(path: Path) -> dict[str, object]:
 
 def test_a_clean_end_leaves_the_drive_unwatched_and_no_emergency(far_end: VirtualRigProcess, rig: Rig) -> None:
     before = far_end.line.ask("state")["emergencies"]
-    with Session(rig, HostClock(TIME_SCALE)) as session:
+    with Session(rig, far_end.clock) as session:
         turning(session, 300)
         assert far_end.line.ask("state")["watchdog_ms"] >= 500
     state = far_end.line.ask("state")
@@ -87,7 +86,7 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigPro
     try:
         with (
             pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was told to stop"),
-            Session(rig, HostClock(TIME_SCALE)) as session,
+            Session(rig, far_end.clock) as session,
         ):
             Procedures(session, SimulatedOperator(far_end.line), tmp_path, dies).run_up(600.0, 25.0)
     finally:
@@ -109,7 +108,7 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigPro
 
 def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
     restarted = r"drive: the drive started again \(boot-up"
-    with pytest.raises(DeviceError, match=restarted), Session(rig, HostClock(TIME_SCALE)) as session:  # noqa: PT012
+    with pytest.raises(DeviceError, match=restarted), Session(rig, far_end.clock) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
         far_end.line.ask("fail", device="drive", what="restart")
@@ -126,7 +125,7 @@ def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig:
 
 def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
     said: list[str] = []
-    with Session(rig, HostClock(TIME_SCALE), say=said.append) as session:
+    with Session(rig, far_end.clock, say=said.append) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         far_end.line.ask("fail", device="drive", what="emergency", value=0x3220)
         session.wait_for(lambda: any("0x3220" in notice for notice in session.notices), 5.0, "the emergency")
@@ -142,7 +141,7 @@ def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig,
 
 def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
     fault = r"drive went to FAULT by itself; emergency 0x3220, DC link under-voltage"
-    with pytest.raises(ProcedureError, match=fault), Session(rig, HostClock(TIME_SCALE)) as session:  # noqa: PT012
+    with pytest.raises(ProcedureError, match=fault), Session(rig, far_end.clock) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 200)
         far_end.line.ask("fail", device="drive", what="fault", value=0x3220)
@@ -159,7 +158,7 @@ def test_a_rotor_that_still_turns_at_the_end_is_said(
     monkeypatch.setattr("daq.drivers.running_down._RUN_DOWN_S", 1.0)
     said: list[str] = []
     still = "the rotor still turns"
-    with pytest.raises(DeviceError, match=still), Session(rig, HostClock(TIME_SCALE), say=said.append) as session:  # noqa: PT012
+    with pytest.raises(DeviceError, match=still), Session(rig, far_end.clock, say=said.append) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
         far_end.line.ask("fail", device="drive", what="fault", value=0x3220)  # no torque: it coasts
@@ -175,8 +174,10 @@ def test_a_rotor_that_still_turns_at_the_end_is_said(
     ("stop", "words"),
     [(KeyboardInterrupt(), "Ctrl-C"), (KeyboardInterrupt("SIGTERM"), "SIGTERM"), (ValueError("x"), "ValueError: x")],
 )
-def test_the_log_says_what_ended_it(rig: Rig, tmp_path: Path, stop: BaseException, words: str) -> None:
-    with pytest.raises(type(stop)), Session(rig, HostClock(TIME_SCALE)) as session:  # noqa: PT012
+def test_the_log_says_what_ended_it(
+    far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, stop: BaseException, words: str
+) -> None:
+    with pytest.raises(type(stop)), Session(rig, far_end.clock) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         raise stop
     assert summary_of(tmp_path / "a.mcap")["ended"] == words
@@ -184,7 +185,7 @@ def test_the_log_says_what_ended_it(rig: Rig, tmp_path: Path, stop: BaseExceptio
 
 def test_a_rotor_that_is_blind_to_a_laser_is_not_turned(far_end: VirtualRigProcess, rig: Rig) -> None:
     try:
-        with Session(rig, HostClock(TIME_SCALE)) as session:
+        with Session(rig, far_end.clock) as session:
             far_end.line.ask("fail", device="laser_x", what="code", value=262076)
             session.clock.sleep(1.0)
             with pytest.raises(DeviceError, match="not turned: laser/x: no valid sample"):
@@ -197,7 +198,7 @@ def test_a_rotor_that_is_blind_to_a_laser_is_not_turned(far_end: VirtualRigProce
 
 
 def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
-    with Session(rig, HostClock(TIME_SCALE)) as session:
+    with Session(rig, far_end.clock) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
         recorder = session._recorder
@@ -245,12 +246,12 @@ def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
     try:
         with (
             pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was told to stop"),
-            Session(rig, HostClock(TIME_SCALE)) as session,
+            Session(rig, far_end.clock) as session,
         ):
             Procedures(session, Breaks(far_end.line), tmp_path, quiet).spin_down()
         assert "fault of encoder B" in str(summary_of(only_log(tmp_path))["ended"])
         far_end.line.ask("fail", device="encoder", what="flags", value=1)
-        with Session(rig, HostClock(TIME_SCALE)) as session:
+        with Session(rig, far_end.clock) as session:
             tests = Procedures(session, Breaks(far_end.line), tmp_path, quiet)
             for test in (tests.spin_down, lambda: tests.point("A", 15.0), lambda: tests.run_up(600.0, 10.0)):
                 with pytest.raises(ProcedureError, match=r"fault of encoder A: .*Nothing was turned"):

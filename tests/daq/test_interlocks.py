@@ -309,6 +309,41 @@ def test_a_word_that_flickers_at_rest_is_rest_where_the_rig_file_says_so(rest_rp
     assert watch.at_rest(10**9) is False
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.3, 0.8])
+def test_a_word_that_falls_to_rest_at_once_is_not_believed_against_the_marks(delay_s: float) -> None:
+    """A drive without an encoder shows 0 as soon as it is off; the rotor coasts on at 1000 rpm."""
+    watch = RotorWatch(1300.0, lambda s: s)
+    watch.told(1000.0)
+    turns, at_rest, ends_s = 0, [], 5.0
+    for k in range(800):
+        now_s, now = 0.01 * k, START_NS + k * 10_000_000
+        watch.node_heard(now)
+        while (mark_s := 0.06 * turns) + delay_s <= now_s and mark_s < ends_s:
+            at = START_NS + round(mark_s * 1e9)
+            watch.marks_came(now, np.array([at]), np.array([at]), np.array([turns]))
+            turns += 1
+        watch.drive_said(now, np.array([1000.0 if now_s < 3 else 0.0]))
+        if watch.at_rest(now):
+            at_rest.append(now_s)
+    assert at_rest[0] == pytest.approx(ends_s, abs=2.0)
+    assert at_rest[0] > ends_s
+
+
+def test_a_rotor_that_brakes_stands_as_soon_as_its_drive_says_so() -> None:
+    watch = RotorWatch(1300.0, lambda s: s)
+    watch.told(0.0)
+    turns, angle = 0, 0.0
+    for k in range(300):
+        now, rpm = START_NS + k * 10_000_000, max(0.0, 1000.0 - 10.0 * k)
+        angle += rpm / 60 * 0.01
+        watch.node_heard(now)
+        if angle > turns:
+            watch.marks_came(now, np.array([now]), np.array([now]), np.array([turns]))
+            turns += 1
+        watch.drive_said(now, np.array([rpm]))
+        assert watch.at_rest(now) is (k >= 110)
+
+
 @given(st.integers(-1000, 1000), st.sampled_from([-1, 1]))
 def test_a_drive_that_goes_on_past_its_order_or_the_other_way_is_found(target: int, sign: int) -> None:
     watch = RotorWatch(1200.0, patience)

@@ -37,7 +37,7 @@ def quiet(text: str, share: float | None) -> None:
 def test_a_recorded_test_holds_raw_and_decoded_and_replays_exactly(
     virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
 ) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet, note="<b>note</b>")
         done = tests.ring_down("x")
         spun = tests.spin_down()
@@ -65,7 +65,7 @@ def test_a_recorded_test_holds_raw_and_decoded_and_replays_exactly(
 def test_a_run_down_is_recorded_from_the_top_almost_to_rest(
     virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
 ) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         done = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).run_down(600.0, 20.0)
     assert done.summary["reached_rest"] is True
     assert done.missed == ""
@@ -79,17 +79,19 @@ def test_a_run_down_is_recorded_from_the_top_almost_to_rest(
         assert 80 < int(turns[-1]) - int(turns[0]) < 130  # 10 rev/s for 1 s, then falling over 20 s
 
 
-def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(plugged: Rig) -> None:
+def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(
+    virtual_rig: VirtualRigProcess, plugged: Rig
+) -> None:
     wrong = plugged.model_copy(
         update={"devices": {
             **plugged.devices, "laser_x": plugged.devices["laser_x"].model_copy(update={"range_m": 0.05})}}
     )  # fmt: skip
-    with pytest.raises(DeviceError, match=r"50 mm, the sensor 25 mm"), Session(wrong, HostClock(TIME_SCALE)):
+    with pytest.raises(DeviceError, match=r"50 mm, the sensor 25 mm"), Session(wrong, virtual_rig.clock):
         pass
 
 
-def test_locking_is_refused_while_the_rotor_turns(plugged: Rig) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+def test_locking_is_refused_while_the_rotor_turns(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    with Session(plugged, virtual_rig.clock) as session:
         session.command_node("release both")
         session.drive.enable()
         session.drive.set_speed(120)
@@ -103,7 +105,7 @@ def test_locking_is_refused_while_the_rotor_turns(plugged: Rig) -> None:
 
 @needs_posix
 def test_a_pulled_cable_is_reported_and_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         session.drive.enable()
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
@@ -202,16 +204,16 @@ def test_the_control_port_asks_for_its_token(virtual_rig: VirtualRigProcess) -> 
 
 @needs_posix
 def test_ptys_and_tcp_ports_carry_the_same_rig(tmp_path: Path) -> None:
-    with VirtualRigProcess("virtual", [], TIME_SCALE, link="tcp") as rig:
+    with VirtualRigProcess("virtual", [], TIME_SCALE, "tcp", waits=True) as rig:
         assert all(port.startswith("socket://127.0.0.1:") for port in rig.ports.values())
         plugged = load_rig("virtual", settings=rig.port_settings())
-        with Session(plugged, HostClock(TIME_SCALE)) as session:
+        with Session(plugged, rig.clock) as session:
             done = Procedures(session, SimulatedOperator(rig.line), tmp_path, quiet).spin_down()
         assert [r.topic for r in check(done.log) if r.difference] == []
 
 
-def test_the_drive_reports_its_states_on_the_way_to_operation(plugged: Rig) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+def test_the_drive_reports_its_states_on_the_way_to_operation(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    with Session(plugged, virtual_rig.clock) as session:
         session.drive.enable()
         assert session.drive.state == cia402.OPERATION_ENABLED
         session.drive.disable()
@@ -219,7 +221,7 @@ def test_the_drive_reports_its_states_on_the_way_to_operation(plugged: Rig) -> N
 
 
 def test_a_drive_that_stops_by_itself_ends_the_test(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         session.drive.enable()
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
@@ -231,7 +233,7 @@ def test_a_drive_that_stops_by_itself_ends_the_test(virtual_rig: VirtualRigProce
 
 @needs_posix
 def test_a_device_that_falls_silent_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         session.drive.enable()
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
@@ -242,7 +244,7 @@ def test_a_device_that_falls_silent_stops_the_rotor(virtual_rig: VirtualRigProce
 
 
 def test_closing_a_session_at_speed_stops_the_rotor_first(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         session.drive.enable()
         session.drive.set_speed(400)
         session.wait_for(lambda: session.drive.actual_rpm > 300, 5.0, "the rotor to turn")
@@ -250,7 +252,7 @@ def test_closing_a_session_at_speed_stops_the_rotor_first(virtual_rig: VirtualRi
 
 
 def test_too_much_displacement_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, HostClock(TIME_SCALE)) as session:
+    with Session(plugged, virtual_rig.clock) as session:
         session.drive.enable()
         session.drive.set_speed(60)
         session.wait_for(lambda: session.drive.actual_rpm > 50, 5.0, "the rotor to turn")

@@ -99,6 +99,13 @@ def test_a_frame_that_cannot_be_is_refused(frame):
         encode(frame)
 
 
-@pytest.mark.parametrize("line", ["C", "O", "L", "S6", "s031C", "Z1", "V1013", "NA123", "F04", "M00000000", "z", "Z"])
-def test_what_adapters_say_and_are_told_is_no_damage(line):
+@pytest.mark.parametrize("line", ["V1013", "v0107", "NA123", "NA1230000", "F04", "z", "Z", ""])
+def test_what_adapters_answer_is_no_damage(line):
     assert decode([line.encode() + b"\r"]) == Decoded([], [line], 0)
+
+
+@pytest.mark.parametrize("line", ["", "C", "O", "L", "S6", "s031C", "Z1", "M00000000", "V", "F"])
+def test_orders_are_a_host_s_and_no_adapter_s(line):
+    data = line.encode() + b"\r"
+    assert LineDecoder(of_host=True).feed(data) == Decoded([], [line], 0)
+    assert LineDecoder().feed(data).damaged == (line != "")

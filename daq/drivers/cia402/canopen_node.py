@@ -37,7 +37,7 @@ class Adapter:
 
     def __init__(self) -> None:
         self.open = False
-        self._lines = slcan.LineDecoder()
+        self._lines = slcan.LineDecoder(of_host=True)
 
     def receive(self, data: bytes) -> tuple[list[slcan.CanFrame], bytes]:
         """Take the host's text; returns the frames that go out on the bus, and the adapter's own answers."""

@@ -23,6 +23,9 @@ _RAMP_SHARE = 0.05  # by which a ramp may differ from what is wanted
 _RESET_S = 0.05  # wall seconds that a controlword stands while a fault is reset
 _ALIVE_S = 0.3  # wall seconds that a heartbeat may be late on a busy host
 _LEAVE_S, _LEAVE_AGAIN_S = 0.5, 0.1  # wall seconds to wait for a drive without torque, and until it is told again
+_WATCH_MORE = 2  # times the time of its watch, as a drive may round it
+_OTHER_FAULTS = 0x6E  # bits of 1001h: current, voltage, temperature, profile, reserved; not generic, line, maker's
+_TORQUE = (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE, cia402.FAULT_REACTION)
 _EMERGENCIES = 30  # that are kept for a message
 _LOOK = "Look into its manual, mend the cause and reset it there"
 _HEED_S = 0.3  # wall seconds that a drive has to heed a quick stop
@@ -72,7 +75,10 @@ class DriveControl:
         self._beats, self._beats_unwatched = 0, 0  # that went out, and those of them before the drive was told to watch
         self._beat_s = -math.inf  # when the last one went out, wall s
         self._started_again = False
-        self._stopping_s: float | None = None  # since when a drive out of operation was told to stop, wall s
+        self._stopping_s: float | None = None  # since when the drive is told to stop, wall s
+        self._beat_ended = False  # so that the drive stops by itself
+        self._watch_ms = min(65535, round(clock.patience(config.heartbeat_timeout_ms)))
+        self._found: tuple[int, int] | None = None  # statusword and rpm when it was opened, by its objects
 
     def notice(self, pipeline: Pipeline) -> None:
         """See SpeedSource."""
@@ -124,19 +130,20 @@ class DriveControl:
             DeviceError: the drive does not answer or refuses a setting.
         """
         c = self._config
-        self._started_again, self._stopping_s, self.emergencies = False, None, []
+        self._started_again, self._stopping_s, self._found, self.emergencies = False, None, None, []
         rate = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}[c.bitrate]
         self._bus_open = True
         self._send(b"\rC\r" + rate + b"\rO\r")
-        watchdog_ms = min(65535, round(self._clock.patience(c.heartbeat_timeout_ms)))
         self._start_heartbeat()  # before it is watched: a drive may miss it from the moment it is told to
         self._objects.write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
+        word, rpm = self._objects.read(cia402.STATUSWORD, 0), self._objects.read(cia402.ACTUAL_VELOCITY, 0)
+        self._found = None if word is None or rpm is None else (word & 0xFFFF, cia402.signed(rpm))
         self._objects.write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
         self._watched = True
-        self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, watchdog_ms), 4)
+        self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, self._watch_ms), 4)
         self._beats_unwatched = self._beats
         self.set_ramp(c.ramp_rpm_per_s)
-        map_process_data(self._objects, c.node_id)
+        map_process_data(self._objects, c.node_id, in_torque=self._found_in_torque)
         self._objects.send(0, bytes([NMT_START, c.node_id]))
 
     def set_ramp(self, rpm_per_s: float) -> None:
@@ -176,21 +183,23 @@ class DriveControl:
             RigError: whatever `permit` raises.
         """
         deadline = self._clock.wall_s() + 3.0
-        self._armed, self.dropped_out, was_reset = False, None, False
-        if self.state != cia402.FAULT:
-            self._check_watch()
-        if self.state == cia402.OPERATION_ENABLED:  # found so: whatever it was told to do, it is told to stand
+        self._armed, self.dropped_out, was_reset, watched = False, None, False, False
+        self._stopping_s = None
+        while not watched or self._fresh_state != cia402.OPERATION_ENABLED:
             self._guarded.permit(None)
-            self._pdo(self._run_word, 0)
-        while self.state != cia402.OPERATION_ENABLED:
-            self._guarded.permit(None)
-            state = self.state
+            state = self._fresh_state
             if state == cia402.FAULT and not was_reset:
                 self._reset_if_only_heartbeat(deadline)
-                self._check_watch()
                 was_reset = True
             elif state == cia402.FAULT:
                 raise DeviceError(f"drive: it fell into FAULT again{self.why()}. {_LOOK}")
+            elif not watched:
+                self._check_watch()
+                watched = True
+                if state == cia402.OPERATION_ENABLED:  # found so: whatever it was told to do, it is told to stand
+                    self._pdo(self._run_word, 0)
+            elif state == cia402.QUICK_STOP_ACTIVE and not self._guarded.at_rest():
+                pass  # it brakes: without torque it would run down through its resonances
             elif (word := cia402.towards_operation(state)) is not None:
                 self._pdo(self._run_word if word == cia402.ENABLE_OPERATION else word, 0)
             if self._clock.wall_s() > deadline:
@@ -211,15 +220,15 @@ class DriveControl:
                 "drive: it started again since it was set up, so it does not watch the host any more. Look at its "
                 "supply, then begin anew"
             )
-        if self._beat is None or self._stopping_s is not None:  # ended, so that the drive stops by itself
-            self._stopping_s = None
+        if self._beat is None or self._beat_ended:
             self._start_heartbeat()
         watched = self._objects.read(cia402.CONSUMER_HEARTBEAT, 1)
-        if watched is None or not watched & 0xFFFF or watched >> 16 & 0x7F != self._config.host_node_id:
+        right = watched is not None and watched >> 16 & 0xFF == self._config.host_node_id
+        if watched is None or not right or not 0 < watched & 0xFFFF <= _WATCH_MORE * self._watch_ms:
             said = "cannot be read" if watched is None else f"is 0x{watched:08X}"
             raise DeviceError(
-                f"drive: it does not watch the heartbeat of node {self._config.host_node_id}: 1016h sub 1 {said}. "
-                "Nothing is turned by a drive that does not stop when its host is gone"
+                f"drive: it does not watch the heartbeat of node {self._config.host_node_id} for {self._watch_ms} ms: "
+                f"1016h sub 1 {said}. Nothing is turned by a drive that does not stop when its host is gone"
             )
         end = self._clock.wall_s() + 3e-3 * self._config.heartbeat_ms + _ALIVE_S
         while self._beats <= self._beats_unwatched and self._clock.wall_s() < end:
@@ -247,17 +256,32 @@ class DriveControl:
                 return cia402.HEARTBEAT_ERROR
         return None
 
-    def _reset_if_only_heartbeat(self, deadline_s: float) -> None:
+    def _check_only_heartbeat(self, *, reset: bool = False) -> None:
+        """Raise when anything else than the host's absence is at fault: the newest error hides those before it.
+
+        Args:
+            reset: it has been told to reset, and may tell of no fault any more.
+        """
         code = self.fault_code()
-        if code != cia402.HEARTBEAT_ERROR:
+        register = None
+        with contextlib.suppress(DeviceError):
+            register = self._objects.read(cia402.ERROR_REGISTER, 0)
+        others = (register or 0) & _OTHER_FAULTS or set(self.emergencies) - {cia402.HEARTBEAT_ERROR}
+        if others or (code != cia402.HEARTBEAT_ERROR and not (reset and code is None)):
             said = "it does not tell why" if code is None else f"its error code is 0x{code:04X}"
+            said += f", its error register 0x{register:02X}" if register else ""
             raise DeviceError(f"drive: it stands in FAULT, {said}{self.why()}. {_LOOK}")
+
+    def _reset_if_only_heartbeat(self, deadline_s: float) -> None:
+        self._check_only_heartbeat()
         self.was_reset = "the drive stood in FAULT because a host's heartbeat had stayed away (0x8130); it was reset"
         while self.state == cia402.FAULT and self._clock.wall_s() < deadline_s:
             self._pdo(cia402.DISABLE_VOLTAGE, 0)  # a reset is the bit's rising edge; one may be refused
             self._clock.wait(_RESET_S)  # a drive looks at the word in cycles of its own
             self._pdo(cia402.FAULT_RESET, 0)
             self._clock.wait(_RESET_S)
+            if self.state == cia402.FAULT:
+                self._check_only_heartbeat(reset=True)
 
     def set_speed(self, rpm: float) -> None:
         """Ramp to a speed (whole rpm on this drive's wire).
@@ -268,6 +292,7 @@ class DriveControl:
         self._guarded.permit(rpm)
         if rpm:
             self._check_heartbeat()
+            self._stopping_s = None
         self._pdo(self._run_word, round(rpm))
 
     def disable(self) -> None:
@@ -297,29 +322,62 @@ class DriveControl:
                 return False
 
     @property
+    def _fresh_state(self) -> str:
+        """The drive's state, unless its word is too old."""
+        return cia402.UNKNOWN if math.isnan(self.actual_rpm) else self.state
+
+    @property
+    def _found_in_torque(self) -> bool:
+        """Whether it turned the rotor, or held it, when it was opened."""
+        return self._found is not None and cia402.state(self._found[0]) in _TORQUE
+
+    @property
+    def _found_turning(self) -> bool:
+        return self._found is not None and (self._found_in_torque or abs(self._found[1]) > self._config.rest_rpm)
+
+    @property
+    def _off_by_its_objects(self) -> bool:
+        """Whether it says by 6041h that it has no torque."""
+        try:
+            word = self._objects.read(cia402.STATUSWORD, 0)
+        except DeviceError:
+            return False
+        return word is not None and cia402.state(word & 0xFFFF) not in _TORQUE
+
+    @property
     def _in_torque(self) -> bool:
         """Whether the drive's fresh word is that it turns the rotor, or holds it."""
-        return not math.isnan(self.actual_rpm) and self.state in (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE)
+        return self._fresh_state in _TORQUE
 
     def quick_stop(self) -> None:
         """Stop as fast as the drive can, in whatever network state it is.
 
-        Out of operation a drive heeds no process data. It is ordered through its objects, and into operation; one that
-        heeds neither is left to its own watch: the host's heartbeat ends.
+        A drive that does not heed its process data, or says nothing, is ordered through its objects and into operation;
+        one that heeds neither is left to its own watch: the host's heartbeat ends.
         """
         self._armed = False
+        now_s = self._clock.wall_s()
+        self._stopping_s = now_s if self._stopping_s is None else self._stopping_s
         self._pdo(cia402.QUICK_STOP, 0)
-        if self._network_state in (None, cia402.Heartbeat.OPERATIONAL):
-            self._stopping_s = None
+        in_network = self._network_state in (None, cia402.Heartbeat.OPERATIONAL)
+        late_s = now_s - self._stopping_s
+        if in_network and (late_s <= _HEED_S or self._heeds_the_stop):
             return
         order = cia402.write_word(cia402.CONTROLWORD, cia402.QUICK_STOP)
         self._objects.send(cia402.cob_sdo_request(self._config.node_id), order)  # no time for an answer
         self._objects.send(0, bytes([NMT_START, self._config.node_id]))
         self._pdo(cia402.QUICK_STOP, 0)
-        now_s = self._clock.wall_s()
-        self._stopping_s = now_s if self._stopping_s is None else self._stopping_s
-        if now_s - self._stopping_s > _HEED_S and self._beat is not None:
+        if late_s > (2 if in_network else 1) * _HEED_S and self._beat is not None:
             self._beat.stop(0.0)
+            self._beat_ended = True
+
+    @property
+    def _heeds_the_stop(self) -> bool:
+        """Whether the drive reports that it is not in operation any more, or none of its reports is new enough."""
+        if self._fresh_state == cia402.UNKNOWN:
+            return False
+        reported_s = self._clock.wall_s() - self._clock.wall((self._clock.now_ns() - self._word_ns) * 1e-9)
+        return self.state != cia402.OPERATION_ENABLED or reported_s - (self._stopping_s or 0.0) <= _HEED_S
 
     def why(self) -> str:
         """The emergencies that stand, in words for a message: code and meaning; empty without one."""
@@ -335,16 +393,14 @@ class DriveControl:
         def beat() -> None:
             try:
                 self._objects.send(identifier, operational)
-            except (
-                DeviceError,
-                LinkLost,
-            ):  # a link that is gone is its reader's to report; one that is not takes the next one
+            except (DeviceError, LinkLost):  # a link that is gone is its reader's to report; another takes the next one
                 return
             self._beats, self._beat_s = self._beats + 1, self._clock.wall_s()
 
         beat()
         if self._beat is not None:  # of a line that was lost
             self._beat.stop()
+        self._beat_ended = False
         self._beat = self._clock.every(self._config.heartbeat_ms * 1e-3, beat, "heartbeat", lambda error: None)
 
     def stop(self, told: Callable[[str], None] = lambda text: None) -> bool:
@@ -371,11 +427,15 @@ class DriveControl:
 
         A drive that keeps its torque keeps its watch too, and stops by itself when the heartbeat ends.
         """
+        confirmed = False
         with contextlib.suppress(DeviceError):  # also out of network operation
             self._objects.write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)
+            confirmed = True
         if not self._leaves_operation(cia402.DISABLE_VOLTAGE):
             told(f"the drive was told to take the torque away and stays in {self.state}. {_LOOK}")
             return False
+        if self._fresh_state == cia402.UNKNOWN and not confirmed and not self._off_by_its_objects:
+            return True  # nobody knows what it heard: its watch stays
         with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
             self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
         self._watched = False
@@ -386,7 +446,7 @@ class DriveControl:
         if self._beat is not None:
             self._beat.stop()
             self._beat = None
-            if rest:
+            if rest and (self._ordered or self._watched or self._found is not None):
                 self._pdo(cia402.DISABLE_VOLTAGE, 0)
                 self._objects.send(0, bytes([NMT_PRE_OPERATIONAL, self._config.node_id]))
         if self._bus_open:
@@ -395,9 +455,12 @@ class DriveControl:
 
     def _rest(self, told: Callable[[str], None]) -> bool:
         """Quick stop, and wait until the rotor stands: as long as it grows slower, or runs down by itself."""
-        never_turned = not self._word_ns and not self._ordered  # it never said a word, nor was it told one
-        if never_turned or (self._guarded.at_rest() and self.state != cia402.OPERATION_ENABLED):
+        if not self._word_ns and not self._ordered and not self._found_turning:  # it is as it was found
+            if self._guarded.at_rest() is not False:
+                return True
+        elif self._guarded.at_rest() and self.state != cia402.OPERATION_ENABLED:
             return True
         if self.state == cia402.OPERATION_ENABLED:  # also at rest: it may have an order to turn
-            self.quick_stop()
+            with contextlib.suppress(LinkLost):  # one frame; it is repeated
+                self.quick_stop()
         return runs_down(self._clock, self._guarded, self.quick_stop, told)

@@ -91,7 +91,7 @@ class NodeObjects:
     """
 
     def __init__(self, node_id: int, send: Callable[[bytes], None], clock: HostClock) -> None:
-        self._node_id, self._clock = node_id, clock
+        self.node_id, self._clock = node_id, clock
         self._network = canopen.Network(bus=_SendOnlyBus(send))
         self._sdo = _SdoClient(node_id, self._network, clock)
 
@@ -101,7 +101,7 @@ class NodeObjects:
 
     def heed(self, data: bytes) -> None:
         """Take an answer of the node, 8 bytes."""
-        self._network.notify(cia402.cob_sdo_answer(self._node_id), bytearray(data), self._clock.now_s())
+        self._network.notify(cia402.cob_sdo_answer(self.node_id), bytearray(data), self._clock.now_s())
 
     def write(self, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of so many bytes, and wait until the drive confirms it.
@@ -143,7 +143,7 @@ class NodeObjects:
             except SdoCommunicationError as error:
                 if attempt == _TRIES:
                     raise DeviceError(
-                        f"drive: no answer to {what} after {_TRIES} tries ({error}). Is node {self._node_id} "
+                        f"drive: no answer to {what} after {_TRIES} tries ({error}). Is node {self.node_id} "
                         "powered, the bit rate right, the bus terminated?"
                     ) from error
             attempt += 1

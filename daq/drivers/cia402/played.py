@@ -32,7 +32,7 @@ class BothWays:
     """
 
     def __init__(self) -> None:
-        self._host = slcan.LineDecoder()
+        self._host = slcan.LineDecoder(of_host=True)
         self._tail = b""
 
     def feed(self, direction: int, data: bytes) -> bytes:

@@ -31,7 +31,7 @@ class DrivePipeline:
         self.frames: list[slcan.CanFrame] = []
         self.complaint = ""
         self._device, self._node = device, config.node_id
-        self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder()
+        self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder(of_host=True)
         self._joined = False
         self._target_rpm = 0.0
         self._status: int | None = None

@@ -95,6 +95,11 @@ def state(statusword: int) -> str:
     return next((name for name, (mask, value) in STATES.items() if statusword & mask == value), UNKNOWN)
 
 
+def signed(word: int) -> int:
+    """A 16-bit word as the signed number it stands for."""
+    return (word & 0xFFFF ^ 0x8000) - 0x8000
+
+
 def towards_operation(state_name: str) -> int | None:
     """Controlword for the next step towards OPERATION ENABLED; None where one can only wait."""
     return _TOWARDS_OPERATION.get(state_name)
