@@ -1,8 +1,9 @@
 """Whole campaigns over seeds and changed truths: how far off, how sure, how long, how much memory.
 
-    uv run python benchmarks/campaign_coverage.py --seeds 0:10 [--changed] [--out FILE.json]
+    uv run python benchmarks/campaign_coverage.py --seeds 0:10 [--changed] [--busy LOOPS] [--out FILE.json]
 
-Each campaign is `rig demo --json` in a process of its own, through ptys, drivers, logs and all.
+Each campaign is `rig demo --json` in a process of its own, through ptys, drivers, logs and all; with `--busy` beside
+processes that want every processor for themselves.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import resource
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +42,31 @@ def campaign(seed: int, settings: list[str]) -> dict[str, Any]:
         return {**json.loads(done.stdout), "exit": done.returncode}
 
 
+@contextmanager
+def busy_host(loops: int) -> Iterator[None]:
+    """So many processes that never rest, meanwhile."""
+    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(loops)]
+    try:
+        yield
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="0:10")
     parser.add_argument("--changed", action="store_true")
+    parser.add_argument("--busy", type=int, default=0)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
+    with busy_host(arguments.busy):
+        campaigns(arguments)
+
+
+def campaigns(arguments: argparse.Namespace) -> None:
+    """All of them, each with a few lines of its own."""
     first, last = (int(x) for x in arguments.seeds.split(":"))
     plans = [(f"seed {s}", s, []) for s in range(first, last)]
     if arguments.changed:
