@@ -45,6 +45,7 @@ STOP_WITHIN_S = 0.5
 """Behind the limit of a needed channel the stop is ordered within this, s."""
 _RPM = math.pi / 30
 _EARLY_S = 2e-3
+_MOST, _AS_GOOD = 0.6, 1.01  # of samples; of a fit's spread: chance makes it differ by so much where nothing moves
 _OTHER_CLOCK_S = 1.0  # a clock that is farther off is the pipeline's own count
 _TURNS_RPM = 20.0  # a rotor that surely turns
 _SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults behind which a line without a checksum proves nothing
@@ -267,7 +268,8 @@ def _aligned(
 ) -> tuple[Array, Array]:
     """Times of a device whose wire carries no time of its own: from the shift that fits most of the truth best.
 
-    Some samples behind a gap may bear times that are early by it, as the driver's page says.
+    Some samples behind a gap may bear times that are early by it, as the driver's page says. Where the motion is too
+    small to tell shifts apart, the smallest of those that fit as well is taken.
     """
     at_s, late = at_s + np.median(late), late - np.median(late)
     if topic not in fields:
@@ -277,14 +279,22 @@ def _aligned(
     value = log[topic][name].astype(np.float64)[some]
     shifts = np.arange(-0.012, 0.006, 1e-4)
     was = truth.rows[:, column]
-    spread = [_spread(value - np.interp(at_s[some] + shift, truth.time_s, was)) for shift in shifts]
-    shift = float(shifts[int(np.argmin(spread))])
+    spread = np.array([_spread(value - np.interp(at_s[some] + shift, truth.time_s, was)) for shift in shifts])
+    alike = shifts[spread <= _AS_GOOD * np.min(spread, where=np.isfinite(spread), initial=np.inf)]
+    if not len(alike):  # no valid sample
+        return at_s, late
+    shift = float(alike[np.argmin(np.abs(alike))])
     return at_s + shift, late - shift
 
 
 def _spread(values: Array) -> float:
-    """How far the middle one of them is from their middle."""
-    return float(np.nanmedian(np.abs(values - np.nanmedian(values))))
+    """Root mean square of the distances from their middle, the far ones left out.
+
+    Not the median distance: readings are rounded, and a median of them goes in steps.
+    """
+    away = np.sort(np.abs(values - np.nanmedian(values)))
+    near = away[: int(_MOST * np.count_nonzero(np.isfinite(away)))]
+    return float(np.sqrt(np.mean(near**2))) if len(near) else math.nan
 
 
 def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock, bool]]:

@@ -13,6 +13,7 @@ import pytest
 
 from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
+from daq.clock import ClockMap
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitedInVain
 from daq.lockstep.rig import STEP_S, LockstepRig
@@ -341,6 +342,21 @@ def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
     found = run("virtual", hidden, tmp_path)
     monkey.undo()
     assert any("laser/x" in text or "laser_x" in text for text in found.wrong)
+
+
+def test_the_judge_sees_early_times_of_a_wire_that_carries_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = ClockMap.map
+    monkeypatch.setattr(ClockMap, "map", lambda self, device_ns, host_ns: plain(self, device_ns, host_ns) - 5_000_000)
+    found = run("other_devices", Schedule(3, 300.0, 6.0, STEP_S, ()), tmp_path)
+    assert any(text.startswith("laser/x: times are -") for text in found.wrong)
+
+
+def test_the_judge_does_not_take_noise_for_early_times(tmp_path: Path) -> None:
+    """Rounded readings of a rotor that stands and is moved a little once."""
+    result = run("other_devices", draw(load_rig("other_devices"), 413), tmp_path)
+    assert result.wrong == []
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a busy host is a stopped process: POSIX signals")
