@@ -17,6 +17,7 @@ endif
 
 demo: setup
 	$(UV) run --no-sync rig demo --out out/demo
+	@echo "For the rig command in this shell: source .venv/bin/activate"
 
 test: setup lint
 	$(UV) run --no-sync pytest -n 2
@@ -28,7 +29,7 @@ lint: setup
 	$(UV) run --no-sync lint-imports
 
 setup: | $(UV_FILE)
-	$(UV) sync --frozen --quiet --compile-bytecode
+	$(UV) sync --frozen --inexact --quiet --compile-bytecode
 
 .tools/uv-$(UV_VERSION)/bin/uv:
 	$(PYTHON) -m venv .tools/uv-$(UV_VERSION)

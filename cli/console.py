@@ -154,7 +154,7 @@ def wait_for_compilation(what: str) -> Iterator[None]:
             if self.depth == 0:
                 self.started = time.monotonic()
                 if self.seconds == 0:
-                    say(f"compiling the {what} code for this machine, once: ten seconds, a minute on a slow one …")
+                    say(f"compiling {what} code, not yet there on this machine: ten seconds, a minute on a slow one …")
             self.depth += 1
 
         def on_end(self, event: Any) -> None:

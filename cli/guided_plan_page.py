@@ -10,7 +10,7 @@ from rich.table import Table
 from cli.console import harmless, say, show
 from cli.words import length, stdout_console
 from daq.errors import LogError
-from daq.guided_tests.kinds import kind_of, refusal
+from daq.guided_tests.kinds import given_on, kind_of, refusal
 from daq.guided_tests.plan import Plan, PlannedState
 from daq.guided_tests.test_inputs import test_names
 from daq.log import open_log
@@ -64,7 +64,16 @@ def campaign(rig: Rig, folder: Path) -> dict[str, Any]:
         finished = [path for path, missed in mine if not missed]
         state = "refused" if why else "done" if finished else "not reached" if mine else "missing"
         path = str((finished or [path for path, _ in mine] or [""])[-1])
-        tests.append({"test": name, "line": kind.line, "gives": kind.gives, "state": state, "log": path, "why": why})
+        tests.append(
+            {
+                "test": name,
+                "line": kind.line,
+                "gives": given_on(kind, rig.roles),
+                "state": state,
+                "log": path,
+                "why": why,
+            }
+        )
     return {"rig": rig.name, "folder": str(folder), "tests": tests}
 
 

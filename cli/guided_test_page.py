@@ -126,7 +126,7 @@ class TestPage(LiveTable):
         if self._keys is not None:
             typed = self._keys.typed
             lines.append(Text(KEYS if typed is None else f"note (Enter keeps it, Esc drops it): {typed}", style="dim"))
-        bar = [] if status.share is None else [ProgressBar(total=1.0, completed=status.share, width=40)]
+        bar = [] if status.share is None else [ProgressBar(total=1.0, completed=status.share, width=40), Text()]
         return Group(table, *lines[:2], *bar, *lines[2:])
 
 

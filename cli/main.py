@@ -19,7 +19,7 @@ from cyclopts import App, CycloptsError
 
 from analysis.errors import AnalysisError
 from cli import crash
-from cli.console import say, wait_for_compilation
+from cli.console import print_json, say, wait_for_compilation
 from cli.numbers import NUMBERS_ARE_FINITE
 from daq.errors import LogError, RigError
 from daq.version import software_version
@@ -135,6 +135,8 @@ def _carried_out(arguments: list[str]) -> int:
         if code is None:
             return crash.report(error, arguments)
         say(f"rig: {_words(error)}")
+        if "--json" in arguments:
+            print_json({"error": _words(error), "exit_code": code})
         return code
 
 

@@ -128,7 +128,8 @@ def _fields_json(row: ChannelCheck) -> dict[str, Any]:
 
 def _print_check(found: Check) -> None:
     for row in found:
-        show(f"{row.topic:10} {row.live:9d} live {row.again:9d} again   {row.difference or 'identical'}")
+        same = "identical" if row.live == row.again else "identical as far as compared"
+        show(f"{row.topic:10} {row.live:9d} live {row.again:9d} again   {row.difference or same}")
     differing = [row for row in found if row.first is not None]
     if differing:
         head = ("channel", "differing", "first", "time since 1970, ns", "field", "in the log", "decoded again")

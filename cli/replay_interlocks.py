@@ -124,6 +124,8 @@ def _table(rows: Sequence[tuple[str, ...]]) -> Iterable[str]:
         widths.pop()
     for row in rows:
         yield _GAP.join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)).rstrip()
+    if left_out := _HEAD[len(widths) :]:
+        yield f"left out, the terminal being {room} columns wide: {', '.join(left_out)}. --json has them"
 
 
 def _s(time_ns: int, start_ns: int) -> float:

@@ -19,6 +19,7 @@ from rig_testing.bench import NAME, START_NS, Bench, PlayedTalk
 from rig_testing.report import Failed, need
 from rig_testing.subject import Subject, events, together, turn
 
+_SILENT = "falls silent"
 _NEAR_S = 1.0  # by which a sample's time may differ from the host's
 
 
@@ -185,7 +186,10 @@ def check_stop(subject: Subject) -> str:
         bench.time.pass_time(0.5)
         for topic in subject.constant:
             need(together(bench.items, topic) is not None, f"opened again after its stop: no samples in {topic}")
-        return "it is silent then" if silent else "it goes on sending"
+        if silent:
+            return "it is silent then"
+        need(not subject.claims(_SILENT), f"it goes on sending, and the driver claims that it {_SILENT}")
+        return f"it goes on sending; where it should not, claim {_SILENT!r} and this is a failure"
 
 
 def check_link_lost(subject: Subject) -> str:

@@ -148,6 +148,7 @@ class Core:
         self.pipelines: dict[str, Pipeline] = {}
         self.commanding = self.guarding = self.lenient = self.closing = False
         self.trouble: Exception | None = None
+        self._end: Note | None = None  # of the run, with its trouble
         self.notices: list[str] = []
         self.bytes_in = dict.fromkeys(self._known, 0)
         self.gone: dict[str, str] = {}
@@ -167,7 +168,7 @@ class Core:
 
     # --- a log begins ------------------------------------------------------------------------------------------
 
-    def begin(self, pipelines: Mapping[str, Pipeline], now_ns: int, before_s: float = 0.0) -> list[Keep]:
+    def begin(self, pipelines: Mapping[str, Pipeline], now_ns: int, before_s: float = 0.0) -> list[Keep | Note]:
         """Fresh pipelines: the log that begins now decodes to the same samples by itself. No device is fed meanwhile.
 
         Args:
@@ -175,18 +176,21 @@ class Core:
             before_s: how much of what came before belongs to it, s; at most `PAST_S`.
 
         Returns:
-            What of that has to be kept.
+            What of that has to be kept: what came, and what ended the run.
         """
         self.pipelines = dict(pipelines)
         self._undecodable.clear()
         self.recent.clear()
         self.rates = RateWatches(self._rig.devices, self._patience)
         self.interlocks.begin(now_ns)
-        self.trips = self._no_trips()
+        since = now_ns - int(before_s * 1e9)
+        tripped, self.trips = self.trips.reasons, self._no_trips()
+        for reason in tripped:
+            if since <= reason.host_ns < now_ns:
+                self.trips.tripped(reason.interlock, reason.text, reason.host_ns)
         for name in self._known:
             self._heard_ns.setdefault(name, now_ns)
-        since = now_ns - int(before_s * 1e9)
-        out: list[Keep] = []
+        out: list[Keep | Note] = []
         for name, past in self._past.items():
             for direction, data, host_ns in past.since(since):
                 kept = self._decoded(name, direction, data, host_ns)
@@ -194,6 +198,8 @@ class Core:
                 for item in kept.items:
                     if isinstance(item, Batch):
                         self.recent.add(item)
+        if self._end is not None and since <= self._end.host_ns < now_ns:
+            out.append(self._end)
         return sorted(out, key=lambda kept: kept.host_ns)
 
     def finish(self, now_ns: int) -> Iterator[Keep]:
@@ -299,7 +305,8 @@ class Core:
         elif first and self.commanding and self.interlocks.turning(now_ns):
             yield Warn(f"STOP THE ROTOR: {error}")
         if first:
-            yield Note(Event("stop", HOST, str(error)), now_ns)
+            self._end = Note(Event("stop", HOST, str(error)), now_ns)
+            yield self._end
 
     def lost(self, device: str, error: Exception, now_ns: int) -> Iterator[Order]:
         """A device's link is gone: the run's end while the rotor turns or devices are opened, else a gap of one device.

@@ -39,6 +39,7 @@ from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
 from daq.transports.host_clock import Repeated
 from daq.version import software_version
+from rig_configs.errors import RigFileError
 from rig_configs.schema import Rig
 
 _ALIVE_S = 3.0  # wall seconds
@@ -57,6 +58,8 @@ class Session:
     Raises (from `open` and `listen`):
         LinkLost: a port cannot be opened.
         DeviceError: a device does not answer as it should.
+    Raises:
+        RigFileError: two devices have one port.
     Raises (at the end of a `with` that nothing else ends):
         DeviceError: the rotor still turns.
     """
@@ -75,6 +78,7 @@ class Session:
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())
         self._known = devices_of(rig.devices)
+        _refuse_shared_ports(rig)
         self._say = say
         self._core = Core(rig, clock.patience, driving=True)
         self._links: Links | None = None
@@ -482,8 +486,12 @@ class Session:
         with self._log_changes, self._open.between_reads():
             self._recorder = recorder
             for order in self._core.begin(pipelines, self.clock.now_ns(), before_s):
-                if recorder is not None:
+                if recorder is None:
+                    continue
+                if isinstance(order, Keep):
                     _keep(recorder, order)
+                else:
+                    recorder.event(order.event, order.host_ns)
 
     def stop_recording(self, summary: Mapping[str, Any]) -> Path:
         """End the log; losses and how it ended go into its summary."""
@@ -567,6 +575,23 @@ class Session:
         if self._command is None or self._command.locks is None or self.rig.roles.locks is None:
             raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
         self._command.locks.command(action, self.check)
+
+
+def _refuse_shared_ports(rig: Rig) -> None:
+    """Two devices on one line: a bus alone can have several.
+
+    Raises:
+        RigFileError: naming both.
+    """
+    first: dict[str, str] = {}
+    for name, device in rig.devices.items():
+        if device.port.startswith("can:") or " " in device.port:  # a bus, or no port yet
+            continue
+        if (other := first.setdefault(device.port, name)) != name:
+            raise RigFileError(
+                f"devices.{other}.port and devices.{name}.port are both {device.port!r}: a line has one device. "
+                "`rig check` tells what answers where"
+            )
 
 
 def _keep(recorder: Recorder, order: Keep) -> None:

@@ -277,6 +277,7 @@ def example_of(driver: Driver) -> dict[str, Any]:
 CLAIMS = {
     "checksum": "every message bears a check of 16 bits or more: a damaged one gives no sample",
     "counts exactly": 'losses["samples"] is the number of samples that are missing between two that came',
+    "falls silent": "after its stop the device sends nothing until it is opened again",
 }
 """What a driver may claim of its device's wire, and what each claim means. A claim makes tests stricter."""
 

@@ -37,6 +37,8 @@ def spin_up(asked: Asked, rpm: float) -> tuple[State, ...]:
 
     def at_speed(view: View) -> Look:
         off = abs(view.rpm - rpm)
+        if math.isnan(view.rpm):
+            return Look(False, f"spinning up to {rpm:.0f} rpm: nothing shows the speed yet")
         return Look(off < 0.01 * rpm + 2, f"spinning up, {view.rpm:.0f} of {rpm:.0f} rpm", share_of(view.rpm, rpm))
 
     ready = State(

@@ -188,3 +188,10 @@ def refusal(test: str, roles: Roles) -> str:
     if not missing:
         return ""
     return f"{test} needs {' and '.join(missing)}: no device of the rig file gives that. Nothing was turned"
+
+
+def given_on(kind: TestKind, roles: Roles) -> tuple[str, ...]:
+    """Parameters that a rig's own sensors can show of what a kind gives: one alone shows its direction's suspension."""
+    axes = {sensor.axis for sensor in roles.displacements}
+    hidden = {"x": ("k2", "zeta2"), "y": ("k1", "zeta1")}[axes.pop()] if len(axes) == 1 else ()
+    return tuple(name for name in kind.gives if not name.startswith(hidden))

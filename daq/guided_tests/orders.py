@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from daq.acquisition.channel_watch import HOST
+from daq.acquisition.core import PAST_S
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
 from daq.drivers.items import Event
@@ -124,6 +125,9 @@ class Orders:
         Args:
             before_s: how much of what came before it is to hold, rig s.
         """
+        self._begin(before_s)
+
+    def _begin(self, before_s: float) -> Path:
         asked = self.asked
         self._folder.mkdir(parents=True, exist_ok=True)
         known = {"parameters": self.parameters} if self.parameters else {}
@@ -136,6 +140,17 @@ class Orders:
         for event in self._notes_to_come:
             self.session.note(event)
         self._notes_to_come.clear()
+        return path
+
+    def keep_the_past(self) -> None:
+        """Begin the log of a test that something ended before its own would, where the rotor turns or may.
+
+        What came last is in it, what ended the test, and the rotor's way to rest: the session's end finishes it.
+        """
+        if self._recording or self.kept is not None or self.session.trouble is None or not self.session.turning():
+            return
+        path = self._begin(PAST_S)
+        self.warn(f"no log had begun: the last {PAST_S:g} s and the rotor's way to rest are kept in {path}")
 
     def finish(self) -> None:
         """Finish the log, if one has begun."""

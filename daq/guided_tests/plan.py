@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from daq.guided_tests.kinds import CHANNELS, SIGNALS, Asked
+from daq.guided_tests.kinds import CHANNELS, SIGNALS, Asked, given_on
 from daq.guided_tests.table import END, FAULT, Outcome, State
 from rig_configs.roles import Roles
 
@@ -98,7 +98,7 @@ def plan(asked: Asked) -> Plan:
         test=asked.test,
         line=kind.line,
         needs={SIGNALS[signal]: device_of[CHANNELS[signal]] for signal in kind.needs},
-        gives=kind.gives,
+        gives=given_on(kind, rig.roles),
         numbers=dict(asked.numbers),
         states=states,
         repeats=repeats,

@@ -101,6 +101,8 @@ class Runner:
         except BaseException:
             with contextlib.suppress(Exception):  # the error that ended the test is the one to raise
                 orders.quick_stop()
+            with contextlib.suppress(Exception):
+                orders.keep_the_past()
             raise
         return self._done()
 

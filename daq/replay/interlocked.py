@@ -120,7 +120,9 @@ class _Run:
         self._patience = patience
         self._period_ns, self._together_ns = _ns(LOOK_S * clock_rate(self._facts)), _ns(patience(TOGETHER_S))
         self._holes = list(holes_of(log.missing))
-        self._unplaced = [place for place in log.missing if place.messages != 0 and place.start_ns is None]
+        lost = [place for place in log.missing if place.messages != 0]
+        self._unplaced = [place for place in lost if place.start_ns is None]
+        self._cut_ns = min((p.start_ns for p in lost if p.start_ns is not None and p.end_ns is None), default=None)
         self._whole_holes = tuple(self._holes)
         pipelines = pipelines_with(rig, identities_of(log), str(log.path), log)
         self.arrivals = Arrivals(log, pipelines, roles.device_of, patience(_DISORDER_S))
@@ -180,6 +182,8 @@ class _Run:
             for hole in self._whole_holes
         ]
         out += [f"missing, nobody knows when: {place}" for place in self._unplaced]
+        if self._cut_ns is not None:
+            out.append(f"the log is cut: what came after {self._after_s(self._cut_ns)} s is missing and was not judged")
         if self.arrivals.stored:
             out.append(f"judged by stored samples, there are no bytes to decode: {', '.join(self.arrivals.stored)}")
         if self._roles.speed is not None and self._orders.rpm is None:

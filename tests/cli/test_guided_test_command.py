@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from cli.guided_test_page import readings
+from cli.guided_test_page import TestPage, readings
 from cli.keyboard import Keys
 from cli.main import run
 from cli.simulated import SimulatedOperator, VirtualRigProcess
@@ -61,6 +65,52 @@ def test_a_plan_gives_states_times_speeds_and_who_acts_without_a_device(
     code, shown, _ = said(capsys, "test", "virtual", *words, "--plan")
     assert code == 0
     assert all(state["name"] in shown for state in plan["states"])
+
+
+@pytest.mark.usefixtures("no_device")
+def test_a_plan_gives_what_this_rig_s_sensors_can_show(capsys: pytest.CaptureFixture[str]) -> None:
+    gives = {}
+    for rig in ("virtual", "one_laser"):
+        _, out, _ = said(capsys, "test", rig, "ring-down-x", "--plan", "--json")
+        gives[rig] = json.loads(out)["gives"]
+    assert gives == {
+        "virtual": ["k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2"], "one_laser": ["k1_N_per_m", "zeta1"],
+    }  # fmt: skip
+
+
+def test_two_devices_on_one_port_are_both_named(capsys: pytest.CaptureFixture[str]) -> None:
+    ports = [f"--set=devices.{name}.port=/dev/one" for name in ("laser_x", "laser_y")]
+    code, _, err = said(capsys, "check", "virtual", *ports)
+    assert code == 2
+    assert "devices.laser_x.port and devices.laser_y.port are both '/dev/one'" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "why"),
+    [
+        ("check no.toml", 2, "no such rig file"),
+        ("check virtual --set devices.laser_x.port=/dev/nope", 3, "/dev/nope"),
+    ],
+)
+def test_an_error_is_one_json_object_too(words: str, code: int, why: str, capsys: pytest.CaptureFixture[str]) -> None:
+    found, out, err = said(capsys, *words.split(), "--json")
+    told = json.loads(out)
+    assert found == told["exit_code"] == code
+    assert why in told["error"]
+    assert why in err
+
+
+def test_a_bar_ends_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    controls = Controls()
+    controls.status = replace(controls.status, test="run-up", state="ramp", words="ramping", share=0.4)
+    monkeypatch.setattr(TestPage, "_losses", lambda page: "nothing lost")
+    monkeypatch.setattr("cli.guided_test_page.readings", lambda session: [])
+    session = cast("Session", None)
+    console = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
+    console.print(TestPage(session, controls, None, lambda: "")._page())
+    lines = console.file.getvalue().splitlines()
+    assert lines[-1] == "nothing lost"
+    assert set(lines[-2]) <= set("━╸╺ ")
 
 
 @pytest.mark.usefixtures("no_device")

@@ -94,6 +94,10 @@ def test_a_damaged_log_says_how_far_it_was_compared(capsys: pytest.CaptureFixtur
     code, out, _ = said(capsys, str(part), "--check")
     assert code == 0
     assert "note: the log is cut" in out
+    for line in out.splitlines():
+        if " live " in line and line.split()[1] != line.split()[3]:
+            assert "identical as far as compared" in line
+    assert "as far as compared" in out
 
 
 def test_a_new_log_with_corrected_calibration(capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path) -> None:

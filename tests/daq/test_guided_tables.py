@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import pytest
 from hypothesis import given
@@ -20,6 +21,9 @@ from daq.guided_tests.table import END, FAULT, Look, Outcome, State, Table, View
 from daq.guided_tests.test_inputs import asked
 from rig_configs import load_rig
 from tests.daq.bench_without_rig import Bench, finished, plays, scripted
+
+if TYPE_CHECKING:
+    from daq.guided_tests.measures import Measures
 
 RIG, HAND = load_rig("virtual"), load_rig("by_hand")
 ASKED = {
@@ -48,6 +52,13 @@ def test_an_abort_leads_to_the_ending_from_every_state(name: str) -> None:
     for row in table.states:
         assert table.transitions[row.name, Outcome.ABORT] == FINISH.name
     assert [row.name for row in table.ending][:2] == [FINISH.name, STOP.name]
+
+
+def test_a_speed_that_nothing_shows_yet_is_said_so() -> None:
+    wanted = asked(HAND, "point-A", {})
+    (up,) = [row for row in wanted.kind.table(wanted).rows if row.name == "spin up"]
+    look = up.look(View(cast("Measures", None), 0, 0, 0, float("nan"), {}))
+    assert (look.done, look.words) == (False, "spinning up to 149 rpm: nothing shows the speed yet")
 
 
 @pytest.mark.parametrize("name", [name for name in KINDS if KINDS[name].turns])

@@ -14,6 +14,7 @@ import pytest
 from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.clock import ClockMap
+from daq.errors import DeviceError
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitedInVain
 from daq.lockstep.rig import STEP_S, LockstepRig
@@ -375,6 +376,46 @@ def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch:
     schedule = Schedule(2, 300.0, 8.0, STEP_S, (Fault(3.0, 4.0, "encoder", "radio", 1.0),))
     found = run("virtual", schedule, tmp_path)
     assert any("blind for" in text for text in found.wrong)
+
+
+def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_path: Path) -> None:
+    """The rotor passes both resonances before a point's log begins."""
+    sim, session = opened("virtual")
+
+    told: list[str] = []
+
+    def dies(text: str, share: float | None) -> None:
+        told.append(text)
+        if "spinning up" in text and share is not None and share > 0.5:
+            sim.ask("fail", device="encoder", what="dead", value=1.0)
+
+    told: list[str] = []
+    tests = Procedures(
+        session, SimulatedOperator(sim), tmp_path, lambda text, share: told.append(text) or dies(text, share)
+    )
+    with pytest.raises(DeviceError, match="pendulums: silent"), session:
+        tests.point("B", 500.0 * np.pi / 30)
+    (path,) = tmp_path.glob("*.mcap")
+    assert any(path.name in text and "no log had begun" in text for text in told)
+    assert not check(path).channels[0].difference
+    with open_log(path) as log:
+        assert "pendulums: silent" in json.loads(log.metadata["summary"]["ended"])
+        (trip,) = [event for event in log.events if event["kind"] == "trip"]
+        assert trip["interlocks"] == ["silent angles"]
+        assert next(event["time_ns"] for event in log.events if event["kind"] == "stop") >= trip["time_ns"]
+        speeds = log["motor"]["speed_rpm"]
+        assert speeds[0] < 200.0 < speeds.max()
+        assert abs(speeds[-1]) < 2.0
+        assert len(log["laser/x"]) > 4000 * 5
+
+
+def test_a_test_that_ends_at_rest_before_its_log_keeps_none(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
+    with pytest.raises(Exception, match="the rotor is not turned: motor: silent"), session:  # noqa: PT012
+        sim.ask("unplug", device="drive")
+        tests.point("B", 500.0 * np.pi / 30)
+    assert list(tmp_path.glob("*.mcap")) == []
 
 
 @pytest.mark.parametrize("test", ["spin-down", "ring-down-x"])

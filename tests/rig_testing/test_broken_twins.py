@@ -151,6 +151,11 @@ class StandInSaysNothing(OptoNcdt):
         return PlayedDevice()
 
 
+class StopsNothing(OptoNcdt):
+    def stop(self, talk: Any) -> None:
+        pass
+
+
 class UnknownClaim(RotorLink):
     claims = frozenset({"never wrong"})
 
@@ -277,6 +282,7 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
         "mutations", lambda: with_pipeline(Cia402, on_batches(lambda b: b), frozenset({"checksum"})),
         "claims a checksum"),
     "a stop that raises": ("stop", StopRaises, "RuntimeError: no such command"),
+    "a stop that stops nothing": ("stop", StopsNothing, "claims that it falls silent"),
     "a stop after which nothing opens": ("stop", CannotBeOpenedAgain, "LinkLost"),
     "another error than the contract's": ("link lost", StopOfALostLinkRaises, "got OSError"),
     "permission not asked for": ("speed source", AsksNobody, "permit raises, it raised nothing"),

@@ -28,6 +28,7 @@ class Cia402:
     settings = Drive
     rest_s = 0.01
     example: ClassVar[Mapping[str, Any]] = {"node_id": 5}
+    claims = frozenset({"falls silent"})
 
     def line(self, settings: Drive) -> Line:
         """See Driver."""

@@ -25,7 +25,7 @@ class OptoNcdt:
     settings = Laser
     rest_s = 0.01
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
-    claims = frozenset({"counts exactly"})
+    claims = frozenset({"counts exactly", "falls silent"})
 
     def line(self, settings: Laser) -> Line:
         """See Driver."""

@@ -25,6 +25,7 @@ class Riftek:
     settings = RiftekLaser
     rest_s = 0.01
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
+    claims = frozenset({"falls silent"})
 
     def line(self, settings: RiftekLaser) -> Line:
         """See Driver."""

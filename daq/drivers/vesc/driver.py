@@ -25,7 +25,7 @@ class VescDriver:
     name = "vesc"
     rest_s = 0.01
     example: ClassVar[Mapping[str, Any]] = {"pole_pairs": 7, "timeout_s": 1.0, "brake_A": 5.0}
-    claims = frozenset({"checksum"})
+    claims = frozenset({"checksum", "falls silent"})
     settings = Vesc
 
     def line(self, settings: Vesc) -> Line:

@@ -99,7 +99,7 @@ class TiltDriver(PlainDriver):
     """See daq.drivers.contract.Driver."""
 
     name, settings = "tilt", Tilt
-    claims = frozenset({"checksum", "counts exactly"})
+    claims = frozenset({"checksum", "counts exactly", "falls silent"})
 
     def channels(self, settings: Tilt) -> tuple[Channel, ...]:
         """One."""
