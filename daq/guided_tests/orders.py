@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from daq.acquisition.channel_watch import HOST
-from daq.acquisition.core import PAST_S
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
 from daq.drivers.items import Event
-from daq.errors import DeviceError, ProcedureError
+from daq.errors import DeviceError, ProcedureError, RigError
 from daq.guided_tests.hands import CommandedLocks, DrivenRotor, HandLocks, HandRotor, Locks, Operator, Rotor
 from daq.guided_tests.kinds import Asked
 from daq.guided_tests.measures import Measures
@@ -23,6 +22,7 @@ from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending
 from rig_configs.roles import PendulumAngles
 
+_LAST_S = 3.0  # rig s; no device is read while they are decoded, and the rotor still turns
 _LOOK_S = 0.5  # the stretch of flags that is looked at while a test runs, rig s
 
 Progress = Callable[[str, float | None], None]
@@ -149,8 +149,12 @@ class Orders:
         """
         if self._recording or self.kept is not None or self.session.trouble is None or not self.session.turning():
             return
-        path = self._begin(PAST_S)
-        self.warn(f"no log had begun: the last {PAST_S:g} s and the rotor's way to rest are kept in {path}")
+        try:
+            path = self._begin(_LAST_S)
+        except (RigError, OSError) as error:
+            self.warn(f"no log had begun, and none of what stopped the rig can be kept: {error}")
+        else:
+            self.warn(f"no log had begun: the last {_LAST_S:g} s and the rotor's way to rest are kept in {path}")
 
     def finish(self) -> None:
         """Finish the log, if one has begun."""

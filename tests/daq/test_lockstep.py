@@ -14,7 +14,7 @@ import pytest
 from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.clock import ClockMap
-from daq.errors import DeviceError
+from daq.errors import DeviceError, RigError
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitedInVain
 from daq.lockstep.rig import STEP_S, LockstepRig
@@ -381,7 +381,6 @@ def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch:
 def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_path: Path) -> None:
     """The rotor passes both resonances before a point's log begins."""
     sim, session = opened("virtual")
-
     told: list[str] = []
 
     def dies(text: str, share: float | None) -> None:
@@ -389,10 +388,7 @@ def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_pa
         if "spinning up" in text and share is not None and share > 0.5:
             sim.ask("fail", device="encoder", what="dead", value=1.0)
 
-    told: list[str] = []
-    tests = Procedures(
-        session, SimulatedOperator(sim), tmp_path, lambda text, share: told.append(text) or dies(text, share)
-    )
+    tests = Procedures(session, SimulatedOperator(sim), tmp_path, dies)
     with pytest.raises(DeviceError, match="pendulums: silent"), session:
         tests.point("B", 500.0 * np.pi / 30)
     (path,) = tmp_path.glob("*.mcap")
@@ -404,17 +400,38 @@ def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_pa
         assert trip["interlocks"] == ["silent angles"]
         assert next(event["time_ns"] for event in log.events if event["kind"] == "stop") >= trip["time_ns"]
         speeds = log["motor"]["speed_rpm"]
-        assert speeds[0] < 200.0 < speeds.max()
+        assert 0.0 < speeds[0] < speeds.max()
         assert abs(speeds[-1]) < 2.0
-        assert len(log["laser/x"]) > 4000 * 5
+        before_s = (trip["time_ns"] - log["laser/x"].time_ns[0]) * 1e-9
+        assert 2.5 < before_s < 3.5
+
+
+def test_a_trip_before_the_log_that_cannot_be_kept_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sim, session = opened("virtual")
+    told: list[str] = []
+
+    def dies(text: str, share: float | None) -> None:
+        told.append(text)
+        if "spinning up" in text and share is not None and share > 0.5:
+            sim.ask("fail", device="encoder", what="dead", value=1.0)
+
+    def full(*given: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Session, "start_recording", full)
+    with pytest.raises(DeviceError, match="pendulums: silent"), session:
+        Procedures(session, SimulatedOperator(sim), tmp_path, dies).point("B", 500.0 * np.pi / 30)
+    assert any("none of what stopped the rig can be kept" in text and "No space left" in text for text in told)
+    assert abs(sim.far.motion.speed_rad_s) < 0.2
 
 
 def test_a_test_that_ends_at_rest_before_its_log_keeps_none(tmp_path: Path) -> None:
     sim, session = opened("virtual")
     tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
-    with pytest.raises(Exception, match="the rotor is not turned: motor: silent"), session:  # noqa: PT012
+    with session:
         sim.ask("unplug", device="drive")
-        tests.point("B", 500.0 * np.pi / 30)
+        with pytest.raises(RigError, match="the rotor is not turned: motor: silent"):
+            tests.point("B", 500.0 * np.pi / 30)
     assert list(tmp_path.glob("*.mcap")) == []
 
 
