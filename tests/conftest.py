@@ -32,6 +32,13 @@ def virtual_rig() -> Iterator[VirtualRigProcess]:
 
 
 @pytest.fixture
+def shared_clock(virtual_rig: VirtualRigProcess, monkeypatch: pytest.MonkeyPatch) -> VirtualRigProcess:
+    """The virtual rig, whose time also waits for commands that are run in this process."""
+    monkeypatch.setattr("cli.guided_test.HostClock", lambda rate: virtual_rig.clock)
+    return virtual_rig
+
+
+@pytest.fixture
 def plugged(virtual_rig: VirtualRigProcess) -> Rig:
     """The rig file pointed at the virtual rig's ports."""
     return load_rig("virtual", settings=[*virtual_rig.port_settings(), LATE_BEATS])

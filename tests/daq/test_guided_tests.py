@@ -21,7 +21,7 @@ from daq.signals.run import load_run
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 from rig_configs.schema import Rig
-from tests.conftest import TIME_SCALE
+from tests.conftest import LATE_BEATS, TIME_SCALE
 
 
 def quiet(text: str, share: float | None) -> None:
@@ -67,10 +67,12 @@ def test_a_speed_beyond_the_limit_is_refused_before_the_drive_is_enabled(
 
 
 def test_an_end_that_is_not_reached_is_said_kept_and_exits_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with VirtualRigProcess("virtual", ["virtual.drive.slip=0.05"], TIME_SCALE) as rig:  # never at 98.5 % of the top
-        ports = [word for setting in rig.port_settings() for word in ("--set", setting)]
+    slips = ["virtual.drive.slip=0.05"]  # never at 98.5 % of the top
+    with VirtualRigProcess("virtual", slips, TIME_SCALE, waits=True) as rig:
+        monkeypatch.setattr("cli.guided_test.HostClock", lambda rate: rig.clock)
+        ports = [word for setting in [*rig.port_settings(), LATE_BEATS] for word in ("--set", setting)]
         common = [
             "test",
             "virtual",
