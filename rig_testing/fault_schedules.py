@@ -46,6 +46,7 @@ STOP_WITHIN_S = 0.5
 _RPM = math.pi / 30
 _EARLY_S = 2e-3
 _MOST, _AS_GOOD = 0.6, 1.01  # of samples; of a fit's spread: chance makes it differ by so much where nothing moves
+_TELLS = 0.3  # of the motion's spread at the most: where a fit leaves more, what was read is mostly something else
 _OTHER_CLOCK_S = 1.0  # a clock that is farther off is the pipeline's own count
 _TURNS_RPM = 20.0  # a rotor that surely turns
 _SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults behind which a line without a checksum proves nothing
@@ -269,7 +270,8 @@ def _aligned(
     """Times of a device whose wire carries no time of its own: from the shift that fits most of the truth best.
 
     Some samples behind a gap may bear times that are early by it, as the driver's page says. Where the motion is too
-    small to tell shifts apart, the smallest of those that fit as well is taken.
+    small to tell shifts apart, the smallest of those that fit as well is taken; where no shift makes the truth out of
+    the readings, none: a laser across a whirl of 9 mm reads more of that, by its mounting, than of its own 0.05 mm.
     """
     at_s, late = at_s + np.median(late), late - np.median(late)
     if topic not in fields:
@@ -281,7 +283,8 @@ def _aligned(
     was = truth.rows[:, column]
     spread = np.array([_spread(value - np.interp(at_s[some] + shift, truth.time_s, was)) for shift in shifts])
     alike = shifts[spread <= _AS_GOOD * np.min(spread, where=np.isfinite(spread), initial=np.inf)]
-    if not len(alike):  # no valid sample
+    moves = _spread(np.interp(at_s[some], truth.time_s, was))
+    if not len(alike) or np.nanmin(spread) > _TELLS * moves:  # no valid sample, or another motion than the truth's
         return at_s, late
     shift = float(alike[np.argmin(np.abs(alike))])
     return at_s + shift, late - shift

@@ -169,7 +169,7 @@ class Links:
         self._attending = True
         try:
             for name in list(core.gone):
-                yield from self._reopened(name, command)
+                yield from self.reopened(name, command)
             for name in sorted(mute):
                 if command is not None:
                     yield from self._woken(name, command)
@@ -177,10 +177,14 @@ class Links:
             self._attending = False
             self._again_s = self._clock.wall_s() + _AGAIN_S
 
-    def _reopened(self, name: str, command: RotorCommand | None) -> Iterator[Order]:
+    def reopened(self, name: str, command: RotorCommand | None) -> Iterator[Order]:
         """Open a device where it may have come back; one that is another than the log's is left alone.
 
         Its pipeline goes on: the samples that the gap has cost are counted as at any other gap.
+
+        Args:
+            name: of one whose line is lost.
+            command: what the session commands; None where it only listens.
         """
         device, old = self._devices[name], self._readers[name]
         for port in self._edge.places(device.line.port):

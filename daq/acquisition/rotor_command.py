@@ -14,6 +14,7 @@ from daq.drivers.items import Event
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock
 
+_REACH_S = 0.5  # wall seconds between two attempts to reach it again
 _BY_ITSELF_S = 8.0  # wall seconds for a drive out of reach to stop by itself, and for the index marks to show it
 
 
@@ -96,14 +97,27 @@ class RotorCommand:
             with contextlib.suppress(Exception):
                 self.drive.quick_stop()
 
-    def bring_to_rest(self, say: Callable[[str], None], opened: bool) -> bool:
-        """At the end of a session: stop the rotor and let go of the drive; whether it is known to stand."""
+    def bring_to_rest(self, say: Callable[[str], None], opened: bool, reach: Callable[[], bool]) -> bool:
+        """At the end of a session: stop the rotor and let go of the drive; whether it is known to stand.
+
+        Args:
+            say: is told what is being waited for.
+            opened: whether all devices had been opened.
+            reach: opens the drive's line again where it was lost; whether it is there.
+        """
         if self.drive is None:
             return not self.turning()
         try:
             return self.drive.stop(say)
         except (LinkLost, DeviceError):  # its own watchdog stops it now; the index marks show it
             end = self._clock.wall_s() + _BY_ITSELF_S
+            again_s = 0.0
             while opened and self.at_rest() is False and self._clock.wall_s() < end:
+                if self._clock.wall_s() >= again_s:  # one that turns by itself heeds no watchdog
+                    with contextlib.suppress(LinkLost, DeviceError):
+                        if reach():
+                            self.drive.quick_stop()
+                            return self.drive.stop(say)
+                    again_s = self._clock.wall_s() + _REACH_S
                 self._clock.wait(0.02)
             return False

@@ -191,6 +191,16 @@ class Session:
             return ""
         return str(because) if isinstance(because, RigError) else f"{type(because).__name__}: {because}"
 
+    def _reach_drive(self) -> bool:
+        """Open the drive's line again where it was lost; whether it is there now."""
+        links, command = self._links, self._command
+        assert links is not None and command is not None  # noqa: PT018
+        name = command.drive_name
+        if name not in self._core.gone:
+            return False
+        self._carry_out(links.reopened(name, command))
+        return name not in self._core.gone
+
     def _stop_devices(self) -> str:
         """Rotor to rest, streams off; a device that is gone does not keep the others from being stopped.
 
@@ -199,7 +209,7 @@ class Session:
         """
         if self._command is None or self._links is None:
             return ""
-        rest = self._command.bring_to_rest(self._say, self._opened)
+        rest = self._command.bring_to_rest(self._say, self._opened, self._reach_drive)
         self._links.stop_streams()
         if rest or not self._opened or self.rotor_at_rest():
             return ""

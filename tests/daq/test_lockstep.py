@@ -313,6 +313,19 @@ def test_an_unplugged_adapter_stops_a_rotor_that_turns(tmp_path: Path) -> None:
     assert abs(sim.far.motion.speed_rad_s) < 0.1
 
 
+@pytest.mark.parametrize("back_s", [0.4, 2.5])
+def test_a_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_it_is_back(back_s: float) -> None:
+    """No watchdog stops a controller that turns by itself: the session's end reaches for it."""
+    sim, session = opened("other_devices")
+    with pytest.raises(DeviceError, match="motor: silent"), session:  # noqa: PT012
+        sim.ask("unplug", device="motor")
+        sim.ask("fail", device="motor", what="speed", value=600.0)
+        sim.clock.after(back_s, lambda: sim.ask("plug", device="motor"))
+        session.wait_for(lambda: False, 5.0, "the trip")
+    assert abs(sim.far.motion.speed_rad_s) < 0.2
+    assert sim.far.motion.target_rad_s == 0.0
+
+
 # --- randomised faults ---------------------------------------------------------------------------------------------
 
 
@@ -354,9 +367,10 @@ def test_the_judge_sees_early_times_of_a_wire_that_carries_none(
     assert any(text.startswith("laser/x: times are -") for text in found.wrong)
 
 
-def test_the_judge_does_not_take_noise_for_early_times(tmp_path: Path) -> None:
-    """Rounded readings of a rotor that stands and is moved a little once."""
-    result = run("other_devices", draw(load_rig("other_devices"), 413), tmp_path)
+@pytest.mark.parametrize("seed", [413, 1674])
+def test_the_judge_does_not_take_other_motion_for_early_times(seed: int, tmp_path: Path) -> None:
+    """Rounded readings of a rotor that stands and is moved a little once; a laser across a whirl along the other."""
+    result = run("other_devices", draw(load_rig("other_devices"), seed), tmp_path)
     assert result.wrong == []
 
 
