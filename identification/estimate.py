@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+
+from rig_configs.known import LABEL, KnownSource
 
 FOUND_TOGETHER = "friction"
 """Begin of the labels of errors in what all tests together have found and each was given."""
@@ -22,6 +24,7 @@ class Estimate:
         covariance: this test's own, shape (n, n).
         shared: what every test of the same sensor has in common, one error each: label → the values' shift for one
             standard deviation of it, shape (n,). A laser's gain and a device's clock rate are such.
+        by_number: number of the rig file that is taken as known → derivative of the values by it, shape (n,).
         method: for the provenance.
     """
 
@@ -32,6 +35,7 @@ class Estimate:
     covariance: np.ndarray
     shared: Mapping[str, np.ndarray] = field(default_factory=dict)
     method: str = ""
+    by_number: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def total_covariance(self) -> np.ndarray:
@@ -46,6 +50,15 @@ class Estimate:
             if not label.startswith(FOUND_TOGETHER):
                 found = found + np.outer(shift, shift)
         return found
+
+    def with_sources(self, sources: Iterable[KnownSource]) -> Estimate:
+        """The same with the errors of what is taken as known among its shared ones, in place of any that it had."""
+        shared = {label: v for label, v in self.shared.items() if not label.startswith(f"{LABEL} ")}
+        for source in sources:
+            parts = [self.by_number[name] * step for name, step in source.effects.items() if name in self.by_number]
+            if parts:
+                shared[source.label] = np.sum(parts, axis=0)
+        return replace(self, shared=shared)
 
     @property
     def std(self) -> dict[str, float]:

@@ -15,7 +15,7 @@ from daq.signals.run import Run
 from daq.signals.witnesses import Agreement
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
-from identification.joint import ConsistencyRow, combine
+from identification.joint import ConsistencyRow, combine, joint_estimate
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import told, with_shared_friction
 from identification.methods import advice, passed_over, runs_for, taken, turns
@@ -108,9 +108,11 @@ class _Work:
         known = replace(Knowledge.nominal(self.rig.physics), friction=self._friction())
         if not self.estimates:
             return known
-        found, _, _ = combine(self.estimates)
+        joint = joint_estimate(self.estimates)
+        found = joint.parameters
         damping = {n: v for n, v in found.values.items() if n.startswith(("c3", "c4"))}
-        known = known.with_found(found.values, found.std)
+        slopes = {n: dict(zip(found.values, by.tolist(), strict=True)) for n, by in joint.weighted.by_number.items()}
+        known = known.with_found(found.values, found.std).with_slopes(found.values, slopes)
         return replace(known, physics=known.physics.with_values(**damping))
 
     def _friction(self) -> Friction | None:
@@ -194,7 +196,7 @@ def _take_over(runs: Sequence[Run], earlier: Identification | None, work: _Work)
     def is_wanted(source: str) -> bool:
         return set(source.split(" + ")) <= wanted
 
-    work.estimates += [e for e in earlier.estimates if is_wanted(e.source)]
+    work.estimates += [e.with_sources(()) for e in earlier.estimates if is_wanted(e.source)]
     work.fits += [f for f in earlier.fits if is_wanted(f.source)]
     done = {part for e in work.estimates for part in e.source.split(" + ")}
     names = {Path(source).name for source in done}
@@ -236,24 +238,28 @@ def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 def _share_friction(work: _Work) -> None:
     """Each transient's damping with the friction that all of them found; a lone one says what it leaves open."""
     fits = {f.source: f.fit for f in work.fits if isinstance(f.fit, TransientFit)}
-    work.estimates, shared = with_shared_friction(work.estimates, fits)
+    zero_std = math.radians(work.rig.roles.zero_std_deg)
+    work.estimates, shared = with_shared_friction(work.estimates, fits, zero_std)
     undecided = [f"{Path(source).name}: {fit.undecided}" for source, fit in fits.items() if fit.undecided]
     work.warnings = [w for w in work.warnings if w not in undecided]
     work.warnings += undecided if shared is None else told(shared)
 
 
 def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
-    zero_std = np.radians(work.rig.roles.zero_std_deg)
+    zero_std = math.radians(work.rig.roles.zero_std_deg)
     name = Path(run.source).name
 
     def tell(what: str) -> None:
         work.tell(f"{run.test}: {name}: {what}")
 
     fit = fit_release(run, work.knowledge(), zero_std, setting=work.setting, tell=tell, effort=work.effort)
-    return fit, damping_estimate(run, fit, "transient after release, nonlinear least squares over growing horizons")
+    method = "transient after release, nonlinear least squares over growing horizons"
+    return fit, damping_estimate(run, fit, method, zero_std)
 
 
 def _finished(runs: Sequence[Run], work: _Work) -> Identification:
+    # each fit was made with the known numbers as they stand; only the whole of them has their uncertainty
+    work.estimates = [e.with_sources(work.rig.known.sources) for e in work.estimates]
     parameters, rows, warnings = combine(work.estimates)
     parameters, told = physical_parameters(parameters, work.rig)
     warnings += told
@@ -263,7 +269,7 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     facts = _provenance(runs, work, rows)
     angle, std = _axis_angle(work.fits)
     found = Identification(
-        IdentifiedParameters(parameters.values, parameters.covariance, facts, _known(angle, std)), angle, std,
+        replace(parameters, provenance=facts, axis_angle_deg=_known(angle, std)), angle, std,
         work.estimates, work.fits, rows, work.warnings + warnings,
     )  # fmt: skip
     return replace(found, parameters=with_tests(found, runs))

@@ -49,11 +49,8 @@ def physical_parameters(parameters: IdentifiedParameters, rig: Rig) -> tuple[Ide
     bad = {n: v for n, v in parameters.values.items() if refusal(rig, n, v) is not None}
     if not bad:
         return parameters, []
-    names = [n for n in parameters.values if n not in bad]
-    at = [list(parameters.values).index(n) for n in names]
     told = [f"{n}: all tests together give {v:.4g}, which no rig has; it is left out" for n, v in bad.items()]
-    values = {n: parameters.values[n] for n in names}
-    return IdentifiedParameters(values, parameters.covariance[np.ix_(at, at)], parameters.provenance), told
+    return parameters.without(bad), told
 
 
 def _source(source: str) -> str:

@@ -6,6 +6,7 @@ A driver's package has a settings class of its own, derived from one of these.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, ClassVar, cast
 
 from pydantic import BeforeValidator, ConfigDict, Field, field_validator
@@ -64,7 +65,9 @@ class DisplacementSettings(DeviceSettings):
     axis: Axis
     rate_Hz: Positive
     range_m: Positive = 0.025
+    range_std_m: NotNegative = 0.0
     lever_ratio: Positive = 1.0
+    lever_ratio_std: NotNegative = 0.0
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
     clock_tolerance_ppm: Positive = 30.0
     direction_deg: Finite | None = None
@@ -84,12 +87,18 @@ class DisplacementSettings(DeviceSettings):
         """Of its channel."""
         return f"laser/{self.witness or self.axis}"
 
+    @property
+    def _total_gain_std(self) -> float:
+        """Of calibration, range and lever together, relative."""
+        parts = (self.gain_std, self.range_std_m / self.range_m, self.lever_ratio_std / self.lever_ratio)
+        return math.hypot(*parts)
+
     def roles(self, device: str) -> tuple[Role, ...]:
         """See DeviceSettings."""
         return (
             Displacement(
                 device=device, topic=self.topic, axis=self.axis, rate_Hz=float(self.rate_Hz),
-                range_m=self.range_m, lever_ratio=self.lever_ratio, gain_std=self.gain_std,
+                range_m=self.range_m, lever_ratio=self.lever_ratio, gain_std=self._total_gain_std,
                 clock_tolerance_ppm=self.clock_tolerance_ppm, witness=bool(self.witness),
                 direction_deg=self.direction_deg,
             ),
@@ -100,12 +109,13 @@ class RotorNodeSettings(DeviceSettings):
     """A node on the rotor: both pendulum encoders, the index mark, and the locks unless a rig has none to command."""
 
     calibration: ClassVar[tuple[str, ...]] = (
-        "counts_per_revolution", "index_angle_deg", "zero_std_deg", "clock_tolerance_ppm",
+        "counts_per_revolution", "index_angle_deg", "index_angle_std_deg", "zero_std_deg", "clock_tolerance_ppm",
     )  # fmt: skip
 
     rate_Hz: Annotated[int, Field(ge=10, le=5000)] = 1000
     counts_per_revolution: Annotated[int, Field(ge=64)] = 4096
     index_angle_deg: Finite = 0.0
+    index_angle_std_deg: NotNegative = 0.0
     zero_std_deg: NotNegative = USUAL_ZERO_STD_DEG
     clock_tolerance_ppm: Positive = 30.0
     locks: bool = True
@@ -120,7 +130,8 @@ class RotorNodeSettings(DeviceSettings):
                 counts_per_revolution=self.counts_per_revolution, clock_tolerance_ppm=tolerance,
             ),
             RotorPhase(
-                device=device, topic="tacho", index_angle_deg=self.index_angle_deg, clock_tolerance_ppm=tolerance
+                device=device, topic="tacho", index_angle_deg=self.index_angle_deg, clock_tolerance_ppm=tolerance,
+                index_angle_std_deg=self.index_angle_std_deg,
             ),
             *([PendulumLocks(device=device)] if self.locks else []),
         )  # fmt: skip

@@ -40,6 +40,9 @@ class IdentifiedParameters:
         provenance: free facts kept with the values: logs with digests, method, software version, consistency.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees, not
             correlated with the values; None where no test showed it.
+        shared: label of an error that other quantities may share → the values' shift for one standard deviation of it,
+            shape (n,), part of the covariance. "gain x" and "known rotor.mass_kg" are such labels.
+        by_number: number of the rig file that was taken as known → derivative of the values by it, shape (n,).
     Raises:
         ParametersFileError: unknown names, a covariance of the wrong shape, not symmetric or not positive, or an axis
             angle that is no finite number with a standard uncertainty.
@@ -49,6 +52,8 @@ class IdentifiedParameters:
     covariance: np.ndarray
     provenance: dict[str, Any] = field(default_factory=dict)
     axis_angle_deg: tuple[float, float] | None = None
+    shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
 
     def __post_init__(self) -> None:
         n = len(self.values)
@@ -73,6 +78,9 @@ class IdentifiedParameters:
                 "covariance must have no negative variance in any direction (be positive semidefinite); two parameters "
                 "are correlated by more than 1"
             )
+        for label, shift in (*self.shared.items(), *self.by_number.items()):
+            if shift.shape != (n,) or not np.all(np.isfinite(shift)):
+                raise ParametersFileError(f"{label!r}: expected {n} finite numbers, got shape {shift.shape}")
         angle = self.axis_angle_deg
         if angle is not None and not (all(map(math.isfinite, angle)) and angle[1] >= 0):
             raise ParametersFileError(f"axis_angle: expected finite value_deg and std_deg, not negative, got {angle}")
@@ -99,7 +107,19 @@ class IdentifiedParameters:
         """Without some of the values: the others keep their own covariance."""
         kept = [j for j, name in enumerate(self.values) if name not in names]
         values = {name: value for name, value in self.values.items() if name not in names}
-        return replace(self, values=values, covariance=self.covariance[np.ix_(kept, kept)])
+        shared = {label: shift[kept] for label, shift in self.shared.items()}
+        by_number = {number: slope[kept] for number, slope in self.by_number.items()}
+        covariance = self.covariance[np.ix_(kept, kept)]
+        return replace(self, values=values, covariance=covariance, shared=shared, by_number=by_number)
+
+    @property
+    def own_covariance(self) -> np.ndarray:
+        """The covariance without the shared errors, shape (n, n), not negative in any direction."""
+        own = self.covariance - sum((np.outer(v, v) for v in self.shared.values()), np.zeros_like(self.covariance))
+        std = np.sqrt(np.diag(self.covariance))
+        unit = np.where(std > 0, std, 1.0)
+        sizes, turn = np.linalg.eigh(0.5 * (own + own.T) / np.outer(unit, unit))
+        return (turn * np.maximum(sizes, 0.0)) @ turn.T * np.outer(unit, unit)
 
     def save(self, path: str | Path) -> None:
         """Write parameters.toml."""
@@ -108,6 +128,9 @@ class IdentifiedParameters:
         for name, value in self.values.items():
             document[name] = {"value": value, "std": self.std[name], "unit": PARAMETER_UNITS[name]}
         document["covariance"] = {"order": list(self.values), "matrix": self.covariance.tolist()}
+        for key, vectors in (("shared", self.shared), ("by_number", self.by_number)):
+            if vectors:
+                document[key] = {label: vector.tolist() for label, vector in vectors.items()}
         if self.axis_angle_deg is not None:
             document["axis_angle"] = dict(zip(("value_deg", "std_deg"), self.axis_angle_deg, strict=True))
         document["provenance"] = self.provenance
@@ -139,7 +162,8 @@ class IdentifiedParameters:
             matrix = np.array([[_number(cell) for cell in row] for row in raw["covariance"]["matrix"]])
             angle = raw.get("axis_angle")  # older files have none
             axis = None if angle is None else (_number(angle["value_deg"]), _number(angle["std_deg"]))
-            return cls(values, matrix, dict(raw.get("provenance", {})), axis)
+            shared, by_number = (_vectors(raw.get(key, {})) for key in ("shared", "by_number"))
+            return cls(values, matrix, dict(raw.get("provenance", {})), axis, shared, by_number)
         except ParametersFileError as error:
             raise ParametersFileError(f"{path}: {error}") from error
         except (KeyError, TypeError, ValueError) as error:
@@ -147,6 +171,10 @@ class IdentifiedParameters:
                 f"{path}: expected parameters as `rig identify` writes them: a table each, [covariance] with order "
                 f"and matrix; problem: {error!r}"
             ) from error
+
+
+def _vectors(table: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    return {str(label): np.array([_number(cell) for cell in cells]) for label, cells in table.items()}
 
 
 def _number(value: Any) -> float:

@@ -96,6 +96,7 @@ class RotorPhase:
 
     Attributes:
         index_angle_deg: ψ (imbalance direction from +x) when the mark fires.
+        index_angle_std_deg: its standard uncertainty.
     """
 
     role: ClassVar[str] = "rotor phase"
@@ -104,6 +105,7 @@ class RotorPhase:
     topic: str
     index_angle_deg: Finite
     clock_tolerance_ppm: NotNegative
+    index_angle_std_deg: NotNegative = 0.0
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ are like and, under `virtual.truth`, where its true numbers differ from the file
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from typing import Annotated, Literal, cast
 
@@ -16,6 +17,17 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, mo
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from rig_configs.device import DeviceSettings
 from rig_configs.drivers import installed, settings_of
+from rig_configs.known import (
+    INDEX,
+    PHYSICAL,
+    ZERO_A,
+    ZERO_B,
+    Instrument,
+    Known,
+    own_source,
+    physical_numbers,
+    scale_source,
+)
 from rig_configs.roles import Roles, role_table
 from rig_configs.table import Finite, NotNegative, Positive, Share, Table
 
@@ -24,6 +36,7 @@ class Rotor(Table):
     """Disk and column."""
 
     mass_kg: Annotated[float, Field(gt=0, le=1e4)]
+    mass_std_kg: NotNegative = 0.0
 
 
 class Imbalance(Table):
@@ -31,6 +44,8 @@ class Imbalance(Table):
 
     mass_kg: Annotated[float, Field(ge=0, le=100)]
     radius_m: Annotated[float, Field(ge=0, le=1)]
+    mass_std_kg: NotNegative = 0.0
+    radius_std_m: NotNegative = 0.0
 
 
 class PendulumTable(Table):
@@ -46,11 +61,13 @@ class PendulumTable(Table):
     friction_arm_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     ball_radius_m: Annotated[float, Field(ge=0, le=1)] = 0.0
     ball_inertia_ratio: Annotated[float, Field(ge=0, le=1)] = 0.4
+    mass_std_kg: NotNegative = 0.0
+    length_std_m: NotNegative = 0.0
 
     @property
     def physics(self) -> Pendulum:
         """As dynamics takes it."""
-        return Pendulum(**self.model_dump())
+        return Pendulum(**self.model_dump(exclude={"mass_std_kg", "length_std_m"}))
 
 
 class Pendulums(Table):
@@ -60,6 +77,7 @@ class Pendulums(Table):
     b: PendulumTable
     pivot_shift_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     pivot_shift_compensated: bool = True
+    pivot_shift_std_m: NotNegative = 0.0
 
 
 class Suspension(Table):
@@ -202,6 +220,7 @@ class Rig(Table):
     devices: dict[DeviceName, AnyDevice]
     limits: Limits = Limits()
     points: dict[str, Point]
+    instruments: dict[DeviceName, Instrument] = Field(default_factory=dict[str, Instrument])
     virtual: Virtual | None = None
 
     @property
@@ -213,6 +232,44 @@ class Rig(Table):
     def roles(self) -> Roles:
         """What its devices are to the rig: all that anything above a driver asks for."""
         return Roles.of(role for name, device in self.devices.items() for role in device.roles(name))
+
+    @property
+    def known(self) -> Known:
+        """What is taken as known, with standard uncertainties and what they share."""
+        values = physical_numbers(self.physics) | {ZERO_A: 0.0, ZERO_B: 0.0, INDEX: 0.0}
+        instrument_of = {name: each for each in self.instruments.values() for name in each.measures}
+        found = [own_source(name, std, instrument_of.get(name)) for name, std in self._stds().items() if std]
+        scales = [scale_source(name, each, values) for name, each in self.instruments.items()]
+        return Known(values, (*found, *(scale for scale in scales if scale is not None)))
+
+    def _stds(self) -> dict[str, float]:
+        """Standard uncertainty of each number by itself."""
+        a, b, roles = self.pendulums.a, self.pendulums.b, self.roles
+        zero = math.radians(roles.zero_std_deg)
+        return {
+            "rotor.mass_kg": self.rotor.mass_std_kg,
+            "imbalance.mass_kg": self.imbalance.mass_std_kg,
+            "pendulums.a.mass_kg": a.mass_std_kg,
+            "pendulums.a.length_m": a.length_std_m,
+            "pendulums.b.mass_kg": b.mass_std_kg,
+            "pendulums.b.length_m": b.length_std_m,
+            "pendulums.pivot_shift_m": self.pendulums.pivot_shift_std_m,
+            ZERO_A: zero,
+            ZERO_B: zero,
+            INDEX: math.radians(roles.phase.index_angle_std_deg) if roles.phase else 0.0,
+        }
+
+    @model_validator(mode="after")
+    def _instruments_measure_numbers_of_the_rig(self) -> Rig:
+        measured: dict[str, str] = {}
+        for name, instrument in self.instruments.items():
+            for number in instrument.measures:
+                if number not in PHYSICAL:
+                    raise ValueError(f"instruments.{name}.measures: expected {', '.join(PHYSICAL)}, got {number!r}")
+                if number in measured:
+                    raise ValueError(f"{number} is measured by {measured[number]} and {name}: expected one instrument")
+                measured[number] = name
+        return self
 
     @field_validator("devices", mode="after")
     @classmethod

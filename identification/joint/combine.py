@@ -92,7 +92,9 @@ def joint_estimate(estimates: Sequence[Estimate]) -> JointEstimate:
             stretch[i] = np.sqrt(max(1.0, own[0].chi2 / own[0].dof))
     together = replace(together, pulls=_pulls_of_given(given, kept, together))
     table = dict(zip(together.names, together.values.tolist(), strict=True))
-    parameters = IdentifiedParameters(table, together.covariance * np.outer(stretch, stretch))
+    shared = {label: shift * stretch for label, shift in together.shared.items()}
+    covariance = together.covariance * np.outer(stretch, stretch)
+    parameters = IdentifiedParameters(table, covariance, shared=shared, by_number=together.by_number)
     return JointEstimate(parameters, rows, warnings, given, together, left_out, extra, stretch)
 
 
@@ -156,7 +158,7 @@ def reduced(estimate: Estimate, names: Sequence[str]) -> Estimate:
     shared = {label: v[at] for label, v in estimate.shared.items()}
     return replace(
         estimate, names=tuple(names), values=estimate.values[at], covariance=estimate.covariance[np.ix_(at, at)],
-        shared=shared,
+        shared=shared, by_number={number: v[at] for number, v in estimate.by_number.items()},
     )  # fmt: skip
 
 

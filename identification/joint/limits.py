@@ -14,17 +14,19 @@ import numpy as np
 
 from identification.joint.combine import JointEstimate, joint_estimate
 from identification.joint.provenance import model_share, rebuilt
+from rig_configs.known import LABEL
 from rig_configs.parameters_file import IdentifiedParameters
 
 if TYPE_CHECKING:
     from identification.identify import Identification
 
-SOURCES = ("noise", "model", "clock", "gain", "friction", "disagreement", "mass")
+SOURCES = ("noise", "model", "clock", "gain", "known", "friction", "disagreement", "mass")
 _ADVICE = {
     "noise": "record longer, at a larger amplitude, or more often",
     "model": "the residuals are more than sensor noise: look at the fit, dry friction and amplitude dependence",
     "clock": "longer logs know the devices' rates better",
     "gain": "calibrate the lasers and the lever between laser and disk",
+    "known": "weigh and measure the parts, set the encoders' zeros and the index angle better",
     "friction": "releases at other speeds and a spin-down know the pendulums' dry friction better",
     "disagreement": "the tests disagree: repeat them",
     "mass": "weigh the rotor",
@@ -87,7 +89,7 @@ def _limit(i: int, joint: JointEstimate, model: list[float], mass_std: float) ->
         parts["model"] += own * share
     for label, shift in together.shared.items():
         kind = label.partition(" ")[0]
-        parts[kind if kind in ("clock", "friction") else "gain"] += float(shift[i] ** 2)
+        parts[kind if kind in ("clock", "friction", LABEL) else "gain"] += float(shift[i] ** 2)
     total = joint.parameters.covariance[i, i]
     parts["disagreement"] = max(0.0, float(total - sum(parts.values())))
     if not name.startswith("zeta"):

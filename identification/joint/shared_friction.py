@@ -16,8 +16,10 @@ import numpy as np
 
 from identification.estimate import FOUND_TOGETHER, Estimate
 from identification.joint.combine import joint_estimate
+from identification.pendulums.known_numbers import knowing_zeros
 from identification.pendulums.open_friction import Together, together
 from identification.pendulums.transient import TransientFit
+from rig_configs.known import ZERO_A, ZERO_B
 
 _ROUNDS = 3  # of leaving out tests that stand apart and taking the friction without them
 _CERTAIN, _BELOW = 4.0, 6.0  # standard deviations from which friction is told of, and that it is less than none
@@ -26,21 +28,24 @@ _NAMES = (("a torque of A", "N m"), ("a torque of B", "N m"), ("contact friction
 
 
 def with_shared_friction(
-    estimates: Sequence[Estimate], fits: Mapping[str, TransientFit]
+    estimates: Sequence[Estimate], fits: Mapping[str, TransientFit], zero_std_rad: float = 0.0
 ) -> tuple[list[Estimate], Together | None]:
     """The estimates with the pendulums' friction shared by the tests that show damping.
 
     Args:
         estimates: of all tests.
         fits: the transients among them by source.
+        zero_std_rad: of the encoders' zeros, which all tests share; estimates have it by number, not in themselves.
     Returns:
         Estimates in the same order, and what they share; a single transient as it stands alone, and None.
     """
-    own = [_alone(e, fits[e.source]) if e.source in fits else e for e in estimates]
+    own = [_alone(e, fits[e.source], zero_std_rad) if e.source in fits else e for e in estimates]
+    zeros = {ZERO_A: zero_std_rad, ZERO_B: zero_std_rad}
     at = [i for i, e in enumerate(own) if e.source in fits and _is_open(e, fits[e.source])]
     if len(at) < 2:
         return own, None
     opens = [o for i in at if (o := fits[own[i].source].open_friction) is not None]
+    opens = [one.knowing(zeros) for one in opens]
     trusted = list(range(len(at)))
     found, shared = _each(own, at, together(opens))
     for _ in range(_ROUNDS):
@@ -83,15 +88,19 @@ def _is_open(estimate: Estimate, fit: TransientFit) -> bool:
     return fit.open_friction is not None and estimate.names == tuple(fit.values)
 
 
-def _alone(estimate: Estimate, fit: TransientFit) -> Estimate:
+def _alone(estimate: Estimate, fit: TransientFit, zero_std_rad: float) -> Estimate:
     """Without what it shared before, with other tests."""
     if not _is_open(estimate, fit):
         return estimate
     shared = {label: v for label, v in estimate.shared.items() if not label.startswith(FOUND_TOGETHER)}
-    return replace(estimate, values=np.array(list(fit.values.values())), covariance=fit.covariance, shared=shared)
+    values, by_number = np.array(list(fit.values.values())), fit.slopes
+    own = knowing_zeros(fit.covariance, by_number, zero_std_rad)
+    return replace(estimate, values=values, covariance=own, shared=shared, by_number=by_number)
 
 
 def _with(estimate: Estimate, found: Together, at: int) -> Estimate:
     c = np.exp(found.log_damping[at])
     shared = {**estimate.shared, **{f"{FOUND_TOGETHER} {k + 1}": c * v for k, v in enumerate(found.shared[at].T)}}
-    return replace(estimate, values=c, covariance=found.own[at] * np.outer(c, c), shared=shared)
+    by_number = {number: c * v for number, v in found.by_number[at].items()}
+    own = found.own[at] * np.outer(c, c)
+    return replace(estimate, values=c, covariance=own, shared=shared, by_number=by_number)

@@ -29,6 +29,7 @@ class Weighted:
         pulls: W_i, one (n, m_i) per estimate: values = Σ W_i d_i.
         own: Σ W_i C_i W_iᵀ, what averages out, shape (n, n).
         shared: label → the joint values' shift for one standard deviation of a shared error, shape (n,).
+        by_number: known number → derivative of the joint values by it, shape (n,).
     """
 
     names: tuple[str, ...]
@@ -36,6 +37,7 @@ class Weighted:
     pulls: list[np.ndarray]
     own: np.ndarray
     shared: dict[str, np.ndarray]
+    by_number: dict[str, np.ndarray]
 
     @property
     def covariance(self) -> np.ndarray:
@@ -78,13 +80,16 @@ def weighted(estimates: Sequence[Estimate]) -> Weighted:
 
 def _moments(
     names: tuple[str, ...], estimates: Sequence[Estimate], pulls: list[np.ndarray]
-) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, dict[str, np.ndarray]]:
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
     n = len(names)
     values, own = np.zeros(n), np.zeros((n, n))
     shared: dict[str, np.ndarray] = {}
+    by_number: dict[str, np.ndarray] = {}
     for estimate, pull in zip(estimates, pulls, strict=True):
         values += pull @ estimate.values
         own += pull @ estimate.covariance @ pull.T
         for label, shift in estimate.shared.items():
             shared[label] = shared.get(label, np.zeros(n)) + pull @ shift
-    return values, pulls, own, shared
+        for number, slope in estimate.by_number.items():
+            by_number[number] = by_number.get(number, np.zeros(n)) + pull @ slope
+    return values, pulls, own, shared, by_number

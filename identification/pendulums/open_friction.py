@@ -10,8 +10,8 @@ docs/theory/pendulum_damping.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +51,12 @@ class OpenFriction:
     Attributes:
         values: ln c3, ln c4, M_A, M_B (N m), F_A, F_B (kg m²), shape (6,); friction of any sign.
         covariance: shape (6, 6).
+        by_number: known number → derivative of the values by it, shape (6,).
     """
 
     values: Array
     covariance: Array
+    by_number: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @classmethod
     def of_torque_at(cls, values: Array, covariance: Array, speed2: float) -> OpenFriction:
@@ -76,6 +78,22 @@ class OpenFriction:
     def __post_init__(self) -> None:
         if not (np.all(np.isfinite(self.covariance)) and np.all(np.isfinite(self.values))):
             raise FitFailed("damping and friction have no finite covariance; record the test again")
+
+    def slope(self, number: str) -> Array:
+        """Derivative of the values by a known number, shape (6,); 0 where there is none."""
+        return self.by_number.get(number, np.zeros(6))
+
+    def knowing(self, std: Mapping[str, float]) -> OpenFriction:
+        """The same without what the uncertainty of some known numbers has brought into its covariance.
+
+        Args:
+            std: standard uncertainty of each of these numbers, as the fit took it.
+        """
+        covariance = self.covariance.copy()
+        for number, deviation in std.items():
+            shift = deviation * self.slope(number)
+            covariance -= np.outer(shift, shift)
+        return replace(self, covariance=covariance)
 
     def widened(self, log_damping: Array) -> OpenFriction:
         """The same with more covariance of ln c3, ln c4, shape (2, 2)."""
@@ -126,6 +144,7 @@ class Together:
         own: their covariances were the friction known, shape (2, 2) each.
         shared: shifts of each test's ln c3, ln c4 for one standard deviation of each independent part of the friction's
             error, shape (2, 4) each.
+        by_number: known number → derivative of each test's ln c3, ln c4 by it, shape (2,) each.
     """
 
     friction: Array
@@ -133,6 +152,7 @@ class Together:
     log_damping: list[Array]
     own: list[Array]
     shared: list[Array]
+    by_number: list[dict[str, Array]]
 
 
 def alone(one: OpenFriction) -> Alone:
@@ -208,8 +228,15 @@ def pooled(tests: Sequence[OpenFriction]) -> OpenFriction:
     """Damping and friction by several tests, or stretches of one, each by its information."""
     information = [t.information() for t in tests]
     whole = inverse(sum(information, np.zeros((6, 6))))
-    found = whole @ sum((i @ (t.values / _UNIT) for i, t in zip(information, tests, strict=True)), np.zeros(6))
-    return OpenFriction(found * _UNIT, whole * np.outer(_UNIT, _UNIT))
+    pulls = [whole @ i / _UNIT for i in information]
+
+    def joint(each: Sequence[Array]) -> Array:
+        return _UNIT * sum((pull @ v for pull, v in zip(pulls, each, strict=True)), np.zeros(6))
+
+    return OpenFriction(
+        joint([t.values for t in tests]), whole * np.outer(_UNIT, _UNIT),
+        {name: joint([t.slope(name) for t in tests]) for name in dict.fromkeys(n for t in tests for n in t.by_number)},
+    )  # fmt: skip
 
 
 def together(tests: Sequence[OpenFriction], trusted: Sequence[int] | None = None) -> Together:
@@ -226,10 +253,13 @@ def together(tests: Sequence[OpenFriction], trusted: Sequence[int] | None = None
     spread = whole.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
     sizes, turn = np.linalg.eigh(spread)
     parts = turn * np.sqrt(np.maximum(sizes, 0.0))
-    out = Together(whole.values[FRICTION], whole.covariance[FRICTION, FRICTION], [], [], [])
+    out = Together(whole.values[FRICTION], whole.covariance[FRICTION, FRICTION], [], [], [], [])
     for test in tests:
         log_damping, own = test.given(whole.values[FRICTION])
         out.own.append(own)
         out.log_damping.append(log_damping)
         out.shared.append(-own @ test.information()[DAMPING, FRICTION] @ parts)
+        # damping with the friction that all have found goes with a number directly and by that friction
+        moved = {n: replace(test, values=test.slope(n)).given(whole.slope(n)[FRICTION])[0] for n in whole.by_number}
+        out.by_number.append(moved)
     return out

@@ -96,6 +96,7 @@ def fit_release(
     if found is None:
         raise FitFailed(UNTOLD.format(run.source, "release", "record one at another speed, or clean the bearings"))
     fit = with_open_friction(fit, found, f"release {run.test}")
+    fit = replace(fit, by_number=release.by_number(problem, best, end, shape, (0, 1)))
     if not run.phase_absolute:
         return told(fit, answers, knowledge.physics)
     return covering(fit, answers, "from another start", "Another release decides")

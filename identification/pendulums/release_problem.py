@@ -7,6 +7,7 @@ speed (of both shapes: first one's, then the other's), then what the recorded ph
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,6 +20,7 @@ from identification.least_squares import Minimum
 from identification.pendulums.decline import encoder_step
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, Friction, evidence
+from identification.pendulums.known_numbers import answer_to, by_physical_numbers
 from identification.pendulums.locked_start import LockedStart
 from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFriction, TORQUE_STD_Nm
 from identification.pendulums.recorded_speed import RecordedSpeed, recorded_speed
@@ -27,6 +29,7 @@ from identification.pendulums.transient import Readings, TransientProblem
 from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
 from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
+from rig_configs.known import INDEX, ZERO_A, ZERO_B
 
 Shape = Literal["torque", "contact", "both"]
 """How dry friction goes with the speed: a torque the same at any, one that goes with the contact force, or both."""
@@ -36,6 +39,7 @@ _START, _ZEROS, _SHIFT, _DISK = slice(2, 4), slice(4, 6), 6, slice(7, 11)
 _VAGUE_S = 0.03  # a release whose instant is known no better would bias the damping
 _BLOCK_S = {"fast": 0.004, "balanced": 0.004, "reference": 0.001}
 _SHIFT_STD_S, _DISK_STD_M = 1e-3, 2e-5
+_EXACT_RAD, _TURN_RAD = 1e-7, 1e-5  # zeros taken as exact; a step of the index angle
 _LONGEST_S, _AFTER_SETTLING_S, _MEMORY_S = 25.0, 0.5, 12.0
 _DAMPING_STD = 2.5  # ln c: a start a hundred times wrong is within two of it
 _DAMPING_BESIDE_STD = 0.7  # beside dry friction, which could otherwise stand in for all of it
@@ -103,6 +107,11 @@ class Release:
         return np.r_[damping, self.locked_rad, np.zeros(7), log_suspension(physics)]
 
     @property
+    def _zero_std(self) -> float:
+        """Of the encoders' zeros; of exact ones, so little that it hardly counts."""
+        return max(self.zero_std_rad, _EXACT_RAD)
+
+    @property
     def open_phase(self) -> int:
         """How many unknowns the phase brings, the last of θ."""
         return len(self.speed.modes) + int(not self.run.phase_absolute)
@@ -114,7 +123,7 @@ class Release:
         angle_std = max(max(r.step_rad for r in self.readings) / np.sqrt(12), 1e-5)
         damping_std = _DAMPING_STD if shape is None else _DAMPING_BESIDE_STD
         std = np.r_[
-            damping_std, damping_std, angle_std, angle_std, self.zero_std_rad, self.zero_std_rad, self.release_std_s,
+            damping_std, damping_std, angle_std, angle_std, self._zero_std, self._zero_std, self.release_std_s,
             _DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega, _DISK_STD_M * omega, self.knowledge.log_std,
         ]  # fmt: skip
         dry, modes, turn = _unknowns(shape), len(self.speed.modes), not self.run.phase_absolute
@@ -194,6 +203,7 @@ class Release:
         Where that is too much for the readings, M + F ω² counts as what the fit's own shape made of it.
         """
         problem, w2 = self.problem("both"), self.speed_rad_s**2
+        wanted = [0, 1, *range(_BASE, _BASE + 4)]
         own, scale = slice(_BASE, _BASE + 4), np.array([1.0, 1.0, w2, w2])
         problem.prior_std[:2] = _DAMPING_STD
         problem.prior_std[own] = scale * np.repeat([TORQUE_STD_Nm, CONTACT_STD_kg_m2], 2)
@@ -208,7 +218,7 @@ class Release:
             return None if dry is None else self._at_this_speed("torque", dry, end_s, setting)
         if found is None:
             return self._at_this_speed(shape or "torque", minimum, end_s, setting)
-        wanted, unit = [0, 1, *range(_BASE, _BASE + 4)], np.r_[1.0, 1.0, 1.0 / scale]
+        unit = np.r_[1.0, 1.0, 1.0 / scale]
         # M and F ω² are seen as nearly one: how c goes with each is known from the white noise's covariance, while a
         # hundred draws of the rounding would blur it; they tell by how much all of it is longer
         white = found.covariance[np.ix_(wanted, wanted)]
@@ -216,14 +226,52 @@ class Release:
         seen[[0, 1, 2, 3, 2, 3], range(6)] = 1.0
         drawn = seen @ problem.covariance(found, end_s, setting, wanted) @ seen.T
         stretch = max(1.0, float(np.max(np.diag(drawn) / np.diag(seen @ white @ seen.T))))
-        return OpenFriction(found.theta[wanted] * unit, stretch * white * np.outer(unit, unit))
+        by = self.by_number(problem, found, end_s, "both", wanted)
+        covariance = stretch * white * np.outer(unit, unit)
+        return OpenFriction(found.theta[wanted] * unit, covariance, {name: v * unit for name, v in by.items()})
 
     def _at_this_speed(self, shape: Shape, minimum: Minimum, end_s: float, setting: Setting) -> OpenFriction:
         wanted, w2 = [0, 1, _BASE, _BASE + 1], self.speed_rad_s**2
-        own = self.problem(shape).covariance(minimum, end_s, setting, wanted)
+        problem = self.problem(shape)
+        own = problem.covariance(minimum, end_s, setting, wanted)
+        by = self.by_number(problem, minimum, end_s, shape, wanted)
         one, two = minimum.theta[_BASE : _BASE + 2], np.zeros(2)
         values = np.r_[minimum.theta[:2], two, one / w2] if shape == "contact" else np.r_[minimum.theta[:2], one, two]
-        return OpenFriction.of_torque_at(values, own, w2)
+        spread = {
+            name: np.r_[v[:2], two, v[2:] / w2] if shape == "contact" else np.r_[v, two] for name, v in by.items()
+        }
+        return replace(OpenFriction.of_torque_at(values, own, w2), by_number=spread)
+
+    def by_number(
+        self, problem: TransientProblem, minimum: Minimum, end_s: float, shape: Shape | None, wanted: Sequence[int]
+    ) -> dict[str, np.ndarray]:
+        """How some of θ go with the known numbers: masses, lengths, both encoders' zeros and the index angle.
+
+        Args:
+            problem: of this release, with dry friction of the shape.
+            minimum: its, at the last instant.
+            wanted: places in θ, m of them.
+        Returns:
+            Number → derivative, shape (m,), per unit of the number.
+        """
+
+        def made(knowledge: Knowledge) -> TransientProblem:
+            return self.laid_over(knowledge).problem(shape)
+
+        found = by_physical_numbers(problem, minimum, end_s, self.knowledge, made, wanted)
+        for name, at in zip((ZERO_A, ZERO_B), (4, 5), strict=True):
+            found[name] = minimum.covariance[list(wanted), at] / self._zero_std**2
+        if self.run.phase_absolute:
+            free = len(self.speed.modes)
+            own, phase = np.split(minimum.theta, [len(minimum.theta) - free])
+            cut = problem.cut(end_s)
+            turned, _ = self.angles(own, cut, np.r_[phase, _TURN_RAD], shape)
+            n = len(turned)
+            measured, weight = (np.concatenate([getattr(c, of) for c in cut]) for of in ("value", "weight"))
+            change = np.zeros(len(minimum.residual))
+            change[:n] = (turned - measured) * weight - minimum.residual[:n]
+            found[INDEX] = answer_to(minimum, change / _TURN_RAD, wanted)
+        return found
 
     def friction(self, minimum: Minimum, covariance: np.ndarray, shape: Shape) -> Friction:
         """The friction that a fit found; covariance of both torques, shape (2, 2)."""

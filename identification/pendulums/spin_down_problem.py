@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, evidence
+from identification.pendulums.known_numbers import by_physical_numbers
 from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFriction, TORQUE_STD_Nm
 from identification.pendulums.push import TIME_CONSTANTS, Decline
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -144,7 +145,24 @@ class SpinDown:
         if found is None:
             return None
         wanted = [0, 1, *range(COUNT, COUNT + 4)]
-        return OpenFriction(found.theta[wanted], problem.covariance(found, self.end_s, setting, wanted))
+        by = self.by_number(problem, found, BOTH, wanted)
+        return OpenFriction(found.theta[wanted], problem.covariance(found, self.end_s, setting, wanted), by)
+
+    def by_number(
+        self, problem: TransientProblem, minimum: Minimum, kinds: Kinds, wanted: Sequence[int]
+    ) -> dict[str, np.ndarray]:
+        """How some of θ go with masses and lengths: number → derivative, shape (m,), per unit of the number.
+
+        Args:
+            problem: of this stretch, with the kinds of friction.
+            minimum: its.
+            wanted: places in θ, m of them.
+        """
+
+        def made(knowledge: Knowledge) -> TransientProblem:
+            return replace(self, knowledge=knowledge).problem(kinds)
+
+        return by_physical_numbers(problem, minimum, self.end_s, self.knowledge, made, wanted)
 
     def positive(self, minimum: Minimum, kinds: Kinds) -> bool:
         """Whether no friction is surely below zero, which none is."""

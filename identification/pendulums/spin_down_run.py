@@ -23,6 +23,7 @@ from identification.estimate import Estimate
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering, plausible_answers
 from identification.pendulums.friction import Evidence, Friction
+from identification.pendulums.known_numbers import knowing_zeros
 from identification.pendulums.open_friction import pooled
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
@@ -97,6 +98,7 @@ def _fit_from(
             if found is None:
                 raise FitFailed(UNTOLD.format(run.source, "spin-down", "flick faster, or clean the bearings"))
             fit = with_open_friction(fit, found, "spin-down")
+            fit = replace(fit, by_number=case.by_number(problem, minimum, kinds, (0, 1)))
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
         if fit.chi2_per_dof < _FOLLOWED:
             raise FitFailed(
@@ -173,12 +175,18 @@ def _together(fits: list[TransientFit]) -> TransientFit:
     return with_open_friction(both, pooled([opens[0], opens[1]]), "spin-down")
 
 
-def damping_estimate(run: Run, fit: TransientFit, method: str) -> Estimate:
-    """A transient in the joint estimate's form; c goes with the encoder's clock rate."""
+def damping_estimate(run: Run, fit: TransientFit, method: str, zero_std_rad: float = 0.0) -> Estimate:
+    """A transient in the joint estimate's form; c goes with the encoder's clock rate.
+
+    Args:
+        zero_std_rad: of the encoders' zeros, as the fit took it.
+    """
     names = tuple(fit.values)
     values = np.array(list(fit.values.values()))
     shared = clock_errors(run, {"angles": values})
-    return Estimate(run.test, run.source, names, values, fit.covariance, shared, method)
+    by_number = fit.slopes
+    own = knowing_zeros(fit.covariance, by_number, zero_std_rad)
+    return Estimate(run.test, run.source, names, values, own, shared, method, by_number)
 
 
 def _model_table(

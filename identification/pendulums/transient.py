@@ -8,8 +8,8 @@ hardly moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -53,6 +53,7 @@ class TransientFit:
         open_friction: damping and friction, all of it free; several tests share it
             (identification.pendulums.open_friction). None where it was not asked for.
         undecided: a warning that friction too small to be found has widened the intervals; "" where it has not.
+        by_number: known number → derivative of ln c3, ln c4 by it, shape (2,).
     """
 
     values: dict[str, float]
@@ -69,11 +70,18 @@ class TransientFit:
     settled: bool = True
     open_friction: OpenFriction | None = None
     undecided: str = ""
+    by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
 
     @property
     def std(self) -> dict[str, float]:
         """Standard deviations by name (clock not included)."""
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def slopes(self) -> dict[str, np.ndarray]:
+        """Known number → derivative of c3, c4 by it, shape (2,)."""
+        c = np.array(list(self.values.values()))
+        return {number: c * slope for number, slope in self.by_number.items()}
 
 
 @dataclass(frozen=True)
@@ -196,6 +204,10 @@ class TransientProblem:
             return residual, np.concatenate([jacobian * weight[:, None], rows])
 
         return evaluate
+
+    def residual(self, theta: np.ndarray, end_s: float) -> np.ndarray:
+        """Residuals at θ in standard deviations, knowledge last; infinite where the motion cannot be followed."""
+        return self._evaluation(end_s)(theta)[0]
 
     def chi2_per_dof(self, minimum: Minimum, end_s: float) -> float:
         """Reduced χ² of the data alone."""

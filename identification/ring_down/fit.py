@@ -15,6 +15,7 @@ from daq.signals.run import Run
 from identification.clocks import clock_errors
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
+from identification.mass_slopes import mass_slopes
 from identification.ring_down.attempt import Plan
 from identification.ring_down.begin import proposed, settled
 from identification.ring_down.decay import Decay, Priors, both_alike, second_mode_gain
@@ -105,8 +106,12 @@ def fit_ring_down_runs(
     return _fit(pairs, mass_kg, setting, Priors(_axis_prior(axis_prior_deg), delay_s=DELAY_STD_S))
 
 
-def ring_down_estimate(run: Run, fit: RingDownFit) -> Estimate:
-    """A run's fit in the joint estimate's form, its lasers' clocks as shared errors."""
+def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float) -> Estimate:
+    """A run's fit in the joint estimate's form, its lasers' clocks as shared errors.
+
+    Args:
+        mass_kg: total moving mass, as the fit took it.
+    """
     names = tuple(n for n in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2") if n in fit.values)
     order = [list(fit.values).index(n) for n in names]
     values = np.array([fit.values[n] for n in names])
@@ -117,10 +122,9 @@ def ring_down_estimate(run: Run, fit: RingDownFit) -> Estimate:
         axis: 2 * values * share for axis, share in zip(("x", "y"), shares, strict=True) if share.any()
     }
     shared = clock_errors(run, slopes)
-    return Estimate(
-        run.test, run.source, names, values, fit.covariance[np.ix_(order, order)], shared,
-        "two coupled decays, separable least squares",
-    )  # fmt: skip
+    own = fit.covariance[np.ix_(order, order)]
+    method = "two coupled decays, separable least squares"
+    return Estimate(run.test, run.source, names, values, own, shared, method, mass_slopes(names, values, mass_kg))
 
 
 def _axis_prior(degrees: float) -> float:

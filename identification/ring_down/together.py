@@ -25,16 +25,18 @@ class FoundRingDown:
     Attributes:
         run: the run; of several, the first under all runs' names.
         tests: of all runs.
+        mass_kg: total moving mass, as the fit took it.
     """
 
     run: Run
     fit: RingDownFit
     tests: tuple[str, ...]
+    mass_kg: float
 
     @property
     def estimate(self) -> Estimate:
         """In the joint estimate's form."""
-        return ring_down_estimate(self.run, self.fit)
+        return ring_down_estimate(self.run, self.fit, self.mass_kg)
 
 
 def fit_ring_downs(
@@ -62,9 +64,9 @@ def fit_ring_downs(
         try:
             if has_both:
                 fit = as_mounted(fit_ring_down_runs([run], mass_kg, setting=setting), run.turn_deg)
-                alone.append(FoundRingDown(run, fit, (run.test,)))
+                alone.append(FoundRingDown(run, fit, (run.test,), mass_kg))
             else:
-                found.append(FoundRingDown(run, fit_one_laser(run, mass_kg, setting), (run.test,)))
+                found.append(FoundRingDown(run, fit_one_laser(run, mass_kg, setting), (run.test,), mass_kg))
         except IdentificationError as error:
             sentence = f"{run.test} left out: {error}"
             warnings.append(sentence)
@@ -77,7 +79,7 @@ def fit_ring_downs(
         except IdentificationError as error:
             warnings.append(f"joint fit of the ring-downs failed: {error}")
         else:
-            alone = [FoundRingDown(_joined(pairs), fit, tuple(run.test for run in pairs))]
+            alone = [FoundRingDown(_joined(pairs), fit, tuple(run.test for run in pairs), mass_kg)]
             warnings = [sentence for sentence in warnings if sentence not in failed]
     return [*found, *alone], warnings
 

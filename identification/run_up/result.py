@@ -12,7 +12,9 @@ from identification.clocks import clock_errors, gain_label
 from identification.curve import Curve
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
+from identification.mass_slopes import mass_slopes
 from identification.setting import ModelChoice
+from rig_configs.known import MASSES, ZERO_A, ZERO_B
 
 
 @dataclass(frozen=True)
@@ -94,14 +96,45 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     for k, i in enumerate(seen):
         shift = slope * mass * weights[k] * amplitudes[k] * gains[k]
         shared[gain_label("xy"[i])] = np.r_[np.zeros(2 * m), shift]
+    by_number = mass_slopes(names, values, mass)
+    for number, change in _imbalance_slopes(_locked_angles(run), physics, locked, slope, moment / mass).items():
+        own = by_number.get(number, np.zeros(len(names))).copy()
+        own[-1] += change
+        by_number[number] = own
     return Estimate(
         run.test, run.source, names, values, jacobian @ covariance @ jacobian.T, shared,
-        f"transient passage, separable least squares: {fit.model}",
+        f"transient passage, separable least squares: {fit.model}", by_number,
     )  # fmt: skip
+
+
+def _imbalance_slopes(
+    theta: np.ndarray, physics: RotorParameters, locked: complex, slope: float, eccentricity_m: float
+) -> dict[str, float]:
+    """Derivatives of S_P = √(M_S² A² − Im²) − Re, Re + i Im = Σ S_j e^{iθ_j}, by the known numbers.
+
+    Args:
+        theta: of the locked pendulums, shape (2,), rad.
+        slope: ∂S_P/∂(M_S A).
+        eccentricity_m: A.
+    """
+    found = dict.fromkeys(MASSES, slope * eccentricity_m)
+    root = slope / (eccentricity_m * physics.total_mass_kg or 1.0)  # 1/(S_P + Re)
+    for name, zero, pendulum, angle in (("a", ZERO_A, physics.a, theta[0]), ("b", ZERO_B, physics.b, theta[1])):
+        cos, sin = float(np.cos(angle)), float(np.sin(angle))
+        by_moment = -locked.imag * sin * root - cos
+        found[f"pendulums.{name}.mass_kg"] += by_moment * pendulum.length_m
+        found[f"pendulums.{name}.length_m"] = by_moment * pendulum.mass_kg
+        found[zero] = pendulum.first_moment_kg_m * (locked.imag * cos * root - sin)  # a larger zero, a smaller angle
+    return found
+
+
+def _locked_angles(run: Run) -> np.ndarray:
+    """θ3, θ4 of the locked pendulums, shape (2,), rad."""
+    return np.mean(run.angle_rad, axis=0) if len(run.angle_rad) else np.array([0.0, np.pi])
 
 
 def _locked_moment(run: Run, physics: RotorParameters) -> complex:
     """First mass moment of the locked pendulums in the rotor's frame, kg m."""
-    theta = np.mean(run.angle_rad, axis=0) if len(run.angle_rad) else np.array([0.0, np.pi])
+    theta = _locked_angles(run)
     a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
     return complex(a * np.exp(1j * theta[0]) + b * np.exp(1j * theta[1]))

@@ -1,0 +1,80 @@
+# pyright: strict
+"""How a transient's answer goes with the masses, lengths and angles that its fit takes as known.
+
+At a minimum of rᵀr the normal equations hold, Jᵀr = 0. A known number p that is assumed to be h larger changes r by
+(∂r/∂p) h, the knowledge of the suspension included, and moves the minimum by −(JᵀJ)⁻¹Jᵀ (∂r/∂p) h. Source:
+docs/theory/uncertainty.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.least_squares import Minimum
+from identification.pendulums.suspension_knowledge import Knowledge
+from identification.pendulums.transient import TransientProblem
+from rig_configs.known import ZERO_A, ZERO_B, physical_numbers
+
+Array = NDArray[np.float64]
+
+_STEP = 1e-4  # of a number
+_STEP_SI = 1e-6  # of one that is 0
+_LEAST_OWN = 1e-6  # least eigenvalue of what is left, in units of the variances
+
+
+def by_physical_numbers(
+    problem: TransientProblem, minimum: Minimum, end_s: float, knowledge: Knowledge,
+    made: Callable[[Knowledge], TransientProblem], wanted: Sequence[int],
+) -> dict[str, Array]:  # fmt: skip
+    """Derivatives of some of θ by each physical number.
+
+    Args:
+        problem: whose minimum it is.
+        minimum: at the last instant `end_s`.
+        knowledge: the problem's.
+        made: the same problem with other knowledge.
+        wanted: places in θ, m of them.
+    Returns:
+        Number → derivative, shape (m,), per unit of the number.
+    """
+    base, found = made(knowledge), dict[str, Array]()
+    values = physical_numbers(knowledge.physics)
+    for name in knowledge.numbers:
+        if name == "imbalance.mass_kg" and "rotor.mass_kg" in found:
+            found[name] = found["rotor.mass_kg"]  # S_P is found by itself: both act through the total mass
+            continue
+        step = _STEP * values[name] or _STEP_SI
+        other = made(knowledge.moved(name, step))
+        moved = replace(other, prior=problem.prior + other.prior - base.prior, prior_std=problem.prior_std)
+        change = moved.residual(minimum.theta, end_s) - minimum.residual
+        if np.all(np.isfinite(change)):
+            found[name] = answer_to(minimum, change / step, wanted)
+    return found
+
+
+def answer_to(minimum: Minimum, change: Array, wanted: Sequence[int]) -> Array:
+    """How some of θ answer to a change of the residual, shape (m,)."""
+    return -(minimum.covariance[list(wanted)] @ (minimum.jacobian.T @ change))
+
+
+def knowing_zeros(covariance: Array, by_number: Mapping[str, Array], zero_std_rad: float) -> Array:
+    """A covariance without what the encoders' zeros have brought into it.
+
+    Where friction is bounded from below a fit's covariance may hold less of it than its slopes say; then it stays.
+
+    Args:
+        covariance: shape (m, m), with the zeros' part.
+        by_number: derivatives by the known numbers, shape (m,) each.
+        zero_std_rad: of each zero, as the fit took it.
+    """
+    own = covariance.copy()
+    for name in (ZERO_A, ZERO_B):
+        shift = zero_std_rad * by_number.get(name, np.zeros(len(own)))
+        own -= np.outer(shift, shift)
+    std = np.sqrt(np.diag(covariance))
+    sound = float(np.linalg.eigvalsh(own / np.outer(std, std))[0]) > _LEAST_OWN
+    return own if sound else covariance
