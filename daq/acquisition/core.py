@@ -314,10 +314,11 @@ class Core:
         A link that fails with anything but LinkLost is a fault of this software, and the run's end.
         """
         turning = self._driving and self.interlocks.turning(now_ns)
+        if isinstance(error, LinkLost):
+            self.gone[device] = str(error)
         if turning or not self.guarding or not isinstance(error, LinkLost):
             yield from self.fail(error, now_ns)
             return
-        self.gone[device] = str(error)
         if len(self.gone) == len(self._known):  # none is left to go on
             yield from self.fail(error, now_ns)
             return

@@ -14,7 +14,7 @@ import pytest
 from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.clock import ClockMap
-from daq.errors import DeviceError, RigError
+from daq.errors import DeviceError, LinkLost, RigError
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitedInVain
 from daq.lockstep.rig import STEP_S, LockstepRig
@@ -321,6 +321,21 @@ def test_a_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_it_is_bac
         sim.ask("unplug", device="motor")
         sim.ask("fail", device="motor", what="speed", value=600.0)
         sim.clock.after(back_s, lambda: sim.ask("plug", device="motor"))
+        session.wait_for(lambda: False, 5.0, "the trip")
+    assert abs(sim.far.motion.speed_rad_s) < 0.2
+    assert sim.far.motion.target_rad_s == 0.0
+
+
+def test_a_turning_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_it_is_back() -> None:
+    """The lost line ends the run; it is looked for all the same."""
+    sim, session = opened("other_devices")
+    with pytest.raises(LinkLost, match="motor: the other end closed"), session:  # noqa: PT012
+        session.drive.enable()
+        session.drive.set_speed(300.0)
+        session.wait_for(lambda: abs(sim.far.motion.speed_rad_s) > 30.0, 10.0, "300 rpm")
+        sim.ask("unplug", device="motor")
+        sim.clock.after(0.8, lambda: sim.ask("fail", device="motor", what="speed", value=1000.0))
+        sim.clock.after(2.0, lambda: sim.ask("plug", device="motor"))
         session.wait_for(lambda: False, 5.0, "the trip")
     assert abs(sim.far.motion.speed_rad_s) < 0.2
     assert sim.far.motion.target_rad_s == 0.0
