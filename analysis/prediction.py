@@ -3,23 +3,31 @@
 A steady state y is a fixed point of the half-revolution map, y = H(y, p). Differentiating gives
 dy/dp = (1 − ∂H/∂y)⁻¹ ∂H/∂p, so one converged state and a few integrations over half a revolution replace a new
 search per parameter. What is compared (angles, order-1 amplitudes in sensor axes, rms radius) is then a function of
-y and p, differentiated along that direction.
+y and p, differentiated along that direction. Besides the identified parameters p holds the rig file's masses and
+lengths: an error in one of them moves what was identified and the prediction together, and counts once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.errors import NoStableState
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
 from rig_configs import IdentifiedParameters, Rig
+from rig_configs.known import Known, physical_numbers, with_number
 
+Array = NDArray[np.float64]
+
+AXIS_ANGLE = "axis angle"
+"""Label of the axis angle's error, which all points share."""
+_SPEED = "speed"
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
@@ -36,7 +44,13 @@ class Prediction:
         speed_rad_s: the speed it holds for.
         values: θ3, θ4 (rad, [0, 2π)), order-1 amplitudes of x and y in sensor axes (m), rms radius (m); order of
             QUANTITIES.
-        covariance: of `values`, from parameters, axis angle and speed, shape (5, 5).
+        covariance: of `values`, from parameters, known numbers, axis angle and speed, shape (5, 5).
+        by_parameter: derivatives of `values` by the identified parameters, in their order, shape (5, n).
+        by_number: number of the rig file → derivative of `values` by it with the parameters as they are, shape (5,).
+        own: the part of `covariance` that no other point shares: the speed's, shape (5, 5).
+        shared: label → shift of `values`, shape (5,), for one standard deviation of an error that other quantities
+            share: "gain x", "known rotor.mass_kg", "axis angle".
+        numerical: estimated error of the integration in `values`, shape (5,).
         residual_m_per_rad: order-1 amplitude of x and of y (sensor axes) per rad of a pendulum off its place, for
             judging amplitudes near zero.
     """
@@ -46,6 +60,11 @@ class Prediction:
     values: np.ndarray
     covariance: np.ndarray
     residual_m_per_rad: tuple[float, float]
+    by_parameter: Array
+    by_number: Mapping[str, Array]
+    own: Array
+    shared: Mapping[str, Array]
+    numerical: Array
 
     @property
     def std(self) -> np.ndarray:
@@ -83,9 +102,27 @@ def predict_point(
         raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
     state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
     beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, axis_angle_deg, rig.roles.turn_deg))
-    covariance, values = _propagate(physics, identified, state, speed_rad_s, speed_std_rad_s, beta, beta_std)
+    values, slopes, numerical = _slopes(physics, list(identified.values), state, speed_rad_s, beta)
+    by_parameter = np.stack([slopes.pop(name) for name in identified.values] or [np.empty((5, 0))], axis=-1)
+    by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
+    own = np.outer(by_speed, by_speed) * speed_std_rad_s**2
+    shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
+    covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
+    covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
     response = _per_radian(physics, speed_rad_s, beta)
-    return Prediction(state, speed_rad_s, values, covariance, response)
+    return Prediction(state, speed_rad_s, values, covariance, response, by_parameter, slopes, own, shared, numerical)
+
+
+def _shared(
+    known: Known, identified: IdentifiedParameters, by_parameter: Array, by_number: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Shifts for one standard deviation of each error that other quantities share, by label, shape (5,) each."""
+    shared = {label: by_parameter @ shift for label, shift in identified.shared.items()}
+    for source in known.sources:
+        parts = [by_number[name] * step for name, step in source.effects.items() if name in by_number]
+        if parts or source.label in shared:
+            shared[source.label] = np.sum([shared.get(source.label, np.zeros(5)), *parts], axis=0)
+    return shared
 
 
 def known_axis_angle(
@@ -107,24 +144,26 @@ def _distance(state: SteadyState, near: Sequence[float]) -> float:
     return float(np.sum(np.abs(np.exp(1j * np.array(state.theta_rad)) - np.exp(1j * np.asarray(near)))))
 
 
-def _motion(physics: RotorParameters, speed: float, start: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """States at times from a start at ψ = 0, constant speed, pendulums free."""
+def _motion(
+    physics: RotorParameters, speed: float, start: np.ndarray, times: np.ndarray, finer: float = 1.0
+) -> np.ndarray:
+    """States at times from a start at ψ = 0, constant speed, pendulums free; `finer` below 1 shortens the steps."""
     history = SpeedHistory.constant(speed)
-    step = 0.03 / fastest_rate(physics, speed)
+    step = finer * 0.03 / fastest_rate(physics, speed)
     packed = physics.packed()
     return integrate(start, times, step, history.knots_s, history.coefficients, packed, 1.0, 1.0)
 
 
-def _half_turn(physics: RotorParameters, speed: float, start: np.ndarray) -> np.ndarray:
+def _half_turn(physics: RotorParameters, speed: float, start: np.ndarray, finer: float = 1.0) -> np.ndarray:
     """The map H whose fixed points are the steady states."""
-    return _TURN * _motion(physics, speed, start, np.array([0.0, np.pi / speed]))[-1]
+    return _TURN * _motion(physics, speed, start, np.array([0.0, np.pi / speed]), finer)[-1]
 
 
-def _observed(physics: RotorParameters, speed: float, start: np.ndarray, beta: float) -> np.ndarray:
+def _observed(physics: RotorParameters, speed: float, start: np.ndarray, beta: float, finer: float = 1.0) -> np.ndarray:
     """θ3, θ4, order-1 amplitudes in sensor axes, rms radius; means over one revolution, shape (5,)."""
     n = 64
     times = np.linspace(0, 2 * np.pi / speed, n + 1)
-    states = _motion(physics, speed, start, times)[:-1]
+    states = _motion(physics, speed, start, times, finer)[:-1]
     turn = np.exp(-1j * speed * times[:-1])
     x, y = states[:, 0], states[:, 1]
     x_sensor, y_sensor = _rotated(complex(2 * np.mean(x * turn)), complex(2 * np.mean(y * turn)), beta)
@@ -138,11 +177,13 @@ def _rotated(x: complex, y: complex, beta: float) -> tuple[complex, complex]:
     return x * c + y * s, -x * s + y * c
 
 
-def _propagate(
-    physics: RotorParameters, identified: IdentifiedParameters, state: SteadyState,
-    speed: float, speed_std: float, beta: float, beta_std: float,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Covariance (5, 5) and values (5,) of what is observed."""
+def _slopes(
+    physics: RotorParameters, names: Sequence[str], state: SteadyState, speed: float, beta: float
+) -> tuple[Array, dict[str, Array], Array]:
+    """What is observed (5,), its derivatives by parameters, known numbers, speed and axis angle, and its error.
+
+    The error is what half the integration's step changes, the fixed point with it.
+    """
     start = state.start
     slope = np.empty((8, 8))
     for j, h in enumerate(_SCALE):
@@ -151,24 +192,26 @@ def _propagate(
         down[j] -= h
         slope[:, j] = (_half_turn(physics, speed, up) - _half_turn(physics, speed, down)) / (2 * h)
     inverse = np.linalg.inv(np.eye(8) - slope)
-    own = physics.identified()
-    columns = []
-    for name in identified.values:
-        h = 1e-4 * abs(own[name]) or 1e-9
-        pair = [physics.with_values(**{name: own[name] + sign * h}) for sign in (1, -1)]
-        columns.append(_along(pair, (speed, speed), (beta, beta), start, inverse, h))
+    found, known = physics.identified(), physical_numbers(physics)
+    slopes: dict[str, Array] = {}
+    for name in names:
+        h = 1e-4 * abs(found[name]) or 1e-9
+        pair = [physics.with_values(**{name: found[name] + sign * h}) for sign in (1, -1)]
+        slopes[name] = _along(pair, (speed, speed), (beta, beta), start, inverse, h)
+    for name, value in known.items():
+        if value:
+            h = 1e-4 * value
+            pair = [with_number(physics, name, value + sign * h) for sign in (1, -1)]
+            slopes[name] = _along(pair, (speed, speed), (beta, beta), start, inverse, h)
     h = 1e-5 * speed
-    columns.append(_along([physics, physics], (speed + h, speed - h), (beta, beta), start, inverse, h))
+    slopes[_SPEED] = _along([physics, physics], (speed + h, speed - h), (beta, beta), start, inverse, h)
     h = 1e-4
-    columns.append(_along([physics, physics], (speed, speed), (beta + h, beta - h), start, inverse, h))
-    jacobian = np.stack(columns, axis=1)
-    n = len(identified.values)
-    joint = np.zeros((n + 2, n + 2))
-    joint[:n, :n] = identified.covariance
-    joint[n, n], joint[n + 1, n + 1] = speed_std**2, beta_std**2
+    slopes[AXIS_ANGLE] = _along([physics, physics], (speed, speed), (beta + h, beta - h), start, inverse, h)
     values = _observed(physics, speed, start, beta)
+    finer = start + inverse @ (_half_turn(physics, speed, start, 0.5) - _half_turn(physics, speed, start))
+    numerical = np.abs(_observed(physics, speed, finer, beta, 0.5) - values)
     values[:2] %= 2 * np.pi
-    return jacobian @ joint @ jacobian.T, values
+    return values, slopes, numerical
 
 
 def _along(

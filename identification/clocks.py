@@ -33,11 +33,6 @@ def clock_label(clock: str) -> str:
     return f"clock {clock}"
 
 
-def gain_label(axis: str) -> str:
-    """Under which errors of the displacement's gain along an axis are kept."""
-    return f"gain {axis}"
-
-
 def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     """Shared errors of an estimate, by clock.
 

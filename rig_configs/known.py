@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from dynamics.equations.parameters import RotorParameters
-from rig_configs.table import NotNegative, Positive, Table
+from rig_configs.table import Positive, Table
 
 Kind = Literal["A", "B"]
 Distribution = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
@@ -39,6 +39,16 @@ MASSES = tuple(name for name, unit in NUMBERS.items() if unit == "kg")
 PHYSICAL = tuple(name for name in NUMBERS if name not in (ZERO_A, ZERO_B, INDEX))
 LABEL = "known"
 """Begin of the labels under which a source's errors are kept in estimates."""
+
+
+def gain_label(axis: str) -> str:
+    """Under which errors of the displacement's gain along an axis are kept."""
+    return f"gain {axis}"
+
+
+def known_label(name: str) -> str:
+    """Under which errors of a source are kept, by the number's or the instrument's name."""
+    return f"{LABEL} {name}"
 
 
 class Instrument(Table):
@@ -78,7 +88,7 @@ class KnownSource:
     @property
     def label(self) -> str:
         """Under which its errors are kept in estimates."""
-        return f"{LABEL} {self.name}"
+        return known_label(self.name)
 
 
 @dataclass(frozen=True)
@@ -157,7 +167,3 @@ def scale_source(name: str, instrument: Instrument, values: Mapping[str, float])
         return None
     freedom = math.inf if instrument.degrees_of_freedom is None else instrument.degrees_of_freedom
     return KnownSource(name, instrument.relative_std, "1", effects, instrument.type, instrument.distribution, freedom)
-
-
-STD = NotNegative
-"""Type of a standard uncertainty in a rig file."""

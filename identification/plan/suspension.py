@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from dynamics.equations.parameters import RotorParameters
-from identification.clocks import gain_label
+from rig_configs.known import gain_label
 from identification.estimate import Estimate
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives

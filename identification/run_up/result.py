@@ -8,13 +8,13 @@ import numpy as np
 
 from daq.signals.run import Run
 from dynamics.equations.parameters import RotorParameters
-from identification.clocks import clock_errors, gain_label
+from identification.clocks import clock_errors
 from identification.curve import Curve
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
 from identification.mass_slopes import mass_slopes
 from identification.setting import ModelChoice
-from rig_configs.known import MASSES, ZERO_A, ZERO_B
+from rig_configs.known import MASSES, ZERO_A, ZERO_B, gain_label
 
 
 @dataclass(frozen=True)

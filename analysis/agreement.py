@@ -1,0 +1,166 @@
+# pyright: strict
+"""Whether measurement and model agree: one statistic per point, one over all points, one per single cause.
+
+Three questions share the chance of a false alarm, 5 % of campaigns with nothing wrong: whether any single cause
+(a parameter, a mass, a zero, a gain) would explain a significant part (4 %), whether any one point stands out (0.5 %
+over all points), and whether all points together do (0.5 %). The first is the sharpest against what a rig is usually
+wrong in; the others need no list of causes. Source: docs/theory/validation.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincc
+
+from analysis.differences import Differences
+
+Array = NDArray[np.float64]
+
+CAUSES_LEVEL, POINTS_LEVEL, TOGETHER_LEVEL = 0.04, 0.005, 0.005
+_DRAWS, _SEED = 20_000, 1
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """χ² of some rows, its degrees of freedom and how often chance reaches it."""
+
+    chi2: float
+    dof: int
+    p: float
+
+    @classmethod
+    def of(cls, differences: Differences) -> Statistic:
+        """Of all rows of the differences."""
+        chi2, dof = differences.chi2, len(differences.values)
+        return cls(chi2, dof, float(gammaincc(0.5 * dof, 0.5 * chi2)) if dof else math.nan)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"chi2": self.chi2, "dof": self.dof, "p": self.p if math.isfinite(self.p) else None}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far the points agree with the model.
+
+    Attributes:
+        together: of all rows of all points that could be compared.
+        points: of each point's rows.
+        point_limit: the p below which a point fails.
+        cause_z: cause → its best size in standard deviations of what the points would show of it.
+        cause_limit: the largest |cause_z| of all causes that chance reaches in CAUSES_LEVEL of campaigns.
+    """
+
+    together: Statistic
+    points: Mapping[str, Statistic]
+    point_limit: float
+    cause_z: Mapping[str, float]
+    cause_limit: float
+
+    @property
+    def failing_points(self) -> tuple[str, ...]:
+        """Points that stand out by themselves."""
+        return tuple(name for name, found in self.points.items() if found.p < self.point_limit)
+
+    @property
+    def significant_causes(self) -> tuple[str, ...]:
+        """Causes that would explain more than chance does, the most first."""
+        found = [name for name, z in self.cause_z.items() if abs(z) > self.cause_limit]
+        return tuple(sorted(found, key=lambda name: -abs(self.cause_z[name])))
+
+    @property
+    def passed(self) -> bool:
+        """Whether none of the three questions is answered with an alarm."""
+        return not (self.failing_points or self.significant_causes or self.together.p < TOGETHER_LEVEL)
+
+    @property
+    def why(self) -> str:
+        """The reason in one sentence."""
+        whole = f"χ² {self.together.chi2:.3g} on {self.together.dof}, p = {self.together.p:.2g}"
+        if self.passed:
+            return f"all points together agree with the model: {whole}"
+        alarms: list[str] = []
+        if self.together.p < TOGETHER_LEVEL:
+            alarms.append("all points together differ from the model")
+        if self.failing_points:
+            alarms.append(f"point {', '.join(self.failing_points)} differs")
+        if causes := self.significant_causes:
+            alarms.append(f"a single cause would explain more than chance does ({causes[0]})")
+        return f"{'; '.join(alarms)}: {whole}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "passed": self.passed, "why": self.why, **self.together.to_json(),
+            "points": {name: found.to_json() for name, found in self.points.items()},
+            "point_limit_p": self.point_limit,
+            "cause_z": dict(self.cause_z), "cause_limit_z": self.cause_limit,
+        }  # fmt: skip
+
+
+def agreement(differences: Differences, directions: Mapping[str, Array]) -> Agreement:
+    """How far all rows agree with the model.
+
+    Args:
+        differences: of every point that was compared.
+        directions: cause → change of the differences per unit of the cause, shape (m,).
+    """
+    names = tuple(dict.fromkeys(point for point, _ in differences.rows))
+    points = {name: Statistic.of(differences.of(name)) for name in names}
+    z, correlation = cause_statistics(differences, directions)
+    return Agreement(
+        Statistic.of(differences), points, POINTS_LEVEL / max(1, len(names)), z, largest_by_chance(correlation)
+    )
+
+
+def cause_statistics(differences: Differences, directions: Mapping[str, Array]) -> tuple[dict[str, float], Array]:
+    """Best size of each cause alone over its standard deviation, and these statistics' correlation, shape (k, k)."""
+    shown: dict[str, Array] = {}
+    for name, direction in directions.items():
+        white = differences.whitener @ direction
+        length = float(np.linalg.norm(white))
+        if length > 0 and math.isfinite(length):
+            shown[name] = white / length
+    if not shown:
+        return {}, np.empty((0, 0))
+    units = np.stack(list(shown.values()))
+    z = units @ (differences.whitener @ differences.values)
+    return dict(zip(shown, z.tolist(), strict=True)), units @ units.T
+
+
+def largest_by_chance(correlation: Array, level: float = CAUSES_LEVEL) -> float:
+    """The largest |z| of all causes that chance exceeds with a probability, from draws; inf without causes.
+
+    Args:
+        correlation: of the statistics, shape (k, k).
+    """
+    if not len(correlation):
+        return math.inf
+    sizes, turn = np.linalg.eigh(correlation)
+    root = turn * np.sqrt(np.maximum(sizes, 0.0))
+    drawn = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(root))) @ root.T
+    return float(np.quantile(np.max(np.abs(drawn), axis=1), 1 - level))
+
+
+def noticed(differences: Differences, directions: Mapping[str, Array], points: Sequence[str]) -> dict[str, Array]:
+    """The smallest size of each cause that each point alone would notice, at three standard deviations.
+
+    Returns:
+        Cause → size per point, shape (points,), in the cause's unit; inf where the point does not show it.
+    """
+    found: dict[str, Array] = {}
+    parts = [differences.of(name) for name in points]
+    for cause, direction in directions.items():
+        sizes: list[float] = []
+        for name, part in zip(points, parts, strict=True):
+            own = direction[[i for i, (point, _) in enumerate(differences.rows) if point == name]]
+            length = float(np.linalg.norm(part.whitener @ own))
+            sizes.append(3.0 / length if length > 0 else math.inf)
+        found[cause] = np.array(sizes)
+    return found

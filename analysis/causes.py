@@ -1,0 +1,130 @@
+# pyright: strict
+"""What may be wrong, one thing at a time: how the differences at the points would go with it.
+
+A cause is a parameter that is not what was identified (it changed since, or its identification is wrong), a number of
+the rig file that is not what the file says (then what was identified with it is off, too), an encoder's zero, the index
+angle, a laser's gain or the axis angle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.differences import Differences
+from analysis.prediction import AXIS_ANGLE
+from rig_configs import IdentifiedParameters, Rig
+from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
+
+Array = NDArray[np.float64]
+
+NOMINAL_SHARE = 1e-3  # standard uncertainty of a number of which none is given: what such numbers are usually worth
+_PARAMETER_WORDS = {
+    "k1_N_per_m": "k1", "k2_N_per_m": "k2", "zeta1": "ζ1", "zeta2": "ζ2", "c3_Nms_per_rad": "c3",
+    "c4_Nms_per_rad": "c4", "SP_kg_m": "S_P",
+}  # fmt: skip
+_NUMBER_WORDS = {
+    "rotor.mass_kg": "the rotor's mass", "imbalance.mass_kg": "the imbalance's mass",
+    "pendulums.a.mass_kg": "the mass of pendulum A", "pendulums.b.mass_kg": "the mass of pendulum B",
+    "pendulums.a.length_m": "the length of pendulum A", "pendulums.b.length_m": "the length of pendulum B",
+    "pendulums.pivot_shift_m": "the pivot shift", ZERO_A: "the zero of encoder A", ZERO_B: "the zero of encoder B",
+    INDEX: "the index angle",
+}  # fmt: skip
+_SETTLES = {
+    "k": "another ring-down along this direction", "zeta": "another ring-down along this direction",
+    "c": "another spin-down", "SP": "another run-up", "rotor": "weigh the rotor", "imbalance": "weigh the imbalance",
+    "pendulums": "weigh and measure the pendulum", "encoders": "set the zero again at the lock",
+    "phase": "set the index angle again by a slow roll", "gain": "calibrate the laser and its lever",
+    AXIS_ANGLE: "another ring-down in both directions",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One thing that may be wrong.
+
+    Attributes:
+        name: a parameter, a number of the rig file, "gain x", "gain y" or "axis angle".
+        words: what it is, for a reader.
+        value: what was taken for it; nan where its size is no share of anything.
+        std: standard uncertainty of that, in the cause's unit.
+        direction: change of the differences when the truth is one unit above what was taken, shape (m,).
+        unit, factor: how its size is shown: "%", "°" or a unit, and what it is multiplied with.
+        settles: the test or measurement that would show it.
+    """
+
+    name: str
+    words: str
+    value: float
+    std: float
+    direction: Array
+    unit: str
+    factor: float
+    settles: str
+
+    def sized(self, size: float, std: float) -> str:
+        """In words, of a size and its standard uncertainty in the cause's unit."""
+        shown, spread = abs(size) * self.factor, std * self.factor
+        digits = max(0, min(6, 1 - math.floor(math.log10(spread)))) if spread > 0 else 3
+        side = "above" if size > 0 else "below"
+        against = "what was identified" if self.name in _PARAMETER_WORDS else "what the rig file says"
+        if self.name.startswith("gain") or self.name == AXIS_ANGLE:
+            against = "what was taken"
+        return f"{self.words} {shown:.{digits}f} ± {spread:.{digits}f} {self.unit} {side} {against}"
+
+
+def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters) -> tuple[Cause, ...]:
+    """Everything that may be wrong and that the points could show.
+
+    Args:
+        differences: of all points.
+        rig, identified: what they were compared with.
+    """
+    std, found = identified.std, list[Cause]()
+    for k, name in enumerate(identified.values):
+        value = identified.values[name]
+        found.append(_share(name, _PARAMETER_WORDS[name], value, std[name], -differences.by_parameter[:, k]))
+    known, own = rig.known, differences.by_parameter
+    for name in PHYSICAL:
+        value = known.values[name]
+        if value and name in differences.by_number and name != "imbalance.mass_kg":  # acts as the rotor's mass does
+            moved = differences.by_number[name] + own @ identified.by_number.get(name, np.zeros(own.shape[1]))
+            deviation = known.std(name) or NOMINAL_SHARE * value
+            found.append(_share(name, _NUMBER_WORDS[name], value, deviation, -moved))
+    for name in (ZERO_A, ZERO_B, INDEX):
+        shift, deviation = differences.shared.get(known_label(name)), known.std(name)
+        if shift is not None and deviation > 0:
+            found.append(_angle(name, _NUMBER_WORDS[name], deviation, -shift / deviation))
+    for axis, deviation in zip("xy", rig.roles.gain_stds, strict=True):
+        shift = differences.shared.get(gain_label(axis))
+        if shift is not None and deviation > 0:
+            words = f"the gain of laser {axis}"
+            found.append(_share(gain_label(axis), words, 1.0, deviation, shift / deviation))
+    angle = identified.axis_angle_deg
+    if angle is not None and angle[1] > 0 and AXIS_ANGLE in differences.shared:
+        deviation = math.radians(angle[1])
+        found.append(_angle(AXIS_ANGLE, "the axis angle", deviation, -differences.shared[AXIS_ANGLE] / deviation))
+    return tuple(found)
+
+
+def directions(found: tuple[Cause, ...]) -> Mapping[str, Array]:
+    """Cause → its direction."""
+    return {cause.name: cause.direction for cause in found}
+
+
+def _share(name: str, words: str, value: float, std: float, direction: Array) -> Cause:
+    """A cause whose size is told as a share of its value."""
+    unit, factor = ("%", 100 / abs(value)) if value else ("", 1.0)
+    return Cause(name, words, value, std, direction, unit, factor, _settles(name))
+
+
+def _angle(name: str, words: str, std: float, direction: Array) -> Cause:
+    return Cause(name, words, math.nan, std, direction, "°", 180 / math.pi, _settles(name))
+
+
+def _settles(name: str) -> str:
+    return next((text for stem, text in _SETTLES.items() if name.startswith(stem)), "")

@@ -1,0 +1,203 @@
+# pyright: strict
+"""Why points fail: each cause refitted alone and in pairs to all points, ranked by what it leaves and by its prior.
+
+A cause of unknown size δ along direction d mends χ² by (dᵀC⁻¹r)²/(dᵀC⁻¹d). Its prior is a Cauchy distribution about 0
+with the cause's own standard uncertainty as scale, so that of two causes that explain alike the one that is less far
+off for itself comes first, and one that is far off is not ruled out. A large size is found by predicting anew with it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.causes import Cause
+from analysis.differences import Differences
+
+Array = NDArray[np.float64]
+Again = Callable[[str, float], Differences | None]
+"""(cause, its value) ↦ the differences with it; None where it cannot be predicted."""
+
+_SHOWN, _FOLLOWED, _ROUNDS = 5, 4, 6
+_FAR = 8.0  # standard deviations of the points from which a linear size is predicted anew
+_NEAR = 0.02  # of its own standard deviation: the size has settled
+_PARALLEL = 0.999  # correlation of two causes that the points do not tell apart
+_WORTH_A_SECOND = 12.0  # χ² that another cause must mend beside the first
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One or two causes that would explain the differences.
+
+    Attributes:
+        causes: one, or two together.
+        sizes: how far the truth is above what was taken, in each cause's unit.
+        stds: their standard uncertainties by the points.
+        chi2: what is left with them.
+        score: chi2 with their priors' part; the smaller the likelier.
+        explained: whether what is left is what chance leaves.
+    """
+
+    causes: tuple[Cause, ...]
+    sizes: tuple[float, ...]
+    stds: tuple[float, ...]
+    chi2: float
+    score: float
+    explained: bool
+
+    def sentence(self, before: float) -> str:
+        """In words, with χ² before and after."""
+        parts = [c.sized(size, std) for c, size, std in zip(self.causes, self.sizes, self.stds, strict=True)]
+        return f"{' and '.join(parts)}: χ² {before:.3g} → {self.chi2:.3g}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; sizes in the unit that is given with them."""
+        return {
+            "causes": [
+                {
+                    "name": cause.name, "size": size * cause.factor, "std": std * cause.factor, "unit": cause.unit,
+                    "own_std": cause.std * cause.factor, "settles": cause.settles,
+                }
+                for cause, size, std in zip(self.causes, self.sizes, self.stds, strict=True)
+            ],
+            "chi2": self.chi2, "score": self.score, "explained": self.explained,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Explanations:
+    """All that would explain the differences, the likeliest first.
+
+    Attributes:
+        chi2, dof: of the differences as they are.
+        singles: one cause each.
+        pairs: two causes each, where one alone leaves too much.
+    """
+
+    chi2: float
+    dof: int
+    singles: tuple[Explanation, ...]
+    pairs: tuple[Explanation, ...]
+
+    @property
+    def best(self) -> Explanation | None:
+        """The likeliest that leaves no more than chance, one cause before two; None where nothing explains it."""
+        return next((e for e in (*self.singles, *self.pairs) if e.explained), None)
+
+    @property
+    def sentences(self) -> list[str]:
+        """For a reader, the likeliest first."""
+        if not self.singles:
+            return []
+        likely = [e for e in (*self.singles, *self.pairs) if e.explained][:3]
+        if not likely:
+            nearest = min((*self.singles, *self.pairs), key=lambda e: e.chi2)
+            return [
+                f"no single cause and no pair of causes explains the differences; the nearest is "
+                f"{nearest.sentence(self.chi2)}"
+            ]
+        first, *others = likely
+        settles = " or ".join(dict.fromkeys(cause.settles for cause in first.causes))
+        text = [f"best explanation: {first.sentence(self.chi2)}. What settles it: {settles}"]
+        return text + [f"next: {other.sentence(self.chi2)}" for other in others]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "chi2": self.chi2, "dof": self.dof,
+            "singles": [e.to_json() for e in self.singles[:_SHOWN]],
+            "pairs": [e.to_json() for e in self.pairs[:_SHOWN]], "sentences": self.sentences,
+        }  # fmt: skip
+
+
+def explanations(differences: Differences, found: Sequence[Cause], again: Again | None = None) -> Explanations:
+    """Every cause and pair of causes fitted to all rows.
+
+    Args:
+        differences: of all points.
+        found: the causes.
+        again: predicts with a cause at another value; None takes every cause for small.
+    """
+    chi2, dof = differences.chi2, len(differences.values)
+    limit = _left_by_chance(dof)
+    singles = sorted((_fitted(differences, (c,), limit) for c in found), key=lambda e: e.score)
+    if again is not None:
+        followed = [_followed(differences, e, again, limit) for e in singles[:_FOLLOWED]]
+        singles = sorted([*followed, *singles[_FOLLOWED:]], key=lambda e: e.score)
+    pairs: list[Explanation] = []
+    if singles and not singles[0].explained:
+        pairs = [
+            _fitted(differences, pair, limit) for pair in itertools.combinations(found, 2) if _apart(differences, pair)
+        ]
+        pairs.sort(key=lambda e: e.score)
+        pairs = [e for e in pairs if e.chi2 < singles[0].chi2 - _WORTH_A_SECOND]
+    return Explanations(chi2, dof, tuple(singles), tuple(pairs[:_SHOWN]))
+
+
+def _left_by_chance(dof: int) -> float:
+    """χ² that chance exceeds once in a thousand times, by Wilson and Hilferty."""
+    share = 2 / (9 * max(dof, 1))
+    return max(dof, 1) * (1 - share + 3.09 * math.sqrt(share)) ** 3
+
+
+def _fitted(differences: Differences, causes: tuple[Cause, ...], limit: float) -> Explanation:
+    design = differences.whitener @ np.stack([cause.direction for cause in causes], axis=1)
+    white = differences.whitener @ differences.values
+    normal = design.T @ design
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    sizes = inverse @ (design.T @ white)
+    left = white - design @ sizes
+    return _explanation(causes, sizes, np.sqrt(np.diag(inverse)), float(left @ left), limit)
+
+
+def _explanation(causes: tuple[Cause, ...], sizes: Array, stds: Array, chi2: float, limit: float) -> Explanation:
+    prior = sum(2 * math.log1p((size / cause.std) ** 2) for size, cause in zip(sizes, causes, strict=True))
+    return Explanation(causes, tuple(sizes.tolist()), tuple(stds.tolist()), chi2, chi2 + prior, chi2 < limit)
+
+
+def _apart(differences: Differences, pair: tuple[Cause, ...]) -> bool:
+    """Whether the points tell two causes apart."""
+    a, b = (differences.whitener @ cause.direction for cause in pair)
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return size > 0 and abs(float(a @ b)) < _PARALLEL * size
+
+
+def _followed(differences: Differences, one: Explanation, again: Again, limit: float) -> Explanation:
+    """A large size found by predicting anew until it settles; as it was where that is not possible.
+
+    What is predicted anew has directions of its own, so the size is that of Gauss and Newton.
+    """
+    (cause,), (size,), (std,) = one.causes, one.sizes, one.stds
+    if not math.isfinite(cause.value) or abs(size) < _FAR * std:
+        return one
+    best = one
+    for _ in range(_ROUNDS):
+        there = again(cause.name, cause.value + size)
+        if there is None or there.rows != differences.rows:
+            return best
+        # at the new value, how much farther, with the direction there
+        column = _direction_at(there, cause)
+        unit = there.whitener @ column
+        length = float(np.linalg.norm(unit))
+        if not length > 0:
+            return best
+        step = float(unit @ (there.whitener @ there.values)) / length**2
+        left = there.chi2 - (step * length) ** 2
+        best = _explanation(one.causes, np.array([size + step]), np.array([1 / length]), max(left, 0.0), limit)
+        size += step
+        if abs(step) < _NEAR * std:
+            break
+    return best
+
+
+def _direction_at(there: Differences, cause: Cause) -> Array:
+    if cause.name in there.parameters:
+        return -there.by_parameter[:, there.parameters.index(cause.name)]
+    return cause.direction
