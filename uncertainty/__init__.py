@@ -10,9 +10,10 @@ from uncertainty.coverage import coverage_factor, ellipsoid_factor, numerical_to
 from uncertainty.errors import BadInput, BadModel, TooManyTrials, UncertaintyError
 from uncertainty.group import Group, Input
 from uncertainty.linear_check import LinearCheck, check_linear
-from uncertainty.monte_carlo import MonteCarlo, Spread, monte_carlo
+from uncertainty.monte_carlo import monte_carlo
 from uncertainty.sensitivities import linear_budgets, second_order_variance
 from uncertainty.source import Source, reliability_degrees
+from uncertainty.spread import MonteCarlo, Spread
 
 __all__ = [
     "BadInput",

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from scipy.special import chdtri, ndtri, stdtrit  # pyright: ignore[reportMissin
 from uncertainty.errors import BadInput
 
 Interval = tuple[float, float]
+IntervalKind = Literal["symmetric", "shortest"]
+"""Probabilistically symmetric, with as much probability below as above; or the shortest of all."""
 
 
 def check_level(level: float) -> None:

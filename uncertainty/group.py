@@ -124,6 +124,8 @@ def correlation_factor(covariance: NDArray[np.float64], owner: str) -> NDArray[n
     if not bool(np.all(np.isfinite(covariance))) or bool(np.any(np.diag(covariance) < 0)):
         raise BadInput(f"{owner}: the covariance has values that are not finite or variances below 0")
     std = np.sqrt(np.diag(covariance))
+    if bool(np.any(covariance[std == 0])):
+        raise BadInput(f"{owner}: a member of variance 0 has a covariance other than 0")
     scale = np.where(std > 0, std, 1.0)
     correlation = covariance / scale[:, None] / scale[None, :]
     if float(np.max(np.abs(correlation - correlation.T))) > _ROUNDING:

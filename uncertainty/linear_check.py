@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from uncertainty.budget import Budget, finite
-from uncertainty.coverage import Interval, numerical_tolerance
+from uncertainty.coverage import Interval, IntervalKind, numerical_tolerance
 from uncertainty.errors import BadInput
-from uncertainty.monte_carlo import MonteCarlo, Stable
+from uncertainty.spread import MonteCarlo
 
 Verdict = Literal["agree", "differ", "undecided"]
 
@@ -53,7 +53,12 @@ class LinearCheck:
 
 
 def check_linear(
-    budget: Budget, result: MonteCarlo, digits: int = 2, *, quantity: str | None = None, interval: Stable = "symmetric"
+    budget: Budget,
+    result: MonteCarlo,
+    digits: int = 2,
+    *,
+    quantity: str | None = None,
+    interval: IntervalKind = "symmetric",
 ) -> LinearCheck:
     """The linear budget of a quantity against its Monte Carlo distribution.
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncertainty.budgets import Budgets
-from uncertainty.errors import BadInput, BadModel
+from uncertainty.errors import BadInput
 from uncertainty.group import Input
-from uncertainty.monte_carlo import Model
+from uncertainty.model import Model, values_of
 from uncertainty.source import Source
 
 
@@ -36,7 +36,7 @@ def linear_budgets(
         raise BadInput(f"the step is {step}; it must be above 0")
     reach = step * _steps(sources)
     shifts = np.concatenate([np.zeros((1, len(reach))), np.diag(reach), -np.diag(reach)])
-    values = _evaluated(model, shifts)
+    values = values_of(model, shifts)
     up, down = values[1 : len(reach) + 1], values[len(reach) + 1 :]
     table = ((up - down) / (2.0 * reach)[:, None]).T
     return Budgets(tuple(names), values[0], tuple(units), tuple(sources), table)
@@ -64,7 +64,7 @@ def second_order_variance(model: Model, sources: Sequence[Source]) -> NDArray[np
     pairs = [(i, j) for i in range(n) for j in range(i)]
     cross = [s * unit[i] + t * unit[j] for i, j in pairs for s in (1, -1) for t in (1, -1)]
     shifts = np.concatenate([np.zeros((1, n)), unit, -unit, 2 * unit, -2 * unit, np.array(cross).reshape(-1, n)])
-    values = _evaluated(model, shifts)
+    values = values_of(model, shifts)
     centre, (up, down, far_up, far_down) = values[0], np.split(values[1 : 4 * n + 1], 4)
     first = 0.5 * (up - down)
     own = 0.5 * (up - 2.0 * centre + down) ** 2 + first * 0.5 * (far_up - 2.0 * up + 2.0 * down - far_down)
@@ -88,18 +88,3 @@ def _steps(sources: Sequence[Input]) -> NDArray[np.float64]:
     if not sources:
         raise BadInput("a model without sources has no sensitivities")
     return np.concatenate([np.atleast_1d(np.asarray(s.std, dtype=np.float64)) for s in sources])
-
-
-def _evaluated(model: Model, shifts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The model's values, shape (rows, quantities).
-
-    Raises:
-        BadModel: another shape, or values that are not finite.
-    """
-    values = np.asarray(model(shifts), dtype=np.float64)
-    if values.ndim != 2 or len(values) != len(shifts) or not bool(np.all(np.isfinite(values))):
-        raise BadModel(
-            f"the model returned shape {values.shape} for errors of shape {shifts.shape}, or values that are not "
-            f"finite; ({len(shifts)}, quantities) finite ones are needed"
-        )
-    return values
