@@ -1,0 +1,229 @@
+# pyright: strict
+"""Uncertainty budget of one quantity: what each cause contributes, combined and expanded uncertainty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uncertainty.coverage import Interval, coverage_factor
+from uncertainty.errors import BadInput
+from uncertainty.group import Group, Input
+from uncertainty.source import Source
+
+REPORT_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What one source contributes to a quantity.
+
+    Attributes:
+        source: the cause.
+        sensitivity: derivative of the quantity by the source, c, in the quantity's unit over the source's.
+    """
+
+    source: Source
+    sensitivity: float
+
+    @property
+    def name(self) -> str:
+        """Name of the source."""
+        return self.source.name
+
+    @property
+    def signed(self) -> float:
+        """c u, in the quantity's unit; its sign is that of the sensitivity."""
+        return self.sensitivity * self.source.std
+
+    @property
+    def std(self) -> float:
+        """|c| u, in the quantity's unit."""
+        return abs(self.signed)
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Of the source."""
+        return self.source.degrees_of_freedom
+
+
+@dataclass(frozen=True)
+class GroupContribution:
+    """What correlated causes contribute to a quantity together: one term of the budget.
+
+    Attributes:
+        source: the group.
+        sensitivities: derivatives of the quantity by the members, each in the quantity's unit over the member's.
+    """
+
+    source: Group
+    sensitivities: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the group."""
+        return self.source.name
+
+    @property
+    def signed(self) -> NDArray[np.float64]:
+        """c u of each member, shape (members,), in the quantity's unit; correlated, so their squares do not add up."""
+        return np.array(self.sensitivities) * self.source.std
+
+    @property
+    def std(self) -> float:
+        """sqrt(cᵀ V c), in the quantity's unit."""
+        return math.hypot(*(np.array(self.sensitivities) @ self.source.factor))
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Joint degrees of freedom of the group."""
+        return self.source.degrees_of_freedom
+
+
+AnyContribution = Contribution | GroupContribution
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Uncertainty budget of one quantity by the law of propagation of uncertainty (JCGM 100, 5.1.2 and 5.2.2).
+
+    Attributes:
+        name: of the quantity.
+        value: its estimate.
+        unit: of the quantity.
+        contributions: one for each source and one for each group of correlated sources; names are unique.
+
+    Raises:
+        BadInput: two contributions of one name, a number that is not finite, or a group with the wrong number of
+            sensitivities.
+    """
+
+    name: str
+    value: float
+    unit: str
+    contributions: tuple[AnyContribution, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "contributions", tuple(self.contributions))
+        check_names([c.source for c in self.contributions])
+        if not math.isfinite(self.value):
+            raise BadInput(f"quantity {self.name!r}: the value is {self.value}; it must be finite")
+        for c in self.contributions:
+            given = (c.sensitivity,) if isinstance(c, Contribution) else c.sensitivities
+            if len(given) != c.source.width or not all(math.isfinite(x) for x in given):
+                raise BadInput(
+                    f"quantity {self.name!r}, source {c.name!r}: sensitivities are {given}; {c.source.width} finite "
+                    "ones are needed"
+                )
+
+    @property
+    def std(self) -> float:
+        """Combined standard uncertainty u_c, in the quantity's unit."""
+        return math.hypot(*(c.std for c in self.contributions))
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Part of the variance by source or group, sum 1; all 0 where the variance is 0."""
+        combined = self.std
+        return {c.name: (c.std / combined) ** 2 if combined > 0 else 0.0 for c in self.contributions}
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Effective degrees of freedom by Welch and Satterthwaite; a group counts as one term.
+
+        Not rounded; infinite where no contribution has finite ones.
+        Source: JCGM 100, G.4.1: u_c⁴/ν = Σ (c u)⁴/ν_i.
+        """
+        shares = self.shares
+        inverse = math.fsum(shares[c.name] ** 2 / c.degrees_of_freedom for c in self.contributions)
+        return 1.0 / inverse if inverse > 0 else math.inf
+
+    def coverage_factor(self, level: float = REPORT_LEVEL) -> float:
+        """Student's factor k for this coverage probability and the effective degrees of freedom.
+
+        Raises:
+            BadInput: the level is not between 0 and 1.
+        """
+        return coverage_factor(level, self.degrees_of_freedom)
+
+    def expanded(self, level: float = REPORT_LEVEL) -> float:
+        """Expanded uncertainty U = k u_c, in the quantity's unit.
+
+        Raises:
+            BadInput: the level is not between 0 and 1.
+        """
+        return self.coverage_factor(level) * self.std
+
+    def interval(self, level: float = REPORT_LEVEL) -> Interval:
+        """Coverage interval value ± U, in the quantity's unit.
+
+        Raises:
+            BadInput: the level is not between 0 and 1.
+        """
+        reach = self.expanded(level)
+        return self.value - reach, self.value + reach
+
+    def to_json(self) -> dict[str, object]:
+        """Plain finite values at 95 %, the largest contribution first; None stands for infinite degrees of freedom."""
+        shares = self.shares
+        ranked = sorted(self.contributions, key=lambda c: -c.std)
+        return {
+            "name": self.name,
+            "value": float(self.value),
+            "unit": self.unit,
+            "u": self.std,
+            "nu_eff": finite(self.degrees_of_freedom),
+            "k": self.coverage_factor(),
+            "U95": self.expanded(),
+            "interval95": list(self.interval()),
+            "budget": [_row(c, shares[c.name]) for c in ranked],
+        }
+
+
+def finite(number: float) -> float | None:
+    """The number, or None where JSON has none for it."""
+    return float(number) if math.isfinite(number) else None
+
+
+def check_names(inputs: Sequence[Input]) -> None:
+    """Every source and group has a name of its own: a cause given twice would count as two independent ones.
+
+    Raises:
+        BadInput: it has not.
+    """
+    names = [i.name for i in inputs]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise BadInput(f"sources need unique names; given more than once: {', '.join(twice)}")
+
+
+def _row(contribution: AnyContribution, share: float) -> dict[str, object]:
+    """One row of a budget in JSON."""
+    source = contribution.source
+    row: dict[str, object] = {
+        "source": contribution.name,
+        "type": source.kind,
+        "distribution": source.distribution,
+        "nu": finite(source.degrees_of_freedom),
+        "share": share,
+    }
+    if isinstance(contribution, Contribution):
+        return row | {
+            "u": float(contribution.source.std),
+            "unit": contribution.source.unit,
+            "sensitivity": float(contribution.sensitivity),
+            "contribution": float(contribution.signed),
+        }
+    group = contribution.source
+    members = zip(group.members, group.units, group.std, contribution.sensitivities, contribution.signed, strict=True)
+    return row | {
+        "contribution": contribution.std,
+        "members": [
+            {"source": name, "unit": unit, "u": float(u), "sensitivity": float(c), "contribution": float(cu)}
+            for name, unit, u, c, cu in members
+        ],
+    }

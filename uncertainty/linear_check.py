@@ -1,0 +1,93 @@
+# pyright: strict
+"""Is the linear budget good enough: its interval held against the one of a Monte Carlo calculation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from uncertainty.budget import Budget, finite
+from uncertainty.coverage import Interval, IntervalKind, numerical_tolerance
+from uncertainty.errors import BadInput
+from uncertainty.spread import MonteCarlo
+
+Verdict = Literal["agree", "differ", "undecided"]
+
+
+@dataclass(frozen=True)
+class LinearCheck:
+    """Difference between the linear interval and that of the Monte Carlo calculation, in the quantity's unit.
+
+    Attributes:
+        low, high: magnitudes of the differences of the lower and of the upper ends, d_low and d_high.
+        tolerance: δ, half a unit in the last significant digit of the linear standard uncertainty.
+        numerical_error: largest numerical error of the Monte Carlo ends, two standard deviations.
+        linear: interval of the budget.
+        sampled: interval of the Monte Carlo calculation.
+        level: coverage probability of both.
+        verdict: "agree" where both differences are within the tolerance; "undecided" where the numerical error could
+            turn that around, so more trials are needed.
+    """
+
+    low: float
+    high: float
+    tolerance: float
+    numerical_error: float
+    linear: Interval
+    sampled: Interval
+    level: float
+    verdict: Verdict
+
+    def to_json(self) -> dict[str, object]:
+        """Plain finite values."""
+        return {
+            "d_low": self.low,
+            "d_high": self.high,
+            "tolerance": self.tolerance,
+            "numerical_error": finite(self.numerical_error),
+            "linear": list(self.linear),
+            "sampled": list(self.sampled),
+            "level": self.level,
+            "verdict": self.verdict,
+        }
+
+
+def check_linear(
+    budget: Budget,
+    result: MonteCarlo,
+    digits: int = 2,
+    *,
+    quantity: str | None = None,
+    interval: IntervalKind = "symmetric",
+) -> LinearCheck:
+    """The linear budget of a quantity against its Monte Carlo distribution.
+
+    JCGM 101, 8.2 wants the Monte Carlo interval five times as exact as δ; here its numerical error is part of the
+    verdict instead.
+
+    Args:
+        budget: of the quantity, with its value on the scale of the model's values.
+        result: the Monte Carlo calculation.
+        digits: significant digits of the standard uncertainty that matter.
+        quantity: its name in the result; the budget's where None, or the only one there is.
+        interval: which of the Monte Carlo intervals.
+
+    Raises:
+        BadInput: fewer digits than 1, or the result has no such quantity.
+    Source: JCGM 101, 8.1.3 and 8.2.
+    """
+    names = [q.name for q in result.quantities]
+    wanted = quantity if quantity is not None else (names[0] if len(names) == 1 else budget.name)
+    if wanted not in names:
+        raise BadInput(f"the Monte Carlo result has no quantity {wanted!r}; it has {', '.join(names)}")
+    spread = result[wanted]
+    linear = budget.interval(result.level)
+    sampled = spread.symmetric if interval == "symmetric" else spread.shortest
+    low, high = abs(linear[0] - sampled[0]), abs(linear[1] - sampled[1])
+    tolerance, doubt = numerical_tolerance(budget.std, digits), max(spread.end_errors)
+    verdict: Verdict = "undecided"
+    if max(low + spread.end_errors[0], high + spread.end_errors[1]) <= tolerance:
+        verdict = "agree"
+    elif max(low - spread.end_errors[0], high - spread.end_errors[1]) > tolerance:
+        verdict = "differ"
+    return LinearCheck(low, high, tolerance, doubt, linear, sampled, result.level, verdict)

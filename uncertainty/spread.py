@@ -1,0 +1,143 @@
+# pyright: strict
+"""Joint distribution of quantities as trials gave it: means, covariance and coverage intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uncertainty.budget import finite
+from uncertainty.coverage import Interval, end_errors, shortest_interval, symmetric_interval
+from uncertainty.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Distribution of one quantity.
+
+    Attributes:
+        name: of the quantity.
+        mean: in the quantity's unit, as all that follows.
+        std: standard deviation.
+        symmetric: probabilistically symmetric coverage interval.
+        shortest: shortest coverage interval.
+        end_errors: numerical errors of the symmetric interval's ends, two standard deviations each; infinite where
+            the trials are too few to see them.
+    """
+
+    name: str
+    mean: float
+    std: float
+    symmetric: Interval
+    shortest: Interval
+    end_errors: Interval
+
+    def to_json(self) -> dict[str, object]:
+        """Plain finite values; None stands for an infinite numerical error."""
+        return {
+            "name": self.name,
+            "mean": self.mean,
+            "std": self.std,
+            "symmetric": list(self.symmetric),
+            "shortest": list(self.shortest),
+            "end_errors": [finite(e) for e in self.end_errors],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class MonteCarlo:
+    """Joint distribution of the quantities.
+
+    Attributes:
+        quantities: distribution of each.
+        covariance: shape (quantities, quantities).
+        level: coverage probability of the intervals.
+        trials: number used.
+        stabilised: at least ten batches of trials showed mean, standard deviation and interval ends to be stable to
+            `digits` significant digits of the standard deviation, and the largest eigenvalue of the correlation
+            matrix to as many of its own.
+        digits: those asked for.
+    """
+
+    quantities: tuple[Spread, ...]
+    covariance: NDArray[np.float64]
+    level: float
+    trials: int
+    stabilised: bool
+    digits: int
+
+    def __getitem__(self, name: str) -> Spread:
+        """Distribution of one quantity.
+
+        Raises:
+            KeyError: no quantity has this name.
+        """
+        for spread in self.quantities:
+            if spread.name == name:
+                return spread
+        raise KeyError(f"no quantity {name!r}; there are {', '.join(q.name for q in self.quantities)}")
+
+    @property
+    def correlation(self) -> NDArray[np.float64]:
+        """Correlation matrix, shape (quantities, quantities); 0 beside the diagonal for a constant quantity."""
+        return correlation_of(self.covariance)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain finite values."""
+        return {
+            "quantities": {q.name: q.to_json() for q in self.quantities},
+            "covariance": self.covariance.tolist(),
+            "correlation": self.correlation.tolist(),
+            "level": self.level,
+            "trials": self.trials,
+            "stabilised": self.stabilised,
+            "digits": self.digits,
+        }
+
+
+def correlation_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Correlation matrix of a covariance matrix; 0 beside the diagonal for a constant."""
+    std = np.sqrt(np.diag(covariance))
+    scale = np.where(std > 0, std, 1.0)
+    matrix = np.clip(covariance / scale[:, None] / scale[None, :], -1.0, 1.0)
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
+
+
+def summary(
+    batches: Sequence[NDArray[np.float64]], names: Sequence[str] | None, level: float, stabilised: bool, digits: int
+) -> MonteCarlo:
+    """Summary of all trials.
+
+    Args:
+        batches: values, each of shape (trials, quantities).
+        names: of the quantities; their numbers from 0 where None.
+        level: coverage probability of the intervals.
+        stabilised: as in the result.
+        digits: as in the result.
+
+    Raises:
+        BadInput: the number of names is not that of the quantities, they are not unique, or the trials are too few.
+    Source: JCGM 101, 7.6 and 7.7; JCGM 102, 7.6.
+    """
+    width = batches[0].shape[1]
+    given = [str(i) for i in range(width)] if names is None else list(names)
+    if len(given) != width or len(set(given)) != width:
+        raise BadInput(f"the model has {width} quantities; the names are {given}; they must be as many and unique")
+    origin = batches[0][0]  # what is constant is then exactly 0
+    trials = sum(len(b) for b in batches)
+    mean = np.sum([np.sum(b - origin, axis=0) for b in batches], axis=0) / trials
+    covariance = np.zeros((width, width))
+    for values in batches:
+        scatter = values - origin - mean
+        covariance += scatter.T @ scatter / (trials - 1)
+    spreads: list[Spread] = []
+    for i, name in enumerate(given):
+        ordered = np.sort(np.concatenate([b[:, i] for b in batches]))
+        intervals = [f(ordered, level) for f in (symmetric_interval, shortest_interval, end_errors)]
+        spreads.append(Spread(name, float(origin[i] + mean[i]), math.sqrt(float(covariance[i, i])), *intervals))
+    return MonteCarlo(tuple(spreads), covariance, level, trials, stabilised, digits)
