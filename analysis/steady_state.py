@@ -9,6 +9,7 @@ import numpy as np
 
 from analysis.errors import NotEnoughData
 from analysis.order_tracking import order_track
+from analysis.to_come import ToCome, to_come
 from daq.signals.run import Run
 from daq.signals.settling import Settling, settled
 from daq.signals.state_type import state_type
@@ -16,10 +17,8 @@ from dynamics import RotorParameters
 from rig_configs import Rig
 
 AVERAGE_S = 6.0  # the last seconds that are averaged
-DRIFTING_AVERAGE_S = 2.0  # the same while an end drift shows: a long mean would lag behind it
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
-_DRIFTING_RAD, _DRIFTING_M = math.radians(0.01), 0.2e-6
 # The bound on what is to come is noisy, and a test ends where it is low. One that was low enough a moment ago holds for
 # all that came since, unless it is now above so many tolerances: then something has moved.
 _LATELY_S = (0.5, 1.0, 1.5, 2.0, 2.5)
@@ -37,20 +36,24 @@ class Interval:
 
 @dataclass(frozen=True)
 class SteadyMeasurement:
-    """One point as measured, in sensor axes.
+    """One point as measured, in sensor axes: where its approach ends (analysis.to_come).
 
     Attributes:
         state: "I", "II", "III", "slipping" or "not settled".
         locked, locked_rad: whether A stood at 0° and B at 180° before release, and where they stood (2,), rad.
         settling: how the end of the run was judged.
         speed_rad_s: running speed; its deviation is the revolutions' scatter over the mean.
-        theta_rad: mean θ3, θ4 over whole revolutions in [0, 2π); statistics, quantisation, drift, encoder zero.
-        amplitude_x_m, amplitude_y_m: order-1 amplitudes; statistics, drift and gain.
+        theta_rad: θ3, θ4, means over whole revolutions, in [0, 2π); statistics, quantisation, what is to come and
+            encoder zero.
+        amplitude_x_m, amplitude_y_m: order-1 amplitudes; statistics, what is to come and gain.
         amplitude_m: rms radius of orders 1 to 3.
         x_m, y_m: complex order-1 amplitudes, x = Re(x_m e^{iψ}), y the same; their phase holds the unknown delay
             between laser and encoder clock.
         noise_x_m, noise_y_m: standard deviation of the real or imaginary part of x_m, y_m without the gain.
-        release_s, from_s, to_s: last release, start and end of the average, s since the run's start.
+        to_come: how far the means of the last seconds were continued to their limits.
+        own: joint covariance of (θ3, θ4, x amplitude, y amplitude, rms amplitude) from statistics, quantisation and
+            what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
+        release_s, from_s, to_s: last release, start and end of the last seconds' mean, s since the run's start.
     """
 
     state: str
@@ -66,6 +69,8 @@ class SteadyMeasurement:
     y_m: complex
     noise_x_m: float
     noise_y_m: float
+    to_come: ToCome
+    own: np.ndarray
     release_s: float
     from_s: float
     to_s: float
@@ -88,34 +93,60 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
     release, end = _span(run)
     angles = _between(run.angle_time_s, run.angle_rad, release - 3.0, end)
     locked, locked_rad = _locked(run, angles)
-    settling, start = _settling(run, release, end)
-    drift_rad, drift_m = (off / math.sqrt(3) for off in _mean_off(settling))
+    settling, start = _settling(run, release, end), end - AVERAGE_S
     speed = _speed(run, start, end)
-    theta = _angles(run, rig, drift_rad, start, end)
-    x = _orders(run, run.x_time_s, run.x_m, start, end, "x")
-    y = _orders(run, run.y_time_s, run.y_m, start, end, "y")
-    noise_x, noise_y = (math.hypot(std[0], drift_m) for _, std in (x, y))
-    gain_x, gain_y = rig.roles.gain_stds
-    amplitude_x = Interval(abs(x[0][0]), math.hypot(noise_x, gain_x * abs(x[0][0])))
-    amplitude_y = Interval(abs(y[0][0]), math.hypot(noise_y, gain_y * abs(y[0][0])))
+    theta, theta_std = _angles(run, start, end)
+    x, x_std = _orders(run, run.x_time_s, run.x_m, start, end, "x")
+    y, y_std = _orders(run, run.y_time_s, run.y_m, start, end, "y")
+    drift_rad, drift_m = (off / math.sqrt(3) for off in _mean_off(settling))
+    stds = np.hypot([*theta_std, x_std, x_std, y_std, y_std], [drift_rad] * 2 + [drift_m] * 4)
+    means = np.array([*theta, x[0].real, x[0].imag, y[0].real, y[0].imag])
+    ends = to_come(run, release, end, means, stds)
+    theta = (theta + ends.shift[:2]) % (2 * math.pi)
+    x[0] += complex(*ends.shift[2:4])
+    y[0] += complex(*ends.shift[4:])
+    own, radius = _own(x, y, ends.covariance)
+    zero, gain = math.radians(rig.roles.zero_std_deg), rig.roles.gain_stds
+    values = [*theta, abs(x[0]), abs(y[0]), radius]
+    common = [zero, zero, gain[0] * abs(x[0]), gain[1] * abs(y[0]), _of_radius(x, y, radius, gain)]
+    stated = [Interval(float(v), math.hypot(math.sqrt(own[j, j]), common[j])) for j, v in enumerate(values)]
+    noise_x, noise_y = (math.sqrt(0.5 * np.trace(ends.covariance[j : j + 2, j : j + 2])) for j in (2, 4))
     return SteadyMeasurement(
-        state=_state(settling, (theta[0].value, theta[1].value), rig.physics),
+        state=_state(settling, (float(theta[0]), float(theta[1])), rig.physics),
         locked=locked,
         locked_rad=locked_rad,
         settling=settling,
         speed_rad_s=speed,
-        theta_rad=theta,
-        amplitude_x_m=amplitude_x,
-        amplitude_y_m=amplitude_y,
-        amplitude_m=_rms_radius(x[0], y[0], amplitude_x.std, amplitude_y.std),
-        x_m=complex(x[0][0]),
-        y_m=complex(y[0][0]),
+        theta_rad=(stated[0], stated[1]),
+        amplitude_x_m=stated[2],
+        amplitude_y_m=stated[3],
+        amplitude_m=stated[4],
+        x_m=complex(x[0]),
+        y_m=complex(y[0]),
         noise_x_m=noise_x,
         noise_y_m=noise_y,
+        to_come=ends,
+        own=own,
         release_s=release,
         from_s=start,
         to_s=end,
     )
+
+
+def _own(x: np.ndarray, y: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, float]:
+    """Covariance (5, 5) of angles, amplitudes and rms radius from that of angles and complex amplitudes; the radius."""
+    radius = math.sqrt(0.5 * float(np.sum(np.abs(x) ** 2 + np.abs(y) ** 2)))
+    slope = np.zeros((5, 6))
+    slope[0, 0] = slope[1, 1] = 1.0
+    for row, j, first in ((2, 2, x[0]), (3, 4, y[0])):
+        slope[row, j : j + 2] = np.array([first.real, first.imag]) / max(abs(first), 1e-300)
+        slope[4, j : j + 2] = np.array([first.real, first.imag]) / (2 * max(radius, 1e-300))
+    return slope @ covariance @ slope.T, radius
+
+
+def _of_radius(x: np.ndarray, y: np.ndarray, radius: float, gain: tuple[float, float]) -> float:
+    """Standard uncertainty that the gains of x and y leave in the rms radius."""
+    return math.hypot(gain[0] * abs(x[0]) ** 2, gain[1] * abs(y[0]) ** 2) / (2 * max(radius, 1e-300))
 
 
 def plateau_end(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: float) -> float:
@@ -165,35 +196,29 @@ def _locked(run: Run, angles: tuple[np.ndarray, np.ndarray]) -> tuple[bool, np.n
     return bool(np.all(off < LOCK_TOLERANCE_RAD) and np.all(moved < LOCK_TOLERANCE_RAD)), mean
 
 
-def _settling(run: Run, release: float, end: float) -> tuple[Settling, float]:
-    """How the end of the run is judged, and where the average begins: later while a long mean would lag behind."""
+def _settling(run: Run, release: float, end: float) -> Settling:
+    """How the end of the run is judged."""
     late = end - 40.0  # enough for any window; the locked part is needed to see whether the gap has changed
     angles = run.angle_time_s >= min(release - 1.0, late)
     x, y = run.x_time_s >= late, run.y_time_s >= late
 
-    def judged(average_s: float = AVERAGE_S, at: float = end, slack: float = 1.0) -> Settling:
+    def judged(at: float = end, slack: float = 1.0) -> Settling:
         marks = (run.mark_time_s >= release) & (run.mark_time_s <= at)
         return settled(
             run.angle_time_s[angles], run.angle_rad[angles], run.mark_time_s[marks], run.mark_phase_rad[marks],
             run.x_time_s[x], run.x_m[x], run.y_time_s[y], run.y_m[y], release_time_s=release,
-            angle_step_rad=run.angle_step_rad, average_s=average_s, slack=slack,
+            angle_step_rad=run.angle_step_rad, average_s=AVERAGE_S, slack=slack,
         )  # fmt: skip
 
     def was_settled() -> bool:
         return judged(slack=_SLACK).settled and any(judged(at=end - since).settled for since in _LATELY_S)
 
-    found, start = judged(), end - AVERAGE_S
+    found = judged()
     if found.span_s == 0.0:
         raise NotEnoughData(found.why)
-    off_rad, off_m = _mean_off(found)
-    if off_rad > _DRIFTING_RAD or off_m > _DRIFTING_M:
-        short = judged(DRIFTING_AVERAGE_S)
-        short_rad, short_m = _mean_off(short)
-        if short_rad < 0.5 * off_rad or short_m < 0.5 * off_m:
-            found, start = short, end - DRIFTING_AVERAGE_S
     if not found.settled and was_settled():
         found = replace(found, settled=True, why=f"steady a moment ago; {found.why}", more_s=0.0)
-    return found, start
+    return found
 
 
 def _mean_off(settling: Settling) -> tuple[float, float]:
@@ -215,8 +240,8 @@ def _speed(run: Run, start: float, end: float) -> Interval:
     return Interval(float(slope), math.hypot(spread, rate))
 
 
-def _angles(run: Run, rig: Rig, drift: float, start: float, end: float) -> tuple[Interval, Interval]:
-    """Means over whole revolutions with everything that makes them uncertain."""
+def _angles(run: Run, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Means over whole revolutions and their standard uncertainty from statistics and quantisation, shape (2,) each."""
     time, angles = _between(run.angle_time_s, run.angle_rad, start, end)
     psi = np.interp(time, run.mark_time_s, run.mark_phase_rad)
     if len(time) < 200 or psi[-1] - psi[0] < 4 * np.pi:
@@ -224,15 +249,9 @@ def _angles(run: Run, rig: Rig, drift: float, start: float, end: float) -> tuple
     whole = psi >= psi[-1] - 2 * np.pi * math.floor((psi[-1] - psi[0]) / (2 * np.pi))
     basis = np.stack([f(k * psi[whole]) for k in (1, 2) for f in (np.cos, np.sin)] + [np.ones(whole.sum())], axis=1)
     fit = np.linalg.lstsq(basis, angles[whole], rcond=None)[0]
-    rest = angles[whole] - basis @ fit
-    zero = math.radians(rig.roles.zero_std_deg)
-    result = []
-    for j in (0, 1):
-        statistics = rest[:, j].std() / math.sqrt(len(rest))
-        quantisation = _quantisation(angles[whole][:, j], run.angle_step_rad)
-        std = math.sqrt(statistics**2 + quantisation**2 + drift**2 + zero**2)
-        result.append(Interval(float(fit[-1, j] % (2 * np.pi)), std))
-    return result[0], result[1]
+    statistics = (angles[whole] - basis @ fit).std(axis=0) / math.sqrt(whole.sum())
+    quantisation = [_quantisation(column, run.angle_step_rad) for column in angles[whole].T]
+    return fit[-1], np.hypot(statistics, quantisation)
 
 
 def _quantisation(angle: np.ndarray, step: float) -> float:
@@ -243,8 +262,8 @@ def _quantisation(angle: np.ndarray, step: float) -> float:
 
 def _orders(
     run: Run, time: np.ndarray, values: np.ndarray, start: float, end: float, name: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Complex amplitudes of orders 1 to 3 over a span and their standard deviations, shape (3,) each."""
+) -> tuple[np.ndarray, float]:
+    """Complex amplitudes of orders 1 to 3 over a span, shape (3,), and the standard deviation of order 1."""
     inside = (time >= start) & (time <= end)
     psi = np.interp(time[inside], run.mark_time_s, run.mark_phase_rad)
     speed = (psi[-1] - psi[0]) / (end - start) if inside.sum() > 1 else 0.0
@@ -255,15 +274,7 @@ def _orders(
         track = order_track(time[inside], values[inside], psi, (1, 2, 3), revolutions=turns)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise NotEnoughData(f"laser {name}: {error}") from error
-    means = [track.mean(k) for k in (1, 2, 3)]
-    return np.array([m[0] for m in means]), np.array([m[1] for m in means])
-
-
-def _rms_radius(x: np.ndarray, y: np.ndarray, std_x: float, std_y: float) -> Interval:
-    """Rms radius of the motion from its order amplitudes; gains and noise of x and y are independent."""
-    value = math.sqrt(0.5 * float(np.sum(np.abs(x) ** 2 + np.abs(y) ** 2)))
-    std = math.hypot(abs(x[0]) * std_x, abs(y[0]) * std_y) / (2 * value) if value > 0 else math.hypot(std_x, std_y)
-    return Interval(value, std)
+    return np.array([track.mean(k)[0] for k in (1, 2, 3)]), track.mean(1)[1]
 
 
 def _state(settling: Settling, theta: tuple[float, float], physics: RotorParameters) -> str:

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signals.rounding import rounding_terms
+
 Array = NDArray[np.float64]
 
 _LEAST_SHARE = 0.4  # of a window's samples that must have come
@@ -19,6 +21,7 @@ _LEAST_SAMPLES = 20
 _GOOD_OF_NEWEST = 0.75  # share of the newest windows that must be good, the last one among them
 _DEVIATIONS = 3.5  # of a mean's noise that its width holds
 _LEAST_CODES = 5  # samples on either side of the usual code, to know its noise
+_RIPPLES = 0.5  # of a step: a code that wobbles by more visits several
 _STANDS = 0.25  # of a step from window to window: slower than that a pendulum's codes show the noise
 _NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
 _NORMAL = NormalDist()  # scipy's would cost every `rig test` a tenth of a second of loading
@@ -33,11 +36,18 @@ class WindowMeans:
         edges_s: start and end of each window that has enough samples, shape (n, 2), s.
         means: shape (n, 2): θ3 and θ4 in rad, or the order-1 amplitudes of x and y in m.
         width: how far a mean may be from the truth, shape (2,).
+        noise: standard deviation of a mean's noise, shape (2,).
+        rounding: amplitudes of the rounding error's Fourier terms, rms over what is not known of them, shape (2, k),
+            unit of the means (daq.signals.rounding); empty where nothing is rounded.
+        step: of the code, unit of the means; 0 where nothing is rounded.
     """
 
     edges_s: Array
     means: Array
     width: Array
+    noise: Array
+    rounding: Array
+    step: float = 0.0
 
 
 def whole_revolutions(mark_time_s: Array, mark_phase_rad: Array, window_s: float, most: int) -> Array:
@@ -84,7 +94,18 @@ def angle_means(
         half_width(step, _usual(s) if max(a, b) < 0.5 * step else 0.0, a, b)
         for s, a, b in zip(seen.T, once, twice, strict=True)
     ])  # fmt: skip
-    return WindowMeans(cut.edges[kept], means, half + _DEVIATIONS * np.median(noise, axis=0))
+    white = np.median(noise, axis=0)
+    rounding = [
+        rounding_terms(step, _dither(_usual(s), float(n), max(a, b) / step if step > 0 else 0.0), a, b)
+        for s, n, a, b in zip(
+            seen.T,
+            white / step * math.sqrt(np.median(cut.counts[kept])) if step > 0 else white,
+            once,
+            twice,
+            strict=True,
+        )
+    ]
+    return WindowMeans(cut.edges[kept], means, half + _DEVIATIONS * white, white, np.array(rounding), step)
 
 
 def code_noise(below: Array, above: Array, samples: NDArray[Any]) -> Array:
@@ -108,6 +129,14 @@ def _usual(noise: Array) -> float:
     """The noise that most windows show; 0 where too few show any."""
     known = noise[np.isfinite(noise)]
     return float(np.median(known)) if len(known) >= 3 else 0.0
+
+
+def _dither(seen: float, scatter: float, ripple: float) -> float:
+    """Noise before rounding, in steps: as the codes show it, or what a code that ripples over steps scatters more.
+
+    Rounding itself scatters by 1/√12 of a step; without a ripple a code that flips on an edge would look like noise.
+    """
+    return math.sqrt(max(0.0, scatter**2 - 1 / 12)) if ripple >= _RIPPLES else seen
 
 
 def half_width(step: float, noise: float, *ripple: float) -> float:
@@ -149,7 +178,32 @@ def amplitude_means(
         columns.append(np.hypot(*cut.orders()[1:3, kept, 0]))
         noise = np.sqrt(cut.mean(_squared(np.diff(cut.values, 2)), kept)[:, 0] / (3 * cut.counts[kept]))
         width.append(_DEVIATIONS * float(np.median(noise)))
-    return WindowMeans(x.edges[kept], np.stack(columns, axis=1), np.array(width))
+    noise = np.array(width) / _DEVIATIONS
+    return WindowMeans(x.edges[kept], np.stack(columns, axis=1), np.array(width), noise, np.empty((2, 0)))
+
+
+def orbit_means(
+    x_time_s: Array, x_m: Array, y_time_s: Array, y_m: Array, mark_time_s: Array, mark_phase_rad: Array, edges: Array,
+    newest: int,
+) -> WindowMeans | None:  # fmt: skip
+    """Complex order-1 amplitudes of x and y in the windows in which both were seen; None when too many are missing.
+
+    The columns are Re X, Im X, Re Y, Im Y with x = Re(X e^{iψ}), y the same, m; `width` and `noise` have four places.
+    """
+    x = _cut(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
+    y = _cut(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
+    if x is None or y is None:
+        return None
+    kept = x.enough & y.enough
+    columns: list[Array] = []
+    noise: list[float] = []
+    for cut in (x, y):
+        fit = cut.orders()
+        columns += [np.asarray(fit[1, kept, 0], np.float64), -np.asarray(fit[2, kept, 0], np.float64)]
+        white = np.sqrt(cut.mean(_squared(np.diff(cut.rest(fit), 2)), kept)[:, 0] / (3 * cut.counts[kept]))
+        noise += 2 * [float(np.median(white))]
+    white = np.array(noise)
+    return WindowMeans(x.edges[kept], np.stack(columns, axis=1), _DEVIATIONS * white, white, np.empty((4, 0)))
 
 
 @dataclass(frozen=True)

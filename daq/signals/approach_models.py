@@ -1,0 +1,223 @@
+# pyright: strict
+"""Ways to approach an end: shapes of one rate, two rates and a decaying oscillation, and their posterior on a grid.
+
+For given rates the limits and amplitudes are linear and are integrated out; the rates are integrated over a grid in
+log λ that is moved, turned and refined to where the posterior is. Used by daq.signals.limit, which says why.
+Source: docs/theory/steady_states.md, "Where it ends".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SLOWEST_PER_S = 0.05  # slower than this an approach is a straight line within the windows
+FASTEST_PER_S = 4.0
+_PRIOR_RANGES = (0.25, 1.0, 4.0)  # of the range seen: prior deviations of a shape's change over the windows, each 1/3
+_GRID = {1: (48, 25), 2: (21, 15)}  # points along each axis, by dimension: first look, refined
+_REACH = 4.5  # standard deviations that a refined grid covers to either side
+_LOOKS = 9
+_ENOUGH = {1: 5.0, 2: 12.0}  # points that share the weight: the grid resolves the posterior
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Decaying shapes for every point of a grid of rates.
+
+    Attributes:
+        forms: mean of each shape in each window, shape (g, n, p); p is 0, 1 or 2.
+        last: value of each shape at the end of the last window, shape (g, p).
+        size: of an oscillation the amplitude there, (g,); None where the shapes are no oscillation.
+        rate_per_s: slowest rate, shape (g,); nan where nothing decays.
+    """
+
+    forms: Array
+    last: Array
+    size: Array | None
+    rate_per_s: Array
+
+
+@dataclass(frozen=True)
+class Family:
+    """A model whose rates are unknown.
+
+    Attributes:
+        name: of the model.
+        shapes: from the windows' edges (n, 2) in s and points (g, d) of the grid.
+        box: range of each coordinate of the grid; the prior is uniform in it.
+    """
+
+    name: str
+    shapes: Callable[[Array, Array], Shapes]
+    box: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Points:
+    """What each point of a grid of rates leaves.
+
+    Attributes:
+        evidence: log of marginal likelihood times the point's share of the prior, shape (g,).
+        values, variance: posterior of the limits, shapes (g, q).
+        left, size: change to come and its size (of an oscillation the amplitude), shapes (g, q).
+        rate_per_s: slowest rate, shape (g,); nan where nothing decays.
+        chi2: of the residuals, shape (g, q).
+        unknowns: how many numbers per quantity the model has, and how many all quantities share.
+    """
+
+    evidence: Array
+    values: Array
+    variance: Array
+    left: Array
+    size: Array
+    rate_per_s: Array
+    chi2: Array
+    unknowns: tuple[int, int]
+
+
+class Stretch:
+    """Consecutive window means, whitened once: every model is judged on the same numbers."""
+
+    def __init__(self, edges_s: Array, means: Array, noise: Array) -> None:
+        self.edges_s = edges_s
+        self._origin = np.asarray(means[-1], np.float64)
+        values = (means - self._origin).T
+        deviation = np.sqrt(np.median(np.diagonal(noise, axis1=1, axis2=2), axis=1))
+        self._unit = np.maximum(np.ptp(values, axis=1), deviation)  # of every number inside
+        scaled = noise / (self._unit**2)[:, None, None] + 1e-13 * np.eye(len(means))
+        self._white = np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)), np.float64)
+        self._seen = (self._white @ (values / self._unit[:, None])[:, :, None])[:, :, 0]
+
+    def standing(self) -> Points:
+        """The model without any approach."""
+        n = len(self.edges_s)
+        return self.points(Shapes(np.empty((1, n, 0)), np.empty((1, 0)), None, np.array([math.nan])), 0, 0.0)
+
+    def points(self, shapes: Shapes, rates: int, share: float) -> Points:
+        """Limits and amplitudes integrated out for each point of a grid; share: log of a point's part of the prior."""
+        count, n, p = shapes.forms.shape
+        design = np.concatenate([np.ones((count, n, 1)), shapes.forms], axis=2)
+        x = self._white[:, None] @ design  # (q, g, n, 1 + p)
+        across = x.transpose(0, 1, 3, 2)
+        data = across @ x, across @ self._seen[:, None, :, None], x
+        scales = _PRIOR_RANGES if p else (1.0,)
+        return _joined([self._for_scale(shapes, data, rates, share - math.log(len(scales)), s) for s in scales])
+
+    def _for_scale(
+        self, shapes: Shapes, data: tuple[Array, Array, Array], rates: int, share: float, scale: float
+    ) -> Points:
+        """The same for one prior deviation of the shapes' changes."""
+        p = shapes.forms.shape[2]
+        precision = data[0] + np.diag([0.0] + [scale**-2] * p)
+        covariance = np.asarray(np.linalg.inv(precision), np.float64)
+        fit = (covariance @ data[1])[..., 0]  # (q, g, 1 + p)
+        chi2 = ((self._seen[:, None] - (data[2] @ fit[..., None])[..., 0]) ** 2).sum(axis=2)
+        misfit = chi2 + (fit[..., 1:] ** 2).sum(axis=2) / scale**2
+        narrowed = np.linalg.slogdet(precision)[1] + 2 * p * math.log(scale)
+        evidence = -0.5 * (misfit + narrowed).sum(axis=0) + share
+        left = -(fit[..., 1:] * shapes.last).sum(axis=2)
+        size = np.abs(left) if shapes.size is None else np.hypot(fit[..., 1], fit[..., 2]) * shapes.size
+        unit = self._unit[:, None]
+        return Points(
+            evidence, (self._origin[:, None] + fit[..., 0] * unit).T, (covariance[..., 0, 0] * unit**2).T,
+            (left * unit).T, (size * unit).T, shapes.rate_per_s, chi2.T, (1 + p, rates),
+        )  # fmt: skip
+
+    def integrated(self, family: Family) -> Points:
+        """A family's points on a grid that resolves its posterior."""
+        box = np.array(family.box)
+        dimension = len(box)
+        first, refined = _GRID[dimension]
+        axes, centre = np.diag(0.5 * np.diff(box, axis=1)[:, 0]), box.mean(axis=1)
+        steps = (2 * np.arange(first) + 1) / first - 1
+        volume = float(np.prod(np.diff(box, axis=1)))
+        look = 0
+        while True:
+            look += 1
+            grid = np.stack(np.meshgrid(*[steps] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
+            at = centre + grid @ axes.T
+            at = at[np.all((at >= box[:, 0]) & (at <= box[:, 1]), axis=1)]
+            cell = abs(float(np.linalg.det(axes))) * float(steps[1] - steps[0]) ** dimension
+            points = self.points(family.shapes(self.edges_s, at), dimension, math.log(cell / volume))
+            weight, heat = _tempered(points.evidence, _ENOUGH[dimension])
+            if heat == 1.0 or look == _LOOKS:
+                return points
+            at = np.tile(at, (len(weight) // len(at), 1))
+            centre = weight @ at
+            spread = ((at - centre) * weight[:, None]).T @ (at - centre)
+            axes = _REACH * np.asarray(
+                np.linalg.cholesky(spread + 1e-9 * np.trace(spread) * np.eye(dimension)), np.float64
+            )
+            steps = np.linspace(-1, 1, refined)
+
+
+def _tempered(evidence: Array, enough: float) -> tuple[Array, float]:
+    """Weights, flattened by as much as is needed for enough points to share them, and by how much."""
+    heat = 1.0
+    while True:
+        weight = np.exp((evidence - evidence.max()) / heat)
+        weight /= weight.sum()
+        if 1 / float(weight @ weight) >= min(enough, 0.5 * len(evidence)) or heat > 1e12:
+            return weight, heat
+        heat *= 2.0
+
+
+def _joined(parts: Sequence[Points]) -> Points:
+    """One grid after another."""
+    if len(parts) == 1:
+        return parts[0]
+    names = ("evidence", "values", "variance", "left", "size", "rate_per_s", "chi2")
+    columns = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+    return Points(*columns, unknowns=parts[0].unknowns)
+
+
+def _shape(rates: NDArray[np.inexact], edges_s: Array) -> NDArray[np.inexact]:
+    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows); a complex λ turns."""
+    middle = edges_s.mean(axis=1) - edges_s[-1, 1]
+    half = 0.5 * np.diff(edges_s, axis=1)[:, 0]
+    x = rates[:, None] * half
+    return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
+
+
+def _decays(edges_s: Array, rates: Array) -> Shapes:
+    """Shapes of real rates (g, p), each changing by 1 over the windows."""
+    forms = np.stack([np.real(_shape(column, edges_s)) for column in rates.T], axis=2)
+    change = np.abs(forms[:, 0] - forms[:, -1])
+    return Shapes(forms / change[:, None], 1 / change, None, np.asarray(rates.min(axis=1), np.float64))
+
+
+def _one(edges_s: Array, at: Array) -> Shapes:
+    return _decays(edges_s, np.exp(at))
+
+
+def _two(edges_s: Array, at: Array) -> Shapes:
+    return _decays(edges_s, np.minimum(np.exp(np.cumsum(at, axis=1)), 1.5 * FASTEST_PER_S))
+
+
+def _wave(edges_s: Array, at: Array) -> Shapes:
+    rate, turn = np.exp(at).T
+    turning = _shape(rate - 1j * turn, edges_s)
+    size = 1 / np.abs(turning).max(axis=1)
+    forms = np.stack([np.real(turning), np.imag(turning)], axis=2) * size[:, None, None]
+    return Shapes(forms, np.stack([size, np.zeros(len(size))], axis=1), size, rate)
+
+
+def _no_end(edges_s: Array, at: Array) -> Shapes:
+    shapes = _decays(edges_s, np.where(np.abs(at) < 1e-4, 1e-4, at))
+    return Shapes(shapes.forms - shapes.forms[:, -1:], shapes.last, None, shapes.rate_per_s)
+
+
+_RATES = (math.log(SLOWEST_PER_S), math.log(FASTEST_PER_S))
+_SLOW = (math.log(SLOWEST_PER_S), math.log(2.0))
+ENDING = (
+    Family("one rate", _one, (_RATES,)),
+    Family("two rates", _two, (_SLOW, (math.log(1.8), math.log(15.0)))),
+    Family("oscillation", _wave, (_SLOW, (math.log(0.15), math.log(2.8)))),
+)
+ENDLESS = Family("endless", _no_end, ((-1.0, 0.6 * SLOWEST_PER_S),))  # straight lines and growth
