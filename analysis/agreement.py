@@ -10,13 +10,13 @@ wrong in; the others need no list of causes. Source: docs/theory/validation.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc
+from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.differences import Differences
 
@@ -146,21 +146,3 @@ def largest_by_chance(correlation: Array, level: float = CAUSES_LEVEL) -> float:
     root = turn * np.sqrt(np.maximum(sizes, 0.0))
     drawn = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(root))) @ root.T
     return float(np.quantile(np.max(np.abs(drawn), axis=1), 1 - level))
-
-
-def noticed(differences: Differences, directions: Mapping[str, Array], points: Sequence[str]) -> dict[str, Array]:
-    """The smallest size of each cause that each point alone would notice, at three standard deviations.
-
-    Returns:
-        Cause → size per point, shape (points,), in the cause's unit; inf where the point does not show it.
-    """
-    found: dict[str, Array] = {}
-    parts = [differences.of(name) for name in points]
-    for cause, direction in directions.items():
-        sizes: list[float] = []
-        for name, part in zip(points, parts, strict=True):
-            own = direction[[i for i, (point, _) in enumerate(differences.rows) if point == name]]
-            length = float(np.linalg.norm(part.whitener @ own))
-            sizes.append(3.0 / length if length > 0 else math.inf)
-        found[cause] = np.array(sizes)
-    return found

@@ -92,7 +92,7 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
     for name in PHYSICAL:
         value = known.values[name]
         if value and name in differences.by_number and name != "imbalance.mass_kg":  # acts as the rotor's mass does
-            moved = differences.by_number[name] + own @ identified.by_number.get(name, np.zeros(own.shape[1]))
+            moved = differences.by_number[name] + own @ identified.by_number.get(name, np.zeros(len(identified.values)))
             deviation = known.std(name) or NOMINAL_SHARE * value
             found.append(_share(name, _NUMBER_WORDS[name], value, deviation, -moved))
     for name in (ZERO_A, ZERO_B, INDEX):

@@ -103,12 +103,14 @@ def differences(compared: Sequence[Compared], rig: Rig, identified: IdentifiedPa
         identified: what the predictions were made with.
     """
     parts = [_Part.of(each, rig) for each in compared]
+    granted = [math.radians(rig.validation.model_std_deg), 1e-3 * rig.validation.model_std_mm]
     labels = dict.fromkeys(label for part in parts for label in part.shared)
     numbers = dict.fromkeys(name for part in parts for name in part.by_number)
     sizes = [len(part.values) for part in parts]
     own, at = np.zeros((sum(sizes), sum(sizes))), 0
     for part, size in zip(parts, sizes, strict=True):
-        own[at : at + size, at : at + size] = part.own
+        allowance = np.r_[np.full(2, granted[0]), np.full(size - 2, granted[1])]
+        own[at : at + size, at : at + size] = part.own + np.diag(allowance**2)
         at += size
 
     def joined(of: str, key: str) -> Array:

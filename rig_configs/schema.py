@@ -122,6 +122,17 @@ class Point(Table):
     expected: Literal["I", "II", "III", "slipping"]
 
 
+class ValidationTable(Table):
+    """What is allowed for in the comparison at the points.
+
+    model_std_deg and model_std_mm are standard uncertainties of the model itself, for angles and for amplitudes: what a
+    user grants it beyond what is known of numbers and sensors. 0 grants nothing.
+    """
+
+    model_std_deg: NotNegative = 0.0
+    model_std_mm: NotNegative = 0.0
+
+
 class Sensors(Table):
     """How the simulated sensors and wires fall short of ideal; drawn values come from the seed."""
 
@@ -220,6 +231,7 @@ class Rig(Table):
     devices: dict[DeviceName, AnyDevice]
     limits: Limits = Limits()
     points: dict[str, Point]
+    validation: ValidationTable = ValidationTable()
     instruments: dict[DeviceName, Instrument] = Field(default_factory=dict[str, Instrument])
     virtual: Virtual | None = None
 
@@ -293,6 +305,23 @@ class Rig(Table):
         _ = self.physics  # refuses what the single limits let through; a ValueError
         _ = self.physics if self.virtual is None else self.true_physics
         return self
+
+    def with_number(self, name: str, value: float) -> Rig:
+        """The rig with one physical number changed, all else as it is.
+
+        Args:
+            name: of rig_configs.known.PHYSICAL.
+            value: in its unit.
+        """
+        *path, key = name.split(".")
+        tables: list[Table] = [self]
+        for part in path:
+            tables.append(getattr(tables[-1], part))
+        changed = tables.pop().model_copy(update={key: value})
+        for part in reversed(path):
+            changed = tables.pop().model_copy(update={part: changed})
+        assert isinstance(changed, Rig)
+        return changed
 
     def snapshot_json(self) -> bytes:
         """The rig file as it goes into a log: all a reader of the log needs, nothing only a simulation knows."""

@@ -17,7 +17,8 @@ from analysis.prediction import UNKNOWN_AXIS_ANGLE_DEG, known_axis_angle
 from analysis.report import tables
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
-from analysis.validation import Z_LIMIT, PointResult
+from analysis.scores import Z_LIMIT
+from analysis.validation import PointResult
 from daq.signals.run import Run, point_of
 from dynamics.errors import DynamicsError
 

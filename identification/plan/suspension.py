@@ -11,11 +11,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from dynamics.equations.parameters import RotorParameters
-from rig_configs.known import gain_label
 from identification.estimate import Estimate
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
 from identification.plan.sensors import Sensors
+from rig_configs.known import gain_label
 
 _PER_CYCLE = 8  # instants at which a signal is looked at, per cycle of the fastest mode
 _SIDE = 0.05  # a pluck along one axis goes astray along the other by about this share

@@ -9,7 +9,8 @@ import pytest
 from analysis_runs import Drawn, draw, point_run
 
 from analysis import NoStableState, predict_point, validate
-from analysis.validation import balanced_z, validate_point
+from analysis.scores import balanced_z
+from analysis.validation import validate_point
 from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig, load_rig
 

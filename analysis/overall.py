@@ -1,0 +1,103 @@
+# pyright: strict
+"""What all points say together: agreement, the smallest deviations they would notice, and why they fail."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.agreement import Agreement, agreement
+from analysis.causes import Cause, causes, directions
+from analysis.differences import Compared, Differences, differences
+from analysis.errors import NoStableState
+from analysis.explanations import Explanations, explanations
+from analysis.noticed import Noticed, noticed
+from analysis.prediction import predict_point
+from dynamics.errors import DynamicsError
+from rig_configs import IdentifiedParameters, Rig
+from rig_configs.errors import RigConfigError
+from rig_configs.known import PHYSICAL
+
+
+@dataclass(frozen=True)
+class Overall:
+    """All points together.
+
+    Attributes:
+        agreement: with the model.
+        explanations: what would explain the differences; None where they agree.
+        noticed: the smallest deviation of each cause that the points would notice.
+    """
+
+    agreement: Agreement
+    explanations: Explanations | None
+    noticed: tuple[Noticed, ...]
+    _case: _Case
+
+    def explain(self) -> Explanations:
+        """What would explain the differences, whether or not they are significant together."""
+        return self._case.explained()
+
+
+def overall(
+    compared: Sequence[Compared], rig: Rig, identified: IdentifiedParameters,
+    axis_angle_deg: tuple[float, float] | None = None,
+) -> Overall | None:  # fmt: skip
+    """What all points say together; None without any.
+
+    Args:
+        compared: points whose measured state is the predicted one.
+        rig, identified, axis_angle_deg: what the predictions were made with.
+    """
+    if not compared:
+        return None
+    if axis_angle_deg is not None:
+        identified = replace(identified, axis_angle_deg=axis_angle_deg)
+    found = differences(compared, rig, identified)
+    suspects = causes(found, rig, identified)
+    case = _Case(tuple(compared), rig, identified, found, suspects)
+    whole = agreement(found, directions(suspects))
+    return Overall(whole, None if whole.passed else case.explained(), noticed(found, suspects), case)
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What a validation rests on, so that a cause can be tried."""
+
+    compared: tuple[Compared, ...]
+    rig: Rig
+    identified: IdentifiedParameters
+    differences: Differences
+    causes: tuple[Cause, ...]
+
+    def explained(self) -> Explanations:
+        return explanations(self.differences, self.causes, self.again)
+
+    def again(self, name: str, value: float) -> Differences | None:
+        """The differences with a parameter or a number of the rig file at another value.
+
+        What was identified with a number goes along with it.
+        """
+        rig, values = self.rig, dict(self.identified.values)
+        try:
+            if name in values:
+                values[name] = value
+            elif name in PHYSICAL:
+                change = value - rig.known.values[name]
+                rig = rig.with_number(name, value)
+                slopes = self.identified.by_number.get(name, np.zeros(len(values)))
+                values = {n: v + float(s) * change for (n, v), s in zip(values.items(), slopes, strict=True)}
+            else:
+                return None
+            identified = replace(self.identified, values=values)
+            return differences([self._predicted(each, rig, identified) for each in self.compared], rig, identified)
+        except (NoStableState, DynamicsError, RigConfigError, np.linalg.LinAlgError):
+            return None
+
+    @staticmethod
+    def _predicted(each: Compared, rig: Rig, identified: IdentifiedParameters) -> Compared:
+        speed, near = each.measured.speed_rad_s, [theta.value for theta in each.measured.theta_rad]
+        found = predict_point(rig, identified, speed.value, speed_std_rad_s=speed.std, near_rad=near)
+        return Compared(each.name, each.measured, found)
