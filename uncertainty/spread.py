@@ -14,6 +14,9 @@ from uncertainty.budget import finite
 from uncertainty.coverage import Interval, end_errors, shortest_interval, symmetric_interval
 from uncertainty.errors import BadInput
 
+_SINGULAR = 1e-10
+"""Smallest over largest eigenvalue of a correlation matrix below which rounding decides on the smallest."""
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -61,6 +64,8 @@ class MonteCarlo:
             `digits` significant digits of the standard deviation, and the largest eigenvalue of the correlation
             matrix to as many of its own.
         digits: those asked for.
+        ellipsoid_factor: k of the ellipsoid (y − ȳ)ᵀ V⁻¹ (y − ȳ) ≤ k² that holds this share of the trials, V the
+            covariance (JCGM 102, 7.7.2); None where V is singular.
     """
 
     quantities: tuple[Spread, ...]
@@ -69,6 +74,7 @@ class MonteCarlo:
     trials: int
     stabilised: bool
     digits: int
+    ellipsoid_factor: float | None = None
 
     def __getitem__(self, name: str) -> Spread:
         """Distribution of one quantity.
@@ -96,6 +102,7 @@ class MonteCarlo:
             "trials": self.trials,
             "stabilised": self.stabilised,
             "digits": self.digits,
+            "ellipsoid_factor": self.ellipsoid_factor,
         }
 
 
@@ -140,4 +147,26 @@ def summary(
         ordered = np.sort(np.concatenate([b[:, i] for b in batches]))
         intervals = [f(ordered, level) for f in (symmetric_interval, shortest_interval, end_errors)]
         spreads.append(Spread(name, float(origin[i] + mean[i]), math.sqrt(float(covariance[i, i])), *intervals))
-    return MonteCarlo(tuple(spreads), covariance, level, trials, stabilised, digits)
+    factor = _ellipsoid_factor(batches, origin + mean, covariance, level)
+    return MonteCarlo(tuple(spreads), covariance, level, trials, stabilised, digits, factor)
+
+
+def _ellipsoid_factor(
+    batches: Sequence[NDArray[np.float64]], mean: NDArray[np.float64], covariance: NDArray[np.float64], level: float
+) -> float | None:
+    """k of the ellipsoid that holds this share of the trials; None where the covariance is singular.
+
+    Args:
+        batches: values, each of shape (trials, quantities).
+        mean: shape (quantities,).
+        covariance: shape (quantities, quantities).
+        level: coverage probability.
+    """
+    std = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(correlation_of(covariance))
+    if bool(np.any(std == 0)) or float(values[0]) < _SINGULAR * float(values[-1]):
+        return None
+    whitened = vectors / np.sqrt(values) / std[:, None]
+    distance = np.concatenate([np.linalg.norm((b - mean) @ whitened, axis=1) for b in batches])
+    rank = math.ceil(level * len(distance)) - 1
+    return float(np.partition(distance, rank)[rank])

@@ -19,6 +19,7 @@ from uncertainty import (
     Spread,
     TooManyTrials,
     check_linear,
+    ellipsoid_factor,
     linear_budgets,
     monte_carlo,
     second_order_variance,
@@ -96,6 +97,22 @@ def test_mean_and_covariance_are_those_of_the_values() -> None:
     for i, q in enumerate(found.quantities):
         assert q.symmetric == pytest.approx(np.quantile(values[:, i], [0.025, 0.975]), abs=0.05 * q.std)
         assert q.shortest[1] - q.shortest[0] <= q.symmetric[1] - q.symmetric[0]
+
+
+def test_ellipsoid_of_normal_quantities_has_the_factor_of_chi_square() -> None:
+    sources = [Source("a", 1.0), Source("b", 2.0), Source("c", 3e-6)]
+    turned = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1e-6, 1.0]])
+    for level in (0.5, 0.95):
+        found = monte_carlo(lambda e: 7 + e @ turned.T, sources, seed=11, trials=100_000, level=level)
+        assert found.ellipsoid_factor == pytest.approx(ellipsoid_factor(level, 3), abs=0.02)
+    one = monte_carlo(lambda e: e[:, :1], sources[:1], seed=11, trials=100_000)
+    assert one.ellipsoid_factor == pytest.approx(1.96, abs=0.02)
+    uniform = monte_carlo(lambda e: e, [Source("a", 1.0, distribution="rectangular")], seed=11, trials=100_000)
+    assert uniform.ellipsoid_factor == pytest.approx(0.95 * math.sqrt(3), abs=0.02)
+    flat = monte_carlo(lambda e: np.column_stack([e[:, 0], -2 * e[:, 0]]), sources, seed=11, trials=1000)
+    assert flat.ellipsoid_factor is None
+    constant = monte_carlo(lambda e: np.column_stack([e[:, 0], 0 * e[:, 0]]), sources, seed=11, trials=1000)
+    assert constant.ellipsoid_factor is None
 
 
 def test_adaptive_procedure_reaches_the_digits_asked_for() -> None:
@@ -230,6 +247,7 @@ def spread(low: float, high: float, error: float) -> MonteCarlo:
         (-1.96, 1.90, 0.001, "differ"),
         (-2.05, 1.96, 0.01, "differ"),
         (-1.96, 1.92, 0.02, "undecided"),
+        (-2.00, 1.96, 0.02, "undecided"),
         (-1.96, 1.90, 0.02, "undecided"),
         (-1.96, 1.96, math.inf, "undecided"),
     ],
@@ -277,3 +295,13 @@ def test_second_order_terms_are_exact_for_normal_errors_of_a_quadratic_model() -
     )
     assert found[0] == pytest.approx(18 * u**4 + 25 * u**2 * v**2)
     assert found[1] == pytest.approx(2 * u**2 * v**2)  # c_a = 1, c_abb = 2
+
+
+def test_second_order_terms_with_third_derivatives() -> None:
+    """b + b a² (c_b = 1, c_baa = 2) and a + a³ (c_a = 1, c_aaa = 6)."""
+    u, v = 0.01, 0.02
+    found = second_order_variance(
+        lambda e: np.column_stack([e[:, 1] + e[:, 1] * e[:, 0] ** 2, e[:, 0] + e[:, 0] ** 3]),
+        [Source("a", u), Source("b", v)],
+    )
+    assert found == pytest.approx([2 * u**2 * v**2, 6 * u**4], rel=1e-3)
