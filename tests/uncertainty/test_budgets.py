@@ -176,6 +176,7 @@ def test_json_is_plain_and_finite() -> None:
     assert q["budget"][0]["members"][1] == {
         "source": "y", "unit": "V", "u": 1.0, "sensitivity": 3.0, "contribution": 3.0
     }  # fmt: skip
+    assert q["budget"][0]["correlation"] == [[1.0, 0.75], [0.75, 1.0]]
     assert (r["nu_eff"], r["u"], r["budget"][0]["nu"]) == (None, 0.5, None)
     assert r["k"] == pytest.approx(1.96, abs=1e-3)
     assert r["U95"] == pytest.approx(0.5 * r["k"])

@@ -54,7 +54,8 @@ def errors_seen(sources: list[Any], trials: int, rows: int = 10_000) -> Array:
         return errors[:, :1]
 
     monte_carlo(model, sources, seed=1, trials=trials, rows=rows)
-    return np.concatenate(seen)
+    assert not np.any(seen[0])  # one row of zeros shows the shape
+    return np.concatenate(seen[1:])
 
 
 def test_errors_of_a_source_depend_on_the_seed_and_its_place_alone() -> None:
@@ -90,7 +91,7 @@ def test_mean_and_covariance_are_those_of_the_values() -> None:
         return kept[-1]
 
     found = monte_carlo(model, TWO, seed=4, trials=23_456)
-    values = np.concatenate(kept)
+    values = np.concatenate(kept[1:])
     assert found.trials == len(values) == 23_456
     assert [q.mean for q in found.quantities] == pytest.approx(np.mean(values, axis=0))
     assert found.covariance == pytest.approx(np.cov(values - 1e9, rowvar=False), rel=1e-6)
@@ -148,8 +149,16 @@ def test_shortest_interval_takes_more_trials() -> None:
 
 def test_high_levels_have_larger_batches() -> None:
     told: list[tuple[int, int | None]] = []
+    batches: list[int] = []
+
+    def model(errors: Array) -> Array:
+        batches.append(len(errors))
+        return both(errors)
+
     monte_carlo(both, TWO, seed=7, trials=150_000, level=0.999, progress=lambda *x: told.append(x))
-    assert told == [(100_000, 150_000), (150_000, 150_000)]
+    monte_carlo(model, TWO, seed=7, trials=150_000, level=0.999, rows=10**9)
+    assert told == [(n * 10_000, 150_000) for n in range(1, 16)]
+    assert batches == [1, 100_000, 50_000]
 
 
 def test_fixed_trials_are_stable_only_where_ten_batches_show_it() -> None:
@@ -173,13 +182,37 @@ def test_heavy_tails_do_not_stabilise() -> None:
 
 
 def test_bound_on_memory() -> None:
-    with pytest.raises(TooManyTrials, match="hold 20000 trials of 2 quantities; 20001"):
+    with pytest.raises(TooManyTrials, match="hold 20000 trials of 2 quantities; 20001 are"):
         monte_carlo(both, TWO, seed=1, trials=20_001, most_bytes=320_000)
     found = monte_carlo(both, TWO, seed=1, digits=4, most_bytes=320_000)
     assert (found.trials, found.stabilised) == (20_000, False)
     rows: list[int] = []
     monte_carlo(lambda e: both(e) if rows.append(len(e)) is None else e, TWO, seed=1, trials=10_001, rows=3000)
-    assert rows == [3000, 3000, 3000, 1000, 1]
+    assert rows == [1, 3000, 3000, 3000, 1000, 1]
+
+
+def test_one_batch_needs_its_memory() -> None:
+    with pytest.raises(TooManyTrials, match="hold 9999 trials of 2 quantities; 10000 are"):
+        monte_carlo(both, TWO, seed=1, most_bytes=16 * 9_999)
+    assert monte_carlo(both, TWO, seed=1, most_bytes=16 * 9_999, most_trials=9_999).trials == 9_999
+
+
+def test_progress_of_a_slow_model_is_seen_within_a_batch() -> None:
+    told: list[tuple[int, int | None]] = []
+    monte_carlo(both, TWO, seed=1, trials=250, rows=100, progress=lambda *x: told.append(x))
+    assert told == [(100, 250), (200, 250), (250, 250)]
+
+
+def test_model_may_fill_one_array_again() -> None:
+    out = np.zeros((1000, 2))
+
+    def model(errors: Array) -> Array:
+        out[: len(errors)] = both(errors)
+        return out[: len(errors)]
+
+    assert same(
+        monte_carlo(model, TWO, seed=1, trials=5000, rows=1000), monte_carlo(both, TWO, seed=1, trials=5000)
+    )  # fmt: skip
 
 
 def test_no_sources() -> None:
@@ -201,6 +234,7 @@ def test_json_is_plain_and_finite() -> None:
         (lambda e: e[:, 0], "shape"),
         (lambda e: e[:-1], "shape"),
         (lambda e: e[:, :0], "shape"),
+        (lambda e: np.zeros((len(e), min(len(e), 3))), "1\\) is needed"),
         (lambda e: np.log(1e-300 + 0 * e) + np.where(e > 1, np.nan, 0), "not finite in"),
         (lambda e: np.where(e > 1, np.inf, 0), "first for the errors"),
     ],
