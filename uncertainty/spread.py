@@ -62,8 +62,8 @@ class MonteCarlo:
         level: coverage probability of the intervals.
         trials: number used.
         stabilised: at least ten batches of trials showed mean, standard deviation and interval ends to be stable to
-            `digits` significant digits of the standard deviation, and the largest eigenvalue of the correlation
-            matrix to as many of its own.
+            `digits` significant digits of the standard deviation, or to the rounding of the values, and the largest
+            eigenvalue of the correlation matrix to as many of its own.
         digits: those asked for.
         ellipsoid_factor: k of the ellipsoid (y − ȳ)ᵀ V⁻¹ (y − ȳ) ≤ k² that holds this share of the trials, V the
             covariance (JCGM 102, 7.7.2); None where V is singular.

@@ -174,6 +174,12 @@ def test_constant_quantity() -> None:
     assert np.array_equal(found.correlation, np.eye(2))
 
 
+def test_digits_beyond_the_rounding_of_the_values_are_not_waited_for() -> None:
+    found = monte_carlo(lambda e: 1e9 + 1e-7 * e[:, :1], TWO, seed=9, digits=6, most_trials=200_000)
+    assert (found.stabilised, found.trials) == (True, 100_000)
+    assert found.quantities[0].mean == pytest.approx(1e9, abs=1e-6)
+
+
 def test_heavy_tails_do_not_stabilise() -> None:
     cauchy = [Source("a", 1.0, "", "A", "t", 1.0)]
     found = monte_carlo(lambda e: e, cauchy, seed=10, most_trials=200_000)
