@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uncertainty.coverage import Interval, coverage_factor
 from uncertainty.errors import BadInput
-from uncertainty.group import Group, Input
+from uncertainty.group import Group, Input, correlation_of
 from uncertainty.source import Source
 
 REPORT_LEVEL = 0.95
@@ -222,6 +222,7 @@ def _row(contribution: AnyContribution, share: float) -> dict[str, object]:
     members = zip(group.members, group.units, group.std, contribution.sensitivities, contribution.signed, strict=True)
     return row | {
         "contribution": contribution.std,
+        "correlation": correlation_of(group.covariance).tolist(),
         "members": [
             {"source": name, "unit": unit, "u": float(u), "sensitivity": float(c), "contribution": float(cu)}
             for name, unit, u, c, cu in members

@@ -115,6 +115,15 @@ Input = Source | Group
 """A cause of error: one column of a table of errors, or several that are correlated."""
 
 
+def correlation_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Correlation matrix of a covariance matrix; 0 beside the diagonal for a constant."""
+    std = np.sqrt(np.diag(covariance))
+    scale = np.where(std > 0, std, 1.0)
+    matrix = np.clip(covariance / scale[:, None] / scale[None, :], -1.0, 1.0)
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
+
+
 def correlation_factor(covariance: NDArray[np.float64], owner: str) -> NDArray[np.float64]:
     """Factor F of the correlation matrix F Fᵀ of a covariance matrix, shape (n, n); it may be singular.
 

@@ -14,17 +14,24 @@ Model = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Errors of shape (n, columns of the sources) to values of shape (n, quantities)."""
 
 
-def values_of(model: Model, errors: NDArray[np.float64]) -> NDArray[np.float64]:
+def values_of(model: Model, errors: NDArray[np.float64], quantities: int | None = None) -> NDArray[np.float64]:
     """The model's values for some errors, shape (n, quantities), all finite.
+
+    Args:
+        model: the model.
+        errors: shape (n, columns).
+        quantities: how many there were in an earlier call; None: at least one.
 
     Raises:
         BadModel: the values have another shape or are not finite.
     """
-    values = np.asarray(model(errors), dtype=np.float64)
-    if values.ndim != 2 or len(values) != len(errors) or values.shape[1] == 0:
+    values = np.array(model(errors), dtype=np.float64)  # a copy: the model may fill the same array again
+    width = "quantities" if quantities is None else quantities
+    fits = values.ndim == 2 and len(values) == len(errors) and values.shape[1] > 0
+    if not fits or quantities not in (None, values.shape[1]):
         raise BadModel(
-            f"the model returned shape {values.shape} for errors of shape {errors.shape}; ({len(errors)}, quantities) "
-            "is needed"
+            f"the model returned shape {values.shape} for errors of shape {errors.shape}; ({len(errors)}, {width}) is "
+            "needed"
         )
     bad = ~np.all(np.isfinite(values), axis=1)
     if bool(np.any(bad)):

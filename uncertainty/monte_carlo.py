@@ -15,11 +15,11 @@ from uncertainty.coverage import IntervalKind, check_level
 from uncertainty.errors import BadInput, TooManyTrials
 from uncertainty.group import Input
 from uncertainty.model import Model, values_of
-from uncertainty.spread import MonteCarlo, summary
+from uncertainty.spread import MonteCarlo, quantity_names, summary
 from uncertainty.stable_numbers import Stability
 
 Progress = Callable[[int, int | None], None]
-"""Called with the trials done and the trials wanted; None while that number is open."""
+"""Takes the trials done and the trials wanted; None while that number is open."""
 
 BATCH = 10_000
 
@@ -41,11 +41,10 @@ def monte_carlo(
 ) -> MonteCarlo:
     """The joint distribution of a model's quantities under the errors of its sources.
 
-    Each source has its own random stream in each batch of trials: the errors that one seed gives to a source do not
-    depend on `rows`, on `trials` or on the sources behind it.
+    The errors that one seed gives to a source do not depend on `rows`, on `trials` or on the sources behind it.
 
     Args:
-        model: errors of shape (n, columns) in the sources' units to values of shape (n, quantities).
+        model: errors (n, columns) in the sources' units to values (n, quantities); first called with one row of zeros.
         sources: the causes; a group takes as many columns as it has members.
         seed: at least 0.
         trials: how many; None: batches of 10⁴ or, if that is more, 100/(1 − level), until stable.
@@ -53,7 +52,7 @@ def monte_carlo(
         level: coverage probability of the intervals.
         interval: whose ends are to be stable; those of the shortest one need many more trials.
         names: of the quantities; their numbers from 0 where None.
-        progress: called after each batch.
+        progress: called after each call of the model with trials.
         most_trials: where the adaptive procedure ends with `stabilised` False.
         most_bytes: bound on the values kept, 8 bytes a trial and quantity; the adaptive procedure ends there too.
         rows: largest number of trials in one call of the model.
@@ -67,23 +66,35 @@ def monte_carlo(
     _check(sources, seed, digits, level, interval, rows)
     wanted = _enough(most_trials if trials is None else trials, level)
     size = max(BATCH, math.ceil(100.0 / (1.0 - level)))
+    quantities = values_of(model, np.zeros((1, sum(s.width for s in sources)))).shape[1]
+    given = quantity_names(names, quantities)
+    wanted = min(wanted, _room(quantities, min(size, wanted) if trials is None else trials, most_bytes))
     batches: list[NDArray[np.float64]] = []
     stability, done, settled = Stability(digits, level, interval), 0, False
-    while done < wanted:
-        count = min(size, wanted - done)
-        errors = _errors(sources, (seed, len(batches)), size)[:count]
-        values = np.concatenate([values_of(model, errors[i : i + rows]) for i in range(0, count, rows)])
-        room = _room(values.shape[1], count if trials is None else trials, most_bytes)
-        batches.append(values)
-        done += count
-        if count == size:
-            stability.add(values)
-            settled = stability.settled()
-        if progress is not None:
-            progress(done, trials)
-        if trials is None and (settled or done + size > room):
-            break
-    return summary(batches, names, level, settled, digits)
+    while done < wanted and not (trials is None and settled):
+        errors = _errors(sources, (seed, len(batches)), size)[: wanted - done]
+        parts: list[NDArray[np.float64]] = []
+        for start in range(0, len(errors), rows):
+            parts.append(values_of(model, errors[start : start + rows], quantities))
+            done += len(parts[-1])
+            if progress is not None:
+                progress(done, trials)
+        batches.append(np.concatenate(parts))
+        if len(errors) == size:
+            settled = stability.settled_with(batches[-1])
+    return summary(batches, given, level, settled, digits)
+
+
+def _room(quantities: int, trials: int, most_bytes: int) -> int:
+    """Trials whose values fit the memory allowed.
+
+    Raises:
+        TooManyTrials: fewer than are needed.
+    """
+    room = most_bytes // (8 * quantities)
+    if trials > room:
+        raise TooManyTrials(f"{most_bytes} bytes hold {room} trials of {quantities} quantities; {trials} are needed")
+    return room
 
 
 def _check(sources: Sequence[Input], seed: int, digits: int, level: float, interval: str, rows: int) -> None:
@@ -113,18 +124,6 @@ def _enough(trials: int, level: float) -> int:
             f"{math.floor(0.5 / (1.0 - level)) + 1} are needed"
         )
     return trials
-
-
-def _room(quantities: int, trials: int, most_bytes: int) -> int:
-    """Trials whose values fit the memory allowed.
-
-    Raises:
-        TooManyTrials: fewer than are needed.
-    """
-    room = most_bytes // (8 * quantities)
-    if trials > room:
-        raise TooManyTrials(f"{most_bytes} bytes hold {room} trials of {quantities} quantities; {trials} are asked for")
-    return room
 
 
 def _errors(sources: Sequence[Input], stream: tuple[int, int], size: int) -> NDArray[np.float64]:

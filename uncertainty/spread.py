@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 from uncertainty.budget import finite
 from uncertainty.coverage import Interval, end_errors, shortest_interval, symmetric_interval
 from uncertainty.errors import BadInput
+from uncertainty.group import correlation_of
+
+_SINGULAR = 1e-10
+"""Smallest over largest eigenvalue of a correlation matrix below which rounding decides on the smallest."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +62,11 @@ class MonteCarlo:
         level: coverage probability of the intervals.
         trials: number used.
         stabilised: at least ten batches of trials showed mean, standard deviation and interval ends to be stable to
-            `digits` significant digits of the standard deviation, and the largest eigenvalue of the correlation
-            matrix to as many of its own.
+            `digits` significant digits of the standard deviation, or to the rounding of the values, and the largest
+            eigenvalue of the correlation matrix to as many of its own.
         digits: those asked for.
+        ellipsoid_factor: k of the ellipsoid (y − ȳ)ᵀ V⁻¹ (y − ȳ) ≤ k² that holds this share of the trials, V the
+            covariance (JCGM 102, 7.7.2); None where V is singular.
     """
 
     quantities: tuple[Spread, ...]
@@ -69,6 +75,7 @@ class MonteCarlo:
     trials: int
     stabilised: bool
     digits: int
+    ellipsoid_factor: float | None = None
 
     def __getitem__(self, name: str) -> Spread:
         """Distribution of one quantity.
@@ -96,38 +103,39 @@ class MonteCarlo:
             "trials": self.trials,
             "stabilised": self.stabilised,
             "digits": self.digits,
+            "ellipsoid_factor": self.ellipsoid_factor,
         }
 
 
-def correlation_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Correlation matrix of a covariance matrix; 0 beside the diagonal for a constant."""
-    std = np.sqrt(np.diag(covariance))
-    scale = np.where(std > 0, std, 1.0)
-    matrix = np.clip(covariance / scale[:, None] / scale[None, :], -1.0, 1.0)
-    np.fill_diagonal(matrix, 1.0)
-    return matrix
+def quantity_names(names: Sequence[str] | None, quantities: int) -> tuple[str, ...]:
+    """The names of so many quantities; their numbers from 0 where None.
+
+    Raises:
+        BadInput: the number of names is not that of the quantities, or they are not unique.
+    """
+    given = tuple(str(i) for i in range(quantities)) if names is None else tuple(names)
+    if len(given) != quantities or len(set(given)) != quantities:
+        raise BadInput(f"the model has {quantities} quantities; the names are {given}; they must be as many and unique")
+    return given
 
 
 def summary(
-    batches: Sequence[NDArray[np.float64]], names: Sequence[str] | None, level: float, stabilised: bool, digits: int
+    batches: Sequence[NDArray[np.float64]], names: Sequence[str], level: float, stabilised: bool, digits: int
 ) -> MonteCarlo:
     """Summary of all trials.
 
     Args:
         batches: values, each of shape (trials, quantities).
-        names: of the quantities; their numbers from 0 where None.
+        names: of the quantities.
         level: coverage probability of the intervals.
         stabilised: as in the result.
         digits: as in the result.
 
     Raises:
-        BadInput: the number of names is not that of the quantities, they are not unique, or the trials are too few.
+        BadInput: the trials are too few for the level.
     Source: JCGM 101, 7.6 and 7.7; JCGM 102, 7.6.
     """
     width = batches[0].shape[1]
-    given = [str(i) for i in range(width)] if names is None else list(names)
-    if len(given) != width or len(set(given)) != width:
-        raise BadInput(f"the model has {width} quantities; the names are {given}; they must be as many and unique")
     origin = batches[0][0]  # what is constant is then exactly 0
     trials = sum(len(b) for b in batches)
     mean = np.sum([np.sum(b - origin, axis=0) for b in batches], axis=0) / trials
@@ -136,8 +144,30 @@ def summary(
         scatter = values - origin - mean
         covariance += scatter.T @ scatter / (trials - 1)
     spreads: list[Spread] = []
-    for i, name in enumerate(given):
+    for i, name in enumerate(names):
         ordered = np.sort(np.concatenate([b[:, i] for b in batches]))
         intervals = [f(ordered, level) for f in (symmetric_interval, shortest_interval, end_errors)]
         spreads.append(Spread(name, float(origin[i] + mean[i]), math.sqrt(float(covariance[i, i])), *intervals))
-    return MonteCarlo(tuple(spreads), covariance, level, trials, stabilised, digits)
+    factor = _ellipsoid_factor(batches, origin + mean, covariance, level)
+    return MonteCarlo(tuple(spreads), covariance, level, trials, stabilised, digits, factor)
+
+
+def _ellipsoid_factor(
+    batches: Sequence[NDArray[np.float64]], mean: NDArray[np.float64], covariance: NDArray[np.float64], level: float
+) -> float | None:
+    """k of the ellipsoid that holds this share of the trials; None where the covariance is singular.
+
+    Args:
+        batches: values, each of shape (trials, quantities).
+        mean: shape (quantities,).
+        covariance: shape (quantities, quantities).
+        level: coverage probability.
+    """
+    std = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(correlation_of(covariance))
+    if bool(np.any(std == 0)) or float(values[0]) < _SINGULAR * float(values[-1]):
+        return None
+    whitened = vectors / np.sqrt(values) / std[:, None]
+    distance = np.concatenate([np.linalg.norm((b - mean) @ whitened, axis=1) for b in batches])
+    rank = math.ceil(level * len(distance)) - 1
+    return float(np.partition(distance, rank)[rank])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uncertainty.coverage import IntervalKind, numerical_tolerance, shortest_interval, symmetric_interval
-from uncertainty.spread import correlation_of
+from uncertainty.group import correlation_of
 
 LEAST_BATCHES = 10
 """JCGM 101, 7.9.4 may end after two batches, whose two values leave one degree of freedom for their scatter."""
@@ -33,8 +33,8 @@ class Stability:
         self.found: list[NDArray[np.float64]] = []
         self.eigenvalues: list[float] = []
 
-    def add(self, values: NDArray[np.float64]) -> None:
-        """One more batch, shape (batch, quantities)."""
+    def settled_with(self, values: NDArray[np.float64]) -> bool:
+        """Whether all is stable after one more batch, shape (batch, quantities)."""
         origin = values[0]  # what is constant is then exactly 0
         shifted = values - origin
         ordered = np.sort(shifted, axis=0)
@@ -43,8 +43,9 @@ class Stability:
         centre, std = np.mean(shifted, axis=0), np.sqrt(np.diag(covariance))
         self.found.append(np.column_stack([origin + centre, std, origin[:, None] + ends]))
         self.eigenvalues.append(float(np.linalg.eigvalsh(correlation_of(covariance))[-1]))
+        return self._settled()
 
-    def settled(self) -> bool:
+    def _settled(self) -> bool:
         """Twice the scatter of each mean over the batches is within the numerical tolerance."""
         count = len(self.found)
         if count < LEAST_BATCHES:

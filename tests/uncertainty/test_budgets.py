@@ -154,6 +154,17 @@ def test_shared_source_cancels_in_a_difference() -> None:
     assert difference.shares["shared"] == pytest.approx(0)
 
 
+def test_derived_quantities_follow_the_chain_rule() -> None:
+    table = np.array([[1.0, -2.0, 3.0, 0.5], [0.0, -1.0, 1.0, -5.0]])
+    sources = (Source("a", 0.5), PAIR, Source("b", 2.0))
+    budgets = Budgets(("q", "r"), np.array([1.0, 2.0]), ("m", "s"), sources, table)
+    jacobian = np.array([[2.0, -1.0], [0.0, 3.0], [1.0, 1.0]])
+    derived = budgets.derived(["u", "v", "w"], [0.0, 6.0, 3.0], ["m", "s", "m"], jacobian)
+    assert derived.sensitivities == pytest.approx(jacobian @ table)
+    assert derived.covariance == pytest.approx(jacobian @ budgets.covariance @ jacobian.T)
+    assert derived.sources == budgets.sources
+
+
 def test_json_is_plain_and_finite() -> None:
     sources = (Source("a", 0.5, "kg"), PAIR, Source("b", 2.0, degrees_of_freedom=3))
     table = np.array([[1.0, 2.0, 3.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
@@ -165,6 +176,7 @@ def test_json_is_plain_and_finite() -> None:
     assert q["budget"][0]["members"][1] == {
         "source": "y", "unit": "V", "u": 1.0, "sensitivity": 3.0, "contribution": 3.0
     }  # fmt: skip
+    assert q["budget"][0]["correlation"] == [[1.0, 0.75], [0.75, 1.0]]
     assert (r["nu_eff"], r["u"], r["budget"][0]["nu"]) == (None, 0.5, None)
     assert r["k"] == pytest.approx(1.96, abs=1e-3)
     assert r["U95"] == pytest.approx(0.5 * r["k"])

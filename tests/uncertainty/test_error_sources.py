@@ -98,6 +98,7 @@ def test_source_refuses(fields: dict[str, Any]) -> None:
         lambda: Group("g", ("x", "y"), ("m", "m"), np.array([[1.0, 0.5], [0.4, 1.0]])),
         lambda: Group("g", ("x", "y"), ("m", "m"), np.array([[1.0, 2.0], [2.0, 1.0]])),
         lambda: Group("g", ("x", "y"), ("m", "m"), np.array([[1.0, 1.0], [1.0, 0.0]])),
+        lambda: Group("g", ("x", "y"), ("m", "m"), np.array([[1.0, 1e-12], [1e-12, 0.0]])),
         lambda: Group("g", ("x",), ("m",), np.array([[math.nan]])),
         lambda: Group("g", ("x",), ("m",), np.array([[-1.0]])),
         lambda: Group.of_observations("g", ["x"], ["m"], [[1.0]]),

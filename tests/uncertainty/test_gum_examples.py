@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,3 +58,12 @@ def test_resistance_and_reactance_set_by_set() -> None:
     group = Group.of_observations("sets", ["R", "X", "Z"], ["Ω"] * 3, each)
     assert np.mean(each, axis=0) == pytest.approx([127.732, 219.847, 254.260], abs=2e-3)
     assert group.std == pytest.approx([0.071, 0.2955, 0.236], abs=6e-4)
+
+
+def test_example_of_the_theory_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = Path(__file__).parents[2] / "docs" / "theory" / "uncertainty.md"
+    examples = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(examples) == 1
+    exec(compile(examples[0], page.name, "exec"), {})
+    printed = capsys.readouterr().out
+    assert printed.split()[-1] in {"agree", "differ"}

@@ -19,6 +19,7 @@ from uncertainty import (
     Spread,
     TooManyTrials,
     check_linear,
+    ellipsoid_factor,
     linear_budgets,
     monte_carlo,
     second_order_variance,
@@ -53,7 +54,8 @@ def errors_seen(sources: list[Any], trials: int, rows: int = 10_000) -> Array:
         return errors[:, :1]
 
     monte_carlo(model, sources, seed=1, trials=trials, rows=rows)
-    return np.concatenate(seen)
+    assert not np.any(seen[0])  # one row of zeros shows the shape
+    return np.concatenate(seen[1:])
 
 
 def test_errors_of_a_source_depend_on_the_seed_and_its_place_alone() -> None:
@@ -89,13 +91,29 @@ def test_mean_and_covariance_are_those_of_the_values() -> None:
         return kept[-1]
 
     found = monte_carlo(model, TWO, seed=4, trials=23_456)
-    values = np.concatenate(kept)
+    values = np.concatenate(kept[1:])
     assert found.trials == len(values) == 23_456
     assert [q.mean for q in found.quantities] == pytest.approx(np.mean(values, axis=0))
     assert found.covariance == pytest.approx(np.cov(values - 1e9, rowvar=False), rel=1e-6)
     for i, q in enumerate(found.quantities):
         assert q.symmetric == pytest.approx(np.quantile(values[:, i], [0.025, 0.975]), abs=0.05 * q.std)
         assert q.shortest[1] - q.shortest[0] <= q.symmetric[1] - q.symmetric[0]
+
+
+def test_ellipsoid_of_normal_quantities_has_the_factor_of_chi_square() -> None:
+    sources = [Source("a", 1.0), Source("b", 2.0), Source("c", 3e-6)]
+    turned = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1e-6, 1.0]])
+    for level in (0.5, 0.95):
+        found = monte_carlo(lambda e: 7 + e @ turned.T, sources, seed=11, trials=100_000, level=level)
+        assert found.ellipsoid_factor == pytest.approx(ellipsoid_factor(level, 3), abs=0.02)
+    one = monte_carlo(lambda e: e[:, :1], sources[:1], seed=11, trials=100_000)
+    assert one.ellipsoid_factor == pytest.approx(1.96, abs=0.02)
+    uniform = monte_carlo(lambda e: e, [Source("a", 1.0, distribution="rectangular")], seed=11, trials=100_000)
+    assert uniform.ellipsoid_factor == pytest.approx(0.95 * math.sqrt(3), abs=0.02)
+    flat = monte_carlo(lambda e: np.column_stack([e[:, 0], -2 * e[:, 0]]), sources, seed=11, trials=1000)
+    assert flat.ellipsoid_factor is None
+    constant = monte_carlo(lambda e: np.column_stack([e[:, 0], 0 * e[:, 0]]), sources, seed=11, trials=1000)
+    assert constant.ellipsoid_factor is None
 
 
 def test_adaptive_procedure_reaches_the_digits_asked_for() -> None:
@@ -131,8 +149,16 @@ def test_shortest_interval_takes_more_trials() -> None:
 
 def test_high_levels_have_larger_batches() -> None:
     told: list[tuple[int, int | None]] = []
+    batches: list[int] = []
+
+    def model(errors: Array) -> Array:
+        batches.append(len(errors))
+        return both(errors)
+
     monte_carlo(both, TWO, seed=7, trials=150_000, level=0.999, progress=lambda *x: told.append(x))
-    assert told == [(100_000, 150_000), (150_000, 150_000)]
+    monte_carlo(model, TWO, seed=7, trials=150_000, level=0.999, rows=10**9)
+    assert told == [(n * 10_000, 150_000) for n in range(1, 16)]
+    assert batches == [1, 100_000, 50_000]
 
 
 def test_fixed_trials_are_stable_only_where_ten_batches_show_it() -> None:
@@ -148,6 +174,12 @@ def test_constant_quantity() -> None:
     assert np.array_equal(found.correlation, np.eye(2))
 
 
+def test_digits_beyond_the_rounding_of_the_values_are_not_waited_for() -> None:
+    found = monte_carlo(lambda e: 1e9 + 1e-7 * e[:, :1], TWO, seed=9, digits=6, most_trials=200_000)
+    assert (found.stabilised, found.trials) == (True, 100_000)
+    assert found.quantities[0].mean == pytest.approx(1e9, abs=1e-6)
+
+
 def test_heavy_tails_do_not_stabilise() -> None:
     cauchy = [Source("a", 1.0, "", "A", "t", 1.0)]
     found = monte_carlo(lambda e: e, cauchy, seed=10, most_trials=200_000)
@@ -156,13 +188,37 @@ def test_heavy_tails_do_not_stabilise() -> None:
 
 
 def test_bound_on_memory() -> None:
-    with pytest.raises(TooManyTrials, match="hold 20000 trials of 2 quantities; 20001"):
+    with pytest.raises(TooManyTrials, match="hold 20000 trials of 2 quantities; 20001 are"):
         monte_carlo(both, TWO, seed=1, trials=20_001, most_bytes=320_000)
     found = monte_carlo(both, TWO, seed=1, digits=4, most_bytes=320_000)
     assert (found.trials, found.stabilised) == (20_000, False)
     rows: list[int] = []
     monte_carlo(lambda e: both(e) if rows.append(len(e)) is None else e, TWO, seed=1, trials=10_001, rows=3000)
-    assert rows == [3000, 3000, 3000, 1000, 1]
+    assert rows == [1, 3000, 3000, 3000, 1000, 1]
+
+
+def test_one_batch_needs_its_memory() -> None:
+    with pytest.raises(TooManyTrials, match="hold 9999 trials of 2 quantities; 10000 are"):
+        monte_carlo(both, TWO, seed=1, most_bytes=16 * 9_999)
+    assert monte_carlo(both, TWO, seed=1, most_bytes=16 * 9_999, most_trials=9_999).trials == 9_999
+
+
+def test_progress_of_a_slow_model_is_seen_within_a_batch() -> None:
+    told: list[tuple[int, int | None]] = []
+    monte_carlo(both, TWO, seed=1, trials=250, rows=100, progress=lambda *x: told.append(x))
+    assert told == [(100, 250), (200, 250), (250, 250)]
+
+
+def test_model_may_fill_one_array_again() -> None:
+    out = np.zeros((1000, 2))
+
+    def model(errors: Array) -> Array:
+        out[: len(errors)] = both(errors)
+        return out[: len(errors)]
+
+    assert same(
+        monte_carlo(model, TWO, seed=1, trials=5000, rows=1000), monte_carlo(both, TWO, seed=1, trials=5000)
+    )  # fmt: skip
 
 
 def test_no_sources() -> None:
@@ -184,6 +240,7 @@ def test_json_is_plain_and_finite() -> None:
         (lambda e: e[:, 0], "shape"),
         (lambda e: e[:-1], "shape"),
         (lambda e: e[:, :0], "shape"),
+        (lambda e: np.zeros((len(e), min(len(e), 3))), "1\\) is needed"),
         (lambda e: np.log(1e-300 + 0 * e) + np.where(e > 1, np.nan, 0), "not finite in"),
         (lambda e: np.where(e > 1, np.inf, 0), "first for the errors"),
     ],
@@ -230,6 +287,7 @@ def spread(low: float, high: float, error: float) -> MonteCarlo:
         (-1.96, 1.90, 0.001, "differ"),
         (-2.05, 1.96, 0.01, "differ"),
         (-1.96, 1.92, 0.02, "undecided"),
+        (-2.00, 1.96, 0.02, "undecided"),
         (-1.96, 1.90, 0.02, "undecided"),
         (-1.96, 1.96, math.inf, "undecided"),
     ],
@@ -277,3 +335,13 @@ def test_second_order_terms_are_exact_for_normal_errors_of_a_quadratic_model() -
     )
     assert found[0] == pytest.approx(18 * u**4 + 25 * u**2 * v**2)
     assert found[1] == pytest.approx(2 * u**2 * v**2)  # c_a = 1, c_abb = 2
+
+
+def test_second_order_terms_with_third_derivatives() -> None:
+    """b + b a² (c_b = 1, c_baa = 2) and a + a³ (c_a = 1, c_aaa = 6)."""
+    u, v = 0.01, 0.02
+    found = second_order_variance(
+        lambda e: np.column_stack([e[:, 1] + e[:, 1] * e[:, 0] ** 2, e[:, 0] + e[:, 0] ** 3]),
+        [Source("a", u), Source("b", v)],
+    )
+    assert found == pytest.approx([2 * u**2 * v**2, 6 * u**4], rel=1e-3)

@@ -117,10 +117,12 @@ def test_mass_calibration() -> None:
     found = monte_carlo(mass_off_nominal, MASS, seed=4, trials=TRIALS, names=["mass"])
     assert found["mass"].mean == pytest.approx(1.2341, abs=5e-4)
     assert found["mass"].std == pytest.approx(0.0754, abs=4e-4)
-    assert found["mass"].symmetric == pytest.approx((1.0834, 1.3825), abs=2e-3)
+    low, high = found["mass"].shortest  # many intervals are nearly as short: the ends scatter, the length does not
+    assert (low, high) == pytest.approx((1.0834, 1.3825), abs=5e-3)
+    assert high - low == pytest.approx(1.3825 - 1.0834, abs=1.5e-3)
     check = check_linear(budget, found, digits=1)
     assert check.tolerance == pytest.approx(0.005)
-    assert (check.low, check.high) == pytest.approx((0.0451, 0.0430), abs=2e-3)
+    assert (check.low, check.high) == pytest.approx((0.0451, 0.0430), abs=2.5e-3)
     assert check.verdict == "differ"
 
 
