@@ -17,6 +17,7 @@ from cli.guided_test import ending_words, run_test
 from cli.numbers import TimeScale
 from cli.options import Json, Settings
 from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.validation_page import whole_lines
 from cli.workbench import Workbench
 from daq.acquisition.session import Session
 from daq.guided_tests.procedure import Procedures, TestDone
@@ -228,6 +229,8 @@ def _show(result: Mapping[str, Any], as_json: bool) -> None:
     for line in result["lines"]:
         print(f"  {line}")
     print("Points:")
+    for line in whole_lines(result):
+        print(f"  {line}")
     for name, point in result["points"].items():
         print(f"  {name}: {point['verdict']:14} {point['state']:10} {point['why']}")
     for test, missed in result["not_reached"].items():

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say, show
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 _NOTHING_KNOWN_DEG = 90.0  # of an axis
@@ -113,7 +114,10 @@ def validate(
     else:
         if what_if:
             print(f"{what_if_words(what_if)}: not the rig's verdict, none is kept")
-        print_points(found.to_json()["points"])
+        result = found.to_json()
+        for line in whole_lines(result):
+            show(line)
+        print_points(result["points"])
     return 0 if found.passed else 1
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.noticed import Noticed
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain, signed, with_std
 from analysis.scores import Z_LIMIT, Score
@@ -28,6 +29,7 @@ _QUANTITIES = (
     ("amplitude_y", "y amplitude, order 1", "amplitude_y_mm", "mm"),
     ("amplitude", "rms radius", "amplitude_mm", "mm"),
 )
+_EXAMPLE, _SEEN, _NONE = 1e-3, 0.05, 1e4
 CLASSES = {"pass": "good", "fail": "bad"}
 
 
@@ -128,6 +130,8 @@ def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, 
     measured = values["measured"]
     speed = measured["speed_rpm"]
     first = campaign.identification.parameters.applied_to(campaign.rig.physics).natural_frequencies_rad_s[0]
+    agreement = campaign.validation.agreement if campaign.validation else None
+    whole = agreement.points.get(name) if agreement else None
     largest = max((abs(z) for z in point.z_scores.values()), default=math.nan)
     return {
         "name": name,
@@ -137,10 +141,48 @@ def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, 
         "expected": point.expected or "–",
         "model": point.prediction.state.type if point.prediction else "–",
         "largest": "–" if math.isnan(largest) else f"{largest:.1f}",
+        "chi2": "–" if whole is None else f"{plain(whole.chi2, 3)} ({whole.dof})",
         "verdict": point.verdict,
         "class": CLASSES.get(point.verdict, "open"),
         "why": point.why,
     }
+
+
+def noticed_rows(campaign: Campaign) -> list[dict[str, Any]]:
+    """The smallest deviation of each cause that a point alone, and all together, would notice."""
+    found = campaign.validation.noticed if campaign.validation else ()
+    return [
+        {
+            "cause": one.cause.words,
+            "points": [_size(size, one) for size in one.sizes.values()],
+            "together": _size(one.together, one),
+        }
+        for one in found
+    ]
+
+
+def _size(size: float, one: Noticed) -> str:
+    shown = size * one.cause.factor
+    return f"{plain(shown, 2)} {one.cause.unit}" if shown < _NONE else "–"
+
+
+def exact_rows(campaign: Campaign) -> list[dict[str, str]]:
+    """What the rig file takes as exact, and what 0.1 % of each would do to what was identified."""
+    known, found = campaign.rig.known, campaign.identification.parameters
+    rows = []
+    for number in known.exact:
+        if number not in found.by_number:
+            continue
+        changes = found.by_number[number] * _EXAMPLE * known.values[number]
+        parts = [
+            f"{SYMBOLS.get(name, name)} {signed(100 * change / value, 2)} % ({signed(change / std)} std)"
+            for (name, value), std, change in zip(found.values.items(), found.std.values(), changes, strict=True)
+            if value and std > 0 and abs(change) > _SEEN * std
+        ]
+        rows.append(
+            {"number": number, "value": plain(known.values[number]), "does": ", ".join(parts) or "nothing seen"}
+        )
+    return rows
 
 
 def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
@@ -158,14 +200,18 @@ def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
             "measured": _pair(value, std, factor, shown),
             "predicted": _pair(model, model_std, factor, shown),
             "difference": "–",
+            "interval": "–",
             "z": "–" if score is None else signed(score.z, 2),
             "class": "bad" if score is not None and not abs(score.z) <= Z_LIMIT else "",
         }
         if score is not None and score.noise:
             row |= _noise_row(score, 1e6 if small else 1e3, shown)
-        elif value is not None and model is not None:
-            apart = (value - model + 180) % 360 - 180 if unit == "°" else value - model
-            row["difference"] = _pair(apart, math.hypot(std or 0.0, model_std or 0.0), factor, shown)
+        elif score is not None:
+            scale = (180 / math.pi if unit == "°" else 1e3) * factor
+            row["difference"] = _pair(score.error * scale, score.u_validation * scale, 1.0, shown)
+            reach = 1.96 * score.u_validation
+            low, high = ((score.error + side * reach) * scale for side in (-1, 1))
+            row["interval"] = f"{signed(low, 3)} … {signed(high, 3)} {shown}"
         rows.append(row)
     return rows
 

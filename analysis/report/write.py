@@ -63,6 +63,10 @@ def render(campaign: Campaign) -> str:
         points=[_point(campaign, name, point, i) for i, (name, point) in enumerate(points.items())],
         summary=[tables.summary_row(point, name, campaign) for name, point in points.items()],
         counts=_counts(points),
+        agreement=campaign.validation.agreement if campaign.validation else None,
+        explained=_explained(campaign),
+        noticed=tables.noticed_rows(campaign),
+        exact=tables.exact_rows(campaign),
         stability=_map(campaign, points),
         z_limit=f"{Z_LIMIT:g}",
     )
@@ -73,6 +77,12 @@ def _counts(points: dict[str, PointResult]) -> dict[str, int]:
     for point in points.values():
         counts[point.verdict] = counts.get(point.verdict, 0) + 1
     return counts
+
+
+def _explained(campaign: Campaign) -> list[str]:
+    """What would explain a failure, the likeliest first."""
+    found = campaign.validation.explanations if campaign.validation else None
+    return [] if found is None else found.sentences
 
 
 def _fit(curve: FitCurve, index: int) -> dict[str, Any]:
