@@ -6,7 +6,7 @@
 The motion comes from benchmarks.worlds.motion, which shares no line with the packages under test.
 """
 
-from benchmarks.worlds.recording import record, tests_of
+from benchmarks.worlds.recording import campaign_tests, record
 from benchmarks.worlds.world import Effects, Spread, World, draw_world, with_effect
 
-__all__ = ["Effects", "Spread", "World", "draw_world", "record", "tests_of", "with_effect"]
+__all__ = ["Effects", "Spread", "World", "campaign_tests", "draw_world", "record", "with_effect"]

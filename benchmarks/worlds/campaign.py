@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from analysis.validation import Validation, validate
-from benchmarks.worlds.recording import BEFORE_POINTS, record, tests_of
+from benchmarks.worlds.recording import BEFORE_POINTS, campaign_tests, record
 from benchmarks.worlds.world import WRONG, Effects, Spread, World, draw_world
 from daq.signals.run import Run
 from identification import Identification, IdentificationError, identify
@@ -81,7 +81,7 @@ def campaign(seed: int, plan: Plan) -> dict[str, Any]:
         if plan.wrong and (name := WRONG[plan.wrong]):
             later = world.changed(plan.wrong, plan.by * found.parameters.std[name])
         started = time.perf_counter()
-        points = [record(later, seed, test) for test in tests_of(world)[len(BEFORE_POINTS) :]]
+        points = [record(later, seed, test) for test in campaign_tests(world)[len(BEFORE_POINTS) :]]
         seconds["data"] += time.perf_counter() - started
         started = time.perf_counter()
         row |= _judged(validated(points, world.rig, found))

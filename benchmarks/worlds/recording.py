@@ -20,7 +20,7 @@ from daq.signals.run import Release, Run
 BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
 SETTLE_S = {"A": 45.0, "B": 45.0, "C": 60.0, "D": 45.0, "E": 55.0}
 """Seconds recorded after the release; C comes to rest slowest."""
-_RING_S, _SPIN_S, _RAMP_S, _TOP_RPM, _LOCKED_S = 13.0, 8.0, 40.0, 900.0, 4.0
+_RING_S, _SPIN_S, _RAMP_S, _TOP_RPM, _WAIT_S, _LOCKED_S = 13.0, 8.0, 40.0, 900.0, 8.0, 4.0
 _NODE = 4  # grid steps between the node's samples: 1 kHz
 _BLOCK = 8  # samples of one radio message
 _MARK_JITTER_S, _RELEASE_S = 1e-6, 1e-4
@@ -39,7 +39,7 @@ class _Recorded:
     release_s: float | None = None
 
 
-def tests_of(world: World) -> list[str]:
+def campaign_tests(world: World) -> list[str]:
     """The whole campaign in its order."""
     return [*BEFORE_POINTS, *(f"point-{name}" for name in world.rig.points)]
 
@@ -62,7 +62,7 @@ def record(world: World, seed: int, test: str) -> Run:
         return _read(world, seed, _run_up(world, rng))
     if test.removeprefix("point-") in world.rig.points and test.startswith("point-"):
         return _read(world, seed, _point(world, test, rng))
-    raise ValueError(f"expected one of {', '.join(tests_of(world))}, got {test!r}")
+    raise ValueError(f"expected one of {', '.join(campaign_tests(world))}, got {test!r}")
 
 
 def _stream(seed: int, name: str) -> np.random.Generator:
@@ -72,6 +72,12 @@ def _stream(seed: int, name: str) -> np.random.Generator:
 
 def _locks(world: World, rng: np.random.Generator) -> Array:
     return np.array([0.0, math.pi]) + world.lock_play_rad * rng.uniform(-1, 1, 2)
+
+
+def _rest(world: World, turning: Turning) -> Array:
+    """Where the springs of a bent shaft rest at the start, m."""
+    bow = world.mechanics.bow_m * np.exp(1j * (world.mechanics.bow_rad + turning.rows[0, 1]))
+    return np.array([bow.real, bow.imag])
 
 
 def _grid(seconds: float) -> Array:
@@ -91,8 +97,9 @@ def _ring_down(world: World, test: str, rng: np.random.Generator) -> _Recorded:
     turning, lock = Turning.steady(_phase(rng), 0.0), _locks(world, rng)
     state = np.zeros((len(time), 8))
     state[:, 2:4] = lock
-    state[:go, :2] = np.clip((time[:go, None] - pull) / 0.1, 0, 1) * held
-    state[go:] = moved(world.mechanics, turning, time[go:], np.r_[held, lock, np.zeros(4)], False)
+    rest = _rest(world, turning)
+    state[:go, :2] = rest + np.clip((time[:go, None] - pull) / 0.1, 0, 1) * held
+    state[go:] = moved(world.mechanics, turning, time[go:], np.r_[rest + held, lock, np.zeros(4)], False)
     return _Recorded(test, time, state, turning)
 
 
@@ -100,19 +107,17 @@ def _spin_down(world: World, rng: np.random.Generator) -> _Recorded:
     """Rotor at rest, or creeping; both pendulums flicked, one each way."""
     time, flick = _grid(0.7 + _SPIN_S), round(0.7 / STEP_S)
     turning = Turning.steady(_phase(rng), world.effects.creep_rpm * math.pi / 30)
-    lock = _locks(world, rng)
+    lock, rest = _locks(world, rng), _rest(world, turning)
     speed = FLICK_RAD_S * np.array([0.96, -0.9]) * (1 + 0.05 * rng.standard_normal(2)) * rng.choice([-1, 1])
-    state = np.tile(np.r_[0.0, 0.0, lock, np.zeros(4)], (len(time), 1))
-    state[flick:] = moved(world.mechanics, turning, time[flick:], np.r_[0.0, 0.0, lock, 0.0, 0.0, speed], True)
+    state = np.tile(np.r_[rest, lock, np.zeros(4)], (len(time), 1))
+    state[flick:] = moved(world.mechanics, turning, time[flick:], np.r_[rest, lock, 0.0, 0.0, speed], True)
     return _Recorded("spin-down", time, state, turning)
 
 
 def _run_up(world: World, rng: np.random.Generator) -> _Recorded:
     time = _grid(0.5 + _RAMP_S + 1.0)
     turning = Turning.ramp(_phase(rng), 0.5, _TOP_RPM * math.pi / 30, _RAMP_S)
-    lock, bow = _locks(world, rng), world.mechanics.locked_orbit(0.0, np.zeros(2))
-    turn = np.exp(1j * turning.rows[0, 1])
-    start = np.r_[(bow[0] * turn).real, (bow[1] * turn).real, lock, np.zeros(4)]
+    start = np.r_[_rest(world, turning), _locks(world, rng), np.zeros(4)]
     return _Recorded("run-up", time, moved(world.mechanics, turning, time, start, False), turning)
 
 
@@ -121,14 +126,14 @@ def _point(world: World, test: str, rng: np.random.Generator) -> _Recorded:
     name = test.removeprefix("point-")
     ratio, physics = world.rig.points[name].speed_ratio, world.rig.physics
     speed = ratio * math.sqrt(physics.k1_N_per_m / physics.total_mass_kg) * (1 + 0.002 * float(rng.standard_normal()))
-    turning, lock, locked = Turning.steady(_phase(rng), speed), _locks(world, rng), 2.0 + _LOCKED_S
+    turning, lock, locked = Turning.steady(_phase(rng), speed), _locks(world, rng), _WAIT_S + _LOCKED_S
     time = _grid(locked + SETTLE_S.get(name, 60.0))
     go = round((locked + 0.1 * float(rng.random())) / STEP_S)
     x, y = (a * np.exp(1j * turning.rows[0, 1]) for a in world.mechanics.locked_orbit(speed, lock))
     start = np.r_[x.real, y.real, lock, (1j * speed * x).real, (1j * speed * y).real, 0.0, 0.0]
     before = moved(world.mechanics, turning, time[: go + 1], start, False)
     after = moved(world.mechanics, turning, time[go:], before[-1], True)
-    since = round(2.0 / STEP_S)  # of a locked orbit that a hardening spring makes another than the linear one
+    since = round(_WAIT_S / STEP_S)  # of a locked orbit that a hardening spring makes another than the linear one
     state = np.concatenate([before[since:-1], after])
     return _Recorded(test, time[since:], state, turning, float(time[go]))
 
