@@ -125,9 +125,9 @@ def test_points_end_in_their_states(name: str) -> None:
         assert np.std(run.x_m[late]) == pytest.approx(world.effects.noise_m, rel=0.05)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(5))
 def test_trajectories_agree_with_the_suites_dynamics(seed: int) -> None:
-    """The one comparison with it: free pendulums, constant speed and ramp, two seconds, 1e-8 of the largest value."""
+    """The one comparison with it: constant speed and ramp, free and locked, two seconds, 1e-8 of the largest value."""
     rng = np.random.default_rng(seed)
     physics, m = nominal(damping=2e-3), mechanics(damping=2e-3)
     assert m.stiffness_N_per_m[0] == pytest.approx(physics.k1_N_per_m, rel=1e-12)
@@ -135,13 +135,14 @@ def test_trajectories_agree_with_the_suites_dynamics(seed: int) -> None:
     start = np.r_[
         1e-3 * rng.standard_normal(2), rng.uniform(-3, 3, 2), 0.02 * rng.standard_normal(2), 5 * rng.standard_normal(2)
     ]
-    time = np.linspace(0, 2, 201)
+    time, free = np.linspace(0, 2, 201), seed < 4
+    start[6:] *= free
     if seed % 2:
         history, turning = SpeedHistory.constant(speed, 0.4), Turning.steady(0.4, speed)
     else:
         history, turning = SpeedHistory.ramp(0.0, speed, 4.0), Turning.ramp(0.0, 0.0, speed, 4.0)
-    theirs = simulate(physics, Scene(history, (True, True), start), time, 1e-10)
-    ours = moved(m, turning, time, start, True, FINE_S)
+    theirs = simulate(physics, Scene(history, (free, free), start), time, 1e-10)
+    ours = moved(m, turning, time, start, free, FINE_S)
     assert np.max(np.abs(ours[:, :2] - theirs.displacement_m)) < 1e-8 * np.max(np.abs(ours[:, :2]))
     assert np.max(np.abs(ours[:, 2:4] - theirs.angles_rad)) < 1e-8 * np.max(np.abs(ours[:, 2:4]))
 
@@ -163,8 +164,35 @@ def test_dry_friction_stops_a_pendulum_by_the_closed_form(damping: float, dry: f
     assert np.all(found[time > 1.001 * stop, 6:] == 0.0)
 
 
+@pytest.mark.parametrize("name", ["drag_Nms2_per_rad2", "contact_kg_m2"])
+def test_a_torque_with_the_square_of_the_speed_slows_by_the_closed_form(name: str) -> None:
+    """On a rotor at rest J θ̈ = −c θ̇ − d θ̇²: θ̇ = c θ̇0 e / (c + d θ̇0 (1 − e)) with e = exp(−c t/J)."""
+    c, d, speed = 1e-3, 2e-5, 12.0
+    own = replace(SwingingMass(0.075, 0.054, c), **{name: d})
+    m = Mechanics(1e9, (1e9, 1e9), (0.0, 0.0), 0.0, own, own)
+    time = np.linspace(0, 0.5, 101)
+    found = moved(m, Turning.steady(0.0, 0.0), time, np.array([0.0, 0.0, 0.1, 0.2, 0.0, 0.0, speed, -speed]), True)
+    e = np.exp(-c * time / (0.075 * 0.054**2))
+    rate = c * speed * e / (c + d * speed * (1 - e))
+    assert np.allclose(found[:, 6], rate, atol=1e-7)
+    assert np.allclose(found[:, 7], -rate, atol=1e-7)
+
+
+def test_air_turns_with_the_disk_and_contact_goes_with_the_whole_speed() -> None:
+    """On a turning rotor the same two differ: J θ̈ = −c θ̇ − d |θ̇| θ̇, or − F (ω + θ̇)² as on a pendulum that slides on."""
+    c, d, speed, time = 1e-3, 2e-5, 5.0, np.linspace(0, 0.1, 101)
+    start = np.array([0.0, 0.0, 0.1, 0.2, 0.0, 0.0, speed, speed])
+    for name in ("drag_Nms2_per_rad2", "contact_kg_m2"):
+        own = replace(SwingingMass(0.075, 0.054, c), **{name: d})
+        m = Mechanics(1e9, (1e9, 1e9), (0.0, 0.0), 0.0, own, own)
+        found = moved(m, Turning.steady(0.0, 20.0), time, start, True)[:, 6]
+        seen = d * ((20.0 if name == "contact_kg_m2" else 0.0) + speed) ** 2
+        slope = -(c * speed + seen) / (0.075 * 0.054**2)
+        assert (found[1] - found[0]) / time[1] == pytest.approx(slope, rel=0.01)
+
+
 def test_friction_holds_until_the_torque_is_above_it() -> None:
-    """On the locked orbit at 100 rad/s the push on A has an amplitude of S ω² |X|-like size: below it nothing moves."""
+    """Enough friction of either kind holds both pendulums on the locked orbit; hardly any changes the motion little."""
     m = mechanics()
     stuck = replace(m, a=replace(m.a, dry_Nm=1.0), b=replace(m.b, contact_kg_m2=1e-3))
     loose = replace(m, a=replace(m.a, dry_Nm=1e-6), b=replace(m.b, contact_kg_m2=1e-10))
