@@ -24,8 +24,8 @@ UNSTATED_STD = 5e-4
 """Relative standard uncertainty of masses and lengths: a rig file states none, a laboratory's balance gives this."""
 _ROUTINE = re.compile(r"by itself it does not exclude dry friction")
 _NAMED = {
-    "cubic": r"stiffness (rises|falls|grows|changes)|harden|soften|cubic|spring",
-    "quadratic": r"damping (rises|falls|grows|changes)|quadratic|with the amplitude",
+    "cubic": r"amplitude-dependent|stiffness (rises|falls|grows|changes)|harden|soften|cubic",
+    "quadratic": r"amplitude-dependent|damping (rises|falls|grows|changes)|quadratic",
     "dry": r"dry friction", "contact": r"dry friction", "drag": r"\bair\b|drag|quadratic|not purely viscous",
     "bow_m": r"\bbow|bent|run-?out", "runout_m": r"\bbow|bent|run-?out", "hum_m": r"\bhum\b|mains|50(\.\d+)? ?Hz",
     "wander_m": r"wander|drift|coloured|1/f|low frequenc", "creep_rpm": r"rotor (may )?(move|creep|turn)",
