@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.worlds import Effects, Spread, World, campaign_tests, draw_world, record, with_effect
-from benchmarks.worlds.motion import Mechanics, SwingingMass, Turning, moved
+from benchmarks.worlds.motion import STEP_S, Mechanics, SwingingMass, Turning, moved
 from benchmarks.worlds.recording import wander
 from benchmarks.worlds.world import WRONG
 from dynamics import Scene, SpeedHistory, simulate
@@ -312,3 +312,16 @@ def test_what_does_not_exist_is_refused() -> None:
     with pytest.raises(ValueError, match="hum_m"):
         with_effect("colour=3")
     assert campaign_tests(world)[-5:] == [f"point-{name}" for name in "ABCDE"]
+
+
+@pytest.mark.parametrize("name", "ADE")
+def test_the_campaigns_step_is_short_enough(name: str) -> None:
+    """A fifth of it moves a release by less than 1 nm and 2e-7 rad: far below what the sensors resolve."""
+    world = draw_world(1, effects=Effects(cubic=0.03, quadratic=0.05, drag=0.02))
+    speed = world.rig.points[name].speed_ratio * 6 * math.pi
+    time, start = np.linspace(0, 10, 1001), orbit(world.mechanics, speed, 0.0, BOTH + 0.003)
+    coarse, fine = (
+        moved(world.mechanics, Turning.steady(0.0, speed), time, start, True, step) for step in (STEP_S, 5e-5)
+    )
+    assert np.max(np.abs(coarse - fine)[:, :2]) < 1e-9
+    assert np.max(np.abs(coarse - fine)[:, 2:4]) < 2e-7
