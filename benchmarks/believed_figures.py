@@ -129,22 +129,24 @@ def key_of(plan: Plan) -> str:
 
 
 def earlier_rows(path: Path, key: str) -> list[dict[str, Any]]:
-    """Whole lines of a file that belong to a series; a last line that was cut off is left out."""
-    rows: list[dict[str, Any]] = []
+    """Campaigns of a series that a file has, each once; a line that was cut off is left out."""
+    rows: dict[int, dict[str, Any]] = {}
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         try:
             row = json.loads(line)
         except json.JSONDecodeError:
             continue
         if row.get("plan") == key:
-            rows.append(row)
-    return rows
+            rows[row["seed"]] = row
+    return list(rows.values())
 
 
 def run(seeds: Sequence[int], plan: Plan, jobs: int, out: Path | None, resume: bool) -> list[dict[str, Any]]:
     """All campaigns, with progress on standard error; every line is on the disk when its campaign is done."""
     key, wanted = key_of(plan), set(seeds)
     rows = [row for row in earlier_rows(out, key) if row["seed"] in wanted] if out and resume else []
+    if out:
+        out.parent.mkdir(parents=True, exist_ok=True)
     left = sorted(wanted - {row["seed"] for row in rows})
     bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                    TimeRemainingColumn(), TextColumn("{task.fields[rate]}"), console=Console(stderr=True))  # fmt: skip
@@ -160,10 +162,22 @@ def run(seeds: Sequence[int], plan: Plan, jobs: int, out: Path | None, resume: b
     return sorted(rows, key=lambda row: row["seed"])
 
 
+def seeds_of(text: str) -> range:
+    """A:B as the seeds from A up to B − 1.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not that, or holds no seed.
+    """
+    first, sign, last = text.partition(":")
+    if not (sign and first.isdecimal() and last.isdecimal() and int(first) < int(last)):
+        raise argparse.ArgumentTypeError(f"expected A:B with whole numbers A < B, got {text!r}")
+    return range(int(first), int(last))
+
+
 def parsed(arguments: Sequence[str] | None = None) -> tuple[argparse.Namespace, Plan]:
     """The command line and the plan it stands for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", default="0:20", metavar="A:B", help="from A up to B − 1")
+    parser.add_argument("--seeds", type=seeds_of, default="0:20", metavar="A:B", help="from A up to B − 1")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME[=STRENGTH]")
     parser.add_argument("--wrong", default="", metavar="NAME[=N]", help=f"one of {', '.join(WRONG)}")
     parser.add_argument("--knowledge", choices=KNOWLEDGE, default="usual")
@@ -183,14 +197,15 @@ def parsed(arguments: Sequence[str] | None = None) -> tuple[argparse.Namespace, 
         parser.error(f"--wrong: expected one of {', '.join(WRONG)}, got {wrong!r}")
     if given.resume and not given.out:
         parser.error("--resume: expected --out FILE to go on with")
+    if given.out and given.out.exists() and not given.resume:
+        parser.error(f"--out: {given.out} is there already; --resume goes on with it")
     return given, Plan(KNOWLEDGE[given.knowledge](), effects, wrong, float(by or 5.0), given.joint)
 
 
 def main() -> None:
     """See the module."""
     given, plan = parsed()
-    first, last = (int(text) for text in given.seeds.split(":"))
-    rows = run(range(first, last), plan, given.jobs, given.out, given.resume)
+    rows = run(given.seeds, plan, given.jobs, given.out, given.resume)
     print(summary(rows, plan.effects))
 
 

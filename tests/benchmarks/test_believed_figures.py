@@ -13,6 +13,7 @@ from scipy.stats import binom
 
 from benchmarks import believed_figures as figures
 from benchmarks.worlds import Effects, Spread
+from benchmarks.worlds import campaign as laboratory
 from benchmarks.worlds.campaign import Plan, campaign, is_routine, names_effect
 
 PLAN = Plan(Spread(), Effects())
@@ -83,12 +84,30 @@ def test_an_interrupted_series_goes_on_where_it_stopped(tmp_path: Path, monkeypa
 
 def test_the_command_line_is_read(capsys: pytest.CaptureFixture[str]) -> None:
     given_, plan = figures.parsed(["--seeds", "3:5", "--effect", "hum=1e-5", "--effect", "dry", "--wrong", "k2=7"])
-    assert given_.seeds == "3:5"
+    assert given_.seeds == range(3, 5)
     assert (plan.effects.hum_m, plan.effects.dry, plan.wrong, plan.by) == (1e-5, 0.01, "k2", 7.0)
-    for arguments, word in ((["--effect", "colour"], "cubic"), (["--wrong", "k9"], "zeta1"), (["--resume"], "--out")):
+    for arguments, word in (
+        (["--effect", "colour"], "cubic"),
+        (["--wrong", "k9"], "zeta1"),
+        (["--resume"], "--out"),
+        (["--seeds", "5:5"], "A < B"),
+        (["--seeds", "5"], "A < B"),
+        (["--out", __file__], "--resume"),
+    ):
         with pytest.raises(SystemExit):
             figures.parsed(arguments)
         assert word in capsys.readouterr().err
+
+
+def test_a_campaign_that_breaks_off_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("somewhere")
+
+    monkeypatch.setattr(laboratory, "identified", broken)
+    found = campaign(0, PLAN)
+    assert found["error"] == "ZeroDivisionError: somewhere"
+    assert found["truth"]
+    assert "seed 0: ZeroDivisionError" in figures.summary([found, row(1)], Effects())
 
 
 def test_a_campaign_end_to_end() -> None:
