@@ -99,8 +99,10 @@ def _verdicts(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 def _warnings(rows: Sequence[dict[str, Any]], effects: Effects) -> list[str]:
     """Which share of warnings and of campaigns names the effect; alarms where there is none to give."""
-    texts = [[w for w in [*row["warnings"], *row.get("joint", {}).get("warnings", [])] if not is_routine(w)]
-             for row in rows]  # fmt: skip
+    texts = [
+        [w for w in dict.fromkeys([*row["warnings"], *row.get("joint", {}).get("warnings", [])]) if not is_routine(w)]
+        for row in rows
+    ]
     warnings = sum(map(len, texts))
     if not named_effects(effects):
         alarms = sum(bool(found) or not row["passed"] for found, row in zip(texts, rows, strict=True))
