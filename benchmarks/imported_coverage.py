@@ -1,4 +1,4 @@
-"""Coverage on recordings that know nothing of this project: made by scipy from the equations of motion, kept as csv.
+"""Coverage on recordings that know nothing of this project: made by the laboratory, kept as csv.
 
     python -m benchmarks.imported_coverage [--campaigns 40] [--seed 1] [--wide] [--tests ring-down-x,ring-down-y,...]
 
@@ -22,9 +22,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numba import njit
-from scipy.integrate import solve_ivp
 
+from benchmarks.worlds.motion import Mechanics, SwingingMass, Turning, moved
 from cli.runs import load_runs
 from daq.exchange import import_recording, make_recipe
 from identification import IdentificationError, identify
@@ -33,40 +32,6 @@ from rig_configs import load_rig
 TESTS = ("ring-down-x", "ring-down-y", "run-up", "spin-down", "point")
 DISK_KG, PENDULUM_KG, LENGTH_M, WEIGHT_KG = 7.0, 0.075, 0.054, 0.120
 MASS_KG = DISK_KG + 2 * PENDULUM_KG + WEIGHT_KG
-
-
-@njit(cache=True)
-def slope(t, s, psi0, w0, ramp, p, free):
-    """ẋ of (x, y, φA, φB, rates): absolute pendulum angles; speed w0 + ramp t; locked pendulums turn with the rotor.
-
-    Dry friction's sign is smoothed over 2e-4 rad/s: a pendulum that sticks creeps by less than an encoder's step.
-    """
-    k1, k2, c1, c2, ca, cb, imbalance, torque, contact, mass_a = p
-    w = w0 + ramp * t
-    psi = psi0 + w0 * t + 0.5 * ramp * t * t
-    matrix, right = np.zeros((4, 4)), np.zeros(4)
-    matrix[0, 0] = matrix[1, 1] = MASS_KG + mass_a - PENDULUM_KG
-    right[0] = -c1 * s[4] - k1 * s[0] + imbalance * (w * w * np.cos(psi) + ramp * np.sin(psi))
-    right[1] = -c2 * s[5] - k2 * s[1] + imbalance * (w * w * np.sin(psi) - ramp * np.cos(psi))
-    for i in range(2):
-        phi, rate, damping = s[2 + i], s[6 + i], (ca, cb)[i]
-        sin, cos = np.sin(phi), np.cos(phi)
-        mass = mass_a if i == 0 else PENDULUM_KG
-        first_moment, inertia = mass * LENGTH_M, mass * LENGTH_M**2
-        dry = (torque + contact * rate * rate) * np.tanh((rate - w) / 2e-4)
-        matrix[0, 2 + i], matrix[1, 2 + i] = -first_moment * sin, first_moment * cos
-        right[0] += first_moment * rate * rate * cos
-        right[1] += first_moment * rate * rate * sin
-        matrix[2 + i, 2 + i] = inertia
-        if free:
-            matrix[2 + i, 0], matrix[2 + i, 1] = -first_moment * sin, first_moment * cos
-            right[2 + i] = -damping * (rate - w) - dry
-        else:
-            right[2 + i] = inertia * ramp
-    out = np.empty(8)
-    out[:4] = s[4:]
-    out[4:] = np.linalg.solve(matrix, right)
-    return out
 
 
 @dataclass(frozen=True)
@@ -126,13 +91,21 @@ class Rig:
         return dict(zip(names, [*self.k, *self.zeta, *self.c, self.imbalance], strict=True))
 
     def move(self, start, times, motion, free):
-        """States at the times, shape (n, 8)."""
-        span = (times[0], times[-1])
-        stiff = free and max(self.p[7:9]) > 0
-        method, rtol = ("LSODA", 1e-9) if stiff else ("DOP853", 1e-10)
-        found = solve_ivp(slope, span, start, method, times, args=(*motion, self.p, free), rtol=rtol, atol=1e-12)
-        assert found.success, found.message
-        return found.y.T
+        """States at the times with absolute pendulum angles, shape (n, 8); motion: phase, speed and ramp at t = 0."""
+        turning = Turning(np.array([[0.0, *motion]]))
+
+        def rotor(at: np.ndarray) -> np.ndarray:
+            psi, speed = turning.phase(at)
+            none = np.zeros_like(psi)
+            return np.stack([none, none, psi, psi, none, none, speed, speed], axis=-1)
+
+        a, b = (
+            SwingingMass(mass, LENGTH_M, self.c[i], 0.0, self.recorder.torque_Nm, self.recorder.contact_kg_m2)
+            for i, mass in enumerate((self.mass_A, PENDULUM_KG))
+        )
+        mechanics = Mechanics(self.mass, tuple(self.k), tuple(self.p[2:4]), self.imbalance, a, b)
+        times = np.asarray(times, float)
+        return moved(mechanics, turning, times, start - rotor(times[:1])[0], free, 1e-4) + rotor(times)
 
     def write(self, t, state, theta, psi) -> Path:
         turn = np.array([[np.cos(self.beta), np.sin(self.beta)], [-np.sin(self.beta), np.cos(self.beta)]])

@@ -1,4 +1,4 @@
-"""The rig written down once more, for benchmarks: point masses, their Lagrangian's mass matrix, scipy's DOP853.
+"""A release of a given rig, recorded: the laboratory's equations (benchmarks.worlds.motion), lasers, encoders, marks.
 
 Shares no line with the dynamics package, so that what identification finds from these readings is no circle.
 """
@@ -8,11 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from scipy.integrate import solve_ivp
 
+from benchmarks.worlds.motion import Mechanics, SwingingMass, Turning, moved
 from daq.signals.run import Release, Run
 from dynamics.equations.parameters import RotorParameters
+
+_STEP_S = 1e-4
 
 
 @dataclass(frozen=True)
@@ -35,35 +36,11 @@ class Encoders:
         return np.round(noisy / self.step_rad) * self.step_rad
 
 
-@njit(cache=True)
-def _slope(t, y, p):
-    """p = mass, k1, k2, c1, c2, SA, SB, SP, JA, JB, cA, cB, speed, phase."""
-    out, m, f = np.empty(8), np.zeros((4, 4)), np.zeros(4)
-    speed, psi = p[12], p[13] + p[12] * t
-    m[0, 0] = m[1, 1] = p[0]
-    f[0] = -p[1] * y[0] - p[3] * y[4] + p[7] * speed**2 * np.cos(psi)
-    f[1] = -p[2] * y[1] - p[4] * y[5] + p[7] * speed**2 * np.sin(psi)
-    for i in range(2):
-        s, phi, rate = p[5 + i], psi + y[2 + i], speed + y[6 + i]
-        m[2 + i, 2 + i] = p[8 + i]
-        m[0, 2 + i] = m[2 + i, 0] = -s * np.sin(phi)
-        m[1, 2 + i] = m[2 + i, 1] = s * np.cos(phi)
-        f[0] += s * rate**2 * np.cos(phi)
-        f[1] += s * rate**2 * np.sin(phi)
-        f[2 + i] = -p[10 + i] * y[6 + i]
-    out[:4] = y[4:]
-    out[4:] = np.linalg.solve(m, f)
-    return out
-
-
-def _numbers(physics: RotorParameters, speed: float, phase: float) -> np.ndarray:
-    (c1, c2), a, b = physics.damping_Ns_per_m, physics.a, physics.b
-    return np.array([
-        physics.total_mass_kg, physics.k1_N_per_m, physics.k2_N_per_m, c1, c2,
-        a.mass_kg * a.length_m, b.mass_kg * b.length_m, physics.imbalance_moment_kg_m,
-        a.mass_kg * a.length_m**2, b.mass_kg * b.length_m**2, a.damping_Nms_per_rad, b.damping_Nms_per_rad,
-        speed, phase,
-    ])  # fmt: skip
+def mechanics_of(physics: RotorParameters) -> Mechanics:
+    """A rig's numbers as the laboratory's equations take them."""
+    a, b = (SwingingMass(own.mass_kg, own.length_m, own.damping_Nms_per_rad) for own in (physics.a, physics.b))
+    k = (physics.k1_N_per_m, physics.k2_N_per_m)
+    return Mechanics(physics.total_mass_kg, k, physics.damping_Ns_per_m, physics.imbalance_moment_kg_m, a, b)
 
 
 def release_run(
@@ -74,21 +51,18 @@ def release_run(
     speed, psi0 = 2 * np.pi * speed_Hz, rng.uniform(-np.pi, np.pi)
     go = 3.0 + rng.uniform(0, 0.2)
     locked = np.radians(np.array([0.0, 180.0]) + rng.uniform(-0.2, 0.2, 2))
-    p = _numbers(physics, speed, psi0)
-    moment = p[7] + p[5] * np.exp(1j * locked[0]) + p[6] * np.exp(1j * locked[1])
-    x, y = (moment * speed**2 / (p[1 + i] - p[0] * speed**2 + 1j * speed * p[3 + i]) for i in range(2))
+    mechanics, turning = mechanics_of(physics), Turning.steady(psi0, speed)
+    x, y = mechanics.locked_orbit(speed, locked)
     time = np.arange(0, go + record_s, 1 / encoders.rate_Hz)
 
     def orbit(t: np.ndarray) -> np.ndarray:
         turn = np.exp(1j * (psi0 + speed * t))
-        xd, yd = (1j * speed * x * turn).real, (1j * speed * y * turn).imag
-        return np.array([(x * turn).real, (y * turn).imag, 0 * t + locked[0], 0 * t + locked[1], xd, yd, 0 * t, 0 * t])
+        xd, yd = (1j * speed * x * turn).real, (1j * speed * y * turn).real
+        return np.array([(x * turn).real, (y * turn).real, 0 * t + locked[0], 0 * t + locked[1], xd, yd, 0 * t, 0 * t])
 
     after = time >= go
-    free = solve_ivp(
-        _slope, (go, time[-1]), orbit(np.array([go]))[:, 0], "DOP853", time[after], args=(p,), rtol=1e-10, atol=1e-12
-    )
-    state = np.hstack([orbit(time[~after]), free.y])
+    free = moved(mechanics, turning, np.r_[go, time[after]], orbit(np.array([go]))[:, 0], True, _STEP_S)[1:]
+    state = np.hstack([orbit(time[~after]), free.T])
     keep = rng.random(len(time)) > encoders.lost
     angle = encoders.read(state[2:4].T + zeros_rad, rng)[keep]
     turns = 2 * np.pi * np.arange(np.ceil(psi0 / (2 * np.pi)), (psi0 + speed * time[-1]) // (2 * np.pi))
