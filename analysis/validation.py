@@ -1,7 +1,7 @@
 """Measured steady states against the model at the validation points: z-scores, verdicts, reasons.
 
 A z-score is the difference over the standard deviation of the difference; that holds the measurement's statistics,
-residual drift, laser gain and encoder zero, and the identified parameters' covariance, the axis angle's and the
+what was still to come, laser gain and encoder zero, and the identified parameters' covariance, the axis angle's and the
 speed's. Where the model says "no vibration" (Type I) an amplitude cannot be below it: there the order-1 amplitudes
 are held against their noise, as |X|²/σ², whose probability is turned into the |z| of the same probability.
 Derivation and the choice of the threshold: docs/theory/validation.md.
@@ -123,6 +123,7 @@ class PointResult:
             "verdict": self.verdict,
             "why": self.why,
             "scores": {name: score.to_json(_JSON_KEYS[name]) for name, score in self.scores.items()},
+            "to_come": None if self.measurement is None else self.measurement.to_come.to_json(),
         }
 
 
@@ -228,18 +229,13 @@ def _scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[str, Sc
         z = float(difference / math.hypot(values[name].std, std[j]))
         scores[name] = Score(z, value, values[name].std, model, float(std[j]))
     if prediction.state.type == "I":
-        scores |= _noise_scores(measured, prediction)
+        scores |= _noise_scores(measured)
     return scores
 
 
-def _noise_scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[str, Score]:
-    """Of amplitudes where none is predicted: held against noise, drift and what the angles' own drift would cause."""
-    off = measured.settling.remaining_rad
-    off = off / math.sqrt(3) if math.isfinite(off) else 0.0  # a bound, so the deviation of an even spread below it
-    noise_x, noise_y = (
-        math.hypot(noise, gain * off)
-        for noise, gain in zip((measured.noise_x_m, measured.noise_y_m), prediction.residual_m_per_rad, strict=True)
-    )
+def _noise_scores(measured: SteadyMeasurement) -> dict[str, Score]:
+    """Of amplitudes where none is predicted: held against noise, what is still to come of them included."""
+    noise_x, noise_y = measured.noise_x_m, measured.noise_y_m
     x, y = abs(measured.x_m), abs(measured.y_m)
     rms = measured.amplitude_m
     looks = {
@@ -288,12 +284,18 @@ def _compare(
         return "fail", f"measured and model state {measured.state}, but the rig file expects {expected}"
     off = sorted((n for n, s in scores.items() if not abs(s.z) <= Z_LIMIT), key=lambda n: -abs(scores[n].z))
     if off:
-        return "fail", "; ".join(_sentence(n, scores[n]) for n in off)
+        return "fail", "; ".join(_sentence(n, scores[n]) for n in off) + _moved_on(measured)
     largest = max(scores, key=lambda n: abs(scores[n].z))
     return "pass", (
         f"state {measured.state}, all within {Z_LIMIT:g} standard deviations; "
-        f"largest: {_NAMES[largest]}, z = {scores[largest].z:.1f}"
+        f"largest: {_NAMES[largest]}, z = {scores[largest].z:.1f}{_moved_on(measured)}"
     )
+
+
+def _moved_on(measured: SteadyMeasurement) -> str:
+    """How much was extrapolated, where it matters."""
+    sentence = measured.to_come.sentence
+    return f"; {sentence}" if sentence else ""
 
 
 def _sentence(name: str, score: Score) -> str:
