@@ -1,7 +1,7 @@
 """Measured steady states against the model at the validation points: z-scores, verdicts, reasons.
 
 A z-score is the difference over the standard deviation of the difference; that holds the measurement's statistics,
-residual drift, laser gain and encoder zero, and the identified parameters' covariance, the axis angle's and the
+what was still to come, laser gain and encoder zero, and the identified parameters' covariance, the axis angle's and the
 speed's. Where the model says "no vibration" (Type I) an amplitude cannot be below it: there the order-1 amplitudes
 are held against their noise, as |X|²/σ², whose probability is turned into the |z| of the same probability.
 Derivation and the choice of the threshold: docs/theory/validation.md.
@@ -72,6 +72,7 @@ class PointResult:
             "verdict": self.verdict,
             "why": self.why,
             "scores": {name: score.to_json(JSON_KEYS[name]) for name, score in self.scores.items()},
+            "to_come": None if self.measurement is None else self.measurement.to_come.to_json(),
         }
 
 
@@ -213,12 +214,18 @@ def _compare(
         return "fail", f"measured and model state {measured.state}, but the rig file expects {expected}"
     off = sorted((n for n, s in scores.items() if not abs(s.z) <= Z_LIMIT), key=lambda n: -abs(scores[n].z))
     if off:
-        return "fail", "; ".join(sentence(n, scores[n]) for n in off)
+        return "fail", "; ".join(sentence(n, scores[n]) for n in off) + _moved_on(measured)
     largest = max(scores, key=lambda n: abs(scores[n].z))
     return "pass", (
         f"state {measured.state}, all within {Z_LIMIT:g} standard deviations; "
-        f"largest: {NAMES[largest]}, z = {scores[largest].z:.1f}"
+        f"largest: {NAMES[largest]}, z = {scores[largest].z:.1f}{_moved_on(measured)}"
     )
+
+
+def _moved_on(measured: SteadyMeasurement) -> str:
+    """How much was extrapolated, where it matters."""
+    moved = measured.to_come.sentence
+    return f"; {moved}" if moved else ""
 
 
 def _measured_json(m: SteadyMeasurement | None) -> tuple[dict[str, float | None], dict[str, float | None]]:

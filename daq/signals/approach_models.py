@@ -20,9 +20,10 @@ Array = NDArray[np.float64]
 SLOWEST_PER_S = 0.05  # slower than this an approach is a straight line within the windows
 FASTEST_PER_S = 4.0
 _PRIOR_RANGES = (0.25, 1.0, 4.0)  # of the range seen: prior deviations of a shape's change over the windows, each 1/3
-_GRID = {1: (48, 25), 2: (21, 15)}  # points along each axis, by dimension: first look, refined
+_GRID = {1: (40, 21), 2: (17, 13)}  # points along each axis, by dimension: first look, refined
 _REACH = 4.5  # standard deviations that a refined grid covers to either side
-_LOOKS = 9
+_LOOKS, _ROUGHLY = 20, 5  # grids at most, and before a model is given up
+_FAR = 40.0  # below a rival's evidence
 _ENOUGH = {1: 5.0, 2: 12.0}  # points that share the weight: the grid resolves the posterior
 
 
@@ -90,7 +91,7 @@ class Stretch:
         values = (means - self._origin).T
         deviation = np.sqrt(np.median(np.diagonal(noise, axis1=1, axis2=2), axis=1))
         self._unit = np.maximum(np.ptp(values, axis=1), deviation)  # of every number inside
-        scaled = noise / (self._unit**2)[:, None, None] + 1e-13 * np.eye(len(means))
+        scaled = noise / (self._unit**2)[:, None, None] + 1e-17 * np.eye(len(means))
         self._white = np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)), np.float64)
         self._seen = (self._white @ (values / self._unit[:, None])[:, :, None])[:, :, 0]
 
@@ -105,21 +106,23 @@ class Stretch:
         design = np.concatenate([np.ones((count, n, 1)), shapes.forms], axis=2)
         x = self._white[:, None] @ design  # (q, g, n, 1 + p)
         across = x.transpose(0, 1, 3, 2)
-        data = across @ x, across @ self._seen[:, None, :, None], x
+        data = across @ x, (across @ self._seen[:, None, :, None])[..., 0]
         scales = _PRIOR_RANGES if p else (1.0,)
-        return _joined([self._for_scale(shapes, data, rates, share - math.log(len(scales)), s) for s in scales])
+        return _joined([self._for_scale(shapes, *data, rates, share - math.log(len(scales)), s) for s in scales])
 
-    def _for_scale(
-        self, shapes: Shapes, data: tuple[Array, Array, Array], rates: int, share: float, scale: float
-    ) -> Points:
-        """The same for one prior deviation of the shapes' changes."""
+    def _for_scale(self, shapes: Shapes, across: Array, right: Array, rates: int, share: float, scale: float) -> Points:
+        """The same for one prior deviation of the shapes' changes.
+
+        Args:
+            across, right: normal equations of limit and shapes, shapes (q, g, 1 + p, 1 + p), (q, g, 1 + p).
+        """
         p = shapes.forms.shape[2]
-        precision = data[0] + np.diag([0.0] + [scale**-2] * p)
+        precision = across + np.diag([0.0] + [scale**-2] * p)
         covariance = np.asarray(np.linalg.inv(precision), np.float64)
-        fit = (covariance @ data[1])[..., 0]  # (q, g, 1 + p)
-        chi2 = ((self._seen[:, None] - (data[2] @ fit[..., None])[..., 0]) ** 2).sum(axis=2)
-        misfit = chi2 + (fit[..., 1:] ** 2).sum(axis=2) / scale**2
-        narrowed = np.linalg.slogdet(precision)[1] + 2 * p * math.log(scale)
+        fit = (covariance @ right[..., None])[..., 0]
+        misfit = (self._seen**2).sum(axis=1)[:, None] - (fit * right).sum(axis=2)
+        chi2 = misfit - (fit[..., 1:] ** 2).sum(axis=2) / scale**2
+        narrowed = np.log(np.linalg.det(precision)) + 2 * p * math.log(scale)
         evidence = -0.5 * (misfit + narrowed).sum(axis=0) + share
         left = -(fit[..., 1:] * shapes.last).sum(axis=2)
         size = np.abs(left) if shapes.size is None else np.hypot(fit[..., 1], fit[..., 2]) * shapes.size
@@ -129,8 +132,12 @@ class Stretch:
             (left * unit).T, (size * unit).T, shapes.rate_per_s, chi2.T, (1 + p, rates),
         )  # fmt: skip
 
-    def integrated(self, family: Family) -> Points:
-        """A family's points on a grid that resolves its posterior."""
+    def integrated(self, family: Family, rival: float = -math.inf) -> Points:
+        """A family's points on a grid that resolves its posterior, or a rough one where it is far below a rival.
+
+        Args:
+            rival: largest evidence of another model's points.
+        """
         box = np.array(family.box)
         dimension = len(box)
         first, refined = _GRID[dimension]
@@ -146,7 +153,8 @@ class Stretch:
             cell = abs(float(np.linalg.det(axes))) * float(steps[1] - steps[0]) ** dimension
             points = self.points(family.shapes(self.edges_s, at), dimension, math.log(cell / volume))
             weight, heat = _tempered(points.evidence, _ENOUGH[dimension])
-            if heat == 1.0 or look == _LOOKS:
+            hopeless = look >= _ROUGHLY and float(points.evidence.max()) < rival - _FAR
+            if heat == 1.0 or look == _LOOKS or hopeless:
                 return points
             at = np.tile(at, (len(weight) // len(at), 1))
             centre = weight @ at

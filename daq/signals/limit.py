@@ -155,8 +155,11 @@ class _Averaged:
 
 def _average(stretch: Stretch) -> _Averaged:
     """Every model's posterior on one stretch."""
-    looks = {"none": stretch.standing()} | {family.name: stretch.integrated(family) for family in ENDING}
-    endless = _log_sum([stretch.integrated(ENDLESS).evidence])
+    looks = {"none": stretch.standing()}
+    for family in ENDING:
+        looks[family.name] = stretch.integrated(family, max(float(p.evidence.max()) for p in looks.values()))
+    most = max(float(points.evidence.max()) for points in looks.values())
+    endless = _log_sum([stretch.integrated(ENDLESS, most).evidence])
     ending = _log_sum([points.evidence for points in looks.values()])
     return _Averaged(looks, 1 / (1 + math.exp(min(ending - endless, 700.0))), len(stretch.edges_s))
 

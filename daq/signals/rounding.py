@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _TERMS = 24
+_NEAR = 1.5  # argument of J0 below which it falls; beyond it oscillates and its rms is taken
 _HIDES = 6  # windows: with more the noise that stands for what is hidden is wider, so that a slope is no better known
 
 
@@ -35,16 +36,17 @@ def rounding_terms(step: float, noise: float, *ripple: float) -> Array:
     terms = step * np.exp(-2 * (math.pi * k * noise) ** 2) / (math.pi * k)
     for amplitude in ripple if step > 0 else ():
         argument = 2 * math.pi * k * amplitude / step
-        terms = terms * np.minimum(1.0, 1 / np.sqrt(math.pi * np.maximum(argument, 1e-9)))
+        near = 1 - argument**2 / 4 + argument**4 / 64 - argument**6 / 2304  # J0 to 1e-4
+        terms = terms * np.where(argument < _NEAR, near, 1 / np.sqrt(math.pi * np.maximum(argument, _NEAR)))
     return np.asarray(terms, np.float64)
 
 
 def rounding_covariance(terms: Array, step: float, means: Array) -> Array:
     """Covariance of the windows' rounding errors, shape (n, n).
 
-    A code that stands, or nearly so, hides how far the angle has moved: up to a step. The covariance by the measured
-    differences takes that as no movement, so what the errors may differ by beside it is added on the diagonal, by as
-    much as gives the slope that is hidden its deviation however many windows there are.
+    The measured differences have rounding errors themselves: a code that stands hides a movement of up to a step. The
+    share of each term that this leaves unknown, 1 − e^{−2π²k² var(d)/h²}, is added on the diagonal, by as much as gives
+    a hidden slope its deviation however many windows there are.
 
     Args:
         terms: amplitudes of the error (`rounding_terms`), shape (k,).
@@ -58,8 +60,7 @@ def rounding_covariance(terms: Array, step: float, means: Array) -> Array:
     apart = np.subtract.outer(means, means) / step
     size = 0.5 * terms**2
     common = np.einsum("k,kij->ij", size, np.cos(2 * math.pi * k[:, None, None] * apart))
-    hidden = (2 * math.pi * k / step) ** 2 / 2  # of a difference's variance, in the exponent of a term's loss
-    variance = 2 * float(size.sum())
-    for _ in range(60):  # how far two errors may differ where the difference of the angles is known to that only
-        variance = 2 * float((size * -np.expm1(-hidden * variance)).sum())
-    return np.asarray(common + max(1.0, n / _HIDES) * 0.5 * variance * np.eye(n), np.float64)
+    apart_variance = 2 * float(size.sum()) / step**2  # of a measured difference, from two errors of its own
+    changed = size * -np.expm1(-2 * (math.pi * k) ** 2 * apart_variance)
+    hidden = max(1.0, n / _HIDES) * float(changed.sum())
+    return np.asarray(common + hidden * np.eye(n), np.float64)

@@ -58,8 +58,12 @@ def point_run(
     stop: bool = True,
     speed: float | None = None,
     before_s: float = 4.0,
+    accuracy: float = 1e-2,
 ) -> Run:
-    """Locked for before_s, released at t = before_s, then after_s at speed and half a second of the stop."""
+    """Locked for before_s, released at t = before_s, then after_s at speed and half a second of the stop.
+
+    accuracy: of the motion; 1e-2 leaves some thousandths of a degree, 1e-5 nothing that any sensor shows.
+    """
     rng = np.random.default_rng([seed, ord(name[0])])
     physics = physics or rig.true_physics
     drawn = drawn or draw(rig, seed)
@@ -69,12 +73,12 @@ def point_run(
     history = _history(w, before_s + after_s, end)
     laser_t = np.arange(0.0, end, 1 / 4000)
     angle_t = np.arange(0.0, end, 1e-3)
-    state = _state(physics, history, w, start, before_s, angle_t)
-    psi = history.phase(laser_t + drawn.laser_delay_s)[:, 0]
+    state = _state(physics, history, w, start, before_s, angle_t, accuracy)
     noise = rig.virtual.sensors.laser_noise_m if rig.virtual else 4e-6
-    x, y = _displacement(state, angle_t, laser_t + drawn.laser_delay_s, psi, w)
-    beta = math.radians(1.0)
+    beta, late_s = math.radians(1.0), 1.1e-4
+    x, y = _displacement(state, angle_t, laser_t + drawn.laser_delay_s)
     x_s = drawn.gain[0] * (x * math.cos(beta) + y * math.sin(beta)) + 0.3e-3
+    x, y = _displacement(state, angle_t, laser_t + drawn.laser_delay_s + late_s)
     y_s = drawn.gain[1] * (-x * math.sin(beta) + y * math.cos(beta)) - 0.1e-3
     counts = (state[:, 2:4] + drawn.zero_rad) / STEP + 0.3 * rng.standard_normal((len(angle_t), 2))
     keep = _bursts(rng, len(angle_t))
@@ -85,8 +89,8 @@ def point_run(
         start_s=1.7e9,
         x_time_s=laser_t,
         x_m=x_s + noise * rng.standard_normal(len(x_s)),
-        y_time_s=laser_t + 1.1e-4,
-        y_m=np.interp(laser_t + 1.1e-4, laser_t, y_s) + noise * rng.standard_normal(len(y_s)),
+        y_time_s=laser_t + late_s,
+        y_m=y_s + noise * rng.standard_normal(len(y_s)),
         angle_time_s=angle_t[keep],
         angle_rad=np.round(counts[keep]) * STEP,
         mark_time_s=marks[0],
@@ -103,23 +107,21 @@ def _history(w: float, stop_at: float, end: float) -> SpeedHistory:
 
 
 def _state(
-    physics: RotorParameters, history: SpeedHistory, w: float, start: np.ndarray, before: float, t: np.ndarray
-) -> np.ndarray:
+    physics: RotorParameters, history: SpeedHistory, w: float, start: np.ndarray, before: float, t: np.ndarray,
+    accuracy: float,
+) -> np.ndarray:  # fmt: skip
     locked = t <= before
     psi = history.phase(t[locked])[:, 0]
     rows = np.array([locked_state(physics, w, p, start[0], start[1]) for p in psi])
     at_release = rows[-1]
-    free = simulate(physics, Scene(history, (True, True), at_release), t[np.sum(locked) - 1 :], 1e-2)
+    free = simulate(physics, Scene(history, (True, True), at_release), t[np.sum(locked) - 1 :], accuracy)
     return np.vstack([rows[:-1], free.state])
 
 
-def _displacement(
-    state: np.ndarray, t: np.ndarray, laser_t: np.ndarray, psi: np.ndarray, w: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _displacement(state: np.ndarray, t: np.ndarray, laser_t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """x, y at the lasers' instants by Hermite interpolation, good to nanometres over a millisecond."""
     from scipy.interpolate import CubicHermiteSpline
 
-    del psi, w
     at = np.clip(laser_t, t[0], t[-1])
     return (
         CubicHermiteSpline(t, state[:, 0], state[:, 4])(at),

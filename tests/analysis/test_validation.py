@@ -46,6 +46,7 @@ def test_json_has_the_promised_keys_and_only_json_values(rig: Rig, drawn: Drawn,
     for point in data["points"].values():
         assert list(point) == [
             "state", "measured", "predicted", "measured_std", "predicted_std", "z_scores", "verdict", "why", "scores",
+            "to_come",
         ]  # fmt: skip
         for part in ("measured", "predicted", "measured_std", "predicted_std"):
             assert set(point[part]) == values
