@@ -1,0 +1,4 @@
+# pyright: strict
+"""placeholder."""
+
+TRACKING_HELP = "fast or reference"
