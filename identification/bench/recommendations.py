@@ -3,8 +3,8 @@
 
 Two settings of a case have rms errors over n and m records, whose logarithms scatter by about 1/√(2n) and 1/√(2m). A
 setting counts as more exact where its error, in a case or in the mean over the cases, is smaller by more than twice
-both together, over LEAST records a case or more, or where it fails grossly less often by as much. It counts as no more exact
-where the mean's gain and that scatter together stay below a factor NO_GAIN. Otherwise the rows do not decide.
+both together, over LEAST records a case or more, or where it fails grossly less often by as much. It counts as no more
+exact where the mean's gain and that scatter together stay below a factor NO_GAIN. Otherwise the rows do not decide.
 """
 
 from __future__ import annotations
