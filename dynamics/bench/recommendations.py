@@ -74,8 +74,8 @@ def _of_service(service: str, rows: Sequence[tuple[float, Measurement]]) -> Reco
     accuracies = sorted((asked for asked, own in cases_of.items() if own == cases), reverse=True)
     ours = {asked: [row for a, row in rows if a == asked] for asked in accuracies}
     if len(accuracies) < 2:
-        known = f"accuracy {accuracies[0]:.0e}" if accuracies else "no accuracy in all cases"
-        return Recommendation(service, None, f"{service}: no recommendation, {known} was measured only{_peers(rows)}")
+        known = f"only accuracy {accuracies[0]:.0e} was" if accuracies else "no accuracy was in all cases"
+        return Recommendation(service, None, f"{service}: no recommendation, {known} measured{_peers(rows)}")
     if any(row.true_error is None for _, row in rows):
         return Recommendation(service, None, f"{service}: no recommendation, true errors are not known in this run")
     seconds = {asked: {row.case: row.seconds for row in ours[asked]} for asked in accuracies}

@@ -73,14 +73,12 @@ class _Step:
     """One prediction with all readings of its tick.
 
     Attributes:
-        time_s: of the tick.
         span_s: predicted over.
         motion, noise: of the prediction that led here.
         mean, cov: after the readings, shapes (10,), (10, 10).
         begun: where the prediction began, if not at the step before; None for all others.
     """
 
-    time_s: float
     span_s: float
     motion: _Motion
     noise: Array
@@ -109,13 +107,13 @@ class FilterpyFilter:
     """filterpy's unscented filter with the signature of `identification.tracking.unscented.filter_readings`.
 
     Args:
-        tell: told the time of the state, s on the tracker's clock, now and then.
+        source: the record's name, for messages.
     Raises:
         FitFailed: a covariance is not positive definite any more, or the record has more than MOST_STEPS steps.
     """
 
-    def __init__(self, tell: Callable[[float], None] | None = None) -> None:
-        self._tell = tell
+    def __init__(self, source: str) -> None:
+        self._source = source
         self._points: Any = JulierSigmaPoints(STATES, kappa=0.0)
         self._peer: Any = UnscentedKalmanFilter(STATES, 1, 1e-3, None, None, self._points)
         self._steps: list[_Step] = []
@@ -152,11 +150,8 @@ class FilterpyFilter:
                 tally[1] += 1.0
                 tally[own_row] += 1.0 if math.isfinite(readings[i]) else 0.0
             tally[3] = float(np.max(tally[4:]))
-            self._steps[-1].time_s = float(tally[0])
             self._steps[-1].mean, self._steps[-1].cov = peer.x.copy(), peer.P.copy()
         mean[:], cov[:] = peer.x, peer.P
-        if self._tell is not None:
-            self._tell(float(tally[0]))
 
     def _begun(self, mean: Array, cov: Array) -> _Begun | None:
         """What the tracker began anew since the last call; None where the state is as this filter left it."""
@@ -172,15 +167,15 @@ class FilterpyFilter:
     def _predict(self, span: float, motion: _Motion, noise: Array, longest: float, begun: _Begun | None) -> None:
         if len(self._steps) >= MOST_STEPS:
             raise FitFailed(
-                f"the reference setting keeps at most {MOST_STEPS} steps of the filter, this record has more; use "
-                "--setting fast, or cut the record"
+                f"{self._source}: the reference setting keeps at most {MOST_STEPS} steps of the filter, this record "
+                "has more; use --setting fast, or cut the record"
             )
         peer = self._peer
         if span > 1e-9:
             motion = replace(motion, steps=max(1, math.ceil(span / longest - 1e-9)))
             peer.fx, peer.Q = motion, np.diag(noise) * span
             self._guarded(lambda: peer.predict(dt=span))
-        self._steps.append(_Step(0.0, span, motion, noise, peer.x, peer.P, begun))
+        self._steps.append(_Step(span, motion, noise, peer.x, peer.P, begun))
 
     def _update(self, index: int, reading: float, late: float, variance: float, gate: float, still: float) -> float:
         """One reading; as `identification.tracking.unscented.update`."""
@@ -215,10 +210,9 @@ class FilterpyFilter:
         try:
             action()
         except np.linalg.LinAlgError as fault:
-            at = f" at {self._steps[-1].time_s:.3f} s after the first reading" if self._steps else ""
             raise FitFailed(
-                f"filterpy's filter ended{at}: its covariance is not positive definite any more ({fault}). Use "
-                "--setting fast, whose filter repairs it"
+                f"{self._source}: filterpy's filter ended after {len(self._steps)} steps: its covariance is not "
+                f"positive definite any more ({fault}). Use --setting fast, whose filter repairs it"
             ) from fault
 
     def smoothed(self, tell: Callable[[float], None] | None = None) -> Smoothed:

@@ -103,7 +103,7 @@ def track(
         raise ValueError(f"setting: expected {', '.join(get_args(TrackingSetting))}, got {setting!r}")
     if run.angle_rad.ndim != 2 or not np.isfinite(run.angle_rad).any(axis=0).all() or run.angle_rad.size == 0:
         raise NotIdentifiable(f"{run.source}: angles of both pendulums are needed to track their damping")
-    reference = FilterpyFilter() if setting == "reference" else None
+    reference = FilterpyFilter(run.source) if setting == "reference" else None
     # a pendulum that is let go during the run is locked before; in a spin-down both are free all along
     let_go = {r.pendulum for r in run.releases}
     tracker = Tracker(

@@ -96,8 +96,7 @@ class Tracker:
 
     def __post_init__(self) -> None:
         self._origin_ns: int | None = None
-        self._phase = PhaseClock()
-        self._packed = self.physics.packed()
+        self._phase, self._packed = PhaseClock(), self.physics.packed()
         self._switches: list[tuple[float, int, bool]] = []
         self._waiting = np.empty((0, 4))  # time, component, reading, variance
         self._mean, self._cov = np.zeros(STATES), np.eye(STATES)
@@ -154,8 +153,7 @@ class Tracker:
         if not started:
             ln_c, ln_std = self._ln_c, np.sqrt(self._ln_c_var)
         reach = np.exp(np.minimum(1.96 * ln_std, 50.0))
-        names = ("c3_Nms_per_rad", "c4_Nms_per_rad")
-        c = np.exp(ln_c)
+        names, c = ("c3_Nms_per_rad", "c4_Nms_per_rad"), np.exp(ln_c)
         following = self._tally[3] < _LOST_REFUSALS / 2 and self._refusing < _MANY_REFUSED
         trusted = started and following and self._excess < 9.0 and self._since_start > 200
         return Tracked(

@@ -131,7 +131,7 @@ def test_accuracies_without_comparison_or_true_error_are_undecided() -> None:
     (one,) = recommended_accuracies([asked(1e-8, 1.0, 1e-10, ratio=1.7)])
     assert (one.setting, one.text) == (
         None,
-        "motion: no recommendation, accuracy 1e-08 was measured only; a peer at least as exact is up to 1.7 times as "
+        "motion: no recommendation, only accuracy 1e-08 was measured; a peer at least as exact is up to 1.7 times as "
         "fast (1 of 1 rows)",
     )
     (unknown,) = recommended_accuracies([asked(1e-3, 1.0, None), asked(1e-6, 1.2, 1e-9)])

@@ -111,16 +111,16 @@ def _one_reading(peer: FilterpyFilter, cov: np.ndarray) -> None:
 def test_a_covariance_that_breaks_down_is_an_error_with_a_way_out() -> None:
     broken = np.eye(STATES)
     broken[0, 1] = broken[1, 0] = 2.0
-    with pytest.raises(FitFailed, match=r"not positive definite any more.*--setting fast"):
-        _one_reading(FilterpyFilter(), broken)
+    with pytest.raises(FitFailed, match=r"run.mcap: filterpy.*not positive definite any more.*--setting fast"):
+        _one_reading(FilterpyFilter("run.mcap"), broken)
 
 
 def test_a_record_too_long_to_be_kept_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    peer = FilterpyFilter()
+    peer = FilterpyFilter("run.mcap")
     _one_reading(peer, 1e-4 * np.eye(STATES))
     assert peer.steps == 1
     monkeypatch.setattr(reference, "MOST_STEPS", 1)
-    with pytest.raises(FitFailed, match=r"at most 1 steps.*--setting fast"):
+    with pytest.raises(FitFailed, match=r"run.mcap: .*at most 1 steps.*--setting fast"):
         _one_reading(peer, 1e-4 * np.eye(STATES))
 
 
@@ -142,7 +142,7 @@ def test_what_goes_on_across_a_new_start_is_conditioned_upon_exactly(seed: int, 
     reading = rng.normal(size=len(observed))
     exact = mean + gain @ (reading - observed @ mean), cov - gain @ observed @ cov
     motion = reference._Motion(1, np.zeros(3), np.zeros(18), np.ones(2))
-    last = reference._Step(0.0, 1e-3, motion, np.zeros(STATES), mean, cov)
+    last = reference._Step(1e-3, motion, np.zeros(STATES), mean, cov)
     found = reference._before_begun(last, same, exact)
     assert found is not None
     assert found[0] == pytest.approx(exact[0], abs=1e-6)
