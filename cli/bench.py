@@ -65,6 +65,7 @@ def bench(
         "what": what,
         "machine": found.page.machine,
         "seconds": time.monotonic() - started,
+        "recommendations": [r.as_json() for r in found.page.recommendations],
         "notes": found.page.notes,
         "targets": [t.as_json() for t in found.page.targets],
         "measurements": found.measurements,
@@ -172,6 +173,10 @@ def _print(page: Page, files: Sequence[str]) -> None:
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:
         console.width = _WIDTH
+    if page.recommendations:
+        console.print(tables.RECOMMENDED)
+        for recommendation in page.recommendations:
+            console.print(f"- {recommendation.text}")
     console.print(tables.machine_line(page.machine))
     for note in page.notes:
         console.print(note)

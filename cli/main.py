@@ -45,6 +45,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "identify": "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.",
         "validate": "Compare measured steady states at the points with the model; exit 1 when a point does not pass.",
     },
+    "cli.track": {"track": "States and pendulum damping of a logged run over time, with uncertainty."},
     "cli.logs": {
         "log": "What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or "
         "damaged.",
@@ -82,6 +83,7 @@ _USE_COMPILED = {
     "export",
     "import",
     "identify",
+    "track",
     "validate",
     "driver",
 }

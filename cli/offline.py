@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say, show
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from cli.setting_costs import SETTING_HELP
 from cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
@@ -22,7 +23,7 @@ def identify(
     output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("parameters.toml"),
     setting: Annotated[
         Literal["fast", "balanced", "reference"],
-        Parameter(help="cheapest with honest intervals, near the bound, or as exact as the data allow"),
+        Parameter(help=SETTING_HELP),
     ] = "balanced",
     settings: Settings = None,
     json: Json = False,

@@ -24,11 +24,15 @@ _SUFFIXES = {
     "ns": "ns", "us": "us", "ms": "ms", "s": "s", "m": "m", "mm": "mm", "um": "um",
     "rad": "rad", "deg": "deg", "rpm": "rpm", "Hz": "Hz",
 }  # fmt: skip
+_QUOTIENTS = {"_m_per_s": "m/s", "_rad_per_s": "rad/s", "_Nms_per_rad": "N m s/rad"}
 _COUNTS = {"sequence", "counter", "count_a", "count_b", "revolutions", "device_ticks"}
 
 
 def unit_of(field: str) -> str:
     """Unit of a field by its name's end: ``displacement_m`` is in m; "count" for counters, "1" without a unit."""
+    for ending, unit in _QUOTIENTS.items():
+        if field.endswith(ending):
+            return unit
     ending = field.rpartition("_")[2] if "_" in field else ""
     return "count" if field in _COUNTS else _SUFFIXES.get(ending, "1")
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from dynamics.bench.recommendations import Recommendation, recommended_accuracies
 from dynamics.bench.records import Measurement, Target
 
 HEADER = ("method", "setting", "time", "true error", "stated bound", "ours / peer", "front")
@@ -13,6 +14,7 @@ LEGEND = (
     "Times are medians. Front: ● nothing of ours is faster and as exact, ◉ nothing at all is, peers included. "
     "Ours / peer: time over that of the fastest peer at least as exact in the same run."
 )
+RECOMMENDED = "What to take, by this run's rows:"
 
 
 def duration(seconds: float) -> str:
@@ -76,6 +78,7 @@ class Page:
         legend: what the columns mean.
         header: names of the columns.
         blocks: (what the case is, cells under the header for each of its rows).
+        recommendations: what the rows say a user should take; the page begins with them.
     """
 
     title: str
@@ -85,18 +88,25 @@ class Page:
     legend: str
     header: tuple[str, ...]
     blocks: Sequence[tuple[str, Sequence[tuple[str, ...]]]]
+    recommendations: Sequence[Recommendation] = ()
 
 
 def page(
     rows: Sequence[Measurement], targets: Sequence[Target], machine: Mapping[str, Any], notes: Sequence[str]
 ) -> Page:
     """A run of the dynamics' benchmark."""
-    return Page("Work and precision of the dynamics", machine, notes, targets, LEGEND, HEADER, blocks(rows))
+    return Page(
+        "Work and precision of the dynamics", machine, notes, targets, LEGEND, HEADER, blocks(rows),
+        recommended_accuracies(rows),
+    )  # fmt: skip
 
 
 def markdown(whole: Page) -> str:
     """The page in Markdown."""
-    lines = [f"# {whole.title}", "", machine_line(whole.machine), ""]
+    lines = [f"# {whole.title}", ""]
+    if whole.recommendations:
+        lines += [RECOMMENDED, "", *(f"- {found.text}" for found in whole.recommendations), ""]
+    lines += [machine_line(whole.machine), ""]
     lines += [f"- {note}" for note in whole.notes] + [""] * bool(whole.notes)
     lines += _table(("figure", "target", "measured", ""), [target_line(t) for t in whole.targets])
     lines += ["", whole.legend, ""]

@@ -7,6 +7,7 @@ from typing import Any
 
 from dynamics.bench.records import Target
 from dynamics.bench.tables import Page, duration, standing
+from identification.bench.recommendations import recommended_settings
 from identification.bench.trials import AT_THE_BOUND, Precision
 
 HEADER = ("method", "setting", "time", "rms / bound", "bias / bound", "95 % covers", "gross", "ours / peer", "front")
@@ -30,7 +31,7 @@ def page(
     """A whole run."""
     return Page(
         "Work and precision of the identification", machine, [*notes, *failures(rows)], targets, LEGEND, HEADER,
-        blocks(rows),
+        blocks(rows), recommended_settings(rows),
     )  # fmt: skip
 
 

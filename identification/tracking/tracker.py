@@ -7,6 +7,7 @@ simulated runs (docs/theory/tracking.md); quoted numbers come from fits.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -81,6 +82,7 @@ class Tracker:
         lag_s: readings wait so long for earlier ones, and what comes later than that is dropped.
         tick_s: readings within one tick are taken together; at most one prediction each, which bounds the cost.
         imbalance_std: relative standard deviation of the rig's S_P: 0.05 of a rig file's, 0.001 after a run-up.
+        filtering: what runs through readings, with the arguments of `filter_readings`.
     """
 
     physics: RotorParameters
@@ -90,11 +92,11 @@ class Tracker:
     lag_s: float = 0.05
     tick_s: float = 1e-3
     imbalance_std: float = 0.05
+    filtering: Callable[..., None] = filter_readings
 
     def __post_init__(self) -> None:
         self._origin_ns: int | None = None
-        self._phase = PhaseClock()
-        self._packed = self.physics.packed()
+        self._phase, self._packed = PhaseClock(), self.physics.packed()
         self._switches: list[tuple[float, int, bool]] = []
         self._waiting = np.empty((0, 4))  # time, component, reading, variance
         self._mean, self._cov = np.zeros(STATES), np.eye(STATES)
@@ -138,6 +140,11 @@ class Tracker:
         """A pendulum is locked from an instant on."""
         self._switch(pendulum, time_ns, False)
 
+    def phase_at(self, time_ns: int) -> tuple[float, float]:
+        """ψ in rad and its rate in rad/s at an instant, from the marks fed so far; zeros without marks."""
+        psi, speed, _ = self._phase.at(self._seconds(np.array([time_ns])))[0].tolist()
+        return psi, speed
+
     def estimate(self) -> Tracked:
         """What is known now; it costs nothing and changes nothing."""
         std = np.sqrt(np.maximum(np.diag(self._cov), 0.0) * self._excess)
@@ -146,8 +153,7 @@ class Tracker:
         if not started:
             ln_c, ln_std = self._ln_c, np.sqrt(self._ln_c_var)
         reach = np.exp(np.minimum(1.96 * ln_std, 50.0))
-        names = ("c3_Nms_per_rad", "c4_Nms_per_rad")
-        c = np.exp(ln_c)
+        names, c = ("c3_Nms_per_rad", "c4_Nms_per_rad"), np.exp(ln_c)
         following = self._tally[3] < _LOST_REFUSALS / 2 and self._refusing < _MANY_REFUSED
         trusted = started and following and self._excess < 9.0 and self._since_start > 200
         return Tracked(
@@ -216,7 +222,7 @@ class Tracker:
         z, before = np.empty(len(rows)), self._tally.copy()
         speed = abs(float(self._phase.at(ticks[-1:])[0, 1]))
         longest = float(np.clip(_STEP_SHARE / fastest_rate(self.physics, speed), _SHORTEST_STEP_S, 1e-3))
-        filter_readings(
+        self.filtering(
             self._mean, self._cov, ticks, rows[:, 0] - ticks, rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3],
             self._phase.at(previous), self._free(ticks), self._packed, self._noise(speed), longest, _GATE,
             _STILL_AT_REST_RAD_S if speed < _AT_REST_RAD_S else _STILL_RAD_S, self._tally, z,

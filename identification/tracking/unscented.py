@@ -99,6 +99,17 @@ def _step(points, k, work, h, steps, psi, speed, alpha, p, free_a, free_b):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def move(points, h, steps, phase, p, free):
+    """Carry states (n, 10) over steps × h in place: the filter's motion alone, for another filter around it.
+
+    Args:
+        phase, p, free: as for `predict`; p stays as it is.
+    """
+    k, work = np.empty((4, 8)), np.empty(8)
+    _step(points, k, work, h, steps, phase[0], phase[1], phase[2], p.copy(), free[0], free[1])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def predict(mean, cov, h, steps, phase, p, free, noise, factor, points, k, work):
     """Carry mean (10,) and cov (10, 10) over steps × h in place.
 

@@ -24,7 +24,9 @@ def test_quick_run_gives_keys_figures_and_small_true_errors(capsys: pytest.Captu
     pytest.importorskip("heyoka")
     assert run(["bench", "dynamics", "--quick", "--json", "-o", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert set(result) == {"what", "machine", "seconds", "notes", "targets", "measurements", "files"}
+    assert set(result) == {
+        "what", "machine", "seconds", "recommendations", "notes", "targets", "measurements", "files",
+    }  # fmt: skip
     rows = result["measurements"]
     assert {r["service"] for r in rows} == {"multipliers", "motion", "map", "batch", "steady states"}
     for r in rows:
@@ -63,7 +65,9 @@ def test_identification_writes_every_service_beside_peers(
     monkeypatch.setattr(precision, "_tracking", lambda physics, size: precision._spin_downs(size)[0])
     assert run(["bench", "identification", "--quick", "--json", "-o", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert set(result) == {"what", "machine", "seconds", "notes", "targets", "measurements", "files"}
+    assert set(result) == {
+        "what", "machine", "seconds", "recommendations", "notes", "targets", "measurements", "files",
+    }  # fmt: skip
     assert any(f"seed {precision.SEED}" in note for note in result["notes"])
     rows = result["measurements"]
     for service, ours, peer in (("ring-down", "fit_ring_down", "half-power"), ("spin-down", "fit_spin_down", "line")):

@@ -1,0 +1,131 @@
+# pyright: strict
+"""What a user should ask for, derived from the rows of one benchmark run; nothing where the rows do not decide it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any
+
+from dynamics.bench.records import Measurement
+from dynamics.bench.wording import times
+
+NO_DEARER = 1.5
+"""An accuracy that takes at most so many times the cheapest one's time is had for nothing: bench times scatter so."""
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """A line a user can act on.
+
+    Attributes:
+        service: what it is about.
+        setting: what to take; None where the rows do not decide it.
+        text: the line, with the figures it rests on.
+        figures: by setting: "time" over the compared setting's, "error" (least and largest of the cases) where known.
+    """
+
+    service: str
+    setting: str | None
+    text: str
+    figures: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Mapping[str, Any]])
+
+    @property
+    def decided(self) -> bool:
+        """Whether the rows support it."""
+        return self.setting is not None
+
+    def as_json(self) -> dict[str, Any]:
+        """The line under its field names."""
+        return {**dataclasses.asdict(self), "decided": self.decided}
+
+
+def recommended_accuracies(rows: Sequence[Measurement]) -> list[Recommendation]:
+    """For each service that was measured as a user calls it: the tightest accuracy that costs next to nothing more.
+
+    Args:
+        rows: of one run, compared with each other.
+    """
+    by_service: dict[str, list[tuple[float, Measurement]]] = {}
+    for row in rows:
+        accuracy = _asked(row)
+        if row.automatic and accuracy is not None:
+            by_service.setdefault(row.service, []).append((accuracy, row))
+    return [_of_service(service, found) for service, found in by_service.items()]
+
+
+def _asked(row: Measurement) -> float | None:
+    """The accuracy a service was asked for; None for a row that has none."""
+    for part in row.setting.split(","):
+        words = part.split()
+        if len(words) == 2 and words[0] == "accuracy":
+            return float(words[1])
+    return None
+
+
+def _of_service(service: str, rows: Sequence[tuple[float, Measurement]]) -> Recommendation:
+    cases = {row.case for _, row in rows}
+    cases_of: dict[float, set[str]] = {}
+    for asked, row in rows:
+        cases_of.setdefault(asked, set()).add(row.case)
+    accuracies = sorted((asked for asked, own in cases_of.items() if own == cases), reverse=True)
+    ours = {asked: [row for a, row in rows if a == asked] for asked in accuracies}
+    if len(accuracies) < 2:
+        known = f"only accuracy {accuracies[0]:.0e} was" if accuracies else "no accuracy was in all cases"
+        return Recommendation(service, None, f"{service}: no recommendation, {known} measured{_peers(rows)}")
+    if any(row.true_error is None for _, row in rows):
+        return Recommendation(service, None, f"{service}: no recommendation, true errors are not known in this run")
+    seconds = {asked: {row.case: row.seconds for row in ours[asked]} for asked in accuracies}
+    cheapest = min(accuracies, key=lambda a: median(seconds[a].values()))
+    ratio = {a: median(seconds[a][case] / seconds[cheapest][case] for case in cases) for a in accuracies}
+    figures = {f"accuracy {a:.0e}": {"time": ratio[a], "error": _span(ours[a])} for a in accuracies}
+    broken = [a for a in accuracies if any((row.true_error or 0.0) > a for row in ours[a])]
+    for_nothing = [a for a in accuracies if ratio[a] <= NO_DEARER and a not in broken]
+    if not for_nothing:
+        text = f"{service}: no recommendation, the cheapest accuracies are not kept ({_listed(broken)})"
+        return Recommendation(service, None, text, figures)
+    best = min(for_nothing)
+    text = f"{service}: ask for {best:.0e}"
+    if best != cheapest:
+        text += f", it takes {times(ratio[best])} the time of {cheapest:.0e}"
+    elif len(for_nothing) == 1:
+        text += ", the cheapest"
+    text += f"; its largest true error here is {max(r.true_error or 0.0 for r in ours[best]):.0e}"
+    tighter = [a for a in accuracies if a < best]
+    if tighter:
+        text += f"; tighter ones take {times(min(ratio[a] for a in tighter))}"
+        text += f" to {times(max(ratio[a] for a in tighter))}" if len(tighter) > 1 else ""
+        text += " the time, ask for them where they are needed"
+    if broken:
+        text += f"; not kept: {_listed(broken)}"
+    return Recommendation(service, f"accuracy {best:.0e}", text + _peers([(best, row) for row in ours[best]]), figures)
+
+
+def _listed(accuracies: Sequence[float]) -> str:
+    return ", ".join(f"{a:.0e}" for a in accuracies)
+
+
+def _span(rows: Sequence[Measurement]) -> tuple[float, float]:
+    errors = [row.true_error or 0.0 for row in rows]
+    return min(errors), max(errors)
+
+
+def _peers(rows: Sequence[tuple[float, Measurement]]) -> str:
+    """Where somebody else's program is quicker and at least as exact."""
+    behind = [row.peer_ratio for _, row in rows if row.peer_ratio is not None and row.peer_ratio > 1.0]
+    compared = sum(row.peer_ratio is not None for _, row in rows)
+    if not behind:
+        return ""
+    return f"; a peer at least as exact is up to {times(max(behind))} as fast ({len(behind)} of {compared} rows)"
+
+
+def log_ratio(one: float, other: float) -> float:
+    """ln(one / other); inf or −inf where one of them is zero or without bound."""
+    if one == other:
+        return 0.0
+    if one == math.inf or other == 0.0:
+        return math.inf
+    return -math.inf if other == math.inf or one == 0.0 else math.log(one / other)
