@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.ring_down.attempt import drift_criteria, known_columns
+from identification.ring_down.attempt import drift_criteria
 from identification.ring_down.decay import Fitted
 from identification.ring_down.modes import averaged_decay, rate
 from identification.ring_down.residuals import gain_of
 from identification.ring_down.resolution import Resolution
+from identification.ring_down.scores import known_columns
 from identification.setting import ModelChoice
 
 _DRIFTS = {0: "offset", 1: "offset and slope", 3: "offset and cubic drift"}

@@ -10,13 +10,14 @@ from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.lines import sentences
 from identification.ring_down.amplitude import AmplitudeDependence, amplitude_dependence
-from identification.ring_down.attempt import stretches
 from identification.ring_down.decay import Fitted, Priors
 from identification.ring_down.model import BETA
 from identification.ring_down.model_table import model_table
+from identification.ring_down.over_amplitude import RatesOverAmplitude, rates_over_amplitude
 from identification.ring_down.profile import profile_axis, profile_parameter
 from identification.ring_down.residuals import Whiteness, whiteness
 from identification.ring_down.resolution import RESOLVED_GAIN, RESOLVED_SPLIT, WALD_STD, Resolution, resolution
+from identification.ring_down.scores import stretches
 from identification.setting import ModelChoice, Setting
 
 _LEFT_OVER, _WRONG_CHI2 = 0.1, 10.0  # share of the signal and χ²/dof that mark a model that is none
@@ -45,6 +46,8 @@ class RingDownFit:
         whiteness: of the residuals.
         axes_resolved: with two modes, whether their axes can be told apart.
         amplitude: per mode, damping and frequency over amplitude, where the decay is long enough.
+        nonlinear: the directions whose frequency or damping ratio depends on amplitude, as fitted; their values are
+            those at zero amplitude.
         setting: what was asked for.
         settled: whether the iteration did; one that did not is refused, so always true.
     """
@@ -64,6 +67,7 @@ class RingDownFit:
     whiteness: Whiteness
     axes_resolved: bool
     amplitude: list[AmplitudeDependence]
+    nonlinear: list[RatesOverAmplitude]
     setting: Setting
     settled: bool = True
 
@@ -132,7 +136,9 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     curves, rms = _curves(fitted, chi2, _axes(labels))
     numbers = _numbers(fitted, findings, labels, stretch, found)
     dependence = _amplitudes(fitted, len(labels), stretch) if findings.setting != "fast" else []
-    warnings += _widen_for_amplitude(numbers, dependence, labels)
+    nonlinear = rates_over_amplitude(fitted, labels, stretch)
+    warnings += [one.sentence for one in nonlinear]
+    warnings += _widen_for_amplitude(numbers, _beyond(fitted, dependence, stretch), labels)
     for label, i in zip(labels, range(1, 2 * len(labels), 2), strict=True):
         warnings += _damping_remark(numbers, label, i)
     if found is not None and not found.resolved:
@@ -159,6 +165,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
         whiteness=white,
         axes_resolved=found is None or found.resolved,
         amplitude=dependence,
+        nonlinear=nonlinear,
         setting=findings.setting,
     )
 
@@ -236,6 +243,14 @@ def _numbers(
 
 def _amplitudes(fitted: Fitted, count: int, stretch: np.ndarray) -> list[AmplitudeDependence]:
     found = [amplitude_dependence(fitted, mode, float(stretch[2 * mode + 1])) for mode in range(count)]
+    return [f for f in found if f is not None]
+
+
+def _beyond(fitted: Fitted, dependence: list[AmplitudeDependence], stretch: np.ndarray) -> list[AmplitudeDependence]:
+    """What the fitted terms of amplitude leave unexplained."""
+    if fitted.model.backbone is None:
+        return dependence
+    found = [amplitude_dependence(fitted, one.mode - 1, float(stretch[2 * one.mode - 1]), False) for one in dependence]
     return [f for f in found if f is not None]
 
 
