@@ -83,6 +83,8 @@ def _exchanged(fit: Fit) -> Fit:
     if isinstance(named, RingDownFit):
         return replace(
             named,
+            model=_other(named.model),
+            model_table=[replace(row, name=_other(row.name), why=_other(row.why)) for row in named.model_table],
             amplitude=[replace(one, mode=3 - one.mode) for one in named.amplitude],
             nonlinear=[replace(one, direction=3 - one.direction) for one in named.nonlinear],
         )

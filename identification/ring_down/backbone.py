@@ -24,7 +24,7 @@ REFERENCE_M = 1e-3
 """A: the amplitude at which changes of frequency and damping ratio are counted."""
 _SERIES = 0.02  # |x| below which G comes from its series, whose eighth term is below 1e-13
 _LEAST_W = 0.05  # a decay continued backwards past where its amplitude is infinite
-_MOST_BENT, _MOST_DRAG = 0.3, 50.0
+_MOST_BENT, _MOST_DRAG, _MOST_GROWN = 0.3, 50.0, 20.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,8 @@ class Rates:
     def is_absurd(self, amplitude_m: float, span_s: float) -> bool:
         """Whether the frequency changes beyond all reason, or the amplitude becomes infinite."""
         level, decay = amplitude_m / REFERENCE_M, self.zeta * self.omega * span_s
+        if decay < -_MOST_GROWN:
+            return True
         reach = span_s if abs(decay) < 1e-12 else span_s * -float(np.expm1(-decay)) / decay
         x = self.drag * level * self.omega * reach
         return not (abs(self.hardening) * level**2 < _MOST_BENT and _LEAST_W - 1 < x < _MOST_DRAG)

@@ -44,6 +44,16 @@ class RatesOverAmplitude:
     largest_m: float
 
     @property
+    def short(self) -> str:
+        """What depends on amplitude, in a few words."""
+        own = f"direction {self.direction}"
+        said = {
+            "frequency": f"{own} {'hardens' if self.f_change_at_1mm > 0 else 'softens'}",
+            "damping": f"{own}'s damping {'grows' if self.zeta_slope_per_m > 0 else 'falls'} with amplitude",
+        }
+        return ", ".join(said[kind] for kind in self.kinds)
+
+    @property
     def sentence(self) -> str:
         """What depends on amplitude, and by how much."""
         said: list[str] = []
@@ -65,18 +75,6 @@ class RatesOverAmplitude:
         named = " and ".join(names[kind] for kind in self.kinds)
         at_zero = f"the values of {named} are" if len(said) > 1 else f"the value of {named} is"
         return f"{'; '.join(said)}; {at_zero} at zero amplitude"
-
-    def frequency_at(self, amplitude_m: float) -> tuple[float, float]:
-        """Frequency at an amplitude, Hz, and its standard deviation; that of a spring of k_eq = k (1 + ¾ κ a²)."""
-        level = (amplitude_m / REFERENCE_M) ** 2
-        root = float(np.sqrt(1 + 2 * self.f_change_at_1mm * level))
-        by = self.f_Hz * np.array([root, 0.0, level / root, 0.0])
-        return self.f_Hz * root, float(np.sqrt(by @ self.covariance @ by))
-
-    def damping_at(self, amplitude_m: float) -> tuple[float, float]:
-        """Equivalent damping ratio at an amplitude, and its standard deviation."""
-        by = np.array([0.0, 1.0, 0.0, amplitude_m / REFERENCE_M])
-        return self.zeta + self.zeta_slope_per_m * amplitude_m, float(np.sqrt(by @ self.covariance @ by))
 
 
 def _given(value: float, std: float) -> str:
