@@ -136,7 +136,8 @@ class Plan:
             if other is None:
                 break
             apart = self.again(fitted, without_other(fitted, other))
-            if other.near and not stays(apart, other.lam.imag / (2 * np.pi)):
+            bent = fitted.model.backbone is not None  # rates that change by another law misfit in the mode's own band
+            if other.near and (bent or not stays(apart, other.lam.imag / (2 * np.pi))):
                 break  # a mode's own misfit
             fitted = apart if other.line else self.better_shaped(fitted, apart, other)
         return fitted

@@ -70,7 +70,7 @@ def _lacking(model: DecayModel, record: DecayRecord, index: int, theta: Floats, 
         own = t - (float(theta[DELAYS + index]) if model.delays and axis else 0.0)
         total = np.zeros(len(t))
         for mode in range(model.modes):
-            if not any(backbone.taken[2 * mode : 2 * mode + 2]):
+            if not any(backbone.opened[2 * mode : 2 * mode + 2]):
                 continue
             rates, level = model.mode_rates(theta, mode), backbone.amplitudes_m[index][mode]
             wave, _ = averaged_course(rates, level, own, channel.spread_s2)

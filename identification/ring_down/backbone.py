@@ -23,6 +23,7 @@ Complexes = NDArray[np.complex128]
 REFERENCE_M = 1e-3
 """A: the amplitude at which changes of frequency and damping ratio are counted."""
 _SERIES = 0.02  # |x| below which G comes from its series, whose eighth term is below 1e-13
+_SMALL = 1e-4  # σt below which the slope of E comes from its series
 _LEAST_W = 0.05  # a decay continued backwards past where its amplitude is infinite
 _MOST_BENT, _MOST_DRAG, _MOST_GROWN = 0.3, 50.0, 20.0
 
@@ -35,11 +36,14 @@ class Backbone:
         hardens: per mode whether its frequency does.
         drags: per mode whether its damping ratio does.
         amplitudes_m: per record and mode, a0 at the record's zero.
+        plausible: of the terms that are not taken, in the order of θ, the standard deviation about zero that they are
+            likely to have; 0 where they are left out, as are all of an empty tuple.
     """
 
     hardens: tuple[bool, ...]
     drags: tuple[bool, ...]
     amplitudes_m: tuple[tuple[float, ...], ...]
+    plausible: tuple[float, ...] = ()
 
     @property
     def taken(self) -> tuple[bool, ...]:
@@ -49,16 +53,17 @@ class Backbone:
     @property
     def prior_std(self) -> Floats:
         """Of the same: infinite where the term is fitted, 0 where it is left out."""
-        return np.where(self.taken, np.inf, 0.0)
+        return np.where(self.taken, np.inf, self.plausible or 0.0)
+
+    @property
+    def opened(self) -> tuple[bool, ...]:
+        """Of the same: whether the term is taken or plausible."""
+        return tuple(bool(std > 0) for std in self.prior_std)
 
     @property
     def largest_m(self) -> tuple[float, ...]:
         """Each mode's largest amplitude of all records."""
         return tuple(max(own) for own in zip(*self.amplitudes_m, strict=True))
-
-    def with_taken(self, taken: tuple[bool, ...]) -> Backbone:
-        """The same amplitudes with other terms, in the order of θ."""
-        return Backbone(taken[0::2], taken[1::2], self.amplitudes_m)
 
     def in_order(self, modes: tuple[int, ...]) -> Backbone:
         """Some modes, in another order."""
@@ -66,6 +71,7 @@ class Backbone:
             tuple(self.hardens[m] for m in modes),
             tuple(self.drags[m] for m in modes),
             tuple(tuple(own[m] for m in modes) for own in self.amplitudes_m),
+            tuple(self.plausible[2 * m + k] for m in modes for k in range(2)) if self.plausible else (),
         )
 
 
@@ -165,12 +171,12 @@ def averaged_course(
 def _reach(sigma: float, time_s: Floats) -> tuple[Floats, Floats]:
     """E = (1 − e^{−σt})/σ and ∂E/∂σ."""
     power = sigma * time_s
-    small = np.abs(power) < 1e-4
-    if sigma == 0.0:
-        return time_s, -0.5 * time_s**2
+    small = np.abs(power) < _SMALL
+    if small.all():
+        return time_s * (1 - 0.5 * power * (1 - power / 3)), -0.5 * time_s**2 * (1 - 2 / 3 * power)
     e = -np.expm1(-power) / sigma
-    slope = np.where(small, -0.5 * time_s**2 * (1 - 2 / 3 * power), (time_s * (1 - sigma * e) - e) / sigma)
-    return np.where(small, time_s * (1 - 0.5 * power * (1 - power / 3)), e), slope
+    slope = (time_s * (1 - sigma * e) - e) / sigma
+    return e, np.where(small, -0.5 * time_s**2 * (1 - 2 / 3 * power), slope)
 
 
 def _curved(x: Floats) -> tuple[Floats, Floats]:

@@ -202,6 +202,8 @@ def solve(decay: Decay, model: DecayModel, starts: Sequence[np.ndarray], priors:
     fitted = _solved(decay, model, starts, priors)
     for _ in range(_CORRECTIONS if model.backbone is not None else 0):
         model = corrected(fitted.model, fitted.theta, fitted.solution.coefficients)
+        if model.is_absurd(fitted.theta):  # no such amplitude goes with such terms: the mode is none
+            break
         fitted = _solved(decay, model, [fitted.theta], priors)
     return fitted
 
@@ -240,7 +242,7 @@ def second_mode_gain(fitted: Fitted) -> tuple[float, np.ndarray]:
     fits = [solve(fitted.decay, alone, [s], Priors()) for s in (start, fitted.theta[0:2], fitted.theta[2:4])]
     if fitted.model.backbone is not None:  # a lone mode whose rates depend on amplitude is one mode
         plain = tuple(replace(r, lacking=()) for r in alone.records)
-        for mode in range(2):
+        for mode in np.flatnonzero(np.any(np.reshape(fitted.model.backbone.taken, (2, 2)), axis=1)).tolist():
             model = replace(alone, records=plain, backbone=fitted.model.backbone.in_order((mode,)))
             places = [2 * mode, 2 * mode + 1, fitted.model.tail + 2 * mode, fitted.model.tail + 2 * mode + 1]
             fits.append(solve(fitted.decay, model, [fitted.theta[places]], Priors()))

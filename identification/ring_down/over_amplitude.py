@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -102,6 +102,7 @@ def rates_over_amplitude(fitted: Fitted, labels: tuple[str, ...], stretch: Float
         keep = np.array([1.0, 1.0, float(hardens), float(drags)])
         covariance = full[np.ix_(at, at)] * np.outer(keep, keep)
         std, rates = np.sqrt(np.diag(covariance)), model.mode_rates(fitted.theta, mode)
+        rates = replace(rates, hardening=rates.hardening * keep[2], drag=rates.drag * keep[3])  # plausible is not found
         kinds: tuple[Kind, ...] = (*(("frequency",) if hardens else ()), *(("damping",) if drags else ()))
         out.append(
             RatesOverAmplitude(

@@ -2,7 +2,9 @@
 """The rungs of a ring-down's ladder above constant rates: frequency, and damping ratio, that depend on amplitude.
 
 Each mode has two: its frequency, its damping ratio. The one that lowers χ² most is taken as long as that is worth
-more than BIC asks and `_CLEARLY` beyond; none is kept that is not certain in the end (p < 1e-4).
+more than BIC asks; none is kept that is not certain in the end. Where one direction has a term, the other one is
+likely to have it too, even if its motion is too small to show it: it is then fitted there with a prior about zero,
+so that the interval of the value at zero amplitude covers it.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from identification.ring_down.modes import rate
 from identification.ring_down.residuals import gain_of
 from identification.ring_down.scores import known_columns, stretches
 
-_CLEARLY = 10.0  # of BIC: very strong evidence
-_CERTAIN = 3.9  # standard deviations: p = 1e-4
+_WORTH = 2.0  # of BIC, beyond 0: a term that is missed biases more than one that is not there costs
+_CERTAIN = 3.0  # standard deviations
+_ALIKE = 2.0  # times one direction's term: what the other one's is likely to be at most
 _APART = 3.0  # half-bandwidths; of nearer modes a beat looks like rates that change
 _MISFIT, _MOSTLY = 6.0, 0.7  # standard deviations of χ²/dof; share of what is beyond noise
 _BENT = (-0.02, -0.005, -0.001, 0.001, 0.005, 0.02)  # relative change of frequency at the largest amplitude
@@ -43,15 +46,20 @@ def climbed(fitted: Fitted, priors: Priors, first: bool) -> Fitted:
     """
     if (first and not is_misfit(fitted)) or not _are_apart(fitted):
         return fitted
-    best = fitted
-    for _ in range(2 * fitted.model.modes):
-        higher = _next(best, priors)
-        if higher is None:
-            break
-        best = higher
+    best = _highest(fitted, priors)
     if first:
         return best if explains(fitted, best) else fitted
-    return _certain(best, priors)
+    return _with_plausible(_certain(best, priors), priors)
+
+
+def _highest(fitted: Fitted, priors: Priors) -> Fitted:
+    """The fit with one term after the other as long as they are worth it."""
+    for _ in range(2 * fitted.model.modes):
+        higher = _next(fitted, priors)
+        if higher is None:
+            break
+        fitted = higher
+    return fitted
 
 
 def is_misfit(fitted: Fitted) -> bool:
@@ -73,7 +81,7 @@ def bent_leader(fitted: Fitted, priors: Priors) -> Fitted | None:
     """The stronger mode of a turned pair as one mode in both sensors; None where its rates are constant."""
     alone = replace(fitted.model, modes=1, turned=False, delays=False, backbone=None)
     strong = 2 * int(np.argmax([mode_size(fitted, mode) for mode in range(2)]))
-    single = climbed(solve(fitted.decay, alone, [fitted.theta[strong : strong + 2]], priors), priors, True)
+    single = _highest(solve(fitted.decay, alone, [fitted.theta[strong : strong + 2]], priors), priors)
     return single if single.model.backbone is not None else None
 
 
@@ -108,7 +116,7 @@ def _taken(fitted: Fitted) -> Taken:
 
 def _next(fitted: Fitted, priors: Priors) -> Fitted | None:
     """The fit with the one more term that explains most; None where none is worth it."""
-    price = float(np.log(fitted.count)) + _CLEARLY
+    price = float(np.log(fitted.count)) + _WORTH
     gains, taken = _gains(fitted), _taken(fitted)
     noise = max(1.0, fitted.solution.chi2_per_dof)
     worth = [i for i, gain in enumerate(gains) if not taken[i] and gain / noise > price]
@@ -186,3 +194,18 @@ def _certain(fitted: Fitted, priors: Priors) -> Fitted:
         lower, theta = with_terms(model, fitted.theta, fitted.solution.coefficients, left)
         fitted = solve(fitted.decay, lower, [theta], priors)
     return fitted
+
+
+def _with_plausible(fitted: Fitted, priors: Priors) -> Fitted:
+    """The fit with a term that one direction has opened in the other one too, as far as it is likely to be there."""
+    backbone, modes = fitted.model.backbone, fitted.model.modes
+    if backbone is None or modes < 2:
+        return fitted
+    values, plausible = np.abs(fitted.theta[fitted.model.tail :]), np.zeros(2 * modes)
+    for i, on in enumerate(backbone.taken):
+        if not on:
+            plausible[i] = _ALIKE * max((float(values[j]) for j in range(i % 2, 2 * modes, 2)), default=0.0)
+    if not plausible.any():
+        return fitted
+    return solve(fitted.decay, replace(fitted.model, backbone=replace(backbone, plausible=tuple(plausible))),
+                 [fitted.theta], priors)  # fmt: skip
