@@ -28,6 +28,7 @@ _WORTH = 2.0  # of BIC, beyond 0: a term that is missed biases more than one tha
 _CERTAIN = 3.0  # standard deviations
 _ALIKE = 2.0  # times one direction's term: what the other one's is likely to be at most
 _APART = 3.0  # half-bandwidths; of nearer modes a beat looks like rates that change
+_GROWS, _FAST = -1e-3, 0.25  # damping ratios between which an amplitude falls slowly against a cycle
 _MISFIT, _MOSTLY = 6.0, 0.7  # standard deviations of χ²/dof; share of what is beyond noise
 _BENT = (-0.02, -0.005, -0.001, 0.001, 0.005, 0.02)  # relative change of frequency at the largest amplitude
 _DRAGGED = (-0.5, 0.2, 0.5, 1.5)  # of ζ
@@ -44,7 +45,7 @@ def climbed(fitted: Fitted, priors: Priors, first: bool) -> Fitted:
         priors: of a turned pair.
         first: before lines and coloured noise are known: terms are taken only if they explain most of a misfit.
     """
-    if (first and not is_misfit(fitted)) or not _are_apart(fitted):
+    if (first and not is_misfit(fitted)) or not _are_suited(fitted):
         return fitted
     best = _highest(fitted, priors)
     if first:
@@ -104,7 +105,10 @@ def beside_leader(model: DecayModel, leader: Fitted, other: Floats, place: int) 
     return replace(model, backbone=both), np.concatenate([rates, np.zeros(model.tail - 4), terms])
 
 
-def _are_apart(fitted: Fitted) -> bool:
+def _are_suited(fitted: Fitted) -> bool:
+    """Whether the modes' amplitudes fall slowly, and by themselves: averaging needs the one, telling them the other."""
+    if not np.all((fitted.zetas > _GROWS) & (fitted.zetas < _FAST)):
+        return False
     lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
     return len(lams) < 2 or abs(lams[0] - lams[1]) > _APART * max(abs(lam.real) for lam in lams)
 
@@ -139,7 +143,8 @@ def _gains(fitted: Fitted) -> Floats:
     for block, c, columns, residual in zip(model(theta), fitted.solution.coefficients, known, residuals, strict=True):
         tail = block.tangent(c)[:, model.tail :]
         moved = columns if held is None else np.hstack([columns[:, : -len(held)], tail[:, held]])
-        gains += [gain_of(residual, moved, tail[:, i : i + 1]) for i in range(len(gains))]
+        if np.all(np.isfinite(tail)):
+            gains += [gain_of(residual, moved, tail[:, i : i + 1]) for i in range(len(gains))]
     return gains
 
 
