@@ -9,12 +9,14 @@ from identification.pendulums.release import fit_release
 from identification.pendulums.spin_down import SpinDownFit, fit_spin_down
 from identification.pendulums.spin_down_run import fit_spin_down_run
 from identification.pendulums.transient import TransientFit
+from identification.ring_down.equivalent import EquivalentLinear, equivalent_linear
 from identification.ring_down.fit import RingDownFit, fit_ring_down, fit_ring_down_runs
 from identification.run_up.fit import RunUpFit, fit_run_up, fit_run_up_run
 
 __all__ = [
     "ConsistencyRow",
     "Curve",
+    "EquivalentLinear",
     "Estimate",
     "FitFailed",
     "Identification",
@@ -26,6 +28,7 @@ __all__ = [
     "SpinDownFit",
     "TransientFit",
     "combine",
+    "equivalent_linear",
     "fit_release",
     "fit_ring_down",
     "fit_ring_down_runs",

@@ -81,5 +81,11 @@ def _exchanged(fit: Fit) -> Fit:
     covariance = fit.covariance[np.ix_(order, order)]
     named = replace(fit, values=values, intervals=intervals, covariance=covariance, warnings=told)
     if isinstance(named, RingDownFit):
-        return replace(named, amplitude=[replace(one, mode=3 - one.mode) for one in named.amplitude])
+        return replace(
+            named,
+            model=_other(named.model),
+            model_table=[replace(row, name=_other(row.name), why=_other(row.why)) for row in named.model_table],
+            amplitude=[replace(one, mode=3 - one.mode) for one in named.amplitude],
+            nonlinear=[replace(one, direction=3 - one.direction) for one in named.nonlinear],
+        )
     return named

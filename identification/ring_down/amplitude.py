@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from identification.colour import Colour
+from identification.ring_down.backbone import REFERENCE_M, averaged_course, course
 from identification.ring_down.decay import Fitted
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
@@ -66,17 +67,20 @@ class AmplitudeDependence:
         return abs(self.f_slope_Hz_per_m) * float(np.ptp(self.amplitude_m))
 
 
-def amplitude_dependence(fitted: Fitted, mode: int, stretch: float = 1.0) -> AmplitudeDependence | None:
+def amplitude_dependence(
+    fitted: Fitted, mode: int, stretch: float = 1.0, whole: bool = True
+) -> AmplitudeDependence | None:
     """A mode in windows of falling amplitude, from the channel that shows it best; None with fewer than three windows.
 
     Args:
         mode: 0 or 1.
         stretch: noise above white, as a factor of standard deviations.
+        whole: with what the fit's own terms of amplitude explain; otherwise what is left beyond them.
     """
-    channel, t, residual, amplitude, colour = _clearest(fitted, mode)
+    channel, t, residual, amplitude, colour, record = _clearest(fitted, mode)
     omega, zeta = float(fitted.omegas[mode]), float(fitted.zetas[mode])
     lam = rate(omega, zeta)
-    wave, slope = averaged_decay(lam, t, channel.spread_s2)
+    wave, slope, level_of, zeta_of, omega_of = _course(fitted, record, mode, t, channel)
     columns = (
         np.column_stack(
             [
@@ -96,8 +100,10 @@ def amplitude_dependence(fitted: Fitted, mode: int, stretch: float = 1.0) -> Amp
         inverse = np.linalg.pinv((own / scale).T @ (own / scale), rcond=1e-12)
         moved = inverse @ ((own / scale).T @ residual[first:last]) / scale
         std = np.sqrt(np.diag(inverse)) / scale * stretch
-        level = abs(amplitude) * float(np.mean(np.exp(lam.real * t[first:last])))
-        rows.append((level, zeta + moved[3], std[3], omega * (1 + moved[2]), omega * std[2]))
+        level = abs(amplitude) * float(np.mean(level_of[first:last]))
+        own_zeta = float(np.mean(zeta_of[first:last])) if whole else zeta
+        own_omega = float(np.mean(omega_of[first:last])) if whole else omega
+        rows.append((level, own_zeta + moved[3], std[3], own_omega + omega * moved[2], omega * std[2]))
     if len(rows) < 3:
         return None
     level, zetas, zeta_std, omegas, omega_std = np.array(rows).T
@@ -107,8 +113,25 @@ def amplitude_dependence(fitted: Fitted, mode: int, stretch: float = 1.0) -> Amp
     )
 
 
-def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarray, complex, Colour | None]:
-    """The channel with the mode's largest amplitude against noise: blocks, times, residual, amplitude, colour."""
+def _course(
+    fitted: Fitted, record: int, mode: int, t: np.ndarray, channel: Averages
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The mode's wave, its slope by λ, its amplitude over that at the begin, ζ and ω over time; shape (n,) each."""
+    model, rates = fitted.model, fitted.model.mode_rates(fitted.theta, mode)
+    lam = rate(rates.omega, rates.zeta)
+    if model.backbone is None:
+        wave, slope = averaged_decay(lam, t, channel.spread_s2)
+        alike = np.ones_like(t)
+        return wave, slope, np.exp(lam.real * t), rates.zeta * alike, rates.omega * alike
+    start = model.backbone.amplitudes_m[record][mode]
+    wave, _ = averaged_course(rates, start, t, channel.spread_s2)
+    share = np.exp(course(rates, start, t).power.real)
+    level = start * share / REFERENCE_M
+    return wave, wave * t, share, rates.zeta + rates.drag * level, rates.omega * (1 + rates.hardening * level**2)
+
+
+def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarray, complex, Colour | None, int]:
+    """A mode's clearest channel: blocks, times, residual, amplitude, colour and record."""
     best = (-1.0, 0, 0, 0j)
     for r, record in enumerate(fitted.model.records):
         for axis, channel in enumerate(record.channels):
@@ -118,7 +141,7 @@ def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarr
     _, r, axis, amplitude = best
     record = fitted.model.records[r]
     colour = record.colours[axis] if record.colours else None
-    return record.channels[axis], record.times[axis], fitted.channel_residuals()[r][axis], amplitude, colour
+    return record.channels[axis], record.times[axis], fitted.channel_residuals()[r][axis], amplitude, colour, r
 
 
 def _windows(t: np.ndarray, channel: Averages, amplitude: float, lam: complex) -> list[tuple[int, int]]:

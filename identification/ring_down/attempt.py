@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.ring_down.backbone import Backbone
 from identification.ring_down.decay import (
     COARSE_S,
     Decay,
@@ -34,8 +35,11 @@ from identification.ring_down.disturbances import (
 from identification.ring_down.model import BETA
 from identification.ring_down.modes import Start, damped_periodogram, rate
 from identification.ring_down.outliers import suspicious, trimmed
-from identification.ring_down.residuals import gain_of, spectral_stretch
+from identification.ring_down.residuals import gain_of
+from identification.ring_down.rungs import bent_leader, beside_leader, climbed, explains, is_misfit
+from identification.ring_down.scores import known_columns, stretches
 from identification.ring_down.start import pair_starts
+from identification.samples import Averages
 from identification.setting import Setting
 
 BLOCKS_PER_CYCLE: dict[Setting, int] = {"fast": 12, "balanced": 20, "reference": 64}
@@ -76,10 +80,37 @@ class Plan:
         """
         fitted = self.from_starts(decay, near)
         refuse_too_short(fitted)
-        fitted = self.with_known_noise(self.without_lines(self.with_residual_noise(fitted), near))
+        fitted = self.with_rungs(self.with_residual_noise(fitted), first=True)
+        fitted = self.with_known_noise(self.without_lines(fitted, near))
         fitted = self.with_hidden_mode(fitted)
         fitted, _ = self.without_outliers(fitted)
-        return fitted if self.turned else self.with_second_mode(fitted)
+        return self.with_rungs(fitted if self.turned else self.with_second_mode(fitted))
+
+    def with_rungs(self, fitted: Fitted, first: bool = False) -> Fitted:
+        """The fit with those of its modes' rates made to depend on amplitude that the data ask for.
+
+        Args:
+            first: before lines and coloured noise are looked for: only what explains most of a misfit.
+        """
+        if self.setting == "fast":
+            return fitted
+        climb = climbed(fitted, self.priors, first)
+        if first and self.turned and climb is fitted and is_misfit(fitted):
+            return self.with_bent_leader(fitted)
+        return climb
+
+    def with_bent_leader(self, fitted: Fitted) -> Fitted:
+        """A turned pair where a strong mode whose rates change took both modes of the first start values.
+
+        The strong mode is fitted alone in both sensors; what that leaves shows the other one.
+        """
+        bent = bent_leader(fitted, self.priors)
+        if bent is None:
+            return fitted
+        other = theta_of([damped_periodogram(rests(bent))])
+        pairs = (beside_leader(fitted.model, bent, other, place) for place in range(2))
+        best = min((solve(fitted.decay, model, [theta], self.priors) for model, theta in pairs), key=lambda f: f.chi2)
+        return best if explains(fitted, best) else fitted
 
     def from_starts(self, decay: Decay, near: Fitted | None = None) -> Fitted:
         """The best fit from start values found in the decay itself."""
@@ -87,7 +118,7 @@ class Plan:
         if self.turned:
             starts = pair_starts(coarse)[: _STARTS[self.setting]]
             fastest = max(float(np.exp(max(s[0], s[2]))) for s in starts)
-            starts += [near.theta] if near is not None else []
+            starts += [near.theta[: near.model.tail]] if near is not None else []
         else:
             start = damped_periodogram([list(r.channels) for r in coarse.records])
             starts, fastest = [theta_of([start])], start.omega
@@ -105,7 +136,8 @@ class Plan:
             if other is None:
                 break
             apart = self.again(fitted, without_other(fitted, other))
-            if other.near and not stays(apart, other.lam.imag / (2 * np.pi)):
+            bent = fitted.model.backbone is not None  # rates that change by another law misfit in the mode's own band
+            if other.near and (bent or not stays(apart, other.lam.imag / (2 * np.pi))):
                 break  # a mode's own misfit
             fitted = apart if other.line else self.better_shaped(fitted, apart, other)
         return fitted
@@ -118,7 +150,7 @@ class Plan:
         sizes = [mode_size(fitted, m) for m in range(fitted.model.modes)]
         weak = int(np.argmin(sizes))
         small = len(sizes) > 1 and sizes[weak] < SMALL * max(sizes)
-        theta = fitted.theta.copy()
+        theta = fitted.theta[: fitted.model.tail].copy()
         theta[2 * weak : 2 * weak + 2] = np.log(abs(other.lam)), -other.lam.real / abs(other.lam)
         fastest, drift = float(np.max(np.exp(theta[0 : 2 * len(sizes) : 2]))), fitted.model.drift
         choices = [apart]
@@ -140,7 +172,7 @@ class Plan:
         fastest, drift = float(np.max(fitted.omegas)), fitted.model.drift
         best = fitted
         for place in range(2):
-            theta = fitted.theta.copy()
+            theta = fitted.theta[: fitted.model.tail].copy()
             theta[2 * place : 2 * place + 2] = theta_of([hidden])
             theta[BETA] = 0.0
             found = self.refitted(fitted.decay, [theta], fastest, drift)  # the same blocks, so that χ² compares
@@ -157,13 +189,19 @@ class Plan:
         return fitted
 
     def refitted(
-        self, decay: Decay, starts: Sequence[np.ndarray], fastest: float, drift: int, modes: int = 0
+        self,
+        decay: Decay,
+        starts: Sequence[np.ndarray],
+        fastest: float,
+        drift: int,
+        modes: int = 0,
+        backbone: Backbone | None = None,
     ) -> Fitted:
         """Fit from start values; fastest in rad/s sets the blocks, modes counts free ones (0: as planned)."""
         width = width_for(fastest, BLOCKS_PER_CYCLE[self.setting])
         count = modes or (2 if self.turned else 1)
         model = decay.model(width, count, self.turned, drift, self.priors.delay_s > 0)
-        return solve(decay, model, starts, self.priors)
+        return solve(decay, replace(model, backbone=backbone), starts, self.priors)
 
     def labelled(self, fitted: Fitted) -> Fitted:
         """Mode 1 is the one nearer to sensor x: an angle beyond 45° is another name for the other order."""
@@ -173,15 +211,18 @@ class Plan:
         theta = fitted.theta.copy()
         theta[:BETA] = theta[[2, 3, 0, 1]]
         theta[BETA] = beta - np.sign(beta) * np.pi / 2
-        fastest, drift = float(np.max(fitted.omegas)), fitted.model.drift
-        other = self.refitted(fitted.decay, [theta], fastest, drift)
+        fastest, drift, backbone = float(np.max(fitted.omegas)), fitted.model.drift, fitted.model.backbone
+        if backbone is not None:
+            backbone, theta[fitted.model.tail :] = backbone.in_order((1, 0)), np.roll(theta[fitted.model.tail :], 2)
+        other = self.refitted(fitted.decay, [theta], fastest, drift, backbone=backbone)
         return other if abs(float(other.theta[BETA])) < abs(beta) else fitted
 
     def again(self, fitted: Fitted, decay: Decay | None = None, drift: int | None = None) -> Fitted:
         """The same fit on another span or with another drift, from its own parameters."""
         order = fitted.model.drift if drift is None else drift
         fastest = float(np.max(fitted.omegas))
-        return self.refitted(decay or fitted.decay, [fitted.theta], fastest, order, fitted.model.modes)
+        model = fitted.model
+        return self.refitted(decay or fitted.decay, [fitted.theta], fastest, order, model.modes, model.backbone)
 
     def with_drift(self, fitted: Fitted) -> Fitted:
         """The smallest drift that the data do not contradict, by BIC."""
@@ -194,12 +235,8 @@ class Plan:
         dof = fitted.count - fitted.model.linear - fitted.model.size
         if fitted.solution.chi2_per_dof < 1 + 4 * np.sqrt(2 / dof):
             return fitted
-        rest = []
-        for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
-            pairs = zip(record.channels, residuals, strict=True)
-            rest.append([replace(c, value=r) for c, r in pairs])
-        second = damped_periodogram(rest)
-        theta = np.r_[fitted.theta, theta_of([second])]
+        second = damped_periodogram(rests(fitted))
+        theta = np.r_[fitted.theta[:2], theta_of([second])]
         fastest = max(float(np.max(fitted.omegas)), second.omega)
         first = rate(float(fitted.omegas[0]), float(fitted.zetas[0]))
         # nearer than that, two decays are a decay that is not exponential
@@ -208,6 +245,8 @@ class Plan:
             return fitted
         both = self.refitted(fitted.decay, [theta], fastest, fitted.model.drift, modes=2)
         both = _stronger_first(both)
+        if fitted.model.backbone is not None and both.chi2 > fitted.chi2:
+            return fitted
         return both if self.with_fewest_modes(both) is both else fitted
 
     def with_fewest_modes(self, fitted: Fitted) -> Fitted:
@@ -216,6 +255,7 @@ class Plan:
             return fitted
         fastest = float(np.max(fitted.omegas))
         single = self.refitted(fitted.decay, [fitted.theta[:2]], fastest, fitted.model.drift, modes=1)
+        single = self.with_rungs(single) if fitted.model.backbone is not None else single
         gain = (single.chi2 - fitted.chi2) / max(1.0, fitted.solution.chi2_per_dof)
         lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
         apart = abs(lams[0] - lams[1]) > _APART * max(-lams[0].real, -lams[1].real)
@@ -273,28 +313,17 @@ def _stronger_first(fitted: Fitted) -> Fitted:
     return solve(fitted.decay, fitted.model, [swapped], Priors())
 
 
+def rests(fitted: Fitted) -> list[list[Averages]]:
+    """[record][channel], what a fit leaves."""
+    return [
+        [replace(c, value=own) for c, own in zip(record.channels, residuals, strict=True)]
+        for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True)
+    ]
+
+
 def theta_of(starts: Sequence[Start]) -> np.ndarray:
     """θ of free modes."""
     return np.array([v for s in starts for v in (np.log(s.omega), s.zeta)])
-
-
-@once_per_fit
-def stretches(fitted: Fitted) -> np.ndarray:
-    """By how much each parameter's std must be multiplied because residuals are larger than, or not, white noise."""
-    residuals = [r for record in fitted.channel_residuals() for r in record]
-    influence = fitted.solution.minimum.jacobian[: fitted.count] @ fitted.solution.minimum.covariance
-    edges = np.cumsum([len(r) for r in residuals])[:-1]
-    return spectral_stretch(residuals, np.split(influence, edges), fitted.solution.chi2_per_dof)
-
-
-@once_per_fit
-def known_columns(fitted: Fitted) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Per record the columns that the fit moves along and its residual."""
-    known, residuals = [], []
-    for block, c in zip(fitted.model(fitted.theta), fitted.solution.coefficients, strict=True):
-        known.append(np.column_stack([block.basis, block.tangent(c)]))
-        residuals.append(block.data - block.basis @ c)
-    return known, residuals
 
 
 @once_per_fit

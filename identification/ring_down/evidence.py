@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 
 from identification.errors import FitFailed, NotIdentifiable
-from identification.ring_down.attempt import stretches
 from identification.ring_down.decay import COARSE_S, Fitted
 from identification.ring_down.disturbances import is_disturbed, mode_size
 from identification.ring_down.record import Channel, sample_noise
+from identification.ring_down.scores import stretches
 from identification.samples import usual_interval
 
 _CUBIC = 3

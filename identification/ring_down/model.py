@@ -11,6 +11,8 @@ are linear and each record's own.
 Free modes: every channel has its own complex amplitude of every mode; θ = (ln ω, ζ) of each mode. With one mode it is
 the model of one direction.
 
+Rates that depend on amplitude add (η, S) of each mode at the end of θ: see identification.ring_down.backbone.
+
 Each channel has a drift besides, a polynomial of order 0, 1 or 3. ζ itself, not its logarithm, is the parameter: it is
 then nearly linear in the data, and its interval symmetric, down to where damping drowns in noise.
 """
@@ -25,6 +27,7 @@ import numpy as np
 
 from identification.colour import Colour
 from identification.least_squares import Block
+from identification.ring_down.backbone import Backbone, Rates, averaged_course
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
 
@@ -41,12 +44,14 @@ class DecayRecord:
         zero_s: where its time counts from.
         lines: per channel the columns of its lines, shape (blocks, columns); may be left out.
         colours: per channel its noise's colour, None where it is white; may be left out.
+        lacking: per channel what the averaged solution lacks of the exact motion, m; may be left out.
     """
 
     channels: tuple[Averages, ...]
     zero_s: float
     lines: tuple[np.ndarray, ...] = ()
     colours: tuple[Colour | None, ...] = ()
+    lacking: tuple[np.ndarray, ...] = ()
 
     @cached_property
     def times(self) -> list[np.ndarray]:
@@ -61,7 +66,8 @@ class DecayRecord:
     @cached_property
     def data(self) -> np.ndarray:
         """Values in standard deviations, channels one after the other."""
-        return self.scaled(np.concatenate([c.value for c in self.channels]))
+        value = np.concatenate([c.value for c in self.channels])
+        return self.scaled(value - np.concatenate(self.lacking) if self.lacking else value)
 
     def scaled(self, rows: np.ndarray) -> np.ndarray:
         """Rows (n,) or (n, m) of all channels in standard deviations of white noise."""
@@ -104,6 +110,7 @@ class DecayModel:
         drift: order of every channel's polynomial.
         delays: whether the two channels' clocks may differ, per record.
         width_s: length of a block.
+        backbone: which modes' rates depend on amplitude; None where they are constant.
     """
 
     records: tuple[DecayRecord, ...]
@@ -112,11 +119,27 @@ class DecayModel:
     drift: int = 0
     delays: bool = False
     width_s: float = 0.0
+    backbone: Backbone | None = None
 
     @property
     def size(self) -> int:
         """Length of θ."""
+        return self.tail + (2 * self.modes if self.backbone is not None else 0)
+
+    @property
+    def tail(self) -> int:
+        """Where η and S of the modes begin in θ, which is its length without them."""
         return 2 * self.modes + (2 + (len(self.records) if self.delays else 0) if self.turned else 0)
+
+    @property
+    def free(self) -> int:
+        """How many of θ are fitted: a term of amplitude that is left out is not."""
+        return self.tail + (sum(self.backbone.taken) if self.backbone is not None else 0)
+
+    def mode_rates(self, theta: np.ndarray, mode: int) -> Rates:
+        """A mode's parameters."""
+        bent = (0.0, 0.0) if self.backbone is None else theta[self.tail + 2 * mode : self.tail + 2 * mode + 2]
+        return Rates(float(np.exp(theta[2 * mode])), float(theta[2 * mode + 1]), float(bent[0]), float(bent[1]))
 
     @property
     def linear(self) -> int:
@@ -138,6 +161,10 @@ class DecayModel:
         if not np.all(np.isfinite(theta)) or np.any(np.abs(zetas) > _ZETA_LIMIT) or np.any(np.abs(logs) > _LOG_LIMIT):
             return True
         longest = max(float(t[-1]) for record in self.records for t in record.times)
+        if self.backbone is not None and any(
+            self.mode_rates(theta, m).is_absurd(largest, longest) for m, largest in enumerate(self.backbone.largest_m)
+        ):
+            return True
         grows = float(np.max(-zetas * np.exp(logs))) * longest > _GROWTH_LIMIT
         return grows or (self.turned and abs(float(theta[RATIO])) > 1)
 
@@ -152,7 +179,9 @@ class DecayModel:
         return Block(record.data, np.full((n, columns), np.nan), lambda c: np.full((n, size), np.nan))
 
     def _block(self, record: DecayRecord, index: int, theta: np.ndarray) -> Block:
-        omegas, zetas = np.exp(theta[0 : 2 * self.modes : 2]), theta[1 : 2 * self.modes : 2]
+        if self.backbone is not None:
+            return self._bent_block(record, index, theta, self.backbone)
+        omegas, zetas = self._plain(theta)
         lams = [rate(w, z) for w, z in zip(omegas, zetas, strict=True)]
         moves = [(lam, damping_derivative(w, z)) for lam, w, z in zip(lams, omegas, zetas, strict=True)]
         delay = theta[DELAYS + index] if self.delays else 0.0
@@ -172,6 +201,37 @@ class DecayModel:
                 return record.scaled(_free_tangent(c, slopes, moves))
 
         return Block(record.data, basis, tangent)
+
+    def _bent_block(self, record: DecayRecord, index: int, theta: np.ndarray, backbone: Backbone) -> Block:
+        delay = theta[DELAYS + index] if self.delays else 0.0
+        alike = record.same_times and not self.delays
+        waves: list[list[np.ndarray]] = []
+        moves: list[list[tuple[np.ndarray, ...]]] = []
+        for mode, amplitude in enumerate(backbone.amplitudes_m[index]):
+            rates, parts = self.mode_rates(theta, mode), []
+            for i, (t, channel) in enumerate(zip(record.times, record.channels, strict=True)):
+                own = t - (delay if i else 0.0)
+                parts.append(parts[0] if i and alike else averaged_course(rates, amplitude, own, channel.spread_s2))
+            waves.append([p[0] for p in parts])
+            moves.append([p[1] for p in parts])
+        beside = self.beside_columns(record)
+        mix, turned = rotation(theta[BETA], np.exp(theta[RATIO])) if self.turned else (np.eye(1), np.eye(1))
+        basis = record.scaled(_turned_basis(waves, mix, beside) if self.turned else _free_basis(waves, beside))
+        delayed = index if self.delays else None
+        lams = [rate(float(w), float(z)) for w, z in zip(*self._plain(theta), strict=True)]
+
+        def tangent(c: np.ndarray) -> np.ndarray:
+            if self.turned:
+                own = _turned_bent_tangent(c, waves, moves, mix, turned, self.tail, lams, delayed)
+            else:
+                own = _free_bent_tangent(c, moves, self.tail)
+            return record.scaled(own)
+
+        return Block(record.data, basis, tangent)
+
+    def _plain(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Natural frequencies, rad/s, and damping ratios, at zero amplitude."""
+        return np.exp(theta[0 : 2 * self.modes : 2]), theta[1 : 2 * self.modes : 2]
 
     def _waves(
         self, record: DecayRecord, lams: Sequence[complex], delay: float
@@ -272,5 +332,49 @@ def _free_tangent(c: np.ndarray, slopes: list[list[np.ndarray]], moves: list[tup
             moved = complex(c[column], c[column + 1]) * slopes[mode][i]
             for j, by in enumerate(moves[mode]):
                 own[:, 2 * mode + j] = (by * moved).real
+        parts.append(own)
+    return np.concatenate(parts)
+
+
+def _places(mode: int, tail: int) -> tuple[int, int, int, int]:
+    """Of a mode's ln ω, ζ, η and S in θ."""
+    return 2 * mode, 2 * mode + 1, tail + 2 * mode, tail + 2 * mode + 1
+
+
+def _turned_bent_tangent(
+    c: np.ndarray,
+    waves: list[list[np.ndarray]],
+    moves: list[list[tuple[np.ndarray, ...]]],
+    mix: np.ndarray,
+    turned: np.ndarray,
+    tail: int,
+    lams: list[complex],
+    delayed: int | None,
+) -> np.ndarray:
+    """As `_turned_tangent`, with rates that depend on amplitude."""
+    nx = len(waves[0][0])
+    out = np.zeros((nx + len(waves[0][1]), tail + 4))
+    for mode in range(2):
+        amplitude = complex(c[2 * mode], c[2 * mode + 1])
+        for place, *own in zip(_places(mode, tail), *moves[mode], strict=True):
+            out[:, place] = np.concatenate([mix[i, mode] * (amplitude * own[i]).real for i in range(2)])
+        signal = [(amplitude * wave).real for wave in waves[mode]]
+        out[:, BETA] += np.concatenate([turned[i, mode] * signal[i] for i in range(2)])
+        out[nx:, RATIO] += mix[1, mode] * signal[1]
+        if delayed is not None:
+            out[nx:, DELAYS + delayed] -= mix[1, mode] * (lams[mode] * amplitude * waves[mode][1]).real
+    return out
+
+
+def _free_bent_tangent(c: np.ndarray, moves: list[list[tuple[np.ndarray, ...]]], tail: int) -> np.ndarray:
+    count, channels = len(moves), len(moves[0])
+    parts = []
+    for i in range(channels):
+        own = np.empty((len(moves[0][i][0]), tail + 2 * count))
+        for mode in range(count):
+            column = 2 * (i * count + mode)
+            amplitude = complex(c[column], c[column + 1])
+            for place, by in zip(_places(mode, tail), moves[mode][i], strict=True):
+                own[:, place] = (amplitude * by).real
         parts.append(own)
     return np.concatenate(parts)

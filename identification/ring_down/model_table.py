@@ -8,22 +8,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.ring_down.attempt import drift_criteria, known_columns
+from identification.ring_down.attempt import drift_criteria
+from identification.ring_down.backbone import averaged_course
 from identification.ring_down.decay import Fitted
 from identification.ring_down.modes import averaged_decay, rate
 from identification.ring_down.residuals import gain_of
 from identification.ring_down.resolution import Resolution
+from identification.ring_down.scores import known_columns
+from identification.samples import Averages
 from identification.setting import ModelChoice
 
 _DRIFTS = {0: "offset", 1: "offset and slope", 3: "offset and cubic drift"}
 _CLEARLY = 10.0  # of BIC: very strong evidence
+OTHER_LAW = "another law of rates over amplitude"
 
 
-def model_table(fitted: Fitted, found: Resolution | None) -> list[ModelChoice]:
+def model_table(fitted: Fitted, found: Resolution | None, terms: str = "") -> list[ModelChoice]:
     """Rows for the chosen model and its neighbours; the chosen one's `why` starts with "but " when a neighbour that
-    was not fitted is clearly better."""
-    base = fitted.model.size + fitted.model.linear
-    motion = _motion(fitted, found)
+    was not fitted is clearly better.
+
+    Args:
+        found: whether a turned pair's axes can be told apart; None for free modes.
+        terms: the fitted terms of amplitude in words.
+    """
+    base = fitted.model.free + fitted.model.linear
+    motion = f"{_motion(fitted, found)}{', ' if terms else ''}{terms}"
     drift = fitted.model.drift
     rows, better = [], []
     for order, criterion in drift_criteria(fitted).items():
@@ -61,14 +70,14 @@ def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
     out: dict[str, tuple[float, int]] = {}
     bent = [0.0, 0]
     shaped = [0.0, 0]
-    for record, columns, residual in zip(fitted.model.records, known, residuals, strict=True):
+    for i, (record, columns, residual) in enumerate(zip(fitted.model.records, known, residuals, strict=True)):
         waves = [
-            [averaged_decay(lam, t, c.spread_s2)[0] for lam in lams]
+            [_wave(fitted, i, mode, t, c) for mode in range(len(lams))]
             for t, c in zip(record.times, record.channels, strict=True)
         ]
         faded = [
-            [averaged_decay(lam + lam.real, t, c.spread_s2)[0] for lam in lams]
-            for t, c in zip(record.times, record.channels, strict=True)
+            [_faded(fitted, wave, lam, t, c) for wave, lam in zip(own, lams, strict=True)]
+            for own, t, c in zip(waves, record.times, record.channels, strict=True)
         ]
         extra = record.scaled(_own_columns(faded))
         bent[0] += gain_of(residual, columns, extra)
@@ -77,10 +86,25 @@ def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
             extra = record.scaled(_own_columns(waves))
             shaped[0] += gain_of(residual, columns, extra)
             shaped[1] += extra.shape[1] // 2
-    out["amplitude-dependent rates"] = (bent[0], int(bent[1]))
+    out["amplitude-dependent rates" if fitted.model.backbone is None else OTHER_LAW] = (bent[0], int(bent[1]))
     if fitted.model.turned:
         out["modes out of phase between sensors"] = (shaped[0], int(shaped[1]))
     return out
+
+
+def _wave(fitted: Fitted, record: int, mode: int, t: np.ndarray, channel: Averages) -> np.ndarray:
+    """A mode's motion for an amplitude of 1."""
+    rates, backbone = fitted.model.mode_rates(fitted.theta, mode), fitted.model.backbone
+    if backbone is None:
+        return averaged_decay(rate(rates.omega, rates.zeta), t, channel.spread_s2)[0]
+    return averaged_course(rates, backbone.amplitudes_m[record][mode], t, channel.spread_s2)[0]
+
+
+def _faded(fitted: Fitted, wave: np.ndarray, lam: complex, t: np.ndarray, channel: Averages) -> np.ndarray:
+    """A mode's motion times its decay once more: what is of the second order of its amplitude."""
+    if fitted.model.backbone is None:
+        return averaged_decay(lam + lam.real, t, channel.spread_s2)[0]
+    return wave * np.exp(lam.real * t)
 
 
 def _own_columns(waves: list[list[np.ndarray]]) -> np.ndarray:

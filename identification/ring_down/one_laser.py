@@ -50,4 +50,6 @@ def fit_one_laser(run: Run, mass: float, setting: Setting) -> RingDownFit:
     values = {name.replace("1", "2", 1): value for name, value in fit.values.items()}
     intervals = {name.replace("1", "2", 1): value for name, value in fit.intervals.items()}
     curves = [replace(curve, label=f"{curve.label.removesuffix('x')}y") for curve in fit.curves]
-    return replace(fit, values=values, intervals=intervals, curves=curves)
+    nonlinear = [replace(one, direction=2) for one in fit.nonlinear]
+    warnings = [w.replace("direction 1", "direction 2") for w in fit.warnings] if nonlinear else fit.warnings
+    return replace(fit, values=values, intervals=intervals, curves=curves, nonlinear=nonlinear, warnings=warnings)

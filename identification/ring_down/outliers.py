@@ -14,7 +14,9 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import median_filter
 
+from identification.ring_down.backbone import course
 from identification.ring_down.decay import Fitted, once_per_fit
+from identification.ring_down.exact_motion import exact_motion
 from identification.ring_down.model import DELAYS
 from identification.ring_down.modes import rate
 from identification.ring_down.record import Channel, farthest_from_taylor, sample_noise, taylor_at_samples
@@ -83,6 +85,9 @@ def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple
     t, derivatives = centre - own.zero_s, np.zeros((5, len(centre)))
     delay = fitted.theta[DELAYS + record] if model.delays and axis else 0.0
     for mode, (omega, zeta) in enumerate(zip(fitted.omegas, fitted.zetas, strict=True)):
+        if model.backbone is not None:
+            derivatives += _bent_pieces(fitted, record, axis, mode, t - delay)
+            continue
         lam = rate(float(omega), float(zeta))
         power = lam * (t - delay)
         power.real = np.minimum(
@@ -100,6 +105,22 @@ def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple
     derivatives[0] += drift(t)
     derivatives[1] += drift.deriv()(t)
     return centre, derivatives
+
+
+def _bent_pieces(fitted: Fitted, record: int, axis: int, mode: int, t: np.ndarray) -> np.ndarray:
+    """The part of a mode whose rates depend on amplitude: the averaged one before its zero, else the exact one."""
+    backbone, own = fitted.model.backbone, fitted.amplitude(record, axis, mode)
+    assert backbone is not None
+    rates, level = fitted.model.mode_rates(fitted.theta, mode), backbone.amplitudes_m[record][mode]
+    path = course(rates, level, t)
+    power = np.minimum(path.power.real, _MOST_POWER) + 1j * path.power.imag
+    wave = own * np.exp(power)
+    out = np.array([(wave * path.rate**k).real for k in range(5)])
+    after = t >= 0
+    if after.any() and abs(own) > 1e-6 * level:
+        # what a sensor sees of a mode is that mode times a number, which may be negative
+        out[:3, after] = exact_motion(rates, own, level / abs(own), t[after])
+    return out
 
 
 def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[list[tuple[Channel, ...]], int, bool]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.least_squares import Minimum, solve_separable
-from identification.ring_down.decay import Fitted, Priors
-from identification.ring_down.model import BETA, DELAYS, RATIO
+from identification.ring_down.decay import Fitted, Priors, prior_std
+from identification.ring_down.model import BETA
 
 _LIMIT = 3.8415  # 95 % of χ² with one degree of freedom
 _REACH = np.radians(44.0)
@@ -71,10 +71,10 @@ def _near(fitted: Fitted, points: int) -> np.ndarray:
 
 
 def _at_fixed(fitted: Fitted, theta: np.ndarray, priors: Priors) -> Minimum:
-    centre, std = np.zeros(len(theta)), np.full(len(theta), np.inf)
-    centre[BETA], std[BETA] = theta[BETA], 1e-7
-    std[RATIO] = priors.ratio
-    std[DELAYS:] = priors.delay_s
+    centre = np.zeros(len(theta))
+    centre[BETA] = theta[BETA]
+    std = prior_std(fitted.model, priors)
+    std[BETA] = 1e-7
     return solve_separable(fitted.model, theta, centre, std, max_iterations=_STEPS).minimum
 
 
@@ -125,9 +125,7 @@ def profile_parameter(fitted: Fitted, priors: Priors, index: int, stretch: float
 
 
 def _held_cost(fitted: Fitted, priors: Priors, index: int, value: float) -> float:
-    centre, std = np.zeros(fitted.model.size), np.full(fitted.model.size, np.inf)
-    if fitted.model.turned:
-        std[BETA], std[RATIO], std[DELAYS:] = priors.axis_rad, priors.ratio, priors.delay_s
+    centre, std = np.zeros(fitted.model.size), prior_std(fitted.model, priors)
     unit = float(np.sqrt(fitted.solution.minimum.covariance[index, index]))
     centre[index], std[index] = value, 1e-6 * unit
     theta = fitted.theta.copy()

@@ -9,9 +9,11 @@ import numpy as np
 from identification.colour import colour_of
 from identification.errors import IdentificationError
 from identification.ring_down.attempt import Plan
+from identification.ring_down.backbone import averaged_course
 from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors
 from identification.ring_down.model import BETA
 from identification.ring_down.modes import damped_periodogram, rate, without_modes
+from identification.ring_down.rungs import climbed
 from identification.samples import Averages
 
 RESOLVED_SPLIT = 0.1  # of a half-bandwidth
@@ -45,7 +47,7 @@ def lone_direction(decay: Decay) -> Lone | None:
     except IdentificationError:
         return None
     weak = coarse[1 - strong]
-    rest = without_modes(weak, [complex(rate(float(fitted.omegas[0]), float(fitted.zetas[0])))], weak.time_s[0])
+    rest = _without_strong(weak, fitted)
     if _explained(_whitened(rest, fitted)) > _NOTICED * max(1.0, fitted.solution.chi2_per_dof):
         return None
     return own_mode_missing(strong, _explained(weak) > _NOTICED)
@@ -86,7 +88,20 @@ def _alone(decay: Decay, axis: int) -> Fitted:
     """One free mode in one sensor."""
     own = decay.only(axis)
     valid = tuple(tuple(c.keep for c in channels) for channels in own.records)
-    return Plan(False, "fast", Priors(), valid)(own)
+    return climbed(Plan(False, "fast", Priors(), valid)(own), Priors(), True)
+
+
+def _without_strong(weak: Averages, fitted: Fitted) -> Averages:
+    """The weaker sensor with the stronger one's only mode, and an offset, regressed out."""
+    backbone = fitted.model.backbone
+    if backbone is None:
+        return without_modes(weak, [complex(rate(float(fitted.omegas[0]), float(fitted.zetas[0])))], weak.time_s[0])
+    t = weak.time_s - fitted.model.records[0].zero_s
+    rates, level = fitted.model.mode_rates(fitted.theta, 0), backbone.amplitudes_m[0][0]
+    wave, _ = averaged_course(rates, level, t, weak.spread_s2)
+    basis = np.column_stack([wave.real, wave.imag, np.ones_like(t)])
+    own, *_ = np.linalg.lstsq(basis, weak.value, rcond=None)
+    return replace(weak, value=weak.value - basis @ own)
 
 
 def _whitened(rest: Averages, fitted: Fitted) -> Averages:

@@ -7,21 +7,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.curve import Curve
-from identification.errors import FitFailed, NotIdentifiable
+from identification.errors import FitFailed
 from identification.lines import sentences
-from identification.ring_down.amplitude import AmplitudeDependence, amplitude_dependence
-from identification.ring_down.attempt import stretches
+from identification.ring_down.amplitude import AmplitudeDependence
 from identification.ring_down.decay import Fitted, Priors
 from identification.ring_down.model import BETA
-from identification.ring_down.model_table import model_table
-from identification.ring_down.profile import profile_axis, profile_parameter
+from identification.ring_down.model_table import OTHER_LAW, model_table
+from identification.ring_down.over_amplitude import RatesOverAmplitude, rates_over_amplitude
+from identification.ring_down.reported_values import (
+    amplitudes_of,
+    beyond_terms,
+    damping_remark,
+    numbers_of,
+    widen_for_amplitude,
+    widen_for_other_law,
+    with_stiffness,
+)
 from identification.ring_down.residuals import Whiteness, whiteness
 from identification.ring_down.resolution import RESOLVED_GAIN, RESOLVED_SPLIT, WALD_STD, Resolution, resolution
+from identification.ring_down.scores import stretches
 from identification.setting import ModelChoice, Setting
 
 _LEFT_OVER, _WRONG_CHI2 = 0.1, 10.0  # share of the signal and χ²/dof that mark a model that is none
 _TOO_LARGE = 1.3  # χ²/dof
-_NORMAL_95 = 1.959964
 _WHITE_P = 1e-4
 
 
@@ -45,6 +53,8 @@ class RingDownFit:
         whiteness: of the residuals.
         axes_resolved: with two modes, whether their axes can be told apart.
         amplitude: per mode, damping and frequency over amplitude, where the decay is long enough.
+        nonlinear: the directions whose frequency or damping ratio depends on amplitude, as fitted; their values are
+            those at zero amplitude.
         setting: what was asked for.
         settled: whether the iteration did; one that did not is refused, so always true.
     """
@@ -64,6 +74,7 @@ class RingDownFit:
     whiteness: Whiteness
     axes_resolved: bool
     amplitude: list[AmplitudeDependence]
+    nonlinear: list[RatesOverAmplitude]
     setting: Setting
     settled: bool = True
 
@@ -86,17 +97,6 @@ class Findings:
         """Note outliers."""
         if count:
             self.warnings.append(f"{count} samples that no noise explains left out")
-
-
-@dataclass
-class _Numbers:
-    """Values of θ's physical part in reported units."""
-
-    names: list[str]
-    values: np.ndarray
-    covariance: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
 
 
 def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: float = np.inf) -> RingDownFit:
@@ -130,19 +130,24 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
             )
         )
     curves, rms = _curves(fitted, chi2, _axes(labels))
-    numbers = _numbers(fitted, findings, labels, stretch, found)
-    dependence = _amplitudes(fitted, len(labels), stretch) if findings.setting != "fast" else []
-    warnings += _widen_for_amplitude(numbers, dependence, labels)
+    numbers = numbers_of(fitted, findings.setting, findings.priors, labels, stretch, found)
+    dependence = amplitudes_of(fitted, len(labels), stretch) if findings.setting != "fast" else []
+    nonlinear = rates_over_amplitude(fitted, labels, stretch)
+    warnings += [one.sentence for one in nonlinear]
+    table = model_table(fitted, found, ", ".join(one.short for one in nonlinear))
+    other_law = bool(nonlinear) and any(OTHER_LAW in choice.why for choice in table if choice.chosen)
+    if other_law:
+        widen_for_other_law(numbers, nonlinear, labels)
+    warnings += widen_for_amplitude(numbers, beyond_terms(fitted, dependence, stretch), labels)
     for label, i in zip(labels, range(1, 2 * len(labels), 2), strict=True):
-        warnings += _damping_remark(numbers, label, i)
+        warnings += damping_remark(numbers, label, i)
     if found is not None and not found.resolved:
         warnings.append(_unresolved(found))
     white = whiteness([r for record in fitted.channel_residuals() for r in record])
-    table = model_table(fitted, found)
     warnings += [choice.why for choice in table if choice.chosen and choice.why.startswith("but ")]
     if chi2 > _TOO_LARGE:
         warnings.append(f"residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up")
-    numbers = _with_stiffness(numbers, findings.mass_kg)
+    numbers = with_stiffness(numbers, findings.mass_kg)
     return RingDownFit(
         values=dict(zip(numbers.names, numbers.values.tolist(), strict=True)),
         covariance=numbers.covariance,
@@ -155,10 +160,11 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
         intervals={n: (float(a), float(b)) for n, a, b in zip(numbers.names, numbers.low, numbers.high, strict=True)},
         model=next(choice.name for choice in table if choice.chosen),
         model_table=table,
-        verdict=_verdict(white, chi2, stretch, warnings, _coloured_said(fitted)),
+        verdict=_verdict(white, chi2, stretch, warnings, _coloured_said(fitted), other_law),
         whiteness=white,
         axes_resolved=found is None or found.resolved,
         amplitude=dependence,
+        nonlinear=nonlinear,
         setting=findings.setting,
     )
 
@@ -203,85 +209,6 @@ def _curves(fitted: Fitted, chi2: float, axes: str) -> tuple[list[Curve], list[f
     return curves, rms
 
 
-def _numbers(
-    fitted: Fitted, findings: Findings, labels: tuple[str, ...], stretch: np.ndarray, found: Resolution | None
-) -> _Numbers:
-    names = [name for label in labels for name in (f"f{label}_Hz", f"zeta{label}")]
-    theta = fitted.theta
-    if found is not None:
-        names.append("axis_angle_deg")
-    n = len(names)
-    covariance = fitted.solution.minimum.covariance[:n, :n] * np.outer(stretch[:n], stretch[:n])
-    std = np.sqrt(np.diag(covariance))
-    low, high = theta[:n] - _NORMAL_95 * std, theta[:n] + _NORMAL_95 * std
-    if found is not None and (not found.resolved or findings.setting == "reference"):
-        factor = float(np.max(stretch[:n]))
-        profile = profile_axis(fitted, findings.priors, factor)
-        low, high = profile.low, profile.high
-        if not found.resolved:
-            wider = np.sqrt(np.maximum(1.0, np.diag(profile.covariance) / np.diag(covariance)))
-            covariance = covariance * np.outer(wider, wider)
-    elif findings.setting == "reference":
-        low, high = np.array([profile_parameter(fitted, findings.priors, i, float(stretch[i])) for i in range(n)]).T
-    values, lows, highs, scale = theta[:n].copy(), low.copy(), high.copy(), np.ones(n)
-    for i, name in enumerate(names):
-        if name.endswith("_Hz"):
-            values[i], lows[i], highs[i] = (float(np.exp(v)) / (2 * np.pi) for v in (theta[i], low[i], high[i]))
-            scale[i] = values[i]
-        elif name.endswith("_deg"):
-            scale[i] = np.degrees(1.0)
-            values[i], lows[i], highs[i] = np.degrees([theta[i], low[i], high[i]])
-    return _Numbers(names, values, covariance * np.outer(scale, scale), lows, highs)
-
-
-def _amplitudes(fitted: Fitted, count: int, stretch: np.ndarray) -> list[AmplitudeDependence]:
-    found = [amplitude_dependence(fitted, mode, float(stretch[2 * mode + 1])) for mode in range(count)]
-    return [f for f in found if f is not None]
-
-
-def _widen_for_amplitude(
-    numbers: _Numbers, dependence: list[AmplitudeDependence], labels: tuple[str, ...]
-) -> list[str]:
-    """A change over amplitude makes one number for all amplitudes uncertain by its range over sqrt(12)."""
-    out = []
-    for one in dependence:
-        label, i = labels[one.mode - 1], 2 * (one.mode - 1)
-        top, bottom = 1e3 * float(one.amplitude_m[0]), 1e3 * float(one.amplitude_m[-1])
-        for at, name, matters, span, slope in (
-            (i + 1, f"zeta{label}", one.zeta_matters, one.zeta_range, one.zeta_slope_per_m),
-            (i, f"f{label}", one.f_matters, one.f_range_Hz, one.f_slope_Hz_per_m),
-        ):
-            extra = span / np.sqrt(12)
-            if not matters or extra < 0.5 * np.sqrt(numbers.covariance[at, at]):
-                continue
-            out.append(
-                f"{name} depends on amplitude: {slope * 1e-3:+.3g} per mm from {top:.3g} to {bottom:.3g} mm, "
-                f"a change of {span / abs(numbers.values[at]):.2%}; the value is a mean, its interval covers the change"
-            )
-            numbers.covariance[at, at] += extra**2
-            numbers.low[at] -= _NORMAL_95 * extra
-            numbers.high[at] += _NORMAL_95 * extra
-    return out
-
-
-def _damping_remark(numbers: _Numbers, label: str, at: int) -> list[str]:
-    value, std = float(numbers.values[at]), float(np.sqrt(numbers.covariance[at, at]))
-    if value < -2 * std:
-        raise NotIdentifiable(
-            f"the motion grows: zeta{label} = {value:.3g} ± {std:.2g}; nothing may drive the rotor during a ring-down, "
-            "and the recording must run forwards in time"
-        )
-    if value <= 0:
-        raise NotIdentifiable(
-            f"the decay of direction {label} is lost in noise: ζ is below {value + 2 * std:.2g} (95 %); "
-            "record longer or pull farther"
-        )
-    numbers.low[at] = max(float(numbers.low[at]), 0.0)
-    if value < 2 * std:
-        return [f"zeta{label} is not distinguishable from zero: {value:.2g} ± {std:.2g}; record longer"]
-    return []
-
-
 def _unresolved(found: Resolution) -> str:
     why = []
     if found.split < RESOLVED_SPLIT:
@@ -297,7 +224,14 @@ def _unresolved(found: Resolution) -> str:
     return f"axes not resolved: {'; '.join(why)}. Intervals are from the profile likelihood over the angle"
 
 
-def _verdict(white: Whiteness, chi2: float, stretch: np.ndarray, warnings: list[str], coloured: str) -> str:
+def _verdict(
+    white: Whiteness, chi2: float, stretch: np.ndarray, warnings: list[str], coloured: str, other_law: bool
+) -> str:
+    if other_law:
+        return (
+            "not adequate: frequency or damping depends on amplitude by another law than that of a cubic spring and of "
+            "damping quadratic in speed (dry friction?); intervals cover the change"
+        )
     if any("depends on amplitude" in w for w in warnings):
         return "not adequate: the decay is not exponential; see damping over amplitude"
     if coloured:
@@ -309,19 +243,3 @@ def _verdict(white: Whiteness, chi2: float, stretch: np.ndarray, warnings: list[
     if widest > 1.05:
         return f"doubtful: residuals are not white ({how}); intervals are {widest:.2g} times as wide for it"
     return f"adequate: residuals are not white ({how}), but not in the modes' band"
-
-
-def _with_stiffness(numbers: _Numbers, mass: float | None) -> _Numbers:
-    """k = M (2π f)² beside the frequencies."""
-    if mass is None:
-        return numbers
-    names, rows = list(numbers.names), [np.eye(len(numbers.names))]
-    values, low, high = list(numbers.values), list(numbers.low), list(numbers.high)
-    for i, name in enumerate(numbers.names):
-        if name.endswith("_Hz"):
-            names.append(f"k{name[1]}_N_per_m")
-            for target, source in ((values, numbers.values), (low, numbers.low), (high, numbers.high)):
-                target.append(mass * (2 * np.pi * float(source[i])) ** 2)
-            rows.append(np.eye(len(numbers.names))[i : i + 1] * 2 * mass * (2 * np.pi) ** 2 * numbers.values[i])
-    full = np.concatenate(rows)
-    return _Numbers(names, np.array(values), full @ numbers.covariance @ full.T, np.array(low), np.array(high))

@@ -1,0 +1,84 @@
+# pyright: strict
+"""A model with amplitude-dependent rates brought up to a fit of it: each mode's amplitude, and the exact motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.ring_down.backbone import Backbone, Floats, averaged_course
+from identification.ring_down.exact_motion import lacking
+from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
+
+_NOTHING = 1e-6  # of a mode's amplitude, in a sensor that does not see it
+
+
+def amplitudes(model: DecayModel, coefficients: Sequence[Floats]) -> tuple[tuple[float, ...], ...]:
+    """Per record and mode, the amplitude at the record's zero along the mode's own direction, m."""
+    return tuple(
+        tuple(float(np.sqrt(sum(abs(a) ** 2 for a in _own(model, record, c, mode)))) for mode in range(model.modes))
+        for record, c in zip(model.records, coefficients, strict=True)
+    )
+
+
+def with_terms(
+    model: DecayModel, theta: Floats, coefficients: Sequence[Floats], taken: tuple[bool, ...]
+) -> tuple[DecayModel, Floats]:
+    """A model and its θ with other terms of amplitude, in the order η1, S1, η2, S2; none: rates that are constant."""
+    values = theta[model.tail :] if model.backbone is not None else np.zeros(2 * model.modes)
+    records = tuple(replace(record, lacking=()) for record in model.records)
+    if not any(taken):
+        return replace(model, records=records, backbone=None), theta[: model.tail]
+    backbone = Backbone(taken[0::2], taken[1::2], amplitudes(model, coefficients))
+    return (
+        replace(model, records=records, backbone=backbone),
+        np.concatenate([theta[: model.tail], np.where(taken, values, 0.0)]),
+    )
+
+
+def corrected(model: DecayModel, theta: Floats, coefficients: Sequence[Floats]) -> DecayModel:
+    """The model with the amplitudes of a fit of it, and with what its averaged motion lacks.
+
+    Args:
+        theta, coefficients: of the fit.
+    """
+    if model.backbone is None:
+        return model
+    backbone = replace(model.backbone, amplitudes_m=amplitudes(model, coefficients))
+    model = replace(model, backbone=backbone)
+    records = tuple(
+        replace(record, lacking=_lacking(model, record, i, theta, coefficients[i]))
+        for i, record in enumerate(model.records)
+    )
+    return replace(model, records=records)
+
+
+def _own(model: DecayModel, record: DecayRecord, c: Floats, mode: int) -> list[complex]:
+    """Complex amplitudes of a mode along its axis, or in each channel where it has an amplitude of its own there."""
+    count = 1 if model.turned else len(record.channels)
+    return [complex(*c[2 * (i * model.modes + mode) : 2 * (i * model.modes + mode) + 2]) for i in range(count)]
+
+
+def _lacking(model: DecayModel, record: DecayRecord, index: int, theta: Floats, c: Floats) -> tuple[Floats, ...]:
+    backbone = model.backbone
+    assert backbone is not None
+    mix, _ = rotation(float(theta[BETA]), float(np.exp(theta[RATIO]))) if model.turned else (np.eye(1), None)
+    out: list[Floats] = []
+    for axis, (t, channel) in enumerate(zip(record.times, record.channels, strict=True)):
+        own = t - (float(theta[DELAYS + index]) if model.delays and axis else 0.0)
+        total = np.zeros(len(t))
+        for mode in range(model.modes):
+            if not any(backbone.opened[2 * mode : 2 * mode + 2]):
+                continue
+            rates, level = model.mode_rates(theta, mode), backbone.amplitudes_m[index][mode]
+            wave, _ = averaged_course(rates, level, own, channel.spread_s2)
+            starts = _own(model, record, c, mode)
+            start = starts[0 if model.turned else axis]
+            if abs(start) < _NOTHING * level:
+                continue
+            part = lacking(rates, start, level / abs(start), own, channel.spread_s2, wave)
+            total += part * (mix[axis, mode] if model.turned else 1.0)
+        out.append(total)
+    return tuple(out)

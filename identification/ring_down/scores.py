@@ -1,0 +1,27 @@
+"""What is known of every fit once: how far its intervals are stretched, and along which columns it may move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.ring_down.decay import Fitted, once_per_fit
+from identification.ring_down.residuals import spectral_stretch
+
+
+@once_per_fit
+def stretches(fitted: Fitted) -> np.ndarray:
+    """By how much each parameter's std must be multiplied because residuals are larger than, or not, white noise."""
+    residuals = [r for record in fitted.channel_residuals() for r in record]
+    influence = fitted.solution.minimum.jacobian[: fitted.count] @ fitted.solution.minimum.covariance
+    edges = np.cumsum([len(r) for r in residuals])[:-1]
+    return spectral_stretch(residuals, np.split(influence, edges), fitted.solution.chi2_per_dof)
+
+
+@once_per_fit
+def known_columns(fitted: Fitted) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Per record the columns that the fit moves along and its residual."""
+    known, residuals = [], []
+    for block, c in zip(fitted.model(fitted.theta), fitted.solution.coefficients, strict=True):
+        known.append(np.column_stack([block.basis, block.tangent(c)]))
+        residuals.append(block.data - block.basis @ c)
+    return known, residuals
