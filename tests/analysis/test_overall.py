@@ -1,0 +1,114 @@
+"""All points together: agreement of what is right, and the right cause of what is not."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from analysis_runs import Drawn, draw, point_run
+
+from analysis import validate
+from analysis.agreement import CAUSES_LEVEL, largest_by_chance
+from analysis.differences import Differences
+from analysis.validation import Validation
+from daq.signals.run import Run
+from rig_configs import IdentifiedParameters, Rig, load_rig
+
+SETTLED_S = {"A": 45.0, "B": 50.0, "C": 62.0, "D": 30.0, "E": 25.0}
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return load_rig("virtual")
+
+
+@pytest.fixture(scope="module")
+def drawn(rig: Rig) -> Drawn:
+    return draw(rig, 4)
+
+
+@pytest.fixture(scope="module")
+def runs(rig: Rig, drawn: Drawn) -> list[Run]:
+    return [point_run(rig, name, 4, drawn=drawn, after_s=SETTLED_S[name]) for name in rig.points]
+
+
+def with_values(identified: IdentifiedParameters, **shares: float) -> IdentifiedParameters:
+    return dataclasses.replace(identified, values={n: v * shares.get(n, 1.0) for n, v in identified.values.items()})
+
+
+def compared(runs: list[Run], rig: Rig, drawn: Drawn, **shares: float) -> Validation:
+    return validate(runs, rig, with_values(drawn.identified, **shares), drawn.axis_angle_deg)
+
+
+def test_points_of_a_rig_with_nothing_wrong_agree(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:
+    found = compared(runs, rig, drawn)
+    assert found.passed
+    assert found.explanations is None
+    assert found.agreement is not None
+    assert found.agreement.together.dof == 26  # four rows, six where no vibration is predicted
+    assert 1e-3 < found.agreement.together.p < 0.999
+    assert json.loads(json.dumps(found.to_json(), allow_nan=False)) == found.to_json()
+    by_cause = {one.cause.name: one for one in found.noticed}
+    assert by_cause["k2_N_per_m"].together < min(by_cause["k2_N_per_m"].sizes.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "words"), [("k2_N_per_m", 1.05, "k2"), ("zeta1", 0.9, "ζ1"), ("k1_N_per_m", 0.995, "k1")]
+)
+def test_the_parameter_that_is_wrong_is_named_with_its_size(
+    rig: Rig, drawn: Drawn, runs: list[Run], name: str, share: float, words: str
+) -> None:
+    found = compared(runs, rig, drawn, **{name: 1 / share})
+    assert not found.passed
+    assert found.agreement is not None
+    assert found.explanations is not None
+    best = found.explanations.best
+    assert best is not None
+    assert [cause.name for cause in best.causes] == [name]
+    size, std = best.sizes[0] / best.causes[0].value, best.stds[0] / best.causes[0].value
+    assert abs(1 + size - share) < 4 * math.hypot(std, drawn.identified.std[name] / drawn.identified.values[name])
+    assert best.chi2 < 60 < found.agreement.together.chi2
+    first = found.explanations.sentences[0]
+    assert first.startswith(f"best explanation: {words} ")
+    assert f"% {'above' if share > 1 else 'below'} what was identified: χ² " in first
+
+
+def test_two_things_that_are_wrong_are_found_as_a_pair(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:
+    found = compared(runs, rig, drawn, k2_N_per_m=1 / 1.003, zeta1=1 / 1.02)
+    assert found.explanations is not None
+    assert not found.explanations.singles[0].explained
+    best = found.explanations.best
+    assert best is not None
+    assert {cause.name for cause in best.causes} == {"k2_N_per_m", "zeta1"}
+
+
+def test_what_the_user_grants_the_model_is_in_every_row(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:
+    granted = rig.model_copy(
+        update={"validation": rig.validation.model_copy(update={"model_std_deg": 3.0, "model_std_mm": 1.0})}
+    )
+    assert not compared(runs, rig, drawn, k2_N_per_m=1.01).passed
+    assert compared(runs, granted, drawn, k2_N_per_m=1.01).passed
+
+
+def test_chance_reaches_the_limit_of_causes_as_often_as_it_says() -> None:
+    """Independent causes: the level of the largest of k is 1 − (1 − α)^k of one."""
+    rng = np.random.default_rng(3)
+    for k in (1, 5):
+        limit = largest_by_chance(np.eye(k))
+        above = np.mean(np.max(np.abs(rng.standard_normal((100_000, k))), axis=1) > limit)
+        assert above == pytest.approx(CAUSES_LEVEL, abs=0.004)
+    assert largest_by_chance(np.ones((5, 5))) == pytest.approx(largest_by_chance(np.eye(1)), abs=0.03)
+
+
+def test_an_error_that_both_sides_share_counts_once() -> None:
+    """Two rows that one error moves alike: their difference stays as sharp as each row is by itself."""
+    rows = (("A", "θ3"), ("B", "θ3"))
+    shared = {"known rotor.mass_kg": np.array([10.0, 10.0])}
+    found = Differences(rows, np.array([8.0, 8.0]), np.eye(2), np.empty((2, 0)), (), np.empty((0, 0)), {}, shared)
+    assert found.chi2 < 1.0
+    apart = dataclasses.replace(found, values=np.array([8.0, 4.0]))
+    assert apart.chi2 == pytest.approx(4.0**2 / 2 + 12.0**2 / 2 / 201)
+    assert found.of("A").chi2 == pytest.approx(64 / 101)
