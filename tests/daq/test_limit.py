@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 import daq.signals.limit as limit_module
 from daq.signals.limit import Limit, limit
-from daq.signals.rounding import rounding_covariance, rounding_terms
-from daq.signals.window_means import half_width
+from daq.signals.rounding import half_width, rounding_covariance, rounding_terms
 
 WINDOW_S = 1.02
 STEP = 2 * math.pi / 4096
