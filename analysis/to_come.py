@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 UNEXPLAINED = "unexplained"
 _WINDOW_S = 1.0
 _MOST_WINDOWS = 30
+_LEAST_RAD, _LEAST_M = 1e-9, 1e-12  # a mean's noise is not taken smaller: signals that do not change at all have none
 _NAMES = ("θ3", "θ4", "x", "y")
 
 
@@ -118,7 +119,8 @@ def _limit(run: Run, release_s: float, end_s: float) -> Limit | None:
     if len(a) < LEAST_WINDOWS:
         return None
     turning, whirling = angles.means[a], orbit.means[o]
-    noise = np.concatenate([_angle_noise(angles, turning), orbit.noise[:, None, None] ** 2 * np.eye(len(o))])
+    of_orbit = np.maximum(orbit.noise, _LEAST_M)[:, None, None] ** 2 * np.eye(len(o))
+    noise = np.concatenate([_angle_noise(angles, turning), of_orbit])
     return limit(angles.edges_s[a], np.concatenate([turning, whirling], axis=1), noise)
 
 
@@ -127,7 +129,7 @@ def _angle_noise(seen: WindowMeans, means: Array) -> Array:
     white = np.eye(len(means))
     return np.stack(
         [
-            noise**2 * white + rounding_covariance(terms, seen.step, column)
+            max(noise, _LEAST_RAD) ** 2 * white + rounding_covariance(terms, seen.step, column)
             for noise, terms, column in zip(seen.noise, seen.rounding, means.T, strict=True)
         ]
     )

@@ -108,3 +108,14 @@ def test_what_no_approach_explains_keeps_the_mean_and_the_bound(rig: Rig) -> Non
     assert np.all(measured.to_come.shift == 0)
     assert measured.theta_rad[0].std > math.radians(0.05)
     assert measured.to_come.to_json()["rate_per_s"] is None
+
+
+def test_signals_that_never_change_have_limits(rig: Rig) -> None:
+    run = exact_run(rig, "D", 0)
+    stuck = dataclasses.replace(
+        run, x_m=np.zeros_like(run.x_m), y_m=np.full_like(run.y_m, 1e-3), angle_rad=0 * run.angle_rad + [0.5, 1.0]
+    )
+    measured = measure(stuck, rig)
+    assert [theta.value for theta in measured.theta_rad] == pytest.approx([0.5, 1.0])
+    assert measured.theta_rad[0].std > run.angle_step_rad / math.sqrt(12)
+    assert measured.amplitude_m.value < 1e-9
