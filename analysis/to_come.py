@@ -57,19 +57,19 @@ class ToCome:
 
     @property
     def sentence(self) -> str:
-        """What was extrapolated, where that is more than its own uncertainty; else empty."""
+        """What was extrapolated, where that is clearly more than its own uncertainty; else empty."""
         if self.model == UNEXPLAINED:
             return ""
         std = self.std
         angles = [
-            f"{name} moved on by {math.degrees(move):.2g} ± {math.degrees(s):.1g}°"
+            f"{name} moved on by {_stated(math.degrees(move), math.degrees(s))}°"
             for name, move, s in zip(_NAMES, self.shift[:2], std[:2], strict=False)
-            if abs(move) > s
+            if abs(move) > 2 * s
         ]
         orbit = [
-            f"{name} by {1e6 * move:.2g} ± {1e6 * s:.1g} µm"
+            f"{name} moved on by {_stated(1e6 * move, 1e6 * s)} µm"
             for name, move, s in zip(_NAMES[2:], np.hypot(self.shift[2::2], self.shift[3::2]), std[2::2], strict=True)
-            if move > 2 * s
+            if move > 3 * s
         ]
         return f"{', '.join(angles + orbit)} in the limit" if angles or orbit else ""
 
@@ -84,6 +84,12 @@ class ToCome:
             own[f"{name}_shift_um"] = 1e6 * float(np.hypot(*shift[j : j + 2]))
             own[f"{name}_std_um"] = 1e6 * float(np.hypot(*std[j : j + 2])) / math.sqrt(2)
         return own
+
+
+def _stated(value: float, std: float) -> str:
+    """A number with its uncertainty, both to the uncertainty's first digit."""
+    digits = max(0, -math.floor(math.log10(max(std, 1e-9))))
+    return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
 def to_come(run: Run, release_s: float, end_s: float, means: Array, stds: Array) -> ToCome:
