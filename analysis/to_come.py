@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 UNEXPLAINED = "unexplained"
 _WINDOW_S = 1.0
 _MOST_WINDOWS = 30
+_LEAST_RAD, _LEAST_M = 1e-9, 1e-12  # a mean's noise is not taken smaller: signals that do not change at all have none
 _NAMES = ("θ3", "θ4", "x", "y")
 
 
@@ -56,19 +57,19 @@ class ToCome:
 
     @property
     def sentence(self) -> str:
-        """What was extrapolated, where that is more than its own uncertainty; else empty."""
+        """What was extrapolated, where that is clearly more than its own uncertainty; else empty."""
         if self.model == UNEXPLAINED:
             return ""
         std = self.std
         angles = [
-            f"{name} moved on by {math.degrees(move):.2g} ± {math.degrees(s):.1g}°"
+            f"{name} moved on by {_stated(math.degrees(move), math.degrees(s))}°"
             for name, move, s in zip(_NAMES, self.shift[:2], std[:2], strict=False)
-            if abs(move) > s
+            if abs(move) > 2 * s
         ]
         orbit = [
-            f"{name} by {1e6 * move:.2g} ± {1e6 * s:.1g} µm"
+            f"{name} moved on by {_stated(1e6 * move, 1e6 * s)} µm"
             for name, move, s in zip(_NAMES[2:], np.hypot(self.shift[2::2], self.shift[3::2]), std[2::2], strict=True)
-            if move > 2 * s
+            if move > 3 * s
         ]
         return f"{', '.join(angles + orbit)} in the limit" if angles or orbit else ""
 
@@ -83,6 +84,12 @@ class ToCome:
             own[f"{name}_shift_um"] = 1e6 * float(np.hypot(*shift[j : j + 2]))
             own[f"{name}_std_um"] = 1e6 * float(np.hypot(*std[j : j + 2])) / math.sqrt(2)
         return own
+
+
+def _stated(value: float, std: float) -> str:
+    """A number with its uncertainty, both to the uncertainty's first digit."""
+    digits = max(0, -math.floor(math.log10(max(std, 1e-9))))
+    return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
 def to_come(run: Run, release_s: float, end_s: float, means: Array, stds: Array) -> ToCome:
@@ -118,7 +125,8 @@ def _limit(run: Run, release_s: float, end_s: float) -> Limit | None:
     if len(a) < LEAST_WINDOWS:
         return None
     turning, whirling = angles.means[a], orbit.means[o]
-    noise = np.concatenate([_angle_noise(angles, turning), orbit.noise[:, None, None] ** 2 * np.eye(len(o))])
+    of_orbit = np.maximum(orbit.noise, _LEAST_M)[:, None, None] ** 2 * np.eye(len(o))
+    noise = np.concatenate([_angle_noise(angles, turning), of_orbit])
     return limit(angles.edges_s[a], np.concatenate([turning, whirling], axis=1), noise)
 
 
@@ -127,7 +135,7 @@ def _angle_noise(seen: WindowMeans, means: Array) -> Array:
     white = np.eye(len(means))
     return np.stack(
         [
-            noise**2 * white + rounding_covariance(terms, seen.step, column)
+            max(noise, _LEAST_RAD) ** 2 * white + rounding_covariance(terms, seen.step, column)
             for noise, terms, column in zip(seen.noise, seen.rounding, means.T, strict=True)
         ]
     )

@@ -22,6 +22,9 @@ FASTEST_PER_S = 4.0
 _PRIOR_RANGES = (0.25, 1.0, 4.0)  # of the range seen: prior deviations of a shape's change over the windows, each 1/3
 _GRID = {1: (40, 21), 2: (17, 13)}  # points along each axis, by dimension: first look, refined
 _REACH = 4.5  # standard deviations that a refined grid covers to either side
+_MOST_EXPONENT = 200.0
+_FINEST = 1e-7  # of the range seen: noise below that drowns in rounding of the arithmetic
+_RIDGE = 1e-13  # of the normal equations: keeps equal shapes apart
 _LOOKS, _ROUGHLY = 20, 5  # grids at most, and before a model is given up
 _FAR = 40.0  # below a rival's evidence
 _ENOUGH = {1: 5.0, 2: 12.0}  # points that share the weight: the grid resolves the posterior
@@ -91,7 +94,7 @@ class Stretch:
         values = (means - self._origin).T
         deviation = np.sqrt(np.median(np.diagonal(noise, axis1=1, axis2=2), axis=1))
         self._unit = np.maximum(np.ptp(values, axis=1), deviation)  # of every number inside
-        scaled = noise / (self._unit**2)[:, None, None] + 1e-17 * np.eye(len(means))
+        scaled = noise / (self._unit**2)[:, None, None] + _FINEST**2 * np.eye(len(means))
         self._white = np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)), np.float64)
         self._seen = (self._white @ (values / self._unit[:, None])[:, :, None])[:, :, 0]
 
@@ -117,7 +120,8 @@ class Stretch:
             across, right: normal equations of limit and shapes, shapes (q, g, 1 + p, 1 + p), (q, g, 1 + p).
         """
         p = shapes.forms.shape[2]
-        precision = across + np.diag([0.0] + [scale**-2] * p)
+        ridge = _RIDGE * np.trace(across, axis1=2, axis2=3)[..., None, None]
+        precision = across + (scale**-2 + ridge) * np.diag([0.0] + [1.0] * p)
         covariance = np.asarray(np.linalg.inv(precision), np.float64)
         fit = (covariance @ right[..., None])[..., 0]
         misfit = (self._seen**2).sum(axis=1)[:, None] - (fit * right).sum(axis=2)
@@ -193,8 +197,14 @@ def _shape(rates: NDArray[np.inexact], edges_s: Array) -> NDArray[np.inexact]:
     return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
 
 
+def _most(edges_s: Array) -> float:
+    """A rate at which all is over long before the last window, 1/s: numbers stay finite for a slow rotor."""
+    return _MOST_EXPONENT / float(edges_s[-1, 1] - edges_s[0, 0])
+
+
 def _decays(edges_s: Array, rates: Array) -> Shapes:
     """Shapes of real rates (g, p), each changing by 1 over the windows."""
+    rates = np.minimum(rates, _most(edges_s))
     forms = np.stack([np.real(_shape(column, edges_s)) for column in rates.T], axis=2)
     change = np.abs(forms[:, 0] - forms[:, -1])
     return Shapes(forms / change[:, None], 1 / change, None, np.asarray(rates.min(axis=1), np.float64))
@@ -210,6 +220,7 @@ def _two(edges_s: Array, at: Array) -> Shapes:
 
 def _wave(edges_s: Array, at: Array) -> Shapes:
     rate, turn = np.exp(at).T
+    rate = np.minimum(rate, _most(edges_s))
     turning = _shape(rate - 1j * turn, edges_s)
     size = 1 / np.abs(turning).max(axis=1)
     forms = np.stack([np.real(turning), np.imag(turning)], axis=2) * size[:, None, None]

@@ -30,6 +30,7 @@ MODEL_SHARE = 0.15  # of the extrapolated change: an approach is exponential onl
 _SHORTER = 0.7  # of the windows are kept when no model fits all
 _FITS = 2.6  # deviations above its mean that the χ² of a stretch that fits has at most: about 1 %
 _WORST_SCATTER = 9.0  # variance of the means over that of their noise: more is explained by no model here
+_MOVES = 0.5  # share of the posterior from which on a rate is stated
 _MOST_ENDLESS = 0.5  # share of the posterior
 
 
@@ -148,7 +149,7 @@ class _Averaged:
         own = weight @ (variance + (MODEL_SHARE * size) ** 2)
         moving = np.isfinite(rates)
         share = float(weight[moving].sum())
-        rate = float(weight[moving] @ rates[moving]) / share if share > 0 else math.nan
+        rate = float(weight[moving] @ rates[moving]) / share if share > _MOVES else math.nan
         covariance = np.diag(own) + (off * weight[:, None]).T @ off
         return Limit(mean, covariance, weight @ left, weights, self.endless, rate, self.windows, scatter)
 

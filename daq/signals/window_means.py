@@ -6,13 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.signals.rounding import rounding_terms
+from daq.signals.rounding import code_noise, half_width, rounding_terms
 
 Array = NDArray[np.float64]
 
@@ -20,11 +19,9 @@ _LEAST_SHARE = 0.4  # of a window's samples that must have come
 _LEAST_SAMPLES = 20
 _GOOD_OF_NEWEST = 0.75  # share of the newest windows that must be good, the last one among them
 _DEVIATIONS = 3.5  # of a mean's noise that its width holds
-_LEAST_CODES = 5  # samples on either side of the usual code, to know its noise
 _RIPPLES = 0.5  # of a step: a code that wobbles by more visits several
 _STANDS = 0.25  # of a step from window to window: slower than that a pendulum's codes show the noise
 _NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
-_NORMAL = NormalDist()  # scipy's would cost every `rig test` a tenth of a second of loading
 _DEFAULT_STEP_RAD = 2 * math.pi / 4096  # of a code that never changes
 
 
@@ -95,34 +92,12 @@ def angle_means(
         for s, a, b in zip(seen.T, once, twice, strict=True)
     ])  # fmt: skip
     white = np.median(noise, axis=0)
+    scatter = white * math.sqrt(float(np.median(cut.counts[kept])))
     rounding = [
-        rounding_terms(step, _dither(_usual(s), float(n), max(a, b) / step if step > 0 else 0.0), a, b)
-        for s, n, a, b in zip(
-            seen.T,
-            white / step * math.sqrt(np.median(cut.counts[kept])) if step > 0 else white,
-            once,
-            twice,
-            strict=True,
-        )
+        rounding_terms(step, _dither(_usual(s), float(all_), max(a, b), step), a, b)
+        for s, all_, a, b in zip(seen.T, scatter, once, twice, strict=True)
     ]
     return WindowMeans(cut.edges[kept], means, half + _DEVIATIONS * white, white, np.array(rounding), step)
-
-
-def code_noise(below: Array, above: Array, samples: NDArray[Any]) -> Array:
-    """Standard deviation of the noise before rounding, in steps; nan where the codes do not tell.
-
-    Both codes beside the usual one must have been seen: from two codes alone the noise is not known, for a reading on
-    the edge between them flips without noise too. Normal noise of s steps about μ goes below −½ and above ½ with the
-    quantiles (−½ − μ)/s and (μ − ½)/s, whose sum is −1/s.
-
-    Args:
-        below, above: shares of the samples on either side of the usual code.
-        samples: how many there were.
-    """
-    told = (np.minimum(below, above) * samples >= _LEAST_CODES) & (np.maximum(below, above) < 0.5)
-    low, high = (np.where(told, share, 0.1).ravel() for share in (below, above))
-    quantiles = [_NORMAL.inv_cdf(a) + _NORMAL.inv_cdf(b) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
-    return np.where(told, -1 / np.array(quantiles).reshape(told.shape), np.nan)
 
 
 def _usual(noise: Array) -> float:
@@ -131,35 +106,19 @@ def _usual(noise: Array) -> float:
     return float(np.median(known)) if len(known) >= 3 else 0.0
 
 
-def _dither(seen: float, scatter: float, ripple: float) -> float:
+def _dither(seen: float, scatter: float, ripple: float, step: float) -> float:
     """Noise before rounding, in steps: as the codes show it, or what a code that ripples over steps scatters more.
 
     Rounding itself scatters by 1/√12 of a step; without a ripple a code that flips on an edge would look like noise.
-    """
-    return math.sqrt(max(0.0, scatter**2 - 1 / 12)) if ripple >= _RIPPLES else seen
-
-
-def half_width(step: float, noise: float, *ripple: float) -> float:
-    """How far the mean of a rounded code may be from the mean of what was rounded, in the unit of `step`.
-
-    A code that stands leaves half a step. Noise of s steps leaves Σ_k e^{−2π²k²s²}/(kπ) at most (the Fourier series
-    of the rounding error, every term at its largest), a ripple of amplitude A steps makes each term |J0(2πkA)| of it.
 
     Args:
-        step: of the code.
-        noise: before rounding, in steps (`code_noise`).
-        ripple: amplitudes of what repeats with the rotor.
+        seen: noise that the codes show, in steps.
+        scatter: standard deviation of a sample, unit of `step`.
+        ripple: largest amplitude of what repeats with the rotor, unit of `step`.
+        step: of the code; 0: nothing is rounded.
     """
-    if step <= 0:
-        return 0.0
-    total = 0.0
-    for k in range(1, 9):
-        term = math.exp(-2 * (math.pi * k * noise) ** 2) / (math.pi * k)
-        for amplitude in ripple:
-            argument = 2 * math.pi * k * amplitude / step
-            term *= min(1.0, math.sqrt(2 / (math.pi * max(argument, 1e-9))))  # the envelope of J0
-        total += term
-    return step * min(0.5, total)
+    rippling = step > 0 and ripple >= _RIPPLES * step
+    return math.sqrt(max(0.0, (scatter / step) ** 2 - 1 / 12)) if rippling else seen
 
 
 def amplitude_means(

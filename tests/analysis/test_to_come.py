@@ -87,6 +87,7 @@ def test_own_holds_all_but_the_sensors_common_errors(
     rig: Rig, found: dict[str, list[tuple[SteadyMeasurement, np.ndarray]]]
 ) -> None:
     measured = found["D"][0][0]
+    assert not measured.to_come.sentence  # D settles fast: nothing worth a word is extrapolated
     own = np.sqrt(np.diag(measured.own))
     assert np.all(np.linalg.eigvalsh(measured.own / np.outer(own, own)) > -1e-9)
     zero, (gain_x, gain_y) = math.radians(rig.roles.zero_std_deg), rig.roles.gain_stds
@@ -108,3 +109,14 @@ def test_what_no_approach_explains_keeps_the_mean_and_the_bound(rig: Rig) -> Non
     assert np.all(measured.to_come.shift == 0)
     assert measured.theta_rad[0].std > math.radians(0.05)
     assert measured.to_come.to_json()["rate_per_s"] is None
+
+
+def test_signals_that_never_change_have_limits(rig: Rig) -> None:
+    run = exact_run(rig, "D", 0)
+    stuck = dataclasses.replace(
+        run, x_m=np.zeros_like(run.x_m), y_m=np.full_like(run.y_m, 1e-3), angle_rad=0 * run.angle_rad + [0.5, 1.0]
+    )
+    measured = measure(stuck, rig)
+    assert [theta.value for theta in measured.theta_rad] == pytest.approx([0.5, 1.0])
+    assert measured.theta_rad[0].std > run.angle_step_rad / math.sqrt(12)
+    assert measured.amplitude_m.value < 1e-9

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.signals.approach import bound
-from daq.signals.window_means import code_noise, half_width
+from daq.signals.rounding import code_noise, half_width
 
 WINDOW_S = 1.02
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 import daq.signals.limit as limit_module
 from daq.signals.limit import Limit, limit
-from daq.signals.rounding import rounding_covariance, rounding_terms
-from daq.signals.window_means import half_width
+from daq.signals.rounding import half_width, rounding_covariance, rounding_terms
 
 WINDOW_S = 1.02
 STEP = 2 * math.pi / 4096
@@ -192,3 +191,17 @@ def test_an_approach_that_is_extrapolated_costs_its_share() -> None:
     assert found.model == "one rate"
     assert found.rate_per_s == pytest.approx(0.2, rel=0.05)
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(0.15 * 50, rel=0.1)
+
+
+@pytest.mark.parametrize("window_s", [0.2, 12.0, 60.0])
+@pytest.mark.parametrize("noise", [1e-9, 1.0])
+def test_slow_rotors_and_signals_without_noise_leave_finite_numbers(window_s: float, noise: float) -> None:
+    edges = windows(30) * window_s / WINDOW_S
+    seen = np.stack([means(lambda t: 5 * np.exp(-0.2 * t / window_s), edges), np.full(30, 2.0)], axis=1)
+    found = limit(edges, seen, white(30, 2, noise))
+    if found is not None:
+        assert np.all(np.isfinite(found.values))
+        assert np.all(np.diag(found.covariance) > 0)
+    standing_still = limit(edges, np.full((30, 2), 2.0), white(30, 2, noise))
+    assert standing_still is not None
+    assert standing_still.values == pytest.approx([2.0, 2.0], abs=noise)
