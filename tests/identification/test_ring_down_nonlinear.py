@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from identification import IdentificationError, RingDownFit, equivalent_linear, fit_ring_down
+from daq.signals.run import Run
+from identification import IdentificationError, RingDownFit, equivalent_linear, fit_ring_down, fit_ring_down_runs
 from identification.mounting import as_mounted
 from identification.ring_down.backbone import Rates, course
 from identification.ring_down.exact_motion import exact_motion
@@ -205,3 +206,25 @@ def test_the_integrated_motion_is_scipy_s() -> None:
         assert level > 0
         np.testing.assert_allclose(own[0] * scale, shifted, atol=2e-8)
     assert np.max(np.abs(exact - shifted)) < 1e-3 * PULL_M
+
+
+def test_plucks_of_different_size_share_the_terms() -> None:
+    """One along each direction: together they name both; the spring is known better than from one."""
+    none = np.empty(0)
+    runs = []
+    for seed, axis, share in ((21, 0, 1.0), (22, 0, 0.5), (23, 1, 1.0)):
+        t, signal = pluck(seed, axis, 0.01 * share**2, 0.2 * share)  # the same spring and damper, a smaller pull
+        x, y = share * signal.T
+        runs.append(Run(f"ring-down-{'xy'[axis]}", "", 0.0, t, x, t, y, none, none.reshape(0, 2), none, none))
+    fit = fit_ring_down_runs(runs, MASS_KG)
+    assert_true_at_zero(fit)
+    assert fit.verdict.startswith("adequate")
+    first, second = fit.nonlinear
+    assert (first.direction, second.direction) == (1, 2)
+    for term, zeta in ((first, ZETA[0]), (second, ZETA[1])):
+        assert term.kinds == ("frequency", "damping")
+        assert abs(term.cubic_stiffness_per_m2 - 0.01 / PULL_M**2) < 4 * term.cubic_stiffness_std
+        assert abs(term.zeta_slope_per_m - 0.2 * zeta / PULL_M) < 4 * term.zeta_slope_std
+    alone = fit_ring_down_runs(runs[:1], MASS_KG).nonlinear[0]
+    assert alone.direction == 1
+    assert first.cubic_stiffness_std < alone.cubic_stiffness_std
