@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from identification import IdentificationError, RingDownFit, equivalent_linear, fit_ring_down
+from daq.signals.run import Run
+from identification import IdentificationError, RingDownFit, equivalent_linear, fit_ring_down, fit_ring_down_runs
 from identification.mounting import as_mounted
 from identification.ring_down.backbone import Rates, course
 from identification.ring_down.exact_motion import exact_motion
@@ -32,14 +33,14 @@ def motion(f: float, zeta: float, start_m: float, t: np.ndarray, stiffness: floa
 
 
 def pluck(
-    seed: int, axis: int, stiffness: float = 0.0, damping: float = 0.0, beta_deg: float = 3.0, record_s: float = 5.0
+    seed: int, axis: int, stiffness: float = 0.0, damping: float = 0.0, cross: float = 0.1, record_s: float = 5.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times, and sensors x and y turned by an angle, with 4 µm of noise and rounded to 0.4 µm."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(record_s * RATE)) / RATE
-    starts = PULL_M * np.where(np.arange(2) == axis, 1.0, 0.1)
+    starts = PULL_M * np.where(np.arange(2) == axis, 1.0, cross)
     own = np.column_stack([motion(F[i], ZETA[i], starts[i], t, stiffness, damping) for i in range(2)])
-    b = np.radians(beta_deg)
+    b = np.radians(3.0)
     seen = own @ np.array([[np.cos(b), np.sin(b)], [-np.sin(b), np.cos(b)]]).T
     return t, 4e-7 * np.round((seen + NOISE_M * rng.normal(size=seen.shape)) / 4e-7)
 
@@ -66,6 +67,15 @@ def test_what_depends_on_amplitude_is_fitted_and_named(axis: int, stiffness: flo
     assert (f"direction {axis + 1}'s damping grows with amplitude" in said) == bool(damping)
     assert "depends on amplitude" not in said
     assert f"direction {axis + 1}" in fit.model
+
+
+def test_a_direction_that_hardly_moves_covers_the_term_that_it_cannot_show() -> None:
+    """At 0.1 mm the damping ratio is 2 % above that at zero amplitude, which the motion there does not tell apart."""
+    for seed in range(3):
+        t, signal = pluck(seed, 1, 0.0, 0.5, cross=0.04)
+        fit = fit_ring_down(t, signal)
+        assert [one.direction for one in fit.nonlinear] == [2]
+        assert_true_at_zero(fit)
 
 
 def test_the_cheapest_setting_leaves_the_terms_out() -> None:
@@ -196,3 +206,25 @@ def test_the_integrated_motion_is_scipy_s() -> None:
         assert level > 0
         np.testing.assert_allclose(own[0] * scale, shifted, atol=2e-8)
     assert np.max(np.abs(exact - shifted)) < 1e-3 * PULL_M
+
+
+def test_plucks_of_different_size_share_the_terms() -> None:
+    """One along each direction: together they name both; the spring is known better than from one."""
+    none = np.empty(0)
+    runs = []
+    for seed, axis, share in ((21, 0, 1.0), (22, 0, 0.5), (23, 1, 1.0)):
+        t, signal = pluck(seed, axis, 0.01 * share**2, 0.2 * share)  # the same spring and damper, a smaller pull
+        x, y = share * signal.T
+        runs.append(Run(f"ring-down-{'xy'[axis]}", "", 0.0, t, x, t, y, none, none.reshape(0, 2), none, none))
+    fit = fit_ring_down_runs(runs, MASS_KG)
+    assert_true_at_zero(fit)
+    assert fit.verdict.startswith("adequate")
+    first, second = fit.nonlinear
+    assert (first.direction, second.direction) == (1, 2)
+    for term, zeta in ((first, ZETA[0]), (second, ZETA[1])):
+        assert term.kinds == ("frequency", "damping")
+        assert abs(term.cubic_stiffness_per_m2 - 0.01 / PULL_M**2) < 4 * term.cubic_stiffness_std
+        assert abs(term.zeta_slope_per_m - 0.2 * zeta / PULL_M) < 4 * term.zeta_slope_std
+    alone = fit_ring_down_runs(runs[:1], MASS_KG).nonlinear[0]
+    assert alone.direction == 1
+    assert first.cubic_stiffness_std < alone.cubic_stiffness_std
