@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from analysis.explanations import Explanations
 from analysis.validation import Validation, validate
 from benchmarks.worlds.recording import BEFORE_POINTS, campaign_tests, record
 from benchmarks.worlds.world import WRONG, Effects, Spread, World, draw_world
@@ -114,9 +115,10 @@ def is_routine(warning: str) -> bool:
 
 def _stated_std(world: World, name: str) -> float:
     """Standard uncertainty of what is not identified, SI; of a gain relative."""
-    b, roles = world.mechanics.b, world.rig.roles
+    b, roles, known = world.mechanics.b, world.rig.roles, world.rig.known
     return {
-        "mass_b": UNSTATED_STD * b.mass_kg, "length_b": UNSTATED_STD * b.length_m,
+        "mass_b": known.std("pendulums.b.mass_kg") or UNSTATED_STD * b.mass_kg,
+        "length_b": known.std("pendulums.b.length_m") or UNSTATED_STD * b.length_m,
         "zero_a": math.radians(roles.zero_std_deg), "gain_x": roles.gain_stds[0],
     }[name]  # fmt: skip
 
@@ -134,9 +136,17 @@ def _estimates(found: Identification, world: World) -> dict[str, Any]:
     }
 
 
+def _causes(explained: Explanations) -> list[list[str]]:
+    """Names of the likeliest explanations' causes, the likeliest first."""
+    ranked = [e for e in (*explained.singles, *explained.pairs) if e.explained] or list(explained.singles)
+    return [[cause.name for cause in one.causes] for one in ranked[:5]]
+
+
 def _judged(validation: Validation) -> dict[str, Any]:
     return {
         "passed": validation.passed,
+        "together": None if validation.agreement is None else validation.agreement.together.to_json(),
+        "causes": [] if validation.explanations is None else _causes(validation.explanations),
         "points": {
             name: {"state": p.state, "verdict": p.verdict, "why": p.why, "z": dict(p.z_scores)}
             for name, p in validation.points.items()

@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.worlds.motion import Mechanics, SwingingMass
 from rig_configs import load_rig
+from rig_configs.known import MASSES, physical_numbers
 from rig_configs.schema import Rig
 
 FLICK_RAD_S = 12.0
@@ -190,6 +191,25 @@ WRONG = {"k2": "k2_N_per_m", "zeta1": "zeta1", "c3": "c3_Nms_per_rad", "SP": "SP
 the beginning, by the standard uncertainty that the rig file states or a laboratory would."""
 
 
+def stated(spread: Spread) -> Rig:
+    """The shipped `virtual` rig, whose file states what is drawn of masses, lengths, balance and index angle."""
+    physics = load_rig("virtual").physics
+    numbers = physical_numbers(physics)
+    settings = [f"devices.encoder.index_angle_std_deg={spread.index_deg!r}"]
+    for name, value in numbers.items():
+        share = spread.masses if name.endswith("mass_kg") else spread.lengths
+        if share and value:
+            settings.append(
+                f"{name.replace('mass_kg', 'mass_std_kg').replace('length_m', 'length_std_m')}={share * value!r}"
+            )
+    if spread.balance:
+        settings += [
+            f"instruments.balance.measures={list(MASSES)!r}",
+            f"instruments.balance.relative_std={spread.balance!r}",
+        ]
+    return load_rig("virtual", settings=settings)
+
+
 def draw_world(
     seed: int, spread: Spread | None = None, effects: Effects | None = None, rig: Rig | None = None
 ) -> World:
@@ -197,9 +217,10 @@ def draw_world(
 
     Args:
         seed: of all draws; the same seed draws the same numbers whatever the effects.
-        rig: around whose numbers; None: the shipped `virtual`.
+        rig: around whose numbers; None: the shipped `virtual`, with what is drawn stated in its file.
     """
-    spread, effects, rig = spread or Spread(), effects or Effects(), rig or load_rig("virtual")
+    spread, effects = spread or Spread(), effects or Effects()
+    rig = rig or stated(spread)
     physics, rng = rig.physics, np.random.default_rng([seed, 1])
     near = rng.standard_normal(13)
     masses = 1 + spread.balance * rng.standard_normal() + spread.masses * rng.standard_normal(4)
