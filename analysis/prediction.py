@@ -51,15 +51,12 @@ class Prediction:
         shared: label → shift of `values`, shape (5,), for one standard deviation of an error that other quantities
             share: "gain x", "known rotor.mass_kg", "axis angle".
         numerical: estimated error of the integration in `values`, shape (5,).
-        residual_m_per_rad: order-1 amplitude of x and of y (sensor axes) per rad of a pendulum off its place, for
-            judging amplitudes near zero.
     """
 
     state: SteadyState
     speed_rad_s: float
     values: np.ndarray
     covariance: np.ndarray
-    residual_m_per_rad: tuple[float, float]
     by_parameter: Array
     by_number: Mapping[str, Array]
     own: Array
@@ -109,8 +106,7 @@ def predict_point(
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
-    response = _per_radian(physics, speed_rad_s, beta)
-    return Prediction(state, speed_rad_s, values, covariance, response, by_parameter, slopes, own, shared, numerical)
+    return Prediction(state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical)
 
 
 def _shared(
@@ -225,14 +221,3 @@ def _along(
         _observed(p, w, start + sign * moved, b) for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)
     ]
     return (observed[0] - observed[1]) / (2 * h)
-
-
-def _per_radian(physics: RotorParameters, speed: float, beta: float) -> tuple[float, float]:
-    """Order-1 amplitudes in sensor axes of an imbalance S_A · 1 rad, A the heavier pendulum's moment, m/rad."""
-    moment = max(physics.a.first_moment_kg_m, physics.b.first_moment_kg_m)
-    c1, c2 = physics.damping_Ns_per_m
-    force = moment * speed**2
-    x = force / (physics.k1_N_per_m - physics.total_mass_kg * speed**2 + 1j * speed * c1)
-    y = -1j * force / (physics.k2_N_per_m - physics.total_mass_kg * speed**2 + 1j * speed * c2)
-    x_sensor, y_sensor = _rotated(x, y, beta)
-    return abs(x_sensor), abs(y_sensor)
