@@ -71,9 +71,7 @@ class Cause:
         shown, spread = abs(size) * self.factor, std * self.factor
         digits = max(0, min(6, 1 - math.floor(math.log10(spread)))) if spread > 0 else 3
         side = "above" if size > 0 else "below"
-        against = "what was identified" if self.name in _PARAMETER_WORDS else "what the rig file says"
-        if self.name.startswith("gain") or self.name == AXIS_ANGLE:
-            against = "what was taken"
+        against = "what the rig file says" if self.name in _NUMBER_WORDS else "what was taken"
         return f"{self.words} {shown:.{digits}f} ± {spread:.{digits}f} {self.unit} {side} {against}"
 
 
@@ -87,7 +85,9 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
     std, found = identified.std, list[Cause]()
     for k, name in enumerate(identified.values):
         value = identified.values[name]
-        found.append(_share(name, _PARAMETER_WORDS[name], value, std[name], -differences.by_parameter[:, k]))
+        deviation = std[name] or NOMINAL_SHARE * abs(value)
+        if deviation > 0:
+            found.append(_share(name, _PARAMETER_WORDS[name], value, deviation, -differences.by_parameter[:, k]))
     known, own = rig.known, differences.by_parameter
     for name in PHYSICAL:
         value = known.values[name]

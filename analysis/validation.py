@@ -124,6 +124,7 @@ def validate(
             for the identified one, 0 ± 3° where no test has shown it.
     Source: docs/theory/validation.md.
     """
+    identified = identified.completed(rig.physics)  # what was not identified, or set, may be wrong as well
     results: dict[str, PointResult] = {}
     for run in sorted((r for r in runs if point_of(r.test)), key=lambda r: (r.test, r.start_s)):
         name = point_of(run.test)

@@ -112,6 +112,19 @@ class IdentifiedParameters:
         covariance = self.covariance[np.ix_(kept, kept)]
         return replace(self, values=values, covariance=covariance, shared=shared, by_number=by_number)
 
+    def completed(self, physics: RotorParameters) -> IdentifiedParameters:
+        """With the parameters that are not among the values as the rig has them, taken as exact."""
+        missing = {name: value for name, value in physics.identified().items() if name not in self.values}
+        n, m = len(self.values), len(missing)
+        covariance = np.zeros((n + m, n + m))
+        covariance[:n, :n] = self.covariance
+        shared, by_number = (
+            {label: np.r_[vector, np.zeros(m)] for label, vector in vectors.items()}
+            for vectors in (self.shared, self.by_number)
+        )
+        values = {**self.values, **missing}
+        return replace(self, values=values, covariance=covariance, shared=shared, by_number=by_number)
+
     @property
     def own_covariance(self) -> np.ndarray:
         """The covariance without the shared errors, shape (n, n), not negative in any direction."""
