@@ -10,7 +10,7 @@ wrong in; the others need no list of causes. Source: docs/theory/validation.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
 
+from analysis.causes import Cause
 from analysis.differences import Differences
 
 Array = NDArray[np.float64]
@@ -54,6 +55,7 @@ class Agreement:
         points: of each point's rows.
         point_limit: the p below which a point fails.
         cause_z: cause → its best size in standard deviations of what the points would show of it.
+        words: cause → what it is, for a reader.
         cause_limit: the largest |cause_z| of all causes that chance reaches in CAUSES_LEVEL of campaigns.
     """
 
@@ -61,6 +63,7 @@ class Agreement:
     points: Mapping[str, Statistic]
     point_limit: float
     cause_z: Mapping[str, float]
+    words: Mapping[str, str]
     cause_limit: float
 
     @property
@@ -91,7 +94,7 @@ class Agreement:
         if self.failing_points:
             alarms.append(f"point {', '.join(self.failing_points)} differs")
         if causes := self.significant_causes:
-            alarms.append(f"a single cause would explain more than chance does ({causes[0]})")
+            alarms.append(f"a single cause would explain more than chance does: {self.words[causes[0]]}")
         return f"{'; '.join(alarms)}: {whole}"
 
     def to_json(self) -> dict[str, Any]:
@@ -104,19 +107,19 @@ class Agreement:
         }  # fmt: skip
 
 
-def agreement(differences: Differences, directions: Mapping[str, Array]) -> Agreement:
+def agreement(differences: Differences, causes: Sequence[Cause]) -> Agreement:
     """How far all rows agree with the model.
 
     Args:
         differences: of every point that was compared.
-        directions: cause → change of the differences per unit of the cause, shape (m,).
+        causes: of which one alone may be significant.
     """
     names = tuple(dict.fromkeys(point for point, _ in differences.rows))
     points = {name: Statistic.of(differences.of(name)) for name in names}
-    z, correlation = cause_statistics(differences, directions)
-    return Agreement(
-        Statistic.of(differences), points, POINTS_LEVEL / max(1, len(names)), z, largest_by_chance(correlation)
-    )
+    z, correlation = cause_statistics(differences, {cause.name: cause.direction for cause in causes})
+    words = {cause.name: cause.words for cause in causes}
+    limit = largest_by_chance(correlation)
+    return Agreement(Statistic.of(differences), points, POINTS_LEVEL / max(1, len(names)), z, words, limit)
 
 
 def cause_statistics(differences: Differences, directions: Mapping[str, Array]) -> tuple[dict[str, float], Array]:

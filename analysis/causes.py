@@ -9,7 +9,6 @@ angle, a laser's gain or the axis angle.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,11 +108,6 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
         deviation = math.radians(angle[1])
         found.append(_angle(AXIS_ANGLE, "the axis angle", deviation, -differences.shared[AXIS_ANGLE] / deviation))
     return tuple(found)
-
-
-def directions(found: tuple[Cause, ...]) -> Mapping[str, Array]:
-    """Cause → its direction."""
-    return {cause.name: cause.direction for cause in found}
 
 
 def _share(name: str, words: str, value: float, std: float, direction: Array) -> Cause:

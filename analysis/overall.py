@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.agreement import Agreement, agreement
-from analysis.causes import Cause, causes, directions
+from analysis.causes import Cause, causes
 from analysis.differences import Compared, Differences, differences
 from analysis.errors import NoStableState
 from analysis.explanations import Explanations, explanations
@@ -58,7 +58,7 @@ def overall(
     found = differences(compared, rig, identified)
     suspects = causes(found, rig, identified)
     case = _Case(tuple(compared), rig, identified, found, suspects)
-    whole = agreement(found, directions(suspects))
+    whole = agreement(found, suspects)
     return Overall(whole, None if whole.passed else case.explained(), noticed(found, suspects), case)
 
 
