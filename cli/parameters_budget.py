@@ -21,12 +21,15 @@ if TYPE_CHECKING:
     from uncertainty import Budgets, LinearCheck, MonteCarlo
 
 Level = Annotated[float, Parameter(validator=between(0.5, 0.9999, low_too=True), help="coverage probability")]
-Trials = Annotated[int | None, Parameter(validator=between(100, 2_000_000, low_too=True), help="Monte Carlo draws")]
+Trials = Annotated[
+    int | None,
+    Parameter(validator=between(100, 2_000_000, low_too=True), help="draws of predictions; parameters get more"),
+]
 MonteCarloToo = Annotated[
     bool,
     Parameter(name="--monte-carlo", negative="", help="draw every source, hold the linear intervals against it"),
 ]
-_MODEL_TRIALS, _LINEAR_TRIALS = 2_000, 200_000
+_MODEL_TRIALS, _LINEAR_TRIALS = 4_000, 200_000
 _KINDS: tuple[Literal["symmetric", "shortest"], ...] = ("symmetric", "shortest")
 _DIGITS = 1  # of the standard uncertainty that matter to the verdict
 
@@ -223,7 +226,7 @@ def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, se
         sampled.append(
             monte_carlo(
                 lambda errors: values + errors @ slopes.T, parameters.sources, seed=seed, level=level,
-                trials=trials or _LINEAR_TRIALS, names=answer.asked.parameters,
+                trials=max(trials or 0, _LINEAR_TRIALS), names=answer.asked.parameters,
             )
         )  # fmt: skip
     if answer.predicted is not None and rig is not None:

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cli.parameters_page import rounded
-from cli.words import percent, printable, stdout_console
+from cli.words import printable, stdout_console
 from rig_configs import Rig
 from rig_configs.shared_errors import EXACT_STEP
 from uncertainty import Budget, Budgets
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cli.parameters_budget import Answer
 
 _LEAST_SHARE = 1e-3  # of a variance: what is less has no row of its own
+_LEAST_SIGMAS = 0.1  # a change that is less is not shown among what is taken as exact
 _CORRELATED = 0.5
 _MATRIX = 9  # quantities whose correlation matrix fits a page
 
@@ -38,8 +39,9 @@ def print_budget(file: str, rig: Rig | None, answer: Answer, level: float) -> No
     for name, factor in answer.of_parameters.stretch.items():
         text = f"{name}: its tests mildly disagree; every contribution is stretched by {factor:.3g}"
         console.print(Text(text, "yellow"), soft_wrap=True)
-    for name, why in answer.skipped.items():
-        console.print(Text(f"{name}: no budget: {printable(why)}", "yellow"), soft_wrap=True)
+    for why in dict.fromkeys(answer.skipped.values()):
+        names = ", ".join(name for name, text in answer.skipped.items() if text == why)
+        console.print(Text(f"no budget of {names}: {printable(why)}", "yellow"), soft_wrap=True)
     for note in answer.of_parameters.notes:
         console.print(Text(f"note: {printable(note)}", "dim"), soft_wrap=True)
 
@@ -51,7 +53,7 @@ def _summary(together: Budgets, level: float) -> Table:
     for each in together.budgets:
         low, high = each.interval(level)
         value, u = rounded(each.value, each.std)
-        main = [f"{row.source} {percent(row.share)}" for row in budget_rows(each)[:1]]
+        main = [f"{row.source} {_share(row.share)}" for row in budget_rows(each)[:1]]
         table.add_row(
             Text(each.name, "bold"), value, u, _unit(each.unit), _degrees(each.degrees_of_freedom),
             f"{each.coverage_factor(level):.3f}", rounded(each.expanded(level), each.std)[0],
@@ -79,14 +81,14 @@ def _print_one(console: Console, budget: Budget, level: float) -> None:
         rest = rows[len(shown) :]
         sum_of = math.hypot(*(row.contribution for row in rest))
         table.add_row(Text(f"{len(rest)} more", "dim"), "", "", "", "", "", "", f"{sum_of:.3g}",
-                      percent(sum(row.share for row in rest)))  # fmt: skip
+                      _share(sum(row.share for row in rest)))  # fmt: skip
     console.print(table)
 
 
 def _cells(row: BudgetRow) -> list[str | Text]:
     return [
         Text(printable(row.source)), row.kind, row.distribution, _degrees(row.degrees_of_freedom), f"{row.u:.4g}",
-        _unit(row.unit), f"{row.sensitivity:.5g}", f"{row.contribution:+.4g}", percent(row.share),
+        _unit(row.unit), f"{row.sensitivity:.5g}", f"{row.contribution:+.4g}", _share(row.share),
     ]  # fmt: skip
 
 
@@ -113,18 +115,20 @@ def _print_exact(console: Console, rig: Rig | None, answer: Answer, together: Bu
         console.print(Text(missing, "dim"), soft_wrap=True)
         return
     table = _table(("number", "value", "quantity", "change", "in standard uncertainties"), right=(1, 3, 4))
-    std, values = {b.name: b.std for b in together.budgets}, dict(zip(together.names, together.values, strict=True))
+    hidden = 0
     for number, changes in answer.exact.items():
-        first = True
+        head = (number, f"{rig.known.values[number]:g}")
         for name, change in changes.items():
-            relative = change / abs(values[name]) if values[name] else math.nan
-            if not change:
-                continue
-            sigmas = f"{change / std[name]:+.2f}" if std[name] > 0 else "—"
-            head = (number, f"{rig.known.values[number]:g}") if first else ("", "")
-            table.add_row(*head, name, f"{100 * relative:+.3g} %", sigmas)
-            first = False
+            one = together[name]
+            sigmas = change / one.std if one.std > 0 else math.inf
+            if change and abs(sigmas) >= _LEAST_SIGMAS:
+                relative = f"{100 * change / abs(one.value):+.3g} %" if one.value else "—"
+                table.add_row(*head, name, relative, f"{sigmas:+.2f}" if math.isfinite(sigmas) else "—")
+                head = ("", "")
+            hidden += 0 < abs(sigmas) < _LEAST_SIGMAS
     console.print(table)
+    if hidden:
+        console.print(Text(f"{hidden} changes below {_LEAST_SIGMAS:g} standard uncertainties are in --json", "dim"))
 
 
 def _print_monte_carlo(console: Console, answer: Answer) -> None:
@@ -159,6 +163,10 @@ def _table(titles: tuple[str, ...], right: tuple[int, ...]) -> Table:
 
 def _unit(unit: str) -> str:
     return "" if unit == "1" else unit
+
+
+def _share(share: float) -> str:
+    return f"{100 * share:.1f} %" if share >= _LEAST_SHARE else f"{100 * share:.1g} %"
 
 
 def _degrees(degrees: float) -> str:
