@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import Known, physical_numbers, with_number
 
 Array = NDArray[np.float64]
+Start = NDArray[np.floating[Any]]
 
 AXIS_ANGLE = "axis angle"
 """Label of the axis angle's error, which all points share."""
@@ -140,9 +142,7 @@ def _distance(state: SteadyState, near: Sequence[float]) -> float:
     return float(np.sum(np.abs(np.exp(1j * np.array(state.theta_rad)) - np.exp(1j * np.asarray(near)))))
 
 
-def _motion(
-    physics: RotorParameters, speed: float, start: np.ndarray, times: np.ndarray, finer: float = 1.0
-) -> np.ndarray:
+def _motion(physics: RotorParameters, speed: float, start: Start, times: Array, finer: float = 1.0) -> Array:
     """States at times from a start at ψ = 0, constant speed, pendulums free; `finer` below 1 shortens the steps."""
     history = SpeedHistory.constant(speed)
     step = finer * 0.03 / fastest_rate(physics, speed)
@@ -150,12 +150,23 @@ def _motion(
     return integrate(start, times, step, history.knots_s, history.coefficients, packed, 1.0, 1.0)
 
 
-def _half_turn(physics: RotorParameters, speed: float, start: np.ndarray, finer: float = 1.0) -> np.ndarray:
+def half_turn(physics: RotorParameters, speed: float, start: Start, finer: float = 1.0) -> Array:
     """The map H whose fixed points are the steady states."""
     return _TURN * _motion(physics, speed, start, np.array([0.0, np.pi / speed]), finer)[-1]
 
 
-def _observed(physics: RotorParameters, speed: float, start: np.ndarray, beta: float, finer: float = 1.0) -> np.ndarray:
+def fixed_point_inverse(physics: RotorParameters, speed: float, start: Start) -> Array:
+    """(1 − ∂H/∂y)⁻¹ at a steady state, shape (8, 8): what moves its start by so much moves the state by that."""
+    slope = np.empty((8, 8))
+    for j, h in enumerate(_SCALE):
+        up, down = start.copy(), start.copy()
+        up[j] += h
+        down[j] -= h
+        slope[:, j] = (half_turn(physics, speed, up) - half_turn(physics, speed, down)) / (2 * h)
+    return np.asarray(np.linalg.inv(np.eye(8) - slope), dtype=np.float64)
+
+
+def observed(physics: RotorParameters, speed: float, start: Start, beta: float, finer: float = 1.0) -> Array:
     """θ3, θ4, order-1 amplitudes in sensor axes, rms radius; means over one revolution, shape (5,)."""
     n = 64
     times = np.linspace(0, 2 * np.pi / speed, n + 1)
@@ -181,13 +192,7 @@ def _slopes(
     The error is what half the integration's step changes, the fixed point with it.
     """
     start = state.start
-    slope = np.empty((8, 8))
-    for j, h in enumerate(_SCALE):
-        up, down = start.copy(), start.copy()
-        up[j] += h
-        down[j] -= h
-        slope[:, j] = (_half_turn(physics, speed, up) - _half_turn(physics, speed, down)) / (2 * h)
-    inverse = np.linalg.inv(np.eye(8) - slope)
+    inverse = fixed_point_inverse(physics, speed, start)
     found, known = physics.identified(), physical_numbers(physics)
     slopes: dict[str, Array] = {}
     for name in names:
@@ -203,9 +208,9 @@ def _slopes(
     slopes[_SPEED] = _along([physics, physics], (speed + h, speed - h), (beta, beta), start, inverse, h)
     h = 1e-4
     slopes[AXIS_ANGLE] = _along([physics, physics], (speed, speed), (beta + h, beta - h), start, inverse, h)
-    values = _observed(physics, speed, start, beta)
-    finer = start + inverse @ (_half_turn(physics, speed, start, 0.5) - _half_turn(physics, speed, start))
-    numerical = np.abs(_observed(physics, speed, finer, beta, 0.5) - values)
+    values = observed(physics, speed, start, beta)
+    finer = start + inverse @ (half_turn(physics, speed, start, 0.5) - half_turn(physics, speed, start))
+    numerical = np.abs(observed(physics, speed, finer, beta, 0.5) - values)
     values[:2] %= 2 * np.pi
     return values, slopes, numerical
 
@@ -215,9 +220,7 @@ def _along(
     start: np.ndarray, inverse: np.ndarray, h: float,
 ) -> np.ndarray:  # fmt: skip
     """Derivative of what is observed when a number moves by ±h and the steady state with it, shape (5,)."""
-    up, down = (_half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
+    up, down = (half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
     moved = inverse @ (up - down) / 2  # of the state, for +h
-    observed = [
-        _observed(p, w, start + sign * moved, b) for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)
-    ]
-    return (observed[0] - observed[1]) / (2 * h)
+    seen = [observed(p, w, start + sign * moved, b) for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)]
+    return (seen[0] - seen[1]) / (2 * h)

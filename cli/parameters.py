@@ -10,6 +10,7 @@ from cyclopts import App, Parameter
 from cli.console import print_json, say
 from cli.numbers import Chance
 from cli.options import Json, need_place
+from cli.parameters_budget import budget
 from cli.plan import share
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, RigFileError
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from identification.joint.limits import Limit
 
 app = App(name="parameters", help="Show identified parameters, say what changed, follow them over time.")
+app.command(budget)
 _CORRELATED = 0.5
 MassStd = Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")]
 

@@ -1,8 +1,9 @@
-"""rig parameters show, diff and history: contract keys, words, exit codes."""
+"""rig parameters show, diff, history and budget: contract keys, words, exit codes."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,68 @@ def test_a_test_left_out_is_told(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert "left out     ring-down (p.mcap) stands apart" in out
 
 
+def with_slopes(path: Path) -> Path:
+    """The same file with what a mass does to its values."""
+    parameters = IdentifiedParameters.load(path)
+    slope = np.array([v / 7.27 if not n.startswith("zeta") else 0.0 for n, v in parameters.values.items()])
+    replace(parameters, by_number={"rotor.mass_kg": slope}).save(path)
+    return path
+
+
+def test_budget_of_parameters_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = kept(tmp_path / "p.toml")
+    code, out, _ = said(capsys, "parameters", "budget", str(path), "k1", "--json")
+    assert code == 0
+    told = json.loads(out)
+    assert list(told["parameters"]) == ["k1_N_per_m"]
+    k1 = told["parameters"]["k1_N_per_m"]
+    assert k1["u"] == pytest.approx(np.hypot(0.5, 0.3))
+    assert sum(row["contribution"] ** 2 for row in k1["budget"]) == pytest.approx(k1["u"] ** 2)
+    assert [row["source"] for row in k1["budget"]] == [
+        "own: ring-down (p.mcap)", "clock laser_x", "beyond noise: ring-down (p.mcap)",
+    ]  # fmt: skip
+    assert set(k1["budget"][0]) >= {"source", "type", "distribution", "u", "sensitivity", "contribution", "nu"}
+    assert k1["nu_eff"] is None
+    assert k1["U95"] == pytest.approx(1.96 * k1["u"], rel=1e-4)
+    assert told["correlation"] == {"order": ["k1_N_per_m"], "matrix": [[1.0]]}
+    code, out, _ = said(capsys, "parameters", "budget", str(path), "--level", "0.99", "--monte-carlo")
+    assert code == 0
+    assert "U (99 %)" in out
+    assert "own: ring-down (p.mcap)" in out
+    assert "agree" in out
+    assert "taken as exact" not in out
+
+
+def test_budget_with_a_rig_shows_masses_points_and_what_is_exact(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = with_slopes(kept(tmp_path / "p.toml"))
+    arguments = ("parameters", "budget", str(path), "k1", "D.theta3_deg", "--rig", "virtual")
+    code, out, _ = said(capsys, *arguments, "--set", "rotor.mass_std_kg=0.01", "--json")
+    assert code == 0
+    told = json.loads(out)
+    main = told["parameters"]["k1_N_per_m"]["budget"][0]
+    assert main["source"] == "known rotor.mass_kg"
+    assert main["sensitivity"] == pytest.approx(2600 / 7.27)
+    assert list(told["predicted"]) == ["D.theta3_deg"]
+    assert "known rotor.mass_kg" in [row["source"] for row in told["predicted"]["D.theta3_deg"]["budget"]]
+    assert told["taken_as_exact"] == {}  # of the numbers that are exact this file has no derivatives
+    assert told["what_if"] == ["rotor.mass_std_kg=0.01"]
+    code, out, _ = said(capsys, *arguments, "B", "--json", "--monte-carlo", "--trials", "200")
+    told = json.loads(out)
+    assert list(told["predicted"]) == ["D.theta3_deg", "B.theta3_deg", "B.theta4_deg"]
+    exact = told["taken_as_exact"]["rotor.mass_kg"]["k1_N_per_m"]
+    assert exact["percent"] == pytest.approx(0.1 * 7.0 / 7.27)
+    assert exact["standard_uncertainties"] == pytest.approx(7e-3 * 2600 / 7.27 / np.hypot(0.5, 0.3))
+    assert told["without_budget"]["B.amplitude_mm"] == "it is 0 whatever the parameters are"
+    sampled = told["predicted"]["D.theta3_deg"]["monte_carlo"]
+    assert sampled["trials"] == 200
+    assert set(sampled["checks"]["shortest"]) >= {"d_low", "d_high", "tolerance", "verdict"}
+    code, out, _ = said(capsys, *arguments)
+    assert "taken as exact: what 0.1 % of each number would change" in out
+    assert "rotor.mass_kg" in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -129,6 +192,12 @@ def test_a_test_left_out_is_told(capsys: pytest.CaptureFixture[str], tmp_path: P
         (["diff", "{p}", "nothing.toml"], "nothing.toml: cannot be read"),
         (["diff", "{p}", "{p}", "--level", "2"], "expected a number above 0 to 1"),
         (["history", "nothing.mcap"], "rig identify"),
+        (["budget", "nothing.toml"], "nothing.toml: cannot be read"),
+        (["budget", "{p}", "k7"], "no 'k7'; expected any of k1, k2, zeta1; points of a rig file need --rig"),
+        (["budget", "{p}", "Q", "--rig", "virtual"], "no 'Q'; expected any of k1, k2, zeta1, A, B, C, D, E, A.theta3"),
+        (["budget", "{p}", "--set", "rotor.mass_kg=7"], "give it with --rig"),
+        (["budget", "{p}", "--level", "1.5"], "expected a number from 0.5"),
+        (["budget", "{p}", "--trials", "1"], "expected a number from 100"),
         (["history", "{p}", "--rig", "other"], "no file is of rig 'other'"),
         (["history", "{p}", "--plot", "a.doc"], ".svg, .png or .pdf"),
         (["history", "{p}", "--plot", "nowhere/a.svg"], "there is no folder nowhere"),

@@ -1,0 +1,184 @@
+# pyright: strict
+"""Uncertainty budgets of what the model predicts at the validation points, by the sources the parameters have.
+
+A source acts through the parameters and, where it is a number of the rig file, directly: an error of a mass moves what
+was identified and the prediction together. Both effects are added before they are squared, so a source has one row.
+The speed is the nominal one of the point and exact. Source: docs/theory/uncertainty.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.prediction import AXIS_ANGLE, QUANTITIES, Prediction
+from rig_configs import Rig
+from rig_configs.known import Known
+from rig_configs.shared_errors import EXACT_STEP, known_source
+from uncertainty import Budgets, Source
+from uncertainty.group import Input
+
+Array = NDArray[np.float64]
+
+_AT_REST_M = 1e-12
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One predicted quantity as it is shown.
+
+    Attributes:
+        point: of the rig file.
+        index: in prediction.QUANTITIES.
+        name: point and quantity with its unit: "D.theta3_deg", "A.amplitude_mm".
+        unit: "deg" or "mm".
+        scale: shown value over SI value.
+    """
+
+    point: str
+    index: int
+    name: str
+    unit: str
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedBudgets:
+    """Budgets of the predicted quantities of some points, with what Monte Carlo takes to draw them.
+
+    Attributes:
+        quantities: m of them.
+        predictions: by point.
+        parameters: names of the identified values that the predictions were made with, in the order of by_parameter.
+        budgets: of the quantities in degrees and millimetres; its sources begin with those of the parameters.
+        parameter_sensitivities: of the parameters by the budgets' columns, shape (n, columns).
+        axis_angle_rad: angle from the stiffness x axis to the sensor x axis.
+        known: what the rig file takes as known.
+    """
+
+    quantities: tuple[Quantity, ...]
+    predictions: Mapping[str, Prediction]
+    parameters: tuple[str, ...]
+    budgets: Budgets
+    parameter_sensitivities: Array
+    axis_angle_rad: float
+    known: Known
+
+    @cached_property
+    def columns(self) -> dict[str, int]:
+        """Source → its first column."""
+        return columns_of(self.budgets.sources)
+
+    def exact_shifts(self, by_number: Mapping[str, Array]) -> dict[str, Array]:
+        """Number without a standard uncertainty → what EXACT_STEP of it does to the quantities, shape (m,).
+
+        Args:
+            by_number: derivatives of the parameters by the numbers, shape (n,) each; a number that is not in it is
+                left out.
+        """
+        found: dict[str, Array] = {}
+        for number in self.known.exact:
+            if number in by_number:
+                step = EXACT_STEP * self.known.values[number]
+                found[number] = np.array(
+                    [self._by_number(q, number, by_number[number]) * step for q in self.quantities]
+                )
+        return found
+
+    def _by_number(self, quantity: Quantity, number: str, parameters: Array) -> float:
+        predicted, i = self.predictions[quantity.point], quantity.index
+        direct = predicted.by_number.get(number, np.zeros(len(QUANTITIES)))[i]
+        return quantity.scale * float(predicted.by_parameter[i] @ parameters + direct)
+
+
+def predicted_budgets(
+    predictions: Mapping[str, Prediction], names: Sequence[str], parameters: Budgets, rig: Rig,
+    axis_angle_deg: tuple[float, float], *, axis_identified: bool = True,
+) -> PredictedBudgets:  # fmt: skip
+    """Budgets of angles and amplitudes at the points.
+
+    An amplitude that is 0 whatever the parameters are (the balanced state) has no budget and is left out.
+
+    Args:
+        predictions: point → prediction for its nominal speed.
+        names: of the parameters, in the order of the predictions' by_parameter.
+        parameters: their budgets; it may hold more parameters.
+        rig: what is taken as known.
+        axis_angle_deg: angle from the stiffness x axis to the sensor x axis with its standard uncertainty.
+        axis_identified: whether a test found the angle.
+    """
+    quantities = tuple(q for point, found in predictions.items() for q in _quantities(point, found))
+    at = [parameters.names.index(name) for name in names]
+    known = rig.known
+    extra: list[Source] = []
+    if axis_angle_deg[1] > 0:
+        kind = "A" if axis_identified else "B"
+        extra.append(Source(AXIS_ANGLE, math.radians(axis_angle_deg[1]), "rad", kind))
+    there = {source.name for source in parameters.sources}
+    moved = {number for found in predictions.values() for number in found.by_number}
+    extra += [
+        known_source(source) for source in known.sources if source.label not in there and moved & set(source.effects)
+    ]
+    sources: tuple[Input, ...] = (*parameters.sources, *extra)
+    through = np.concatenate([parameters.sensitivities[at], np.zeros((len(at), len(extra)))], axis=1)
+    table = np.array([q.scale * predictions[q.point].by_parameter[q.index] @ through for q in quantities])
+    table = table.reshape(len(quantities), through.shape[1])
+    table += _direct(quantities, predictions, sources, known)
+    values = [q.scale * float(predictions[q.point].values[q.index]) for q in quantities]
+    budgets = Budgets(
+        tuple(q.name for q in quantities), np.array(values), tuple(q.unit for q in quantities), sources, table
+    )
+    angle = math.radians(axis_angle_deg[0])
+    return PredictedBudgets(quantities, predictions, tuple(names), budgets, through, angle, known)
+
+
+def quantity_names(point: str) -> list[str]:
+    """Names that the quantities of a point can have, with their units."""
+    return [f"{point}.{_shown(name)[0]}" for name in QUANTITIES]
+
+
+def columns_of(sources: Sequence[Input]) -> dict[str, int]:
+    """Source → its first column in a table of errors."""
+    starts = np.cumsum([0, *(source.width for source in sources)])
+    return {source.name: int(start) for source, start in zip(sources, starts, strict=False)}
+
+
+def _quantities(point: str, found: Prediction) -> list[Quantity]:
+    kept: list[Quantity] = []
+    for i, name in enumerate(QUANTITIES):
+        shown, unit, scale = _shown(name)
+        if unit == "deg" or abs(float(found.values[i])) > _AT_REST_M:
+            kept.append(Quantity(point, i, f"{point}.{shown}", unit, scale))
+    return kept
+
+
+def _shown(name: str) -> tuple[str, str, float]:
+    """Name with its unit, unit, and shown value over SI value of a quantity."""
+    if name.startswith("theta"):
+        return f"{name}_deg", "deg", 180 / math.pi
+    return f"{name}_mm", "mm", 1e3
+
+
+def _direct(
+    quantities: Sequence[Quantity], predictions: Mapping[str, Prediction], sources: Sequence[Input], known: Known
+) -> Array:
+    """Sensitivities with the parameters as they are: by the axis angle and by the rig file's numbers."""
+    columns = columns_of(sources)
+    units = {source.name: float(source.factor[0, 0]) for source in sources if isinstance(source, Source)}
+    table = np.zeros((len(quantities), sum(source.width for source in sources)))
+    for row, q in enumerate(quantities):
+        found = predictions[q.point]
+        if AXIS_ANGLE in columns:
+            shift = float(found.shared[AXIS_ANGLE][q.index])
+            table[row, columns[AXIS_ANGLE]] += q.scale * shift / units[AXIS_ANGLE]
+        for source in known.sources:
+            for number, step in source.effects.items():
+                if number in found.by_number and source.label in columns:
+                    change = q.scale * float(found.by_number[number][q.index]) * step
+                    table[row, columns[source.label]] += change / units[source.label]
+    return table

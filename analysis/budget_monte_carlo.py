@@ -1,0 +1,120 @@
+# pyright: strict
+"""Monte Carlo of predicted quantities: every source drawn, the steady state followed through the nonlinear model.
+
+A draw changes parameters, masses, lengths and the axis angle. Its steady state is found from the nominal one by Newton
+steps on the half-revolution map with the nominal inverse, y ← y + (1 − ∂H/∂y)⁻¹ (H(y) − y): each step takes half a
+revolution of integration and shrinks the error by the relative change of the map's slope. Source: JCGM 101, 7;
+docs/theory/uncertainty.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.budget import PredictedBudgets
+from analysis.errors import NoStableState
+from analysis.prediction import AXIS_ANGLE, fixed_point_inverse, half_turn, observed
+from dynamics import RotorParameters
+from dynamics.errors import DynamicsError
+from rig_configs.known import with_number
+
+Array = NDArray[np.float64]
+
+_MOST_STEPS = 12
+_SETTLED = 1e-9  # of the state: rad, m, rad/s, m/s
+_SAME_STATE_RAD = 1.0  # an angle that moved further belongs to another steady state
+
+
+@dataclass
+class NonlinearModel:
+    """Errors of the budgets' sources in, predicted quantities out, as `uncertainty.monte_carlo` takes it.
+
+    Attributes:
+        of: the budgets, with their predictions.
+        physics: the rig with the identified values.
+        told: called with the share of the trials done, 0 … 1.
+        trials: how many are to come, for `told`.
+    """
+
+    of: PredictedBudgets
+    physics: RotorParameters
+    told: Callable[[float], None] = field(default=lambda _: None)
+    trials: int = 1
+    _done: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self._inverses = {
+            point: fixed_point_inverse(self.physics, found.speed_rad_s, found.state.start)
+            for point, found in self.of.predictions.items()
+        }
+
+    def __call__(self, errors: Array) -> Array:
+        """Quantities in the budgets' units, shape (rows, m).
+
+        Raises:
+            NoStableState: a draw is no rig, or its steady state was not found from the nominal one.
+        """
+        values = np.empty((len(errors), len(self.of.quantities)))
+        for row, error in enumerate(errors):
+            values[row] = self._quantities(error)
+            self._done += 1
+            if self._done % 20 == 0:
+                self.told(min(1.0, self._done / self.trials))
+        return values
+
+    def _quantities(self, error: Array) -> Array:
+        try:
+            physics = self._drawn(error)
+        except DynamicsError as fault:
+            raise NoStableState(f"Monte Carlo: a draw is no rig: {fault}; the linear budget stands alone") from fault
+        beta = self.of.axis_angle_rad
+        if AXIS_ANGLE in self.of.columns:
+            beta += float(error[self.of.columns[AXIS_ANGLE]])
+        seen = {point: self._at(point, physics, beta) for point in self.of.predictions}
+        return np.array([q.scale * seen[q.point][q.index] for q in self.of.quantities])
+
+    def _drawn(self, error: Array) -> RotorParameters:
+        """The rig of one draw: numbers of the rig file first, as parameters are found for given numbers."""
+        found = self.physics.identified()
+        shifts = self.of.parameter_sensitivities @ error
+        physics = self.physics
+        moved: dict[str, float] = {}
+        for source in self.of.known.sources:
+            if source.label in self.of.columns:
+                share = float(error[self.of.columns[source.label]]) / source.std
+                for number, step in source.effects.items():
+                    moved[number] = moved.get(number, 0.0) + share * step
+        for number, change in moved.items():
+            if number in self.of.known.values and any(number in p.by_number for p in self.of.predictions.values()):
+                physics = with_number(physics, number, self.of.known.values[number] + change)
+        drawn = {n: found[n] + float(s) for n, s in zip(self.of.parameters, shifts, strict=True)}
+        return physics.with_values(**drawn)
+
+    def _at(self, point: str, physics: RotorParameters, beta: float) -> Array:
+        """What is observed at a point, shape (5,); angles within half a turn of the nominal ones."""
+        nominal = self.of.predictions[point]
+        speed, inverse = nominal.speed_rad_s, self._inverses[point]
+        start: Array = np.array(nominal.state.start, dtype=np.float64)
+        for _ in range(_MOST_STEPS):
+            step = inverse @ (half_turn(physics, speed, start) - start)
+            start = start + step
+            if float(np.max(np.abs(step))) < _SETTLED:
+                break
+        else:
+            raise NoStableState(
+                f"Monte Carlo: point {point}: the steady state of a draw was not found from the nominal one in "
+                f"{_MOST_STEPS} steps; the linear budget stands alone"
+            )
+        values = observed(physics, speed, start, beta)
+        apart = (values[:2] - nominal.values[:2] + np.pi) % (2 * np.pi) - np.pi
+        if float(np.max(np.abs(apart))) > _SAME_STATE_RAD:
+            raise NoStableState(
+                f"Monte Carlo: point {point}: a draw's angles are {np.degrees(np.max(np.abs(apart))):.0f}° from the "
+                "nominal ones: another steady state; the linear budget stands alone"
+            )
+        values[:2] = nominal.values[:2] + apart
+        return values

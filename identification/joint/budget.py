@@ -1,0 +1,194 @@
+# pyright: strict
+"""Uncertainty budgets of identified parameters: what every test's noise and every shared error contributes.
+
+The joint values are Σ W_i d_i. Test i contributes W_i C_i W_iᵀ, a group of correlated errors of which a share stands
+for residuals beyond the sensors' noise; a shared error contributes (W v)(W v)ᵀ, one source for all parameters; what
+widened the tests because they disagree is a group of its own. Where a mild disagreement stretches a parameter's
+interval, its sensitivities to all of these are stretched alike. Source:
+docs/theory/joint_estimate.md, docs/theory/uncertainty.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.joint.combine import JointEstimate
+from identification.joint.provenance import KeptTest, rebuilt
+from rig_configs.known import Known, KnownSource
+from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
+from rig_configs.schema import Rig
+from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
+from uncertainty import Budgets, Group
+from uncertainty.group import Input
+
+Array = NDArray[np.float64]
+
+_LEAST_PART = 1e-9  # of a variance: less is rounding
+_OTHER = 0.01  # of a standard uncertainty: more is told
+
+
+@dataclass(frozen=True)
+class ParameterBudgets:
+    """Budgets of all parameters of a file.
+
+    Attributes:
+        budgets: in the file's order and units.
+        stretch: parameter → factor on its interval because its tests mildly disagree; only those above 1.
+        notes: what a reader has to know, in words.
+    """
+
+    budgets: Budgets
+    stretch: dict[str, float]
+    notes: tuple[str, ...]
+
+
+@dataclass
+class _Columns:
+    """Sources with what they do to the parameters, collected."""
+
+    rows: int
+    sources: list[Input] = field(default_factory=list[Input])
+    tables: list[Array] = field(default_factory=list[Array])
+
+    def add(self, source: Input, sensitivities: Array) -> None:
+        """A source of as many columns as `sensitivities` has, shape (rows, columns)."""
+        if np.any(sensitivities @ source.factor):
+            self.sources.append(source)
+            self.tables.append(sensitivities)
+
+    def add_shift(self, source: Input, shift: Array) -> None:
+        """A source by what one standard deviation of it does, shape (rows,)."""
+        self.add(source, (shift / float(source.factor[0, 0]))[:, None])
+
+
+def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) -> ParameterBudgets:
+    """The budget of every parameter of a file; the sum of its variances is the file's.
+
+    With a rig file, what is taken as known is as uncertain as that file has it: where the tests were identified with
+    other standard uncertainties of masses, lengths and angles, the sum is not the file's, and a note names it.
+
+    Args:
+        parameters: as `rig identify` wrote them.
+        rig: gives the sources' standard uncertainties, types, distributions and degrees of freedom.
+    Raises:
+        ParametersFileError: a test in the file makes no sense.
+    """
+    n, found = len(parameters.values), rebuilt(parameters)
+    columns, notes = _Columns(n), list[str]()
+    if found is None:
+        scale, shared = np.ones(n), dict(parameters.shared)
+        _all_tests_together(parameters, columns)
+        notes.append("the file keeps too little of its tests: their own errors are one row")
+    else:
+        joint, tests = found
+        scale = np.sqrt(np.diag(parameters.covariance) / np.diag(joint.parameters.covariance))  # 1 but for digits
+        shared = {label: scale * shift for label, shift in joint.parameters.shared.items()}
+        scale = scale * joint.stretch
+        _each_test(joint, tests, scale, columns)
+    known = Known({}) if rig is None else rig.known
+    replaced = rig is not None and bool(parameters.by_number)
+    for label, shift in shared.items():
+        if not (replaced and is_known(label)):
+            columns.add_shift(shared_source(label, rig), shift)
+    if replaced:
+        for source in known.sources:
+            columns.add_shift(known_source(source), scale * _shift(source, parameters))
+    elif known.sources and rig is not None:
+        notes.append(
+            "the file has no derivatives by the rig file's numbers: their standard uncertainties do not enter its "
+            "parameters; `rig identify` writes the file anew"
+        )
+    units = tuple(PARAMETER_UNITS[name] for name in parameters.values)
+    table = np.concatenate([np.zeros((n, 0)), *columns.tables], axis=1)
+    budgets = Budgets(
+        tuple(parameters.values), np.array(list(parameters.values.values())), units, tuple(columns.sources), table
+    )
+    notes += _not_as_identified(parameters, budgets)
+    stretched = {} if found is None else dict(zip(parameters.values, found[0].stretch.tolist(), strict=True))
+    return ParameterBudgets(budgets, {name: s for name, s in stretched.items() if s > 1.0}, tuple(notes))
+
+
+def exact_shifts(parameters: IdentifiedParameters, known: Known) -> dict[str, Array]:
+    """Number without a standard uncertainty → what EXACT_STEP of it does to the parameters, shape (n,)."""
+    return {
+        number: parameters.by_number[number] * EXACT_STEP * known.values[number]
+        for number in known.exact
+        if number in parameters.by_number
+    }
+
+
+def _all_tests_together(parameters: IdentifiedParameters, columns: _Columns) -> None:
+    own = parameters.own_covariance
+    names = tuple(parameters.values)
+    if np.any(own):
+        group = Group("own: all tests together", names, tuple(PARAMETER_UNITS[n] for n in names), own)
+        columns.add(group, np.eye(len(names)))
+
+
+def _each_test(joint: JointEstimate, tests: list[KeptTest], scale: Array, columns: _Columns) -> None:
+    """Own errors of every test, what of them is beyond noise, and what disagreement has added."""
+    known = np.zeros((len(scale), len(scale)))
+    seen: list[str] = []
+    for test, pull in zip(tests, joint.weighted.pulls, strict=True):
+        estimate = test.estimate
+        used = [j for j in range(len(estimate.names)) if np.any(pull[:, j])]
+        if not used:
+            continue
+        weights: Array = pull[:, used]
+        covariance: Array = estimate.covariance[np.ix_(used, used)]
+        known += weights @ covariance @ weights.T
+        members = tuple(estimate.names[j] for j in used)
+        units = tuple(PARAMETER_UNITS[name] for name in members)
+        called = f"{estimate.test} ({' + '.join(Path(s).name for s in estimate.source.split(' + '))})"
+        seen.append(called)
+        if again := seen.count(called) - 1:
+            called = f"{called} {again + 1}"
+        for begin, share in (("own", 1.0 - test.model_share), ("beyond noise", test.model_share)):
+            if share > 0:
+                group = Group(f"{begin}: {called}", members, units, share * covariance)
+                columns.add(group, scale[:, None] * weights)
+    _disagreement(joint, known, scale, columns)
+
+
+def _disagreement(joint: JointEstimate, known: Array, scale: Array, columns: _Columns) -> None:
+    """What the tests were widened by: their errors as weighed beyond their own, not negative but for rounding."""
+    own: Array = joint.weighted.own
+    added = 0.5 * (own - known + (own - known).T)
+    at = [i for i in range(len(own)) if added[i, i] > _LEAST_PART * own[i, i]]
+    if not at:
+        return
+    names = joint.weighted.names
+    std = np.sqrt(np.diag(added)[at])
+    sizes, turn = np.linalg.eigh(added[np.ix_(at, at)] / np.outer(std, std))
+    sound = (turn * np.maximum(sizes, 0.0)) @ turn.T * np.outer(std, std)
+    members = tuple(names[i] for i in at)
+    group = Group("disagreement", members, tuple(PARAMETER_UNITS[n] for n in members), 0.5 * (sound + sound.T))
+    columns.add(group, scale[:, None] * np.eye(len(names))[:, at])
+
+
+def _shift(source: KnownSource, parameters: IdentifiedParameters) -> Array:
+    """What one standard deviation of what is taken as known does to the parameters, shape (n,)."""
+    total = np.zeros(len(parameters.values))
+    for number, step in source.effects.items():
+        total = total + parameters.by_number.get(number, np.zeros(len(total))) * step
+    return total
+
+
+def _not_as_identified(parameters: IdentifiedParameters, budgets: Budgets) -> list[str]:
+    """A note for parameters whose standard uncertainty is not the file's."""
+    found = np.sqrt(np.diag(budgets.covariance))
+    other = [
+        f"u({name}) is {u:.3g} instead of {parameters.std[name]:.3g}"
+        for name, u in zip(parameters.values, found.tolist(), strict=True)
+        if abs(u - parameters.std[name]) > _OTHER * parameters.std[name]
+    ]
+    if not other:
+        return []
+    return [
+        f"the rig file's standard uncertainties are not those the file was identified with: {'; '.join(other)}; "
+        "`rig identify` with this rig file weighs the tests by them"
+    ]
