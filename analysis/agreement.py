@@ -2,9 +2,9 @@
 """Whether measurement and model agree: one statistic per point, one over all points, one per single cause.
 
 Three questions share the chance of a false alarm, 5 % of campaigns with nothing wrong: whether any single cause
-(a parameter, a mass, a zero, a gain) would explain a significant part (4 %), whether any one point stands out (0.5 %
-over all points), and whether all points together do (0.5 %). The first is the sharpest against what a rig is usually
-wrong in; the others need no list of causes. Source: docs/theory/validation.md.
+(a parameter, a mass, a zero, a gain) would explain a significant part (4 %), whether any one point or release stands
+out (0.5 % over all of them), and whether all of them together do (0.5 %). The first is the sharpest against what a rig
+is usually wrong in; the others need no list of causes. Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Agreement:
 
     Attributes:
         together: of all rows of all points that could be compared.
-        points: of each point's rows.
+        points: of each point's rows: "A" of its steady state, "A release" of what happened right after its release.
         point_limit: the p below which a point fails.
         cause_z: cause → its best size in standard deviations of what the points would show of it.
         cause_limit: the largest |cause_z| of all causes that chance reaches in CAUSES_LEVEL of campaigns.
@@ -111,11 +111,10 @@ def agreement(differences: Differences, directions: Mapping[str, Array]) -> Agre
         differences: of every point that was compared.
         directions: cause → change of the differences per unit of the cause, shape (m,).
     """
-    names = tuple(dict.fromkeys(point for point, _ in differences.rows))
-    points = {name: Statistic.of(differences.of(name)) for name in names}
+    points = {name: Statistic.of(differences.of(at)) for name, at in differences.groups.items()}
     z, correlation = cause_statistics(differences, directions)
     return Agreement(
-        Statistic.of(differences), points, POINTS_LEVEL / max(1, len(names)), z, largest_by_chance(correlation)
+        Statistic.of(differences), points, POINTS_LEVEL / max(1, len(points)), z, largest_by_chance(correlation)
     )
 
 
