@@ -76,6 +76,11 @@ class Rows(Protocol):
         """Label → shift of the values for one standard deviation of an error that other rows share, shape (m,)."""
         ...
 
+    @property
+    def used_for(self) -> tuple[str, ...]:
+        """Parameters that this very release has helped to identify."""
+        ...
+
 
 @dataclass(frozen=True)
 class Compared:
@@ -98,6 +103,9 @@ class Differences:
         by_parameter: derivatives of the differences by the identified parameters, shape (m, n).
         parameters: names of these, n of them.
         parameter_covariance: their own covariance, without the shared errors, shape (n, n).
+        uncertain: by_parameter with 0 where a release has helped to identify the parameter, shape (m, n). Such a
+            parameter's error is made of the release's own: adding both would count the same noise twice, while it
+            takes from the difference. Without it the covariance is still too large rather than too small.
         by_number: number of the rig file → derivative of the differences by it, the parameters as they are, shape (m,).
         shared: label → shift of the differences for one standard deviation of an error that rows share, shape (m,).
     """
@@ -108,13 +116,14 @@ class Differences:
     by_parameter: Array
     parameters: tuple[str, ...]
     parameter_covariance: Array
+    uncertain: Array
     by_number: Mapping[str, Array]
     shared: Mapping[str, Array]
 
     @cached_property
     def covariance(self) -> Array:
         """Of the differences, shape (m, m)."""
-        total = self.own + self.by_parameter @ self.parameter_covariance @ self.by_parameter.T
+        total = self.own + self.uncertain @ self.parameter_covariance @ self.uncertain.T
         for shift in self.shared.values():
             total = total + np.outer(shift, shift)
         return 0.5 * (total + total.T)
@@ -150,8 +159,8 @@ class Differences:
         at = list(at)
         return Differences(
             tuple(self.rows[i] for i in at), self.values[at], self.own[np.ix_(at, at)], self.by_parameter[at],
-            self.parameters, self.parameter_covariance, {n: v[at] for n, v in self.by_number.items()},
-            {label: v[at] for label, v in self.shared.items()},
+            self.parameters, self.parameter_covariance, self.uncertain[at],
+            {n: v[at] for n, v in self.by_number.items()}, {label: v[at] for label, v in self.shared.items()},
         )  # fmt: skip
 
 
@@ -189,7 +198,7 @@ def _joined(named: Sequence[tuple[str, _Part]], rig: Rig, identified: Identified
     def joined(of: str, key: str) -> Array:
         return np.concatenate([getattr(part, of).get(key, np.zeros(len(part.values))) for part in parts])
 
-    n = len(identified.values)
+    names, n = list(identified.values), len(identified.values)
     return Differences(
         tuple((name, row) for name, part in named for row in part.rows),
         np.concatenate([part.values for part in parts] or [np.empty(0)]),
@@ -197,6 +206,7 @@ def _joined(named: Sequence[tuple[str, _Part]], rig: Rig, identified: Identified
         np.concatenate([part.by_parameter for part in parts] or [np.empty((0, n))]),
         tuple(identified.values),
         identified.own_covariance,
+        np.concatenate([part.by_parameter * ~np.isin(names, part.used_for) for part in parts] or [np.empty((0, n))]),
         {name: joined("by_number", name) for name in numbers},
         {label: joined("shared", label) for label in labels},
     )
@@ -212,6 +222,7 @@ class _Part:
     by_parameter: Array
     by_number: Mapping[str, Array]
     shared: Mapping[str, Array]
+    used_for: tuple[str, ...] = ()
     steady: bool = True
 
     @classmethod
@@ -223,7 +234,9 @@ class _Part:
             values = values + change * by.get(name, release.by_number.get(name, np.zeros(len(values))))
         columns = [by.get(name, np.zeros(len(values))) for name in parameters]
         by_parameter = np.stack(columns, axis=1) if columns else np.zeros((len(values), 0))
-        return cls(release.rows, values, release.own, by_parameter, release.by_number, release.shared, steady=False)
+        return cls(
+            release.rows, values, release.own, by_parameter, release.by_number, release.shared, release.used_for, False
+        )
 
     @classmethod
     def of(cls, compared: Compared, rig: Rig) -> _Part:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from identification.pendulums.release_search import Effort, NotFollowed, Search,
 from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE, Knowledge
 from identification.pendulums.transient import TransientProblem
 from identification.pendulums.unknown_phase import angles_to_try, race
-from identification.release_check.model import Condensed, Fitted, condensed, opened
+from identification.release_check.model import Condensed, Fitted, condensed, fitted_with_numbers, opened
 from identification.threads import on_one_thread
 from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
@@ -59,6 +60,7 @@ class ReleaseRows:
         parameters: names of these, n of them.
         by_number: number of the rig file → derivative of the values by it, shape (m,).
         shared: label → shift of the values for one standard deviation of an error that others share, shape (m,).
+        used_for: parameters that this very release has helped to identify: their errors are not independent of its own.
         chi2_per_dof: of the readings with everything open.
         sentence: in words; why there are no rows, or that the motion is not followed.
     """
@@ -71,6 +73,7 @@ class ReleaseRows:
     parameters: tuple[str, ...]
     by_number: Mapping[str, Array] = field(default_factory=dict[str, Array])
     shared: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    used_for: tuple[str, ...] = ()
     chi2_per_dof: float = math.nan
     sentence: str = ""
 
@@ -154,34 +157,45 @@ class _Case:
         count = len(found.values)
         return ReleaseRows(
             point, tuple(f"release {i + 1}" for i in range(count)), found.values, found.own, by, tuple(values),
-            by_number, shared, found.chi2_per_dof, f"followed; χ² of the readings {found.chi2_per_dof:.3g} each",
+            by_number, shared, _used_for(run, self.identified), found.chi2_per_dof,
+            f"followed; χ² of the readings {found.chi2_per_dof:.3g} each",
         )  # fmt: skip
 
     def _fitted(self, release: Release) -> Fitted:
-        """The release with everything open: from near what was identified, else from far.
+        """The release with everything open: from near what was identified, from far, with other pendulums.
 
         Raises:
             FitFailed: the model does not follow the angles.
         """
-        try:
-            return self._opened(release, self._std(_WIDE))
-        except FitFailed:
-            return self._opened(release, self._std(math.inf))
+        last: FitFailed | None = None
+        for wide, numbers in ((_WIDE, False), (math.inf, False), (_WIDE, True)):
+            try:
+                return self._opened(release, self._std(wide), numbers)
+            except FitFailed as error:
+                last = last or error
+        assert last is not None
+        raise last
 
-    def _opened(self, release: Release, std: Mapping[str, float]) -> Fitted:
+    def _opened(self, release: Release, std: Mapping[str, float], numbers: bool) -> Fitted:
         shape, torque = self._friction(release)
         problem = opened(release.problem(shape), std)
         start = problem.prior.copy()
         if shape is not None:
             start[16:18] = torque
         horizons = _horizons(release)
-        starts = [(start, False)]
+        starts = [start]
         if not release.run.phase_absolute:
             turns = angles_to_try(laid_over(release.knowledge, start[:2], start[SUSPENSION]))
             trials = [np.r_[start[:-1], turn] for turn in turns]
-            starts = [(place, False) for place in race(problem, trials, horizons[:-1], holding)]
-        minimum = _followed(problem, horizons, starts, release)
-        return Fitted(release, problem, shape, minimum, horizons[-1])
+            starts = race(problem, trials, horizons[:-1], holding)
+
+        def solve(problem: TransientProblem, *from_places: Array) -> Minimum:
+            search = Search(problem, horizons, len(from_places), Effort(), lambda _: None)
+            return search.answers([(place, False) for place in from_places], release.run.source)[0]
+
+        if numbers:
+            return fitted_with_numbers(release, problem, shape, horizons[-1], solve, starts[0])
+        return Fitted(release, problem, shape, solve(problem, *starts), horizons[-1])
 
     def _std(self, wide: float) -> dict[str, float]:
         """How far each parameter's logarithm is opened, standard deviations of it; at most to what a file is worth."""
@@ -219,19 +233,24 @@ class _Case:
         return "torque", Friction(torque, none, contact, none).torque_at(release.speed_rad_s)
 
 
+def _used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
+    """Parameters whose identification took this run's values, by its digest or its log's name."""
+    kept: list[Any] = identified.provenance.get("tests", [])
+    digest, found = str(run.metadata.get("digest") or ""), dict[str, None]()
+    for test in kept:
+        digests, logs = str(test.get("digest", "")).split(" + "), str(test.get("log", "")).split(" + ")
+        same = digest in digests if digest and any(digests) else Path(run.source).name in logs
+        if same and not test.get("left_out"):
+            found |= dict.fromkeys(test.get("values", {}))
+    return tuple(name for name in identified.values if name in found)
+
+
 def _horizons(release: Release) -> list[float]:
     """Last instants over the first seconds, every other one of a release's."""
     end = release.begin_s + _LONGEST_S
     every = release.horizons("balanced")
     last = min(every[-1], end)
     return [h for h in every[:-1:2] if h < 0.7 * last + 0.3 * release.begin_s] + [last]
-
-
-def _followed(
-    problem: TransientProblem, horizons: list[float], starts: list[tuple[Array, bool]], release: Release
-) -> Minimum:
-    search = Search(problem, horizons, len(starts), Effort(), lambda _: None)
-    return search.answers(starts, release.run.source)[0]
 
 
 def _off(error: FitFailed, release: Release) -> tuple[float, float]:

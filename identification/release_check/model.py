@@ -9,8 +9,8 @@ derivative by what was assumed is −Uᵀ S. Source: docs/theory/validation.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ PLACES: Mapping[str, int] = {
 _DRAWS = 60
 _LEAST = 1.0  # standard deviations of a row for sizes worth seeing
 _STEP, _TURN_RAD = 1e-4, 1e-5  # of a number; of the index angle
+_OPEN_NUMBERS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
+_NUMBER_STD, _FURTHEST = 0.02, 0.5  # shares of these numbers
 _INDEPENDENT = 1e-9  # of the largest scaled column
 
 
@@ -60,6 +62,7 @@ class Fitted:
     Attributes:
         release, problem, shape: what was fitted, with dry friction of a shape.
         minimum, end_s: its end, and the last instant.
+        moved: number of the rig file → how far the release's knowledge has it above what the file says.
     """
 
     release: Release
@@ -67,6 +70,7 @@ class Fitted:
     shape: Shape | None
     minimum: Minimum
     end_s: float
+    moved: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def readings(self) -> int:
@@ -123,7 +127,12 @@ def condensed(fitted: Fitted, assumed: Mapping[str, float], worth: Mapping[str, 
         columns[name] = np.r_[column, np.zeros(len(residual) - n)]
     names = list(columns)
     all_columns = np.column_stack([columns[name] for name in names])
-    off = np.array([assumed[name] - minimum.theta[places[name]] if name in places else 0.0 for name in names])
+    off = np.array(
+        [
+            assumed[name] - minimum.theta[places[name]] if name in places else -fitted.moved.get(name, 0.0)
+            for name in names
+        ]
+    )
     at_assumed = residual + all_columns @ off
     left = all_columns - basis @ (basis.T @ all_columns)
     rows, sizes, _ = np.linalg.svd(left * np.array([worth.get(name, 0.0) for name in names]), full_matrices=False)
@@ -160,6 +169,52 @@ def _own(fitted: Fitted, rows: Array) -> tuple[Array, float]:
     chi2 = problem.chi2_per_dof(minimum, end_s)
     stretch = max(1.0, together / white) ** 2 * max(1.0, chi2 / level / (1 + 3 * np.sqrt(2 / n)))
     return np.diag(variance * stretch), chi2
+
+
+def fitted_with_numbers(
+    release: Release, problem: TransientProblem, shape: Shape | None, end_s: float,
+    solve: Callable[[TransientProblem, Array], Minimum], start: Array,
+) -> Fitted:  # fmt: skip
+    """A fit that has the pendulums' masses and lengths open beside all else.
+
+    Args:
+        problem: of the release, without them.
+        solve: (problem, θ to start from) ↦ its minimum at end_s. θ ends with relative changes of the numbers.
+    """
+    values, known, p = physical_numbers(release.knowledge.physics), release.knowledge, len(problem.prior)
+
+    def at(shares: Array) -> Release:
+        moved = known
+        for name, share in zip(_OPEN_NUMBERS, shares.tolist(), strict=True):
+            moved = moved.moved(name, share * values[name])
+        return release.laid_over(moved)
+
+    def predict(theta: Array, last_s: float) -> tuple[Array, Array]:
+        own, shares = theta[:p], theta[p:]
+        if np.max(np.abs(shares)) > _FURTHEST:
+            return np.full(sum(len(c.time_s) for c in problem.cut(last_s)), np.nan), np.zeros((0, len(theta)))
+        angle, slope = at(shares).problem(shape).predict(own, last_s)
+        columns = [slope]
+        for j in range(len(shares)):
+            changed, _ = at(shares + _STEP * np.eye(len(shares))[j]).problem(shape).predict(own, last_s)
+            columns.append((changed - angle)[:, None] / _STEP)
+        return angle, np.column_stack(columns)
+
+    k = len(_OPEN_NUMBERS)
+    wider = replace(
+        problem, predict=predict, prior=np.r_[problem.prior, np.zeros(k)],
+        prior_std=np.r_[problem.prior_std, np.full(k, _NUMBER_STD)],
+    )  # fmt: skip
+    found = solve(wider, np.r_[start, np.zeros(k)])
+    shares, rows = found.theta[p:], len(found.residual) - k  # what is known of the numbers stands last
+    own = Minimum(
+        found.theta[:p], found.covariance[:p, :p], found.residual[:rows], found.jacobian[:rows, :p],
+        found.converged, found.iterations,
+    )  # fmt: skip
+    there = at(shares)
+    fixed = replace(there.problem(shape), prior=problem.prior, prior_std=problem.prior_std)
+    moved = {name: share * values[name] for name, share in zip(_OPEN_NUMBERS, shares.tolist(), strict=True)}
+    return Fitted(there, fixed, shape, own, end_s, moved)
 
 
 def opened(problem: TransientProblem, std: Mapping[str, float]) -> TransientProblem:
