@@ -7,9 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from synthetic import Campaign
+from synthetic import STEP, Campaign
 
 from daq.signals.run import Run
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.motions.integrate import locked_state
+from identification.pendulums.frictional_motion import frictional_motion
 from identification.release_check import ReleaseRows, check_releases
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
 from rig_configs.known import ZERO_A, ZERO_B, known_label
@@ -128,6 +131,37 @@ def test_what_is_not_identified_is_left_open(campaign: Campaign, release_d: Run)
     assert "c3_Nms_per_rad" not in rows.parameters
     reduced = found.without(["c3_Nms_per_rad"])
     assert rows.values @ np.linalg.solve(covariance(rows, reduced), rows.values) < 3 * len(rows.values)
+
+
+def with_dry_friction(campaign: Campaign, run: Run, torque_Nm: float) -> Run:
+    """The same release of pendulums that dry friction brakes too."""
+    go, rng = run.releases[0].time_s, np.random.default_rng(11)
+    turn = np.polynomial.Polynomial.fit(run.mark_time_s, run.mark_phase_rad, 1)
+    phase, speed = float(turn(go)), float(turn.deriv()(go))
+    history = SpeedHistory.constant(speed, phase - speed * go)
+    start = locked_state(campaign.truth, speed, phase, 2e-3, math.pi - 1e-3)
+    time = np.arange(go, run.angle_time_s[-1], 1e-3)
+    packed = campaign.truth.packed()
+    moved, _ = frictional_motion(
+        start, go, time, 5e-4, history.knots_s, history.coefficients, packed, np.full(2, torque_Nm)
+    )
+    angle = np.stack([np.interp(run.angle_time_s, time, moved[:, i], left=start[i]) for i in (2, 3)], axis=1)
+    noisy = (angle + campaign.zero) / STEP + 0.3 * rng.standard_normal(angle.shape)
+    return dataclasses.replace(run, angle_rad=np.round(noisy) * STEP)
+
+
+def test_dry_friction_that_an_identification_found_is_in_the_model() -> None:
+    campaign, torque = Campaign(12, clock_rate_std=0.0), 4e-5
+    run, found = with_dry_friction(campaign, campaign.point("E", 6.0), torque), identified(campaign, 10)
+    friction = {"coulomb_a_Nm": 0.8 * torque, "coulomb_b_Nm": 1.2 * torque}
+    entry = {"test": "spin-down", "log": "spin-down.mcap", "values": {}, "friction": friction}
+    knowing = dataclasses.replace(found, provenance={"tests": [entry]})
+    rows = checked(run, campaign.rig, knowing)
+    chi2 = rows.values @ np.linalg.solve(covariance(rows, knowing), rows.values)
+    assert rows.chi2_per_dof < 1.3
+    assert chi2 < 3 * len(rows.values)
+    without = checked(run, campaign.rig, found)
+    assert without.values @ np.linalg.solve(covariance(without, found), without.values) > 3 * chi2
 
 
 def test_a_run_without_a_release_brings_no_rows(campaign: Campaign, release_d: Run) -> None:
