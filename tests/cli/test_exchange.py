@@ -97,8 +97,8 @@ def balanced_point(path: Path, rate: float = 1000.0) -> Path:
     speed = 0.998 * physics.speed_rad_s(RIG.points["B"].speed_ratio)
     psi, locked = 0.4 + speed * t, t < 5.0
     history = SpeedHistory.constant(speed, 0.4)
-    before = np.array([locked_state(physics, speed, at, -2e-3, math.pi + 3e-3) for at in psi[locked]])
-    start = locked_state(physics, speed, 0.4 + 5.0 * speed, -2e-3, math.pi + 3e-3)
+    before = np.array([locked_state(physics, speed, at, 2e-3, math.pi - 3e-3) for at in psi[locked]])
+    start = locked_state(physics, speed, 0.4 + 5.0 * speed, 2e-3, math.pi - 3e-3)
     after = simulate(physics, Scene(history, (True, True), start), t[~locked], 1e-4).state
     states = np.vstack([before, after])
     theta3, theta4 = (states[:, i] + 0.002 * rng.normal(size=len(t)) for i in (2, 3))
