@@ -44,6 +44,7 @@ _EXACT = 1e-7  # std of a logarithm that was set
 _DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 _NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)), **dict.fromkeys(_DAMPING, 2.5)}
 _NO_MOTION = 1e3  # standard deviations of a release along which the model has no finite motion
+_NOT_FOLLOWED = "release"  # the one row of such a release
 _THREADS = 2
 
 
@@ -76,6 +77,11 @@ class ReleaseRows:
     used_for: tuple[str, ...] = ()
     chi2_per_dof: float = math.nan
     sentence: str = ""
+
+    @property
+    def followed(self) -> bool:
+        """Whether the release was compared and some rig near the identified one moves like it."""
+        return bool(self.rows) and self.rows != (_NOT_FOLLOWED,)
 
 
 @on_one_thread
@@ -135,8 +141,8 @@ class _Case:
         except FitFailed as error:
             z, chi2 = _off(error, release)
             return replace(
-                empty, rows=("release",), values=np.array([z]), own=np.eye(1), by_parameter=np.zeros((1, len(names))),
-                chi2_per_dof=chi2, sentence=f"{error}: no rig near the identified one moves like this",
+                empty, rows=(_NOT_FOLLOWED,), values=np.array([z]), own=np.eye(1),
+                by_parameter=np.zeros((1, len(names))), chi2_per_dof=chi2, sentence=f"{error}: no rig near the identified one moves like this",
             )  # fmt: skip
         assumed = {name: math.log(value) for name, value in self.identified.values.items()}
         found = condensed(fitted, assumed | {ZERO_A: 0.0, ZERO_B: 0.0}, self._worth())

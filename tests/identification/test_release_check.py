@@ -110,6 +110,7 @@ def test_a_pendulum_that_stays_in_its_lock_fails_plainly(campaign: Campaign, rel
     held[:, 0] = held[0, 0]
     rows = checked(dataclasses.replace(release_d, angle_rad=held), campaign.rig, identified(campaign, 7))
     assert len(rows.rows) == 1
+    assert not rows.followed
     assert rows.values[0] > 20
     assert "follow" in rows.sentence
 
@@ -170,4 +171,7 @@ def test_a_run_without_a_release_brings_no_rows(campaign: Campaign, release_d: R
     late = dataclasses.replace(
         release_d, angle_time_s=release_d.angle_time_s[:200], angle_rad=release_d.angle_rad[:200]
     )
-    assert checked(late, campaign.rig, found).rows == ()
+    none = checked(late, campaign.rig, found)
+    assert none.rows == ()
+    assert not none.followed
+    assert "too few" in none.sentence
