@@ -140,9 +140,11 @@ class _Case:
             fitted = self._fitted(release)
         except FitFailed as error:
             z, chi2 = _off(error, release)
+            why = f"{error}: no rig near the identified one moves like this"
+            none = np.zeros((1, len(names)))
             return replace(
-                empty, rows=(_NOT_FOLLOWED,), values=np.array([z]), own=np.eye(1),
-                by_parameter=np.zeros((1, len(names))), chi2_per_dof=chi2, sentence=f"{error}: no rig near the identified one moves like this",
+                empty, rows=(_NOT_FOLLOWED,), values=np.array([z]), own=np.eye(1), by_parameter=none,
+                chi2_per_dof=chi2, sentence=why,
             )  # fmt: skip
         assumed = {name: math.log(value) for name, value in self.identified.values.items()}
         found = condensed(fitted, assumed | {ZERO_A: 0.0, ZERO_B: 0.0}, self._worth())
