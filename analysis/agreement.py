@@ -2,9 +2,9 @@
 """Whether measurement and model agree: one statistic per point, one over all points, one per single cause.
 
 Three questions share the chance of a false alarm, 5 % of campaigns with nothing wrong: whether any single cause
-(a parameter, a mass, a zero, a gain) would explain a significant part (4 %), whether any one point stands out (0.5 %
-over all points), and whether all points together do (0.5 %). The first is the sharpest against what a rig is usually
-wrong in; the others need no list of causes. Source: docs/theory/validation.md.
+(a parameter, a mass, a zero, a gain) would explain a significant part (4 %), whether any one point or release stands
+out (0.5 % over all of them), and whether all of them together do (0.5 %). The first is the sharpest against what a rig
+is usually wrong in; the others need no list of causes. Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Agreement:
 
     Attributes:
         together: of all rows of all points that could be compared.
-        points: of each point's rows.
+        points: of each point's rows: "A" of its steady state, "A release" of what happened right after its release.
         point_limit: the p below which a point fails.
         cause_z: cause → its best size in standard deviations of what the points would show of it.
         words: cause → what it is, for a reader.
@@ -114,12 +114,11 @@ def agreement(differences: Differences, causes: Sequence[Cause]) -> Agreement:
         differences: of every point that was compared.
         causes: of which one alone may be significant.
     """
-    names = tuple(dict.fromkeys(point for point, _ in differences.rows))
-    points = {name: Statistic.of(differences.of(name)) for name in names}
+    points = {name: Statistic.of(differences.of(at)) for name, at in differences.groups.items()}
     z, correlation = cause_statistics(differences, {cause.name: cause.direction for cause in causes})
     words = {cause.name: cause.words for cause in causes}
     limit = largest_by_chance(correlation)
-    return Agreement(Statistic.of(differences), points, POINTS_LEVEL / max(1, len(names)), z, words, limit)
+    return Agreement(Statistic.of(differences), points, POINTS_LEVEL / max(1, len(points)), z, words, limit)
 
 
 def cause_statistics(differences: Differences, directions: Mapping[str, Array]) -> tuple[dict[str, float], Array]:

@@ -2,7 +2,8 @@
 """Measured minus predicted at all points, with everything that makes the differences uncertain and correlated.
 
 A row is one quantity of one point: θ3, θ4 and the order-1 amplitudes of x and y; where the model says "no vibration"
-the real and the imaginary part of an amplitude. The rms radius follows from these and is no row. An error that enters
+the real and the imaginary part of an amplitude. The rms radius follows from these and is no row. What happened right
+after a release comes as rows of its own, in standard deviations, from who fitted it (`Rows`). An error that enters
 both the measurement and the prediction (a laser's gain through S_P, an encoder's zero, a mass) counts once, with the
 difference of its two effects. Source: docs/theory/validation.md.
 """
@@ -13,6 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,57 @@ Array = NDArray[np.float64]
 _ROWS = ("θ3", "θ4", "x amplitude", "y amplitude")
 _NOISE_ROWS = ("θ3", "θ4", "x real", "x imaginary", "y real", "y imaginary")
 _LEAST = 1e-10  # least eigenvalue of the rows' correlation
+RELEASE = "release"
+"""Begin of the names of a release's rows, and what is added to its point's name where it is judged by itself."""
+
+
+class Rows(Protocol):
+    """What one release says of the model, linear in what was assumed: m rows, n parameters."""
+
+    @property
+    def point(self) -> str:
+        """The point's name."""
+        ...
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the rows, each beginning with RELEASE."""
+        ...
+
+    @property
+    def values(self) -> Array:
+        """Measured − predicted, any unit, shape (m,)."""
+        ...
+
+    @property
+    def own(self) -> Array:
+        """Covariance of what only this release has, shape (m, m)."""
+        ...
+
+    @property
+    def by_parameter(self) -> Array:
+        """Derivatives of the values by identified parameters, shape (m, n)."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of these."""
+        ...
+
+    @property
+    def by_number(self) -> Mapping[str, Array]:
+        """Number of the rig file → derivative of the values by it, the parameters as they are, shape (m,)."""
+        ...
+
+    @property
+    def shared(self) -> Mapping[str, Array]:
+        """Label → shift of the values for one standard deviation of an error that other rows share, shape (m,)."""
+        ...
+
+    @property
+    def used_for(self) -> tuple[str, ...]:
+        """Parameters that this very release has helped to identify."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -44,12 +97,15 @@ class Differences:
 
     Attributes:
         rows: point and quantity of each row, m of them.
-        values: measured − predicted, rad and m, shape (m,).
+        values: measured − predicted, rad and m, of a release in its own unit, shape (m,).
         own: covariance of what only one row or one point has: statistics, rounding, what was still to come, the speed;
             shape (m, m).
         by_parameter: derivatives of the differences by the identified parameters, shape (m, n).
         parameters: names of these, n of them.
         parameter_covariance: their own covariance, without the shared errors, shape (n, n).
+        uncertain: by_parameter with 0 where a release has helped to identify the parameter, shape (m, n). Such a
+            parameter's error is made of the release's own: adding both would count the same noise twice, while it
+            takes from the difference. Without it the covariance is still too large rather than too small.
         by_number: number of the rig file → derivative of the differences by it, the parameters as they are, shape (m,).
         shared: label → shift of the differences for one standard deviation of an error that rows share, shape (m,).
     """
@@ -60,13 +116,14 @@ class Differences:
     by_parameter: Array
     parameters: tuple[str, ...]
     parameter_covariance: Array
+    uncertain: Array
     by_number: Mapping[str, Array]
     shared: Mapping[str, Array]
 
     @cached_property
     def covariance(self) -> Array:
         """Of the differences, shape (m, m)."""
-        total = self.own + self.by_parameter @ self.parameter_covariance @ self.by_parameter.T
+        total = self.own + self.uncertain @ self.parameter_covariance @ self.uncertain.T
         for shift in self.shared.values():
             total = total + np.outer(shift, shift)
         return 0.5 * (total + total.T)
@@ -84,46 +141,72 @@ class Differences:
         white = self.whitener @ self.values
         return float(white @ white)
 
-    def of(self, point: str) -> Differences:
-        """One point's rows alone."""
-        at = [i for i, (name, _) in enumerate(self.rows) if name == point]
+    @property
+    def groups(self) -> dict[str, list[int]]:
+        """Rows that are judged by themselves: "A" of a point's steady state, "A release" of what led to it."""
+        found: dict[str, list[int]] = {}
+        for i, (point, row) in enumerate(self.rows):
+            name = f"{point} {RELEASE}" if row.startswith(RELEASE) else point
+            found.setdefault(name, []).append(i)
+        return found
+
+    def of(self, at: Sequence[int]) -> Differences:
+        """Some rows alone.
+
+        Args:
+            at: their places.
+        """
+        at = list(at)
         return Differences(
             tuple(self.rows[i] for i in at), self.values[at], self.own[np.ix_(at, at)], self.by_parameter[at],
-            self.parameters, self.parameter_covariance, {n: v[at] for n, v in self.by_number.items()},
-            {label: v[at] for label, v in self.shared.items()},
+            self.parameters, self.parameter_covariance, self.uncertain[at],
+            {n: v[at] for n, v in self.by_number.items()}, {label: v[at] for label, v in self.shared.items()},
         )  # fmt: skip
 
 
-def differences(compared: Sequence[Compared], rig: Rig, identified: IdentifiedParameters) -> Differences:
+def differences(
+    compared: Sequence[Compared], rig: Rig, identified: IdentifiedParameters, releases: Sequence[Rows] = (),
+    changed: Mapping[str, float] | None = None,
+) -> Differences:  # fmt: skip
     """The rows of all points.
 
     Args:
         compared: points whose state is the predicted one.
         rig: gains' and zeros' uncertainties.
         identified: what the predictions were made with.
+        releases: what happened right after releases.
+        changed: parameter or number of the rig file → how far it is above what the releases were held against.
     """
-    parts = [_Part.of(each, rig) for each in compared]
+    names = tuple(identified.values)
+    parts = [(each.name, _Part.of(each, rig)) for each in compared]
+    parts += [(each.point, _Part.of_release(each, names, changed or {})) for each in releases]
+    return _joined(parts, rig, identified)
+
+
+def _joined(named: Sequence[tuple[str, _Part]], rig: Rig, identified: IdentifiedParameters) -> Differences:
+    parts = [part for _, part in named]
     granted = [math.radians(rig.validation.model_std_deg), 1e-3 * rig.validation.model_std_mm]
     labels = dict.fromkeys(label for part in parts for label in part.shared)
     numbers = dict.fromkeys(name for part in parts for name in part.by_number)
     sizes = [len(part.values) for part in parts]
     own, at = np.zeros((sum(sizes), sum(sizes))), 0
     for part, size in zip(parts, sizes, strict=True):
-        allowance = np.r_[np.full(2, granted[0]), np.full(size - 2, granted[1])]
+        allowance = np.r_[np.full(2, granted[0]), np.full(size - 2, granted[1])] if part.steady else np.zeros(size)
         own[at : at + size, at : at + size] = part.own + np.diag(allowance**2)
         at += size
 
     def joined(of: str, key: str) -> Array:
         return np.concatenate([getattr(part, of).get(key, np.zeros(len(part.values))) for part in parts])
 
-    n = len(identified.values)
+    names, n = list(identified.values), len(identified.values)
     return Differences(
-        tuple((each.name, row) for each, part in zip(compared, parts, strict=True) for row in part.rows),
+        tuple((name, row) for name, part in named for row in part.rows),
         np.concatenate([part.values for part in parts] or [np.empty(0)]),
         own,
         np.concatenate([part.by_parameter for part in parts] or [np.empty((0, n))]),
         tuple(identified.values),
         identified.own_covariance,
+        np.concatenate([part.by_parameter * ~np.isin(names, part.used_for) for part in parts] or [np.empty((0, n))]),
         {name: joined("by_number", name) for name in numbers},
         {label: joined("shared", label) for label in labels},
     )
@@ -131,14 +214,29 @@ def differences(compared: Sequence[Compared], rig: Rig, identified: IdentifiedPa
 
 @dataclass(frozen=True)
 class _Part:
-    """One point's rows."""
+    """One point's rows, of its steady state or of its release."""
 
     rows: tuple[str, ...]
     values: Array
     own: Array
     by_parameter: Array
-    by_number: dict[str, Array]
-    shared: dict[str, Array]
+    by_number: Mapping[str, Array]
+    shared: Mapping[str, Array]
+    used_for: tuple[str, ...] = ()
+    steady: bool = True
+
+    @classmethod
+    def of_release(cls, release: Rows, parameters: Sequence[str], changed: Mapping[str, float]) -> _Part:
+        """A release's, as they are where what is assumed has changed."""
+        by = dict(zip(release.parameters, release.by_parameter.T, strict=True))
+        values = release.values.copy()
+        for name, change in changed.items():
+            values = values + change * by.get(name, release.by_number.get(name, np.zeros(len(values))))
+        columns = [by.get(name, np.zeros(len(values))) for name in parameters]
+        by_parameter = np.stack(columns, axis=1) if columns else np.zeros((len(values), 0))
+        return cls(
+            release.rows, values, release.own, by_parameter, release.by_number, release.shared, release.used_for, False
+        )
 
     @classmethod
     def of(cls, compared: Compared, rig: Rig) -> _Part:

@@ -59,9 +59,9 @@ def noticed(differences: Differences, causes: Sequence[Cause]) -> tuple[Noticed,
         differences: of all points.
         causes: with directions over the same rows.
     """
-    names = tuple(dict.fromkeys(point for point, _ in differences.rows))
-    parts = {name: differences.of(name) for name in names}
-    at = {name: [i for i, (point, _) in enumerate(differences.rows) if point == name] for name in names}
+    at = differences.groups
+    names = tuple(at)
+    parts = {name: differences.of(rows) for name, rows in at.items()}
 
     def size(part: Differences, rows: list[int], cause: Cause) -> float:
         length = float(np.linalg.norm(part.whitener @ cause.direction[rows]))

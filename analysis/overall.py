@@ -10,7 +10,7 @@ import numpy as np
 
 from analysis.agreement import Agreement, agreement
 from analysis.causes import Cause, causes
-from analysis.differences import Compared, Differences, differences
+from analysis.differences import Compared, Differences, Rows, differences
 from analysis.errors import NoStableState
 from analysis.explanations import Explanations, explanations
 from analysis.noticed import Noticed, noticed
@@ -43,21 +43,23 @@ class Overall:
 
 def overall(
     compared: Sequence[Compared], rig: Rig, identified: IdentifiedParameters,
-    axis_angle_deg: tuple[float, float] | None = None,
+    axis_angle_deg: tuple[float, float] | None = None, releases: Sequence[Rows] = (),
 ) -> Overall | None:  # fmt: skip
     """What all points say together; None without any.
 
     Args:
         compared: points whose measured state is the predicted one.
         rig, identified, axis_angle_deg: what the predictions were made with.
+        releases: what happened right after releases, held against the same.
     """
-    if not compared:
+    releases = tuple(each for each in releases if each.rows)
+    if not compared and not releases:
         return None
     if axis_angle_deg is not None:
         identified = replace(identified, axis_angle_deg=axis_angle_deg)
-    found = differences(compared, rig, identified)
+    found = differences(compared, rig, identified, releases)
     suspects = causes(found, rig, identified)
-    case = _Case(tuple(compared), rig, identified, found, suspects)
+    case = _Case(tuple(compared), rig, identified, found, suspects, releases)
     whole = agreement(found, suspects)
     return Overall(whole, None if whole.passed else case.explained(), noticed(found, suspects), case)
 
@@ -71,6 +73,7 @@ class _Case:
     identified: IdentifiedParameters
     differences: Differences
     causes: tuple[Cause, ...]
+    releases: tuple[Rows, ...] = ()
 
     def explained(self) -> Explanations:
         return explanations(self.differences, self.causes, self.again)
@@ -80,19 +83,22 @@ class _Case:
 
         What was identified with a number goes along with it.
         """
-        rig, values = self.rig, dict(self.identified.values)
+        rig, values, changed = self.rig, dict(self.identified.values), dict[str, float]()
         try:
             if name in values:
                 values[name] = value
             elif name in PHYSICAL:
                 change = value - rig.known.values[name]
+                changed[name] = change
                 rig = rig.with_number(name, value)
                 slopes = self.identified.by_number.get(name, np.zeros(len(values)))
                 values = {n: v + float(s) * change for (n, v), s in zip(values.items(), slopes, strict=True)}
             else:
                 return None
             identified = replace(self.identified, values=values)
-            return differences([self._predicted(each, rig, identified) for each in self.compared], rig, identified)
+            changed |= {n: v - self.identified.values[n] for n, v in values.items()}
+            predicted = [self._predicted(each, rig, identified) for each in self.compared]
+            return differences(predicted, rig, identified, self.releases, changed)
         except (NoStableState, DynamicsError, RigConfigError, np.linalg.LinAlgError):
             return None
 

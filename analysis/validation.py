@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from analysis.agreement import Agreement
-from analysis.differences import Compared
+from analysis.differences import RELEASE, Compared, Rows
 from analysis.errors import NoStableState, NotEnoughData
 from analysis.explanations import Explanations
 from analysis.noticed import Noticed
@@ -113,6 +113,7 @@ def validate(
     rig: Rig,
     identified: IdentifiedParameters,
     axis_angle_deg: tuple[float, float] | None = None,
+    releases: Sequence[Rows] = (),
 ) -> Validation:
     """Compare every run at a point with the model; other runs are left alone.
 
@@ -122,6 +123,7 @@ def validate(
         identified: parameters with covariance.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees; None
             for the identified one, 0 ± 3° where no test has shown it.
+        releases: what happened right after releases at the points, held against the same parameters.
     Source: docs/theory/validation.md.
     """
     identified = identified.completed(rig.physics)  # what was not identified, or set, may be wrong as well
@@ -137,14 +139,16 @@ def validate(
     }
     found = overall(
         [Compared(n, p.measurement, p.prediction) for n, p in settled.items() if p.measurement and p.prediction],
-        rig, identified, axis_angle_deg,
+        rig, identified, axis_angle_deg, [each for each in releases if each.point in results],
     )  # fmt: skip
     if found is None:
         return Validation(results)
-    for name in found.agreement.failing_points:
+    for group in found.agreement.failing_points:
+        name = group.removesuffix(f" {RELEASE}")
         if results[name].verdict == "pass":
-            statistic = found.agreement.points[name]
-            why = f"its quantities together: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
+            statistic = found.agreement.points[group]
+            which = "its quantities together" if name == group else "what happened right after the release"
+            why = f"{which}: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
             results[name] = replace(results[name], verdict="fail", why=why)
     validation = Validation(results, found.agreement, found.explanations, found.noticed)
     return (

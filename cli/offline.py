@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -13,6 +13,9 @@ from cli.options import Json, ParametersPath, Settings, need_place, what_if_word
 from cli.setting_costs import SETTING_HELP
 from cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
+
+if TYPE_CHECKING:
+    from identification.release_check import ReleaseRows
 
 _NOTHING_KNOWN_DEG = 90.0  # of an axis
 
@@ -67,7 +70,7 @@ def validate(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Compare measured steady states at the points with the model; exit 1 when a point does not pass.
+    """Compare steady states and releases at the points with the model; exit 1 when a point does not pass.
 
     With --set it answers a what-if: the settings lie over rig file and parameters, and no verdict is kept.
     """
@@ -89,8 +92,14 @@ def validate(
     if given is not None and known.axis_angle_deg is not None:
         what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
     runs = load_runs(logs)
-    found = compare(runs, loaded, known, given)
+    releases: list[ReleaseRows] = []
+    if loaded.validation.releases:
+        from identification.release_check import check_releases  # noqa: PLC0415 (numba takes seconds to import)
+
+        releases = check_releases(runs, loaded, known, STDERR.print, overridden(found_before, settings or []))
+    found = compare(runs, loaded, known, given, releases)
     warnings = missing_warnings(runs) + [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
+    warnings += [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
     if given is None and known.axis_angle_deg is None:
         value, std = known_axis_angle(known, turn_deg=loaded.roles.turn_deg)
         warnings.append(

@@ -91,11 +91,13 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
     from cli.report_forms import report_identification  # noqa: PLC0415
     from cli.runs import keep_verdicts  # noqa: PLC0415
     from daq.guided_tests.test_inputs import possible_tests  # noqa: PLC0415
+    from identification.release_check import check_releases  # noqa: PLC0415
 
     runs, before, joint = _found["runs"], _found["before"], _found["joint"]
     points = {test.removeprefix("point-") for test in possible_tests(rig)}
     seen = rig.model_copy(update={"points": {name: known for name, known in rig.points.items() if name in points}})
-    validation = validate(runs, seen, before.parameters)
+    releases = check_releases(runs, seen, before.parameters, _tell) if rig.validation.releases else []
+    validation = validate(runs, seen, before.parameters, releases=releases)
     keep_verdicts(validation, runs, facts["validated_with"])
     results.with_version(joint.parameters).save(out)
     identities = runs[0].metadata.get("identities", {})

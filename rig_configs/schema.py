@@ -126,11 +126,13 @@ class ValidationTable(Table):
     """What is allowed for in the comparison at the points.
 
     model_std_deg and model_std_mm are standard uncertainties of the model itself, for angles and for amplitudes: what a
-    user grants it beyond what is known of numbers and sensors. 0 grants nothing.
+    user grants it beyond what is known of numbers and sensors. 0 grants nothing. releases says whether the first
+    seconds after each release are compared with the model beside the steady states.
     """
 
     model_std_deg: NotNegative = 0.0
     model_std_mm: NotNegative = 0.0
+    releases: bool = True
 
 
 class Sensors(Table):

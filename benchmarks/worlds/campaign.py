@@ -19,6 +19,7 @@ from benchmarks.worlds.recording import BEFORE_POINTS, campaign_tests, record
 from benchmarks.worlds.world import WRONG, Effects, Spread, World, draw_world
 from daq.signals.run import Run
 from identification import Identification, identify
+from identification.release_check.check import check_releases
 from rig_configs.schema import Rig
 
 UNSTATED_STD = 5e-4
@@ -60,7 +61,7 @@ def identified(runs: Sequence[Run], rig: Rig, earlier: Identification | None = N
 
 def validated(runs: Sequence[Run], rig: Rig, found: Identification) -> Validation:
     """The suite's verdicts on the points."""
-    return validate(runs, rig, found.parameters)
+    return validate(runs, rig, found.parameters, releases=check_releases(runs, rig, found.parameters))
 
 
 def campaign(seed: int, plan: Plan) -> dict[str, Any]:

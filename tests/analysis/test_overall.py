@@ -107,8 +107,10 @@ def test_an_error_that_both_sides_share_counts_once() -> None:
     """Two rows that one error moves alike: their difference stays as sharp as each row is by itself."""
     rows = (("A", "θ3"), ("B", "θ3"))
     shared = {"known rotor.mass_kg": np.array([10.0, 10.0])}
-    found = Differences(rows, np.array([8.0, 8.0]), np.eye(2), np.empty((2, 0)), (), np.empty((0, 0)), {}, shared)
+    found = Differences(
+        rows, np.array([8.0, 8.0]), np.eye(2), np.empty((2, 0)), (), np.empty((0, 0)), np.empty((2, 0)), {}, shared
+    )
     assert found.chi2 < 1.0
     apart = dataclasses.replace(found, values=np.array([8.0, 4.0]))
     assert apart.chi2 == pytest.approx(4.0**2 / 2 + 12.0**2 / 2 / 201)
-    assert found.of("A").chi2 == pytest.approx(64 / 101)
+    assert found.of([0]).chi2 == pytest.approx(64 / 101)

@@ -13,6 +13,8 @@ import pytest
 from scipy.io import savemat
 
 from cli.main import run
+from dynamics import Scene, SpeedHistory, simulate
+from dynamics.motions.integrate import locked_state
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
 
@@ -89,19 +91,18 @@ def test_one_laser_gives_one_direction(capsys: pytest.CaptureFixture[str], tmp_p
 
 
 def balanced_point(path: Path, rate: float = 1000.0) -> Path:
-    """A point at which the pendulums go to where they balance: closed form, no orbit left but a little noise."""
-    rng = np.random.default_rng(5)
+    """A point at which the pendulums, let go at 5 s, go to where they balance: the model's motion with noise."""
+    rng, physics = np.random.default_rng(5), RIG.physics
     t = np.arange(0, 60, 1 / rate)
-    speed = 0.998 * RIG.physics.speed_rad_s(RIG.points["B"].speed_ratio)
-    moment, a = RIG.physics.imbalance_moment_kg_m, RIG.physics.a.first_moment_kg_m
-    rest = math.acos(-moment / (2 * a))  # S_P + 2 S cos θ = 0
-    after = np.clip(t - 5.0, 0, None)
-    theta3 = rest * (1 - np.exp(-after)) + 0.002 * rng.normal(size=len(t))
-    theta4 = math.pi + (2 * math.pi - rest - math.pi) * (1 - np.exp(-after)) + 0.002 * rng.normal(size=len(t))
-    unbalance = np.abs(moment + a * np.exp(1j * theta3) + a * np.exp(1j * theta4)) / RIG.physics.total_mass_kg
-    psi = 0.4 + speed * t
-    swing = np.where(t < 15, unbalance, 0.0)
-    x, y = (swing * f(psi) + 4e-6 * rng.normal(size=len(t)) for f in (np.cos, np.sin))
+    speed = 0.998 * physics.speed_rad_s(RIG.points["B"].speed_ratio)
+    psi, locked = 0.4 + speed * t, t < 5.0
+    history = SpeedHistory.constant(speed, 0.4)
+    before = np.array([locked_state(physics, speed, at, 2e-3, math.pi - 3e-3) for at in psi[locked]])
+    start = locked_state(physics, speed, 0.4 + 5.0 * speed, 2e-3, math.pi - 3e-3)
+    after = simulate(physics, Scene(history, (True, True), start), t[~locked], 1e-4).state
+    states = np.vstack([before, after])
+    theta3, theta4 = (states[:, i] + 0.002 * rng.normal(size=len(t)) for i in (2, 3))
+    x, y = (states[:, i] + 4e-6 * rng.normal(size=len(t)) for i in (0, 1))
     table = np.column_stack([t, x * 1e3, y * 1e3, np.degrees(theta3), np.degrees(theta4), np.degrees(psi) % 360])
     np.savetxt(path, table, "%.9g", delimiter=",", header="t,x,y,a,b,psi")
     return path

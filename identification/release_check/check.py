@@ -1,0 +1,272 @@
+# pyright: strict
+"""What happened right after each release, against the model with the identified parameters, as rows for a validation.
+
+Steady states hardly depend on the pendulums' damping; the first seconds after a release do. The release is fitted with
+everything open, from what was identified on, so that the rows hold also where that is many standard deviations off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.signals.run import Run, point_of
+from identification.clocks import clock_errors
+from identification.errors import FitFailed, NotIdentifiable
+from identification.least_squares import Minimum
+from identification.pendulums.free_angles import laid_over
+from identification.pendulums.friction import Friction
+from identification.pendulums.release_problem import SUSPENSION, Release, Shape
+from identification.pendulums.release_search import Effort, NotFollowed, Search, holding
+from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE, Knowledge
+from identification.pendulums.transient import TransientProblem
+from identification.pendulums.unknown_phase import angles_to_try, race
+from identification.release_check.model import Condensed, Fitted, condensed, fitted_with_numbers, opened
+from identification.threads import on_one_thread
+from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B
+from rig_configs.parameters_file import IdentifiedParameters
+from rig_configs.schema import Rig
+
+Array = NDArray[np.float64]
+
+_LONGEST_S = 8.0
+_WIDE, _LEAST_SHARE = 10.0, 0.01  # standard deviations, and a share, to which a parameter is opened
+_ZERO_WIDE = 3.0
+_NUMBER_SHARE = 1e-3  # of a number: an error worth seeing
+_EXACT = 1e-7  # std of a logarithm that was set
+_DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
+_NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)), **dict.fromkeys(_DAMPING, 2.5)}
+_NO_MOTION = 1e3  # standard deviations of a release along which the model has no finite motion
+_NOT_FOLLOWED = "release"  # the one row of such a release
+_THREADS = 2
+
+
+@dataclass(frozen=True)
+class ReleaseRows:
+    """What one release says of the model.
+
+    Attributes:
+        point: the point's name, "A (2)" for its second recording.
+        rows: names of the rows, m of them.
+        values: measured − predicted in standard deviations of the release's own errors, shape (m,).
+        own: covariance of these errors, shape (m, m).
+        by_parameter: derivatives of the values by the identified parameters, shape (m, n).
+        parameters: names of these, n of them.
+        by_number: number of the rig file → derivative of the values by it, shape (m,).
+        shared: label → shift of the values for one standard deviation of an error that others share, shape (m,).
+        used_for: parameters that this very release has helped to identify: their errors are not independent of its own.
+        chi2_per_dof: of the readings with everything open.
+        sentence: in words; why there are no rows, or that the motion is not followed.
+    """
+
+    point: str
+    rows: tuple[str, ...]
+    values: Array
+    own: Array
+    by_parameter: Array
+    parameters: tuple[str, ...]
+    by_number: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    shared: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    used_for: tuple[str, ...] = ()
+    chi2_per_dof: float = math.nan
+    sentence: str = ""
+
+    @property
+    def followed(self) -> bool:
+        """Whether the release was compared and some rig near the identified one moves like it."""
+        return bool(self.rows) and self.rows != (_NOT_FOLLOWED,)
+
+
+@on_one_thread
+def check_releases(
+    runs: Sequence[Run], rig: Rig, identified: IdentifiedParameters,
+    progress: Callable[[str], None] | None = None, exact: Collection[str] = (),
+) -> list[ReleaseRows]:  # fmt: skip
+    """Every release at a point against the model with the identified parameters.
+
+    Args:
+        runs: recorded tests; those at points that hold a release are taken.
+        rig: known numbers and their uncertainties.
+        identified: parameters with covariance. What is absent from them is left open.
+        progress: told one line before each release.
+        exact: parameters that were set, to be taken as they stand in the rig.
+    Returns:
+        One per release, by point and time; without rows where a release holds nothing to compare.
+    Source: docs/theory/validation.md.
+    """
+    taken, named = dict[str, int](), list[tuple[str, Run]]()
+    for run in sorted((r for r in runs if point_of(r.test)), key=lambda r: (r.test, r.start_s)):
+        name = point_of(run.test)
+        taken[name] = taken.get(name, 0) + 1
+        named.append((f"{name} ({taken[name]})" if taken[name] > 1 else name, run))
+    case = _Case(rig, identified, frozenset(exact))
+
+    def checked(each: tuple[str, Run]) -> ReleaseRows:
+        if progress is not None:
+            progress(f"{each[1].test}: the release against the model")
+        return case.rows(*each)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(checked, [each for each in named if each[1].releases]))
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What all releases are held against."""
+
+    rig: Rig
+    identified: IdentifiedParameters
+    exact: frozenset[str]
+
+    def rows(self, point: str, run: Run) -> ReleaseRows:
+        """One release's."""
+        names = tuple(self.identified.values)
+        empty = ReleaseRows(point, (), np.empty(0), np.empty((0, 0)), np.empty((0, len(names))), names)
+        zero_std = math.radians(self.rig.roles.zero_std_deg)
+        try:
+            release = Release.of(
+                run, Knowledge.nominal(self.identified.applied_to(self.rig.physics)), _ZERO_WIDE * zero_std, "balanced"
+            )
+        except NotIdentifiable as error:
+            return replace(empty, sentence=str(error))
+        try:
+            fitted = self._fitted(release)
+        except FitFailed as error:
+            z, chi2 = _off(error, release)
+            why = f"{error}: no rig near the identified one moves like this"
+            none = np.zeros((1, len(names)))
+            return replace(
+                empty, rows=(_NOT_FOLLOWED,), values=np.array([z]), own=np.eye(1), by_parameter=none,
+                chi2_per_dof=chi2, sentence=why,
+            )  # fmt: skip
+        assumed = {name: math.log(value) for name, value in self.identified.values.items()}
+        found = condensed(fitted, assumed | {ZERO_A: 0.0, ZERO_B: 0.0}, self._worth())
+        return self._named(point, run, found)
+
+    def _named(self, point: str, run: Run, found: Condensed) -> ReleaseRows:
+        values = self.identified.values
+        by = np.column_stack([found.slopes[name] / value for name, value in values.items()])
+        by_number = {name: found.slopes[name] for name in PHYSICAL if name in found.slopes}
+        shared = {label: by @ shift for label, shift in self.identified.shared.items()}
+        for source in self.rig.known.sources:
+            parts = [found.slopes[name] * step for name, step in source.effects.items() if name in found.slopes]
+            shared[source.label] = np.sum([shared.get(source.label, np.zeros(len(by))), *parts], axis=0)
+        rate = {name: 1.0 if name in _DAMPING else 2.0 for name in values if name[0] in "ck"}
+        clock = -np.sum([power * found.slopes[name] for name, power in rate.items()], axis=0)
+        for label, shift in clock_errors(run, {"angles": clock}).items():
+            shared[label] = shared.get(label, np.zeros(len(by))) + shift
+        count = len(found.values)
+        return ReleaseRows(
+            point, tuple(f"release {i + 1}" for i in range(count)), found.values, found.own, by, tuple(values),
+            by_number, shared, _used_for(run, self.identified), found.chi2_per_dof,
+            f"followed; χ² of the readings {found.chi2_per_dof:.3g} each",
+        )  # fmt: skip
+
+    def _fitted(self, release: Release) -> Fitted:
+        """The release with everything open: from near what was identified, from far, with other pendulums.
+
+        Raises:
+            FitFailed: the model does not follow the angles.
+        """
+        last: FitFailed | None = None
+        for wide, numbers in ((_WIDE, False), (math.inf, False), (_WIDE, True)):
+            try:
+                return self._opened(release, self._std(wide), numbers)
+            except FitFailed as error:
+                last = last or error
+        assert last is not None
+        raise last
+
+    def _opened(self, release: Release, std: Mapping[str, float], numbers: bool) -> Fitted:
+        shape, torque = self._friction(release)
+        problem = opened(release.problem(shape), std)
+        start = problem.prior.copy()
+        if shape is not None:
+            start[16:18] = torque
+        horizons = _horizons(release)
+        starts = [start]
+        if not release.run.phase_absolute:
+            turns = angles_to_try(laid_over(release.knowledge, start[:2], start[SUSPENSION]))
+            trials = [np.r_[start[:-1], turn] for turn in turns]
+            starts = race(problem, trials, horizons[:-1], holding)
+
+        def solve(problem: TransientProblem, *from_places: Array) -> Minimum:
+            search = Search(problem, horizons, len(from_places), Effort(), lambda _: None)
+            return search.answers([(place, False) for place in from_places], release.run.source)[0]
+
+        if numbers:
+            return fitted_with_numbers(release, problem, shape, horizons[-1], solve, starts[0])
+        return Fitted(release, problem, shape, solve(problem, *starts), horizons[-1])
+
+    def _std(self, wide: float) -> dict[str, float]:
+        """How far each parameter's logarithm is opened, standard deviations of it; at most to what a file is worth."""
+        std, found = self.identified.std, dict[str, float]()
+        for name, nominal in _NOMINAL.items():
+            if name in self.exact:
+                found[name] = _EXACT
+            elif name in self.identified.values:
+                relative = std[name] / abs(self.identified.values[name])
+                found[name] = min(nominal, max(wide * relative, _LEAST_SHARE) if math.isfinite(wide) else nominal)
+            else:
+                found[name] = nominal
+        return found
+
+    def _worth(self) -> dict[str, float]:
+        """Errors that a release should see, in the units of the slopes."""
+        known = self.rig.known
+        found = {name: std for name, std in self._std(_WIDE).items() if name in self.identified.values}
+        for name in PHYSICAL:
+            found[name] = max(_ZERO_WIDE * known.std(name), _NUMBER_SHARE * abs(known.values[name]))
+        for name in (ZERO_A, ZERO_B, INDEX):
+            found[name] = _ZERO_WIDE * known.std(name)
+        return found
+
+    def _friction(self, release: Release) -> tuple[Shape | None, Array]:
+        """Dry friction to open, and its torque to start from, where the identification found some."""
+        kept: list[Any] = self.identified.provenance.get("tests", [])
+        found = [test for test in kept if test.get("friction")]
+        if not found:
+            return None, np.zeros(2)
+        values: Mapping[str, float] = found[-1]["friction"]
+        torque = (values.get("coulomb_a_Nm", 0.0), values.get("coulomb_b_Nm", 0.0))
+        contact = (values.get("contact_a_kg_m2", 0.0), values.get("contact_b_kg_m2", 0.0))
+        none = (0.0, 0.0)
+        return "torque", Friction(torque, none, contact, none).torque_at(release.speed_rad_s)
+
+
+def _used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
+    """Parameters whose identification took this run's values, by its digest or its log's name."""
+    kept: list[Any] = identified.provenance.get("tests", [])
+    digest, found = str(run.metadata.get("digest") or ""), dict[str, None]()
+    for test in kept:
+        digests, logs = str(test.get("digest", "")).split(" + "), str(test.get("log", "")).split(" + ")
+        same = digest in digests if digest and any(digests) else Path(run.source).name in logs
+        if same and not test.get("left_out"):
+            found |= dict.fromkeys(test.get("values", {}))
+    return tuple(name for name in identified.values if name in found)
+
+
+def _horizons(release: Release) -> list[float]:
+    """Last instants over the first seconds, every other one of a release's."""
+    end = release.begin_s + _LONGEST_S
+    every = release.horizons("balanced")
+    last = min(every[-1], end)
+    return [h for h in every[:-1:2] if h < 0.7 * last + 0.3 * release.begin_s] + [last]
+
+
+def _off(error: FitFailed, release: Release) -> tuple[float, float]:
+    """How many standard deviations a release is off that is not followed, by Fisher's normal form of χ², and χ²/dof."""
+    if not isinstance(error, NotFollowed) or not error.trials:
+        return _NO_MOTION, math.nan
+    best = max(error.trials, key=lambda t: (t.end_s, -t.misfit))
+    n = sum(int(np.count_nonzero(r.averages.time_s <= best.end_s)) for r in release.readings)
+    if not math.isfinite(best.misfit):
+        return _NO_MOTION, math.nan
+    return min(math.sqrt(2 * n) * (math.sqrt(max(best.misfit, 0.0)) - 1), _NO_MOTION), best.misfit
