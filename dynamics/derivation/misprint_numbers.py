@@ -55,8 +55,10 @@ def isotropic_growth_rates() -> dict[str, dict[str, float]]:
     for name, (p, ratio, kind) in cases.items():
         omega = p.speed_rad_s(ratio)
         states = states_at_rest(p, omega)[kind]
-        # of two solutions of Types II and III the one that is stable by the derived matrices
-        state = min(states, key=lambda y: isotropic_variants()["derived"].growth_rate(p, omega, y))
+        # of two solutions of Types II and III the one that is stable by the derived matrices; mirror images are alike
+        # to it, and the printed ones tell them apart
+        growth = {i: round(isotropic_variants()["derived"].growth_rate(p, omega, y), 6) for i, y in enumerate(states)}
+        state = states[min(growth, key=lambda i: (growth[i], float(states[i][2]) % (2 * math.pi)))]
         found[name] = {v: motion.growth_rate(p, omega, state) for v, motion in isotropic_variants().items()}
     return found
 

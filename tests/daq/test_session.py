@@ -297,11 +297,11 @@ def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
     for setting in virtual_rig.port_settings():
         command += ["--set", setting]
     host = subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True)
-    part, deadline = log.with_name("run.mcap.part"), time.monotonic() + 30
+    part, deadline = log.with_name("run.mcap.part"), time.monotonic() + 120
     while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
         time.sleep(0.02)
     host.send_signal(signal.Signals[name])
-    out, _ = host.communicate(timeout=30)
+    out, _ = host.communicate(timeout=120)
     assert host.returncode == 0
     assert json.loads(out)["log"] == str(log)
     assert json.loads(out)["ended"] == ("Ctrl-C" if name == "SIGINT" else name)

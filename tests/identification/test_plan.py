@@ -268,7 +268,8 @@ def test_errors_bear_the_labels_that_a_recorded_test_gives_them() -> None:
     devices = {"x": "laser_x", "y": "laser_y", "angles": "encoder", "phase": "encoder"}
     passage = replace(campaign.run_up(), clocks=devices)
     (found,) = identify([passage], campaign.rig).estimates
-    assert set(found.shared) == set(run_up(RIG.physics, SENSORS, 94.0, 40.0).expected.shared)
+    seen = {label for label in found.shared if not label.startswith("known ")}
+    assert seen == set(run_up(RIG.physics, SENSORS, 94.0, 40.0).expected.shared)
 
 
 def test_a_rig_with_one_laser_is_planned_for_as_far_as_it_goes() -> None:
