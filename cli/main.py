@@ -43,7 +43,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
     },
     "cli.offline": {
         "identify": "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.",
-        "validate": "Compare steady states and releases at the points with the model; exit 1 when a point does not pass.",
+        "validate": "Compare steady states and releases at points with the model; exit 1 when a point does not pass.",
     },
     "cli.track": {"track": "States and pendulum damping of a logged run over time, with uncertainty."},
     "cli.logs": {

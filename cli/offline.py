@@ -70,7 +70,7 @@ def validate(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Compare steady states and releases at the points with the model; exit 1 when a point does not pass.
+    """Compare steady states and releases at points with the model; exit 1 when a point does not pass.
 
     With --set it answers a what-if: the settings lie over rig file and parameters, and no verdict is kept.
     """
