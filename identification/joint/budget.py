@@ -27,7 +27,7 @@ from uncertainty.group import Input
 
 Array = NDArray[np.float64]
 
-_LEAST_PART = 1e-9  # of a variance: less is rounding
+_LEAST_PART = 1e-9  # of a variance: less is rounding; a covariance may lack its root, 3·10⁻⁵ of a correlation
 _OTHER = 0.01  # of a standard uncertainty: more is told
 
 
@@ -148,7 +148,7 @@ def _each_test(joint: JointEstimate, tests: list[KeptTest], scale: Array, column
         if again := seen.count(called) - 1:
             called = f"{called} {again + 1}"
         for begin, share in (("own", 1.0 - test.model_share), ("beyond noise", test.model_share)):
-            if share > 0:
+            if share > _LEAST_PART:
                 group = Group(f"{begin}: {called}", members, units, share * covariance)
                 columns.add(group, scale[:, None] * weights)
     _disagreement(joint, known, scale, columns)
