@@ -236,12 +236,15 @@ class ClockLine:
     Attributes:
         rate_std: standard uncertainty of the rate, relative.
         jitter_s: mean distance of the least delayed reads from the line.
+        shared_std: what of rate_std every record of this clock has alike: as far as a rate was not read from the record
+            but taken from the clock's tolerance, all records are off by the same.
     """
 
     offset_s: float
     rate: float
     rate_std: float
     jitter_s: float
+    shared_std: float
 
     def host_s(self, device_s: NDArray[np.floating]) -> NDArray[np.floating]:
         """Common-clock time of device times."""
@@ -275,7 +278,7 @@ def fit_line(
     span = float(x[-1])
     if len(x) < 8 or span < 1.5:
         offset = float(lag.min())
-        return ClockLine(offset, 0.0, prior, float(np.mean(y - y.min())))
+        return ClockLine(offset, 0.0, prior, float(np.mean(y - y.min())), prior)
     constant, slope = lower_line(x, y)
     jitter = float(np.mean(y - constant - slope * x))
     straight = abs(slope) * span > step_s and jitter < _STRAIGHT * step_s
@@ -284,7 +287,7 @@ def fit_line(
     weight = prior**2 / (prior**2 + own**2)
     rate = slope * weight
     offset = float(np.min(y - rate * x)) + float(lag[0]) - rate * float(device_s[0])
-    return ClockLine(offset, rate, float(own * np.sqrt(weight)), jitter)
+    return ClockLine(offset, rate, float(own * np.sqrt(weight)), jitter, float((1 - weight) * prior))
 
 
 def _starts(bins: NDArray[np.int_]) -> NDArray[np.intp]:

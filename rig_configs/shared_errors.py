@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import re
+
 from rig_configs.known import LABEL, KnownSource, gain_label
 from rig_configs.schema import Rig
 from uncertainty import Source
@@ -10,6 +12,7 @@ from uncertainty import Source
 STANDARD = "u"
 """Unit of a source whose standard uncertainty a parameters file does not keep: multiples of that uncertainty."""
 FRICTION_LABEL = "friction"
+_READ = re.compile(r"clock \S.* in ")  # a rate as one log shows it
 EXACT_STEP = 1e-3
 """By how much a number without a standard uncertainty is moved where it is said what taking it as exact leaves out."""
 
@@ -22,7 +25,8 @@ def shared_source(label: str, rig: Rig | None = None) -> Source:
     for one standard deviation only: their unit is that standard deviation.
 
     Args:
-        label: such as "gain x", "clock laser_x", "friction 1", "known rotor.mass_kg".
+        label: such as "gain x", "clock laser_x", "clock laser_x in 04-run-up.mcap", "friction 1" or
+            "known rotor.mass_kg".
         rig: None when it is not at hand.
     """
     if rig is not None:
@@ -32,7 +36,7 @@ def shared_source(label: str, rig: Rig | None = None) -> Source:
         for known in rig.known.sources:
             if label == known.label:
                 return known_source(known)
-    kind = "A" if label.startswith(FRICTION_LABEL) else "B"
+    kind = "A" if label.startswith(FRICTION_LABEL) or _READ.match(label) else "B"
     return Source(label, 1.0, STANDARD, kind)
 
 

@@ -182,6 +182,7 @@ class _Job:
             "releases": [vars(release) for release in run.releases],
             "angle_step_rad": run.angle_step_rad,
             "clock_rate_std": dict(run.clock_rate_std),
+            "clock_shared_std": dict(run.clock_shared_std),
         }
         with closing(self._writer(layouts)) as writer:
             for name in names:

@@ -66,6 +66,7 @@ class Run:
         releases: pendulums let go during the run.
         angle_step_rad: quantisation of the angles, rad.
         clock_rate_std: relative standard uncertainty of the rate of each signal's clock: "x", "y", "angles", "phase".
+        clock_shared_std: what of that every run of the same clock has alike; all of it where none is given.
         clocks: which clock stamped each signal, by the same names: its device's, or the recorder's of a recording made
             elsewhere. What shares a clock shares its error.
         losses: counted losses by "device.kind"; "log.missing_messages" are those the file itself lacks.
@@ -101,6 +102,7 @@ class Run:
     phase_absolute: bool = True
     witnesses: tuple[Witness, ...] = ()
     turn_deg: float = 0.0
+    clock_shared_std: Mapping[str, float] = field(default_factory=dict)
 
     def agreements(self) -> list[Agreement]:
         """Every witness held against the sensor that measures along its axis for the rig."""
@@ -159,6 +161,7 @@ def load_run(path: str | Path) -> Run:
             releases=_releases(log, angle_line, start_s),
             angle_step_rad=roles.angles.step_rad if roles.angles else Run.angle_step_rad,
             clock_rate_std={name: line.rate_std for name, line in lines.items()},
+            clock_shared_std={name: line.shared_std for name, line in lines.items()},
             clocks={
                 name: _recorder(run) if line is shared is not _NO_DEVICE else _device(roles, name) or name
                 for name, line in lines.items()
@@ -176,7 +179,7 @@ def load_run(path: str | Path) -> Run:
 
 _CHANNELS = ("laser/x", "laser/y", "pendulums", "tacho")
 _LOCK_FLAGS = (LOCK_A_CLOSED, LOCK_B_CLOSED)
-_NO_DEVICE = ClockLine(0.0, 0.0, 0.0, 0.0)
+_NO_DEVICE = ClockLine(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def _refuse_restarts(log: Log) -> None:
@@ -225,7 +228,7 @@ def _shared_clock(log: Log, run: Mapping[str, str]) -> ClockLine:
         raise LogError(f"{log.path}: expected a number of at least 0 as clock_tolerance_ppm, got {text!r}")
     if tolerance == 0 and run.get("clock_tolerance_from") != "stated":
         tolerance = ASSUMED_TOLERANCE_PPM
-    return ClockLine(0.0, 0.0, 1e-6 * tolerance, 0.0)
+    return ClockLine(0.0, 0.0, 1e-6 * tolerance, 0.0, 1e-6 * tolerance)
 
 
 def _recorder(run: Mapping[str, str]) -> str:

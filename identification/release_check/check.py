@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE, 
 from identification.pendulums.transient import TransientProblem
 from identification.pendulums.unknown_phase import angles_to_try, race
 from identification.release_check.model import Condensed, Fitted, condensed, fitted_with_numbers, opened
+from identification.release_check.together import agreed, fitted_at
 from identification.threads import on_one_thread
 from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
@@ -46,6 +48,7 @@ _NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)),
 _NO_MOTION = 1e3  # standard deviations of a release along which the model has no finite motion
 _NOT_FOLLOWED = "release"  # the one row of such a release
 _THREADS = 2
+_PASSES = 2  # over the place where all releases are met best
 
 
 @dataclass(frozen=True)
@@ -108,13 +111,20 @@ def check_releases(
         named.append((f"{name} ({taken[name]})" if taken[name] > 1 else name, run))
     case = _Case(rig, identified, frozenset(exact))
 
-    def checked(each: tuple[str, Run]) -> ReleaseRows:
+    def opened(each: tuple[str, Run]) -> ReleaseRows | Fitted:
         if progress is not None:
             progress(f"{each[1].test}: the release against the model")
-        return case.rows(*each)
+        return case.opened(*each)
 
+    released = [each for each in named if each[1].releases]
     with ThreadPoolExecutor(_THREADS) as pool:
-        return list(pool.map(checked, [each for each in named if each[1].releases]))
+        first = list(pool.map(opened, released))
+        fits = case.settled([each for each in first if isinstance(each, Fitted)], pool)
+    followed = iter(fits)
+    return [
+        each if isinstance(each, ReleaseRows) else case.named(point, run, next(followed))
+        for each, (point, run) in zip(first, released, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -125,8 +135,8 @@ class _Case:
     identified: IdentifiedParameters
     exact: frozenset[str]
 
-    def rows(self, point: str, run: Run) -> ReleaseRows:
-        """One release's."""
+    def opened(self, point: str, run: Run) -> ReleaseRows | Fitted:
+        """One release's fit with everything open; rows that say why where there is none."""
         names = tuple(self.identified.values)
         empty = ReleaseRows(point, (), np.empty(0), np.empty((0, 0)), np.empty((0, len(names))), names)
         zero_std = math.radians(self.rig.roles.zero_std_deg)
@@ -137,7 +147,7 @@ class _Case:
         except NotIdentifiable as error:
             return replace(empty, sentence=str(error))
         try:
-            fitted = self._fitted(release)
+            return self._fitted(release)
         except FitFailed as error:
             z, chi2 = _off(error, release)
             why = f"{error}: no rig near the identified one moves like this"
@@ -146,11 +156,25 @@ class _Case:
                 empty, rows=(_NOT_FOLLOWED,), values=np.array([z]), own=np.eye(1), by_parameter=none,
                 chi2_per_dof=chi2, sentence=why,
             )  # fmt: skip
-        assumed = {name: math.log(value) for name, value in self.identified.values.items()}
-        found = condensed(fitted, assumed | {ZERO_A: 0.0, ZERO_B: 0.0}, self._worth())
-        return self._named(point, run, found)
 
-    def _named(self, point: str, run: Run, found: Condensed) -> ReleaseRows:
+    def settled(self, fits: Sequence[Fitted], pool: ThreadPoolExecutor) -> list[Condensed]:
+        """What the releases say, linear about the place where all of them are met best."""
+        worth, assumed = self._worth(), self._assumed
+        found = [condensed(fitted, assumed, worth) for fitted in fits]
+        for _ in range(_PASSES):
+            place = {name: assumed.get(name, 0.0) + off for name, off in agreed(found, worth).items()}
+            moved = pool.map(fitted_at, fits, repeat(place), [each.misfit for each in found])
+            fits = [new or old for new, old in zip(moved, fits, strict=True)]
+            found = [condensed(fitted, assumed, worth) for fitted in fits]
+        return found
+
+    @property
+    def _assumed(self) -> dict[str, float]:
+        """Places of θ that the release is held against."""
+        return {name: math.log(value) for name, value in self.identified.values.items()} | {ZERO_A: 0.0, ZERO_B: 0.0}
+
+    def named(self, point: str, run: Run, found: Condensed) -> ReleaseRows:
+        """Rows of what one release says."""
         values = self.identified.values
         by = np.column_stack([found.slopes[name] / value for name, value in values.items()])
         by_number = {name: found.slopes[name] for name in PHYSICAL if name in found.slopes}
@@ -165,8 +189,8 @@ class _Case:
         count = len(found.values)
         return ReleaseRows(
             point, tuple(f"release {i + 1}" for i in range(count)), found.values, found.own, by, tuple(values),
-            by_number, shared, _used_for(run, self.identified), found.chi2_per_dof,
-            f"followed; χ² of the readings {found.chi2_per_dof:.3g} each",
+            by_number, shared, _used_for(run, self.identified), found.misfit.chi2_per_dof,
+            f"followed; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
         )  # fmt: skip
 
     def _fitted(self, release: Release) -> Fitted:

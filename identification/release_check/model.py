@@ -46,23 +46,37 @@ class Condensed:
         own: their covariance, shape (m, m).
         slopes: shared unknown → derivative of the values by what is assumed of it, shape (m,): by the logarithm of a
             parameter, by a number in its unit.
-        chi2_per_dof: of the readings with everything open.
+        misfit: of the readings with everything open.
     """
 
     values: Array
     own: Array
     slopes: Mapping[str, Array]
+    misfit: Misfit
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """By how much a fit with everything open is off its readings beyond noise and rounding.
+
+    Attributes:
+        stretch: factor on the variance of what the release says.
+        chi2_per_dof: of the readings.
+    """
+
+    stretch: float
     chi2_per_dof: float
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A release's fit with everything open.
+    """A release's fit.
 
     Attributes:
         release, problem, shape: what was fitted, with dry friction of a shape.
         minimum, end_s: its end, and the last instant.
         moved: number of the rig file → how far the release's knowledge has it above what the file says.
+        misfit: of the fit with everything open, where this is another one.
     """
 
     release: Release
@@ -71,6 +85,7 @@ class Fitted:
     minimum: Minimum
     end_s: float
     moved: Mapping[str, float] = field(default_factory=dict[str, float])
+    misfit: Misfit | None = None
 
     @property
     def readings(self) -> int:
@@ -138,8 +153,8 @@ def condensed(fitted: Fitted, assumed: Mapping[str, float], worth: Mapping[str, 
     rows, sizes, _ = np.linalg.svd(left * np.array([worth.get(name, 0.0) for name in names]), full_matrices=False)
     rows = rows[:, sizes > _LEAST]
     slopes = -rows.T @ all_columns
-    own, chi2 = _own(fitted, rows)
-    return Condensed(-rows.T @ at_assumed, own, dict(zip(names, slopes.T, strict=True)), chi2)
+    own, misfit = _own(fitted, rows)
+    return Condensed(-rows.T @ at_assumed, own, dict(zip(names, slopes.T, strict=True)), misfit)
 
 
 def _basis(columns: Array) -> Array:
@@ -149,8 +164,8 @@ def _basis(columns: Array) -> Array:
     return turned[:, sizes > _INDEPENDENT * sizes[0]]
 
 
-def _own(fitted: Fitted, rows: Array) -> tuple[Array, float]:
-    """Covariance of the rows by noise, rounding and priors, stretched by misfit, and χ²/dof.
+def _own(fitted: Fitted, rows: Array) -> tuple[Array, Misfit]:
+    """Covariance of the rows by noise, rounding and priors, stretched by the misfit.
 
     Rounding is white on moving pendulums; near standstill it is not, which draws show. A hundred draws' own scatter
     would distort a full covariance, so each row's variance is taken where chance does not explain it.
@@ -166,9 +181,12 @@ def _own(fitted: Fitted, rows: Array) -> tuple[Array, float]:
         variance = np.where(drawn > 1 + 3 * np.sqrt(2 / _DRAWS), drawn, 1.0)
         white = max(correlation_inflation(e[part]) for e in errors[:10] for part in parts)
         level = max(1.0, float(np.mean(errors**2)))
-    chi2 = problem.chi2_per_dof(minimum, end_s)
-    stretch = max(1.0, together / white) ** 2 * max(1.0, chi2 / level / (1 + 3 * np.sqrt(2 / n)))
-    return np.diag(variance * stretch), chi2
+    misfit = fitted.misfit
+    if misfit is None:
+        chi2 = problem.chi2_per_dof(minimum, end_s)
+        stretch = max(1.0, together / white) ** 2 * max(1.0, chi2 / level / (1 + 3 * np.sqrt(2 / n)))
+        misfit = Misfit(stretch, chi2)
+    return np.diag(variance * misfit.stretch), misfit
 
 
 def fitted_with_numbers(

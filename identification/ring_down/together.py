@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from daq.signals.run import Run
+from identification.clocks import joined_rates
 from identification.errors import IdentificationError
 from identification.estimate import Estimate
 from identification.mounting import as_mounted
@@ -89,7 +90,6 @@ def _tells_directions_apart(fit: RingDownFit) -> bool:
 
 
 def _joined(runs: list[Run]) -> Run:
-    """The first run under all runs' names, for the joint fit's provenance; the least certain clock counts."""
-    rates = {d: max(r.clock_rate_std.get(d, 20e-6) for r in runs) for d in ("x", "y", "angles", "phase")}
+    """The first run under all runs' names, for the joint fit's provenance; the least certain clocks count."""
     source = " + ".join(r.source for r in runs)
-    return replace(runs[0], test="ring-down", source=source, clock_rate_std=rates)
+    return replace(runs[0], test="ring-down", source=source, **joined_rates(runs))

@@ -160,6 +160,21 @@ def test_rate_intervals_hold(seconds: float) -> None:
     assert seconds < 30 or line.rate_std < 10e-6
 
 
+def test_records_of_one_clock_share_what_neither_has_read_of_its_rate() -> None:
+    rng = np.random.default_rng(14)
+    apart, product, alike = [], [], []
+    for _ in range(400):
+        drift = 30e-6 * rng.standard_normal()
+        one, two = (fit_line(*reads(rng, 12.0, drift, 15e-3), tolerance_ppm=30.0) for _ in range(2))
+        first, second = (line.rate - (1 / (1 + drift) - 1) for line in (one, two))
+        own = sum(line.rate_std**2 - line.shared_std**2 for line in (one, two))
+        apart.append((first - second) / np.sqrt(own))
+        product.append(first * second)
+        alike.append(one.shared_std * two.shared_std)
+    assert 0.3 < np.sqrt(np.mean(np.square(apart))) < 1.2  # exponential delays are kinder than what is assumed
+    assert 0.7 < np.mean(product) / np.mean(alike) < 1.3
+
+
 def in_step(
     rng: np.random.Generator, seconds: float, drift: float, step_s: float, grid_s: float
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
@@ -197,4 +212,4 @@ def test_a_line_without_stairs_over_more_than_a_period_is_known_as_well_as_its_r
 def test_a_short_record_says_no_more_than_the_data_sheet() -> None:
     line = fit_line(np.array([0.0, 0.1, 0.2]), np.array([0.001, 0.1012, 0.2011]), tolerance_ppm=50.0)
     assert line.rate == 0.0
-    assert line.rate_std == pytest.approx(50e-6)
+    assert line.rate_std == line.shared_std == pytest.approx(50e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from identification.clocks import clock_errors, rate_std_between
 from identification.identify import Identification, identify
 from rig_configs import load_rig
 from rig_configs.schema import Rig
+from rig_configs.shared_errors import shared_source
 from tests.daq.test_signals import DISPLACEMENT_Y, START, batch
 
 RIG = load_rig("virtual")
@@ -97,6 +99,20 @@ def test_what_nothing_is_said_of_counts_50_ppm_and_is_said(tmp_path: Path) -> No
     assert list(clock_errors(run, {"x": np.ones(1), "y": np.ones(1)})) == ["clock recorder"]
     told = import_recording(path, tmp_path / "told.mcap", RIG, recipe)
     assert not any("ppm" in warning for warning in told.warnings)
+
+
+def test_what_one_log_has_read_of_a_rate_is_an_error_of_its_own(tmp_path: Path) -> None:
+    path = plucked(tmp_path / "a.csv", 0.0)
+    recipe = make_recipe(test="ring-down-x", time="t:s", x="x:mm", y="y:mm")
+    run = load_run(import_recording(path, tmp_path / "a.mcap", RIG, recipe).path)
+    rates = {"clock_rate_std": {"x": 5e-6, "y": 5e-6}, "clock_shared_std": {"x": 3e-6, "y": 5e-6}}
+    both = replace(run, **rates, clocks={"x": "east", "y": "north"}, source="a/1.mcap + b/2.mcap")
+    found = clock_errors(both, {"x": np.array([1.0, 0.0]), "y": np.array([0.0, 2.0])})
+    assert {label: shift.tolist() for label, shift in found.items()} == {
+        "clock east": pytest.approx([3e-6, 0.0]), "clock east in 1.mcap + 2.mcap": pytest.approx([4e-6, 0.0]),
+        "clock north": pytest.approx([0.0, 1e-5]),
+    }  # fmt: skip
+    assert [shared_source(label).kind for label in found] == ["B", "A", "B"]
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from synthetic import STEP, Campaign
 
 from daq.signals.run import Run
@@ -103,6 +104,29 @@ def test_a_wrong_pendulum_mass_in_the_rig_file_is_found(campaign: Campaign, rele
     size, std = best_size(rows, found, -rows.by_number["pendulums.a.mass_kg"])
     assert abs(size + 0.002 * true) < 4 * std
     assert std < 0.001 * true
+
+
+def test_releases_together_are_met_to_the_noise_by_one_wrong_mass_alone() -> None:
+    """Rows that are linear about each release's own fit, far apart along what a release hardly shows, are not."""
+    left, count = 0.0, 0
+    for seed in range(3):
+        campaign = Campaign(60 + seed, clock_rate_std=0.0)
+        found, name = identified(campaign, seed), "pendulums.b.mass_kg"
+        rig = campaign.rig.with_number(name, 1.003 * campaign.rig.physics.b.mass_kg)
+        rows = check_releases([campaign.point(point, 6.0) for point in "ABCDE"], rig, found)
+        values, by = np.concatenate([r.values for r in rows]), np.concatenate([r.by_parameter for r in rows])
+        total = block_diag(*(r.own for r in rows)) + by @ found.own_covariance @ by.T
+        for label in rows[0].shared:
+            shift = np.concatenate([r.shared[label] for r in rows])
+            total = total + np.outer(shift, shift)
+        direction = np.concatenate([r.by_number[name] for r in rows])
+        weighted = np.linalg.solve(total, direction)
+        size = float(weighted @ values) / float(weighted @ direction)
+        rest = values - size * direction
+        left += float(rest @ np.linalg.solve(total, rest))
+        count += len(values) - 1
+        assert size == pytest.approx(0.003 * campaign.rig.physics.b.mass_kg, rel=0.2)
+    assert left / count < 1.3
 
 
 def test_a_pendulum_that_stays_in_its_lock_fails_plainly(campaign: Campaign, release_d: Run) -> None:
