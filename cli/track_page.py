@@ -218,7 +218,7 @@ def print_tracking(result: Tracking) -> None:
     show(f"readings: {taken}, used {counts['used']}, rejected {counts['refused']}, too late {counts['late']}; "
          f"new starts {counts['restarts']}, repairs of the covariance {counts['repairs']}")  # fmt: skip
     lost = {name: count for name, count in result.run.losses.items() if count}
-    show(f"lost before the log: {', '.join(f'{name} {count}' for name, count in lost.items()) or 'nothing'}")
+    show(f"lost on the way to the log: {', '.join(f'{name} {count}' for name, count in lost.items()) or 'nothing'}")
     show(_verdict(result))
 
 
