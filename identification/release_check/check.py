@@ -140,6 +140,8 @@ class _Case:
         names = tuple(self.identified.values)
         empty = ReleaseRows(point, (), np.empty(0), np.empty((0, 0)), np.empty((0, len(names))), names)
         zero_std = math.radians(self.rig.roles.zero_std_deg)
+        if wrong := [name for name, value in self.identified.values.items() if value <= 0]:
+            return replace(empty, sentence=f"{run.source}: not compared, {', '.join(wrong)} is not above 0")
         try:
             release = Release.of(
                 run, Knowledge.nominal(self.identified.applied_to(self.rig.physics)), _ZERO_WIDE * zero_std, "balanced"
@@ -176,7 +178,8 @@ class _Case:
     def named(self, point: str, run: Run, found: Condensed) -> ReleaseRows:
         """Rows of what one release says."""
         values = self.identified.values
-        by = np.column_stack([found.slopes[name] / value for name, value in values.items()])
+        columns = [found.slopes[name] / value for name, value in values.items()]
+        by = np.column_stack(columns) if columns else np.empty((len(found.values), 0))
         by_number = {name: found.slopes[name] for name in PHYSICAL if name in found.slopes}
         shared = {label: by @ shift for label, shift in self.identified.shared.items()}
         for source in self.rig.known.sources:

@@ -189,6 +189,16 @@ def test_dry_friction_that_an_identification_found_is_in_the_model() -> None:
     assert without.values @ np.linalg.solve(covariance(without, found), without.values) > 3 * chi2
 
 
+def test_with_nothing_identified_everything_is_left_open(campaign: Campaign, release_d: Run) -> None:
+    rows = checked(release_d, campaign.rig, IdentifiedParameters({}, np.empty((0, 0))))
+    assert rows.followed
+    assert rows.by_parameter.shape == (len(rows.rows), 0)
+    zero = {**identified(campaign, 5).values, "zeta1": 0.0}
+    none = checked(release_d, campaign.rig, IdentifiedParameters(zero, np.zeros((7, 7))))
+    assert not none.followed
+    assert "zeta1" in none.sentence
+
+
 def test_a_run_without_a_release_brings_no_rows(campaign: Campaign, release_d: Run) -> None:
     found = identified(campaign, 9)
     assert check_releases([dataclasses.replace(release_d, releases=())], campaign.rig, found) == []
