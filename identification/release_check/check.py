@@ -161,6 +161,8 @@ class _Case:
 
     def settled(self, fits: Sequence[Fitted], pool: ThreadPoolExecutor) -> list[Condensed]:
         """What the releases say, linear about the place where all of them are met best."""
+        if not fits:
+            return []
         worth, assumed = self._worth(), self._assumed
         found = [condensed(fitted, assumed, worth) for fitted in fits]
         for _ in range(_PASSES):
