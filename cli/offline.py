@@ -113,10 +113,14 @@ def validate(
     if report is not None:
         from analysis.report.campaign import Campaign, IdentificationResult  # noqa: PLC0415 (matplotlib)
         from analysis.report.write import write_report  # noqa: PLC0415
+        from cli.parameters_budget import all_budgets  # noqa: PLC0415
 
         identified = IdentificationResult(known, warnings=warnings)
         title = f"{'What if: validation' if what_if else 'Validation'} of {loaded.name}"
-        campaign = Campaign(title, loaded, runs, identified, found, axis_angle_deg=given, what_if=what_if)
+        campaign = Campaign(
+            title, loaded, runs, identified, found, axis_angle_deg=given, what_if=what_if,
+            budgets=all_budgets(loaded, known),
+        )  # fmt: skip
         write_report(report, campaign)
     if json:
         print_json({**found.to_json(), "passed": found.passed, "what_if": what_if, "warnings": warnings,

@@ -134,6 +134,19 @@ def budget(
     return 0
 
 
+def all_budgets(rig: Rig, identified: IdentifiedParameters) -> Budgets:
+    """Of every parameter, and of every quantity predicted at the points where the model has a stable state.
+
+    Args:
+        identified: without what was set by hand.
+    """
+    from identification.joint.budget import parameter_budgets  # noqa: PLC0415
+
+    asked, of_parameters = Asked(tuple(identified.values), tuple(rig.points)), parameter_budgets(identified, rig)
+    predicted, skipped = _predicted(rig, identified, asked, of_parameters)
+    return Answer(asked, of_parameters, predicted, {}, skipped).together
+
+
 def _asked(names: Sequence[str], identified: IdentifiedParameters, rig: Rig | None) -> Asked:
     """The names as parameters, points and quantities.
 

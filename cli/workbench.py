@@ -88,6 +88,7 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
     from analysis.report.write import write_report  # noqa: PLC0415
     from analysis.validation import validate  # noqa: PLC0415
     from cli import results  # noqa: PLC0415
+    from cli.parameters_budget import all_budgets  # noqa: PLC0415
     from cli.report_forms import report_identification  # noqa: PLC0415
     from cli.runs import keep_verdicts  # noqa: PLC0415
     from daq.guided_tests.test_inputs import possible_tests  # noqa: PLC0415
@@ -114,6 +115,7 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
         notes=facts["notes"],
         software_version=results.software_version(),
         seed=facts["seed"],
+        budgets=all_budgets(seen, joint.parameters),
     )
     write_report(report, campaign)
     losses = {Path(run.source).name: dict(run.losses) for run in runs}

@@ -10,6 +10,7 @@ from analysis.plots.fit import FitCurve
 from analysis.validation import Validation
 from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig
+from uncertainty import Budgets
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ class Campaign:
         truth: a simulated rig's own numbers by parameter name, for the closing comparison.
         notes: paragraphs of the operator.
         software_version, seed: as recorded with the logs.
+        budgets: of the parameters and of what the model predicts at the points, by source.
         what_if: settings laid over rig file and parameters; the report then answers a question and is marked so.
     """
 
@@ -106,3 +108,4 @@ class Campaign:
     software_version: str = ""
     seed: int | None = None
     what_if: Sequence[str] = ()
+    budgets: Budgets | None = None

@@ -15,6 +15,7 @@ from analysis.plots.point import draw_point, simulate_release
 from analysis.plots.stability_map import MapPoint, draw_stability_map
 from analysis.prediction import UNKNOWN_AXIS_ANGLE_DEG, known_axis_angle
 from analysis.report import tables
+from analysis.report.budget_tables import budget_tables
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
 from analysis.scores import Z_LIMIT
@@ -67,6 +68,7 @@ def render(campaign: Campaign) -> str:
         explained=_explained(campaign),
         noticed=tables.noticed_rows(campaign),
         exact=tables.exact_rows(campaign),
+        budgets=budget_tables(campaign.budgets),
         stability=_map(campaign, points),
         z_limit=f"{Z_LIMIT:g}",
     )

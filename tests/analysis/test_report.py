@@ -22,6 +22,7 @@ from analysis.report import (
 from analysis.report.rounding import plain, with_std
 from daq.signals.run import Run
 from rig_configs import load_rig
+from uncertainty import Budgets, Source
 
 HOSTILE = '<script>alert("$x^$ & 1")</script>'
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -154,6 +155,23 @@ def test_an_empty_campaign_still_gives_a_page() -> None:
     full = draw(load_rig("virtual"), 0)
     page = Page(render(Campaign("empty", load_rig("virtual"), [], IdentificationResult(full.identified))))
     assert "No validation point was run" in page.text
+
+
+def test_budgets_are_tables_with_the_largest_source_first(hostile: Campaign) -> None:
+    sources = (
+        Source("gain x", 1e-3, "1"),
+        Source(HOSTILE, 0.2, "mm"),
+        Source("dust", 1e-9, "mm"),
+        Source("clock a", 1, "u"),
+    )
+    table = np.array([[2.5, 0.1, 1.0, 1e-3]])
+    budgets = Budgets(("D.amplitude_mm",), np.array([4.0]), ("mm",), sources, table)
+    html = render(dataclasses.replace(hostile, budgets=budgets))
+    text = Page(html[html.index("<details><summary>Uncertainty budgets") : html.index("<h3>Correlation")]).text
+    assert "D.amplitude_mm = 4.00 ± 0.02 mm; U = 0.04 mm at 95 % (k = 1.960, νeff = ∞)" in text
+    assert text.index(HOSTILE) < text.index("gain x") < text.index("clock a") < text.index("1 more")
+    assert re.findall(r"(?:< )?[\d.]+ %(?! \(k)", text) == ["98.2 %", "1.5 %", "0.2 %", "< 0.1 %"]
+    assert "Uncertainty budgets" not in render(hostile)
 
 
 @pytest.mark.parametrize(

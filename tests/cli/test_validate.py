@@ -68,6 +68,8 @@ def test_a_what_if_lies_over_the_parameters_and_keeps_nothing(
     page = report.read_text(encoding="utf-8")
     assert "<title>What if: validation of virtual</title>" in page
     assert "imbalance.radius_m=+5%" in page
+    assert "Uncertainty budgets" in page
+    assert "<b>B.theta3_deg</b>" in page
     assert run(["validate", "virtual", str(log), "--parameters", str(toml), "--set", setting]) == 1
     assert f"what if {setting}" in capsys.readouterr().out
     assert verdict.read_bytes() == official
