@@ -115,7 +115,7 @@ def _shared(
     known: Known, identified: IdentifiedParameters, by_parameter: Array, by_number: Mapping[str, Array]
 ) -> dict[str, Array]:
     """Shifts for one standard deviation of each error that other quantities share, by label, shape (5,) each."""
-    shared = {label: by_parameter @ shift for label, shift in identified.shared.items()}
+    shared = {label: by_parameter @ shift for label, shift in identified.shared_with(known).items()}
     for source in known.sources:
         parts = [by_number[name] * step for name, step in source.effects.items() if name in by_number]
         if parts or source.label in shared:

@@ -14,6 +14,7 @@ import tomlkit
 
 from dynamics.equations.parameters import RotorParameters
 from rig_configs.errors import ParametersFileError, RigFileError
+from rig_configs.known import LABEL, Known, KnownSource
 from rig_configs.toml_text import parse_toml, read_text
 
 PARAMETER_UNITS: Mapping[str, str] = {
@@ -133,6 +134,21 @@ class IdentifiedParameters:
         unit = np.where(std > 0, std, 1.0)
         sizes, turn = np.linalg.eigh(0.5 * (own + own.T) / np.outer(unit, unit))
         return (turn * np.maximum(sizes, 0.0)) @ turn.T * np.outer(unit, unit)
+
+    def shift_by(self, source: KnownSource) -> np.ndarray:
+        """What one standard deviation of what a rig file takes as known does to the values, shape (n,)."""
+        parts = [self.by_number[number] * step for number, step in source.effects.items() if number in self.by_number]
+        return np.sum([np.zeros(len(self.values)), *parts], axis=0)
+
+    def shared_with(self, known: Known) -> dict[str, np.ndarray]:
+        """The shared errors where what is taken as known is as uncertain as a rig file has it now.
+
+        Values without derivatives by the rig file's numbers keep the errors that they were identified with.
+        """
+        if not self.by_number:
+            return dict(self.shared)
+        own = {label: shift for label, shift in self.shared.items() if not label.startswith(f"{LABEL} ")}
+        return own | {source.label: self.shift_by(source) for source in known.sources}
 
     def save(self, path: str | Path) -> None:
         """Write parameters.toml."""

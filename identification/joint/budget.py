@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from identification.joint.combine import JointEstimate
 from identification.joint.provenance import KeptTest, rebuilt
-from rig_configs.known import Known, KnownSource
+from rig_configs.known import Known
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
@@ -96,7 +96,7 @@ def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) 
             columns.add_shift(shared_source(label, rig), shift)
     if replaced:
         for source in known.sources:
-            columns.add_shift(known_source(source), scale * _shift(source, parameters))
+            columns.add_shift(known_source(source), scale * parameters.shift_by(source))
     elif known.sources and rig is not None:
         notes.append(
             "the file has no derivatives by the rig file's numbers: their standard uncertainties do not enter its "
@@ -168,14 +168,6 @@ def _disagreement(joint: JointEstimate, known: Array, scale: Array, columns: _Co
     members = tuple(names[i] for i in at)
     group = Group("disagreement", members, tuple(PARAMETER_UNITS[n] for n in members), 0.5 * (sound + sound.T))
     columns.add(group, scale[:, None] * np.eye(len(names))[:, at])
-
-
-def _shift(source: KnownSource, parameters: IdentifiedParameters) -> Array:
-    """What one standard deviation of what is taken as known does to the parameters, shape (n,)."""
-    total = np.zeros(len(parameters.values))
-    for number, step in source.effects.items():
-        total = total + parameters.by_number.get(number, np.zeros(len(total))) * step
-    return total
 
 
 def _not_as_identified(parameters: IdentifiedParameters, budgets: Budgets) -> list[str]:

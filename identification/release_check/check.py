@@ -183,7 +183,7 @@ class _Case:
         columns = [found.slopes[name] / value for name, value in values.items()]
         by = np.column_stack(columns) if columns else np.empty((len(found.values), 0))
         by_number = {name: found.slopes[name] for name in PHYSICAL if name in found.slopes}
-        shared = {label: by @ shift for label, shift in self.identified.shared.items()}
+        shared = {label: by @ shift for label, shift in self.identified.shared_with(self.rig.known).items()}
         for source in self.rig.known.sources:
             parts = [found.slopes[name] * step for name, step in source.effects.items() if name in found.slopes]
             shared[source.label] = np.sum([shared.get(source.label, np.zeros(len(by))), *parts], axis=0)

@@ -68,6 +68,21 @@ def test_the_budgets_hold_the_covariance_of_the_prediction(found: PredictedBudge
     assert found.budgets["D.theta3_deg"].value == pytest.approx(np.degrees(found.predictions["D"].values[0]))
 
 
+def test_uncertainties_that_a_rig_file_got_after_the_identification_act_through_the_parameters_too(
+    rig: Rig, identified: IdentifiedParameters, found: PredictedBudgets
+) -> None:
+    gains = {label: shift for label, shift in identified.shared.items() if not label.startswith("known ")}
+    own = identified.own_covariance + np.sum([np.outer(v, v) for v in gains.values()], axis=0)
+    before = replace(identified, covariance=own, shared=gains)
+    expected = found.predictions["D"]
+    prediction = predict_point(rig, before, expected.speed_rad_s)
+    np.testing.assert_allclose(prediction.covariance, expected.covariance, rtol=1e-6, atol=1e-20)
+    stale = replace(identified, shared={**identified.shared, "known scales": np.ones(len(identified.values))})
+    assert "known scales" not in stale.shared_with(rig.known)
+    plain = replace(identified, by_number={})
+    assert set(plain.shared_with(rig.known)) == set(identified.shared)
+
+
 def test_a_mass_acts_through_the_parameters_and_directly_in_one_row(found: PredictedBudgets) -> None:
     row = next(r for r in budget_rows(found.budgets["D.theta3_deg"]) if r.source == "known balance")
     prediction = found.predictions["D"]
