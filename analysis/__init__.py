@@ -9,15 +9,16 @@ if TYPE_CHECKING:
     from analysis.errors import AnalysisError, NoStableState, NotEnoughData
     from analysis.order_tracking import OrderTrack, order_track
     from analysis.prediction import Prediction, predict_point
+    from analysis.results import PointResult
     from analysis.steady_state import SteadyMeasurement, measure
-    from analysis.validation import PointResult, Validation, validate, validate_point
+    from analysis.validation import Validation, validate, validate_point
 
 _HOME = {  # loaded when first used: an error class or one figure need not wait for the drivers and fits
     "AnalysisError": "analysis.errors",
     "NoStableState": "analysis.errors",
     "NotEnoughData": "analysis.errors",
     "OrderTrack": "analysis.order_tracking",
-    "PointResult": "analysis.validation",
+    "PointResult": "analysis.results",
     "Prediction": "analysis.prediction",
     "SteadyMeasurement": "analysis.steady_state",
     "Validation": "analysis.validation",

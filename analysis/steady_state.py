@@ -17,6 +17,7 @@ from dynamics import RotorParameters
 from rig_configs import Rig
 
 AVERAGE_S = 6.0  # the last seconds that are averaged
+_LOCKED_S = 2.0  # before the release
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
 # The bound on what is to come is noisy, and a test ends where it is low. One that was low enough a moment ago holds for
@@ -131,6 +132,20 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
         from_s=start,
         to_s=end,
     )
+
+
+def locked_radius_m(run: Run) -> float:
+    """Rms radius of order 1 with locked pendulums in the seconds before the release; nan where the log has it not."""
+    if not run.releases:
+        return math.nan
+    go = min(r.time_s for r in run.releases)
+    start, end = go - _LOCKED_S, go - 0.02
+    try:
+        x, _ = _orders(run, run.x_time_s, run.x_m, start, end, "x")
+        y, _ = _orders(run, run.y_time_s, run.y_m, start, end, "y")
+    except (NotEnoughData, IndexError):
+        return math.nan
+    return math.sqrt(0.5 * (abs(x[0]) ** 2 + abs(y[0]) ** 2))
 
 
 def _own(x: np.ndarray, y: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, float]:

@@ -9,7 +9,6 @@ Derivation and the choice of the threshold: docs/theory/validation.md.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -22,58 +21,13 @@ from analysis.errors import NoStableState, NotEnoughData
 from analysis.explanations import Explanations
 from analysis.noticed import Noticed
 from analysis.overall import overall
-from analysis.prediction import QUANTITIES, Prediction, predict_point
-from analysis.scores import JSON_KEYS, NAMES, Z_LIMIT, Score, finite, measured_intervals, scores_of, sentence
-from analysis.steady_state import SteadyMeasurement, measure
+from analysis.prediction import Prediction, predict_point
+from analysis.results import PointResult
+from analysis.scores import NAMES, Z_LIMIT, Score, scores_of, sentence
+from analysis.start_ups import START_UPS, StartUps, start_ups
+from analysis.steady_state import SteadyMeasurement, locked_radius_m, measure
 from daq.signals.run import Run, point_of
 from rig_configs import IdentifiedParameters, Rig
-
-
-@dataclass(frozen=True)
-class PointResult:
-    """One point's comparison.
-
-    Attributes:
-        name, expected: the point and the rig file's expectation for it (None: the file has no such point).
-        state: measured "I", "II", "III", "slipping" or "not settled".
-        measurement, prediction: None when there was nothing to measure, or no stable state to predict.
-        scores: by quantity (QUANTITIES); empty when nothing could be compared.
-        verdict: "pass", "fail", "not settled", "not locked" or "not enough data".
-        why: the verdict's reason in one sentence.
-        source: the run's log.
-    """
-
-    name: str
-    expected: str | None
-    state: str
-    measurement: SteadyMeasurement | None
-    prediction: Prediction | None
-    scores: Mapping[str, Score]
-    verdict: str
-    why: str
-    source: str
-
-    @property
-    def z_scores(self) -> dict[str, float]:
-        """z by quantity."""
-        return {name: score.z for name, score in self.scores.items()}
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values, units in the names; what is not known is None."""
-        measured, measured_std = _measured_json(self.measurement)
-        predicted, predicted_std = _predicted_json(self.prediction)
-        return {
-            "state": self.state,
-            "measured": measured,
-            "predicted": predicted,
-            "measured_std": measured_std,
-            "predicted_std": predicted_std,
-            "z_scores": {k: finite(v) for k, v in self.z_scores.items()},
-            "verdict": self.verdict,
-            "why": self.why,
-            "scores": {name: score.to_json(JSON_KEYS[name]) for name, score in self.scores.items()},
-            "to_come": None if self.measurement is None else self.measurement.to_come.to_json(),
-        }
 
 
 @dataclass(frozen=True)
@@ -85,18 +39,20 @@ class Validation:
         agreement: of all points together with the model; None where no point could be compared.
         explanations: what would explain the differences; None where they agree.
         noticed: cause, in words → the smallest size that the most sensitive point alone would notice, and that point.
+        start_ups: repeated start-ups, by the speed that was asked for.
     """
 
     points: Mapping[str, PointResult] = field(default_factory=dict)
     agreement: Agreement | None = None
     explanations: Explanations | None = None
     noticed: Sequence[Noticed] = ()
+    start_ups: Sequence[StartUps] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether there is a point, every point passed, and all of them together agree with the model."""
-        each = bool(self.points) and all(p.verdict == "pass" for p in self.points.values())
-        return each and (self.agreement is None or self.agreement.passed)
+        """Whether there is a point or a start-up, each passed, and all points together agree with the model."""
+        parts = [p.verdict == "pass" for p in self.points.values()] + [series.passed for series in self.start_ups]
+        return bool(parts) and all(parts) and (self.agreement is None or self.agreement.passed)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, ready for json.dumps: "points" by name, and what all of them say together."""
@@ -105,6 +61,7 @@ class Validation:
             "agreement": None if self.agreement is None else self.agreement.to_json(),
             "explanations": None if self.explanations is None else self.explanations.to_json(),
             "noticed": [one.to_json() for one in self.noticed],
+            "start_ups": [series.to_json() for series in self.start_ups],
         }
 
 
@@ -115,7 +72,7 @@ def validate(
     axis_angle_deg: tuple[float, float] | None = None,
     releases: Sequence[Rows] = (),
 ) -> Validation:
-    """Compare every run at a point with the model; other runs are left alone.
+    """Compare every run at a point, and every repeated start-up, with the model; other runs are left alone.
 
     Args:
         runs: recorded tests, any order; a point recorded twice appears as "A" and "A (2)".
@@ -141,8 +98,9 @@ def validate(
         [Compared(n, p.measurement, p.prediction) for n, p in settled.items() if p.measurement and p.prediction],
         rig, identified, axis_angle_deg, [each for each in releases if each.point in results],
     )  # fmt: skip
+    repeated = _start_ups(runs, rig, identified, axis_angle_deg)
     if found is None:
-        return Validation(results)
+        return Validation(results, start_ups=repeated)
     for group in found.agreement.failing_points:
         name = group.removesuffix(f" {RELEASE}")
         if results[name].verdict == "pass":
@@ -150,12 +108,29 @@ def validate(
             which = "its quantities together" if name == group else "what happened right after the release"
             why = f"{which}: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
             results[name] = replace(results[name], verdict="fail", why=why)
-    validation = Validation(results, found.agreement, found.explanations, found.noticed)
+    validation = Validation(results, found.agreement, found.explanations, found.noticed, repeated)
     return (
         validation
         if found.explanations is not None or validation.passed
         else replace(validation, explanations=found.explain())
     )
+
+
+def _start_ups(
+    runs: Sequence[Run], rig: Rig, identified: IdentifiedParameters, axis_angle_deg: tuple[float, float] | None
+) -> list[StartUps]:
+    """Repeated start-ups by the speed that was asked for, slowest first."""
+    series: dict[str, list[Run]] = {}
+    for run in sorted((r for r in runs if r.test == START_UPS), key=lambda r: r.start_s):
+        series.setdefault(str(run.metadata.get("speed_rpm", "nan")), []).append(run)
+    return [
+        start_ups(
+            float(speed),
+            [validate_point(run, rig, identified, axis_angle_deg) for run in alike],
+            [locked_radius_m(run) for run in alike],
+        )
+        for speed, alike in sorted(series.items(), key=lambda item: float(item[0]))
+    ]
 
 
 def validate_point(
@@ -231,21 +206,3 @@ def _moved_on(measured: SteadyMeasurement) -> str:
     """How much was extrapolated, where it matters."""
     moved = measured.to_come.sentence
     return f"; {moved}" if moved else ""
-
-
-def _measured_json(m: SteadyMeasurement | None) -> tuple[dict[str, float | None], dict[str, float | None]]:
-    keys = [*JSON_KEYS.values(), ("speed_rpm", 30 / math.pi)]
-    if m is None:
-        return {key: None for key, _ in keys}, {key: None for key, _ in keys}
-    values = [*(measured_intervals(m)[name] for name in JSON_KEYS), m.speed_rad_s]
-    pairs = list(zip(keys, values, strict=True))
-    return {k: finite(v.value * f) for (k, f), v in pairs}, {k: finite(v.std * f) for (k, f), v in pairs}
-
-
-def _predicted_json(p: Prediction | None) -> tuple[dict[str, float | None], dict[str, float | None]]:
-    if p is None:
-        return _measured_json(None)
-    order = [QUANTITIES.index(name) for name in JSON_KEYS]
-    values = {key: finite(p.values[j] * f) for j, (key, f) in zip(order, JSON_KEYS.values(), strict=True)}
-    stds = {key: finite(p.std[j] * f) for j, (key, f) in zip(order, JSON_KEYS.values(), strict=True)}
-    return values | {"speed_rpm": p.speed_rad_s * 30 / math.pi}, stds | {"speed_rpm": 0.0}

@@ -32,10 +32,13 @@ def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> li
     Args:
         parameters: which parameter set the model had.
     """
+    from analysis.start_ups import START_UPS  # noqa: PLC0415 (scipy takes a second to import)
+
     digests = {run.source: str(run.metadata["digest"]) for run in runs}
     now = datetime.now(UTC).isoformat(timespec="seconds")
     faults = []
-    for name, point in found.points.items():
+    repeated = [(START_UPS, each) for series in found.start_ups for each in series.results]
+    for name, point in [*found.points.items(), *repeated]:
         if point.source not in digests:  # the point has no log: nothing to keep it beside
             continue
         verdict = Verdict(

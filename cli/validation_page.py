@@ -17,7 +17,7 @@ def whole_lines(result: Mapping[str, Any]) -> list[str]:
     lines = [] if explained is None else list(explained["sentences"])
     if agreement is not None:
         lines.append(f"together: {'pass' if agreement['passed'] else 'FAIL'}: {agreement['why']}")
-    return lines
+    return lines + [sentence for series in result.get("start_ups", ()) for sentence in series["sentences"]]
 
 
 def noticed_lines(result: Mapping[str, Any]) -> list[str]:

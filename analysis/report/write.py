@@ -18,8 +18,8 @@ from analysis.report import tables
 from analysis.report.budget_tables import budget_tables
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
+from analysis.results import PointResult
 from analysis.scores import Z_LIMIT
-from analysis.validation import PointResult
 from daq.signals.run import Run, point_of
 from dynamics.errors import DynamicsError
 
@@ -69,6 +69,7 @@ def render(campaign: Campaign) -> str:
         noticed=tables.noticed_rows(campaign),
         exact=tables.exact_rows(campaign),
         budgets=budget_tables(campaign.budgets),
+        start_ups=[series.sentences for series in campaign.validation.start_ups] if campaign.validation else [],
         stability=_map(campaign, points),
         z_limit=f"{Z_LIMIT:g}",
     )

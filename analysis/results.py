@@ -1,0 +1,77 @@
+"""One point's comparison with the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from analysis.prediction import QUANTITIES, Prediction
+from analysis.scores import JSON_KEYS, Score, finite, measured_intervals
+from analysis.steady_state import SteadyMeasurement
+
+
+@dataclass(frozen=True)
+class PointResult:
+    """One point's comparison.
+
+    Attributes:
+        name, expected: the point and the rig file's expectation for it (None: the file has no such point).
+        state: measured "I", "II", "III", "slipping" or "not settled".
+        measurement, prediction: None when there was nothing to measure, or no stable state to predict.
+        scores: by quantity (QUANTITIES); empty when nothing could be compared.
+        verdict: "pass", "fail", "not settled", "not locked" or "not enough data".
+        why: the verdict's reason in one sentence.
+        source: the run's log.
+    """
+
+    name: str
+    expected: str | None
+    state: str
+    measurement: SteadyMeasurement | None
+    prediction: Prediction | None
+    scores: Mapping[str, Score]
+    verdict: str
+    why: str
+    source: str
+
+    @property
+    def z_scores(self) -> dict[str, float]:
+        """z by quantity."""
+        return {name: score.z for name, score in self.scores.items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, units in the names; what is not known is None."""
+        measured, measured_std = _measured_json(self.measurement)
+        predicted, predicted_std = _predicted_json(self.prediction)
+        return {
+            "state": self.state,
+            "measured": measured,
+            "predicted": predicted,
+            "measured_std": measured_std,
+            "predicted_std": predicted_std,
+            "z_scores": {k: finite(v) for k, v in self.z_scores.items()},
+            "verdict": self.verdict,
+            "why": self.why,
+            "scores": {name: score.to_json(JSON_KEYS[name]) for name, score in self.scores.items()},
+            "to_come": None if self.measurement is None else self.measurement.to_come.to_json(),
+        }
+
+
+def _measured_json(m: SteadyMeasurement | None) -> tuple[dict[str, float | None], dict[str, float | None]]:
+    keys = [*JSON_KEYS.values(), ("speed_rpm", 30 / math.pi)]
+    if m is None:
+        return {key: None for key, _ in keys}, {key: None for key, _ in keys}
+    values = [*(measured_intervals(m)[name] for name in JSON_KEYS), m.speed_rad_s]
+    pairs = list(zip(keys, values, strict=True))
+    return {k: finite(v.value * f) for (k, f), v in pairs}, {k: finite(v.std * f) for (k, f), v in pairs}
+
+
+def _predicted_json(p: Prediction | None) -> tuple[dict[str, float | None], dict[str, float | None]]:
+    if p is None:
+        return _measured_json(None)
+    order = [QUANTITIES.index(name) for name in JSON_KEYS]
+    values = {key: finite(p.values[j] * f) for j, (key, f) in zip(order, JSON_KEYS.values(), strict=True)}
+    stds = {key: finite(p.std[j] * f) for j, (key, f) in zip(order, JSON_KEYS.values(), strict=True)}
+    return values | {"speed_rpm": p.speed_rad_s * 30 / math.pi}, stds | {"speed_rpm": 0.0}
