@@ -169,7 +169,7 @@ def _counts(done: TestDone) -> list[str]:
         return []
     lines = [f"{done.summary['start_ups']} start-ups: {', '.join(f'{n} {name}' for name, n in counted.items())}"]
     for state, measured in done.summary["measured"].items():
-        figures = (f"{key} {v['mean']:.3g} ({v['least']:.3g} … {v['largest']:.3g})" for key, v in measured.items())
+        figures = (f"{key} {v['mean']:.5g} ({v['least']:.5g} … {v['largest']:.5g})" for key, v in measured.items())
         lines.append(f"  {state}, {done.summary['states'][state]}: {', '.join(figures) or 'nothing measured'}")
     return lines
 
