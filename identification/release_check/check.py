@@ -48,7 +48,7 @@ _NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)),
 _NO_MOTION = 1e3  # standard deviations of a release along which the model has no finite motion
 _NOT_FOLLOWED = "release"  # the one row of such a release
 _THREADS = 2
-_PASSES = 2  # over the place where all releases are met best
+_PASSES, _STANDS = 8, 0.01  # over the place where all releases are met best; of what is worth seeing
 
 
 @dataclass(frozen=True)
@@ -165,11 +165,17 @@ class _Case:
             return []
         worth, assumed = self._worth(), self._assumed
         found = [condensed(fitted, assumed, worth) for fitted in fits]
+        before, there = dict[str, float](), found
         for _ in range(_PASSES):
-            place = {name: assumed.get(name, 0.0) + off for name, off in agreed(found, worth).items()}
-            moved = pool.map(fitted_at, fits, repeat(place), [each.misfit for each in found])
+            place = {name: assumed.get(name, 0.0) + off for name, off in agreed(there, worth).items()}
+            if before and all(abs(place[name] - before[name]) < _STANDS * worth[name] for name in place):
+                break
+            moved = list(pool.map(fitted_at, fits, repeat(place), [each.misfit for each in found]))
             fits = [new or old for new, old in zip(moved, fits, strict=True)]
             found = [condensed(fitted, assumed, worth) for fitted in fits]
+            # what does not settle there is linear about another place: it has no say in where that is
+            there = [each for each, new in zip(found, moved, strict=True) if new is not None] or found
+            before = place
         return found
 
     @property
@@ -231,8 +237,8 @@ class _Case:
             return search.answers([(place, False) for place in from_places], release.run.source)[0]
 
         if numbers:
-            return fitted_with_numbers(release, problem, shape, horizons[-1], solve, starts[0])
-        return Fitted(release, problem, shape, solve(problem, *starts), horizons[-1])
+            return fitted_with_numbers(release, problem, shape, horizons, solve, starts[0])
+        return Fitted(release, problem, shape, solve(problem, *starts), horizons)
 
     def _std(self, wide: float) -> dict[str, float]:
         """How far each parameter's logarithm is opened, standard deviations of it; at most to what a file is worth."""

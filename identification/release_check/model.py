@@ -9,7 +9,7 @@ derivative by what was assumed is −Uᵀ S. Source: docs/theory/validation.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -74,7 +74,8 @@ class Fitted:
 
     Attributes:
         release, problem, shape: what was fitted, with dry friction of a shape.
-        minimum, end_s: its end, and the last instant.
+        minimum: its end.
+        horizons_s: last instants of the stretches over which it was fitted, growing.
         moved: number of the rig file → how far the release's knowledge has it above what the file says.
         misfit: of the fit with everything open, where this is another one.
     """
@@ -83,9 +84,14 @@ class Fitted:
     problem: TransientProblem
     shape: Shape | None
     minimum: Minimum
-    end_s: float
+    horizons_s: Sequence[float]
     moved: Mapping[str, float] = field(default_factory=dict[str, float])
     misfit: Misfit | None = None
+
+    @property
+    def end_s(self) -> float:
+        """The last instant."""
+        return self.horizons_s[-1]
 
     @property
     def readings(self) -> int:
@@ -190,14 +196,14 @@ def _own(fitted: Fitted, rows: Array) -> tuple[Array, Misfit]:
 
 
 def fitted_with_numbers(
-    release: Release, problem: TransientProblem, shape: Shape | None, end_s: float,
+    release: Release, problem: TransientProblem, shape: Shape | None, horizons_s: Sequence[float],
     solve: Callable[[TransientProblem, Array], Minimum], start: Array,
 ) -> Fitted:  # fmt: skip
     """A fit that has the pendulums' masses and lengths open beside all else.
 
     Args:
         problem: of the release, without them.
-        solve: (problem, θ to start from) ↦ its minimum at end_s. θ ends with relative changes of the numbers.
+        solve: (problem, θ to start from) ↦ its minimum over the whole. θ ends with relative changes of the numbers.
     """
     values, known, p = physical_numbers(release.knowledge.physics), release.knowledge, len(problem.prior)
 
@@ -232,7 +238,7 @@ def fitted_with_numbers(
     there = at(shares)
     fixed = replace(there.problem(shape), prior=problem.prior, prior_std=problem.prior_std)
     moved = {name: share * values[name] for name, share in zip(_OPEN_NUMBERS, shares.tolist(), strict=True)}
-    return Fitted(there, fixed, shape, own, end_s, moved)
+    return Fitted(there, fixed, shape, own, horizons_s, moved)
 
 
 def opened(problem: TransientProblem, std: Mapping[str, float]) -> TransientProblem:

@@ -7,11 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.errors import FitFailed
+from identification.least_squares import Minimum
+from identification.pendulums.transient import TransientProblem
 from identification.release_check.model import PLACES, Condensed, Fitted, Misfit
 
+Array = NDArray[np.float64]
+
 _HELD = 1e-9  # std of what is held
+_ITERATIONS = 40
+_GOOD, _NO_WORSE = 1.2, 1.1  # χ²/dof, and of the first fit's, that are not looked into
 
 
 def agreed(found: Sequence[Condensed], worth: Mapping[str, float]) -> dict[str, float]:
@@ -40,7 +47,7 @@ def fitted_at(fitted: Fitted, shared: Mapping[str, float], misfit: Misfit) -> Fi
 
     Args:
         shared: a place of θ, or a number's distance above what the file says, by name.
-        misfit: of the fit with everything open.
+        misfit: of the fit with everything open; one that is better here takes its place.
     """
     minimum, held = fitted.minimum, [PLACES[name] for name in shared if name in PLACES]
     knowledge, moved = fitted.release.knowledge, dict(fitted.moved)
@@ -59,8 +66,35 @@ def fitted_at(fitted: Fitted, shared: Mapping[str, float], misfit: Misfit) -> Fi
     change = minimum.jacobian[kept][:, held] @ (start - minimum.theta)[held]
     start[own] -= np.linalg.lstsq(minimum.jacobian[kept][:, own], change)[0]
     problem = replace(there.problem(fitted.shape), prior=prior, prior_std=std)
-    try:
-        found = problem.solve(start, fitted.end_s)
-    except FitFailed:
+    found = _solved(problem, start, fitted.horizons_s, misfit)
+    if found is None:
         return None
-    return Fitted(there, problem, fitted.shape, found, fitted.end_s, moved, misfit) if found.converged else None
+    better = problem.chi2_per_dof(found, fitted.end_s) < misfit.chi2_per_dof
+    return Fitted(there, problem, fitted.shape, found, fitted.horizons_s, moved, None if better else misfit)
+
+
+def _solved(problem: TransientProblem, near: Array, horizons_s: Sequence[float], misfit: Misfit) -> Minimum | None:
+    """The minimum over the whole, from nearby; else, or where that leaves more than it should, over growing stretches.
+
+    The release's own unknowns then begin where nothing was known of them: a first fit may have ended at a side minimum.
+    """
+    afresh = np.where(np.isfinite(problem.prior_std), problem.prior, near)
+    found: list[Minimum] = []
+    for theta, stretches in ((near, horizons_s[-1:]), (afresh, horizons_s)):
+        if found and problem.chi2_per_dof(found[0], horizons_s[-1]) < min(_GOOD, _NO_WORSE * misfit.chi2_per_dof):
+            break
+        try:
+            minimum = _grown(problem, theta, stretches)
+        except FitFailed:
+            continue
+        if minimum.converged:
+            found.append(minimum)
+    return min(found, key=lambda minimum: minimum.cost, default=None)
+
+
+def _grown(problem: TransientProblem, theta: Array, stretches_s: Sequence[float]) -> Minimum:
+    """The minimum over the last stretch, each begun where the one before ended."""
+    *early, last = stretches_s
+    for end in early:
+        theta = problem.solve(theta, end, _ITERATIONS).theta
+    return problem.solve(theta, last, _ITERATIONS)
