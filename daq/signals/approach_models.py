@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 SLOWEST_PER_S = 0.05  # slower than this an approach is a straight line within the windows
 FASTEST_PER_S = 4.0
 _PRIOR_RANGES = (0.25, 1.0, 4.0)  # of the range seen: prior deviations of a shape's change over the windows, each 1/3
+_FAINT = (1.0, 0.05, 0.0025)  # of that: prior deviations of the slower of two, each 1/3: what moves late may be little
 _GRID = {1: (40, 21), 2: (17, 13)}  # points along each axis, by dimension: first look, refined
 _REACH = 4.5  # standard deviations that a refined grid covers to either side
 _MOST_EXPONENT = 200.0
@@ -38,13 +39,15 @@ class Shapes:
         forms: mean of each shape in each window, shape (g, n, p); p is 0, 1 or 2.
         last: value of each shape at the end of the last window, shape (g, p).
         size: of an oscillation the amplitude there, (g,); None where the shapes are no oscillation.
-        rate_per_s: slowest rate, shape (g,); nan where nothing decays.
+        rates_per_s: of each shape, shape (g, p).
+        slower_first: whether the first of two shapes is a slower decay of its own.
     """
 
     forms: Array
     last: Array
     size: Array | None
-    rate_per_s: Array
+    rates_per_s: Array
+    slower_first: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class Points:
         evidence: log of marginal likelihood times the point's share of the prior, shape (g,).
         values, variance: posterior of the limits, shapes (g, q).
         left, size: change to come and its size (of an oscillation the amplitude), shapes (g, q).
-        rate_per_s: slowest rate, shape (g,); nan where nothing decays.
+        rate_per_s: rate of the shape with the largest change to come, shape (g,); nan where nothing decays.
         chi2: of the residuals, shape (g, q).
         unknowns: how many numbers per quantity the model has, and how many all quantities share.
     """
@@ -101,7 +104,7 @@ class Stretch:
     def standing(self) -> Points:
         """The model without any approach."""
         n = len(self.edges_s)
-        return self.points(Shapes(np.empty((1, n, 0)), np.empty((1, 0)), None, np.array([math.nan])), 0, 0.0)
+        return self.points(Shapes(np.empty((1, n, 0)), np.empty((1, 0)), None, np.empty((1, 0))), 0, 0.0)
 
     def points(self, shapes: Shapes, rates: int, share: float) -> Points:
         """Limits and amplitudes integrated out for each point of a grid; share: log of a point's part of the prior."""
@@ -110,30 +113,34 @@ class Stretch:
         x = self._white[:, None] @ design  # (q, g, n, 1 + p)
         across = x.transpose(0, 1, 3, 2)
         data = across @ x, (across @ self._seen[:, None, :, None])[..., 0]
-        scales = _PRIOR_RANGES if p else (1.0,)
+        scales = [np.full(p, scale) for scale in _PRIOR_RANGES] if p else [np.empty(0)]
+        if shapes.slower_first:
+            scales = [np.r_[scale[0] * faint, scale[1:]] for scale in scales for faint in _FAINT]
         return _joined([self._for_scale(shapes, *data, rates, share - math.log(len(scales)), s) for s in scales])
 
-    def _for_scale(self, shapes: Shapes, across: Array, right: Array, rates: int, share: float, scale: float) -> Points:
-        """The same for one prior deviation of the shapes' changes.
+    def _for_scale(self, shapes: Shapes, across: Array, right: Array, rates: int, share: float, scale: Array) -> Points:
+        """The same for one prior deviation of each shape's change, shape (p,).
 
         Args:
             across, right: normal equations of limit and shapes, shapes (q, g, 1 + p, 1 + p), (q, g, 1 + p).
         """
         p = shapes.forms.shape[2]
         ridge = _RIDGE * np.trace(across, axis1=2, axis2=3)[..., None, None]
-        precision = across + (scale**-2 + ridge) * np.diag([0.0] + [1.0] * p)
+        precision = across + np.diag(np.r_[0.0, scale**-2]) + ridge * np.diag([0.0] + [1.0] * p)
         covariance = np.asarray(np.linalg.inv(precision), np.float64)
         fit = (covariance @ right[..., None])[..., 0]
         misfit = (self._seen**2).sum(axis=1)[:, None] - (fit * right).sum(axis=2)
-        chi2 = misfit - (fit[..., 1:] ** 2).sum(axis=2) / scale**2
-        narrowed = np.log(np.linalg.det(precision)) + 2 * p * math.log(scale)
+        chi2 = misfit - (fit[..., 1:] ** 2 / scale**2).sum(axis=2)
+        narrowed = np.log(np.linalg.det(precision)) + 2 * float(np.log(scale).sum())
         evidence = -0.5 * (misfit + narrowed).sum(axis=0) + share
         left = -(fit[..., 1:] * shapes.last).sum(axis=2)
+        most = np.argmax(np.abs(fit[..., 1:] * shapes.last).sum(axis=0), axis=1) if p else None
+        rate = np.full(len(shapes.last), math.nan) if most is None else shapes.rates_per_s[np.arange(len(most)), most]
         size = np.abs(left) if shapes.size is None else np.hypot(fit[..., 1], fit[..., 2]) * shapes.size
         unit = self._unit[:, None]
         return Points(
             evidence, (self._origin[:, None] + fit[..., 0] * unit).T, (covariance[..., 0, 0] * unit**2).T,
-            (left * unit).T, (size * unit).T, shapes.rate_per_s, chi2.T, (1 + p, rates),
+            (left * unit).T, (size * unit).T, rate, chi2.T, (1 + p, rates),
         )  # fmt: skip
 
     def integrated(self, family: Family, rival: float = -math.inf) -> Points:
@@ -207,7 +214,7 @@ def _decays(edges_s: Array, rates: Array) -> Shapes:
     rates = np.minimum(rates, _most(edges_s))
     forms = np.stack([np.real(_shape(column, edges_s)) for column in rates.T], axis=2)
     change = np.abs(forms[:, 0] - forms[:, -1])
-    return Shapes(forms / change[:, None], 1 / change, None, np.asarray(rates.min(axis=1), np.float64))
+    return Shapes(forms / change[:, None], 1 / change, None, rates)
 
 
 def _one(edges_s: Array, at: Array) -> Shapes:
@@ -215,7 +222,8 @@ def _one(edges_s: Array, at: Array) -> Shapes:
 
 
 def _two(edges_s: Array, at: Array) -> Shapes:
-    return _decays(edges_s, np.minimum(np.exp(np.cumsum(at, axis=1)), 1.5 * FASTEST_PER_S))
+    shapes = _decays(edges_s, np.minimum(np.exp(np.cumsum(at, axis=1)), 1.5 * FASTEST_PER_S))
+    return replace(shapes, slower_first=True)
 
 
 def _wave(edges_s: Array, at: Array) -> Shapes:
@@ -224,12 +232,12 @@ def _wave(edges_s: Array, at: Array) -> Shapes:
     turning = _shape(rate - 1j * turn, edges_s)
     size = 1 / np.abs(turning).max(axis=1)
     forms = np.stack([np.real(turning), np.imag(turning)], axis=2) * size[:, None, None]
-    return Shapes(forms, np.stack([size, np.zeros(len(size))], axis=1), size, rate)
+    return Shapes(forms, np.stack([size, np.zeros(len(size))], axis=1), size, np.stack([rate, rate], axis=1))
 
 
 def _no_end(edges_s: Array, at: Array) -> Shapes:
     shapes = _decays(edges_s, np.where(np.abs(at) < 1e-4, 1e-4, at))
-    return Shapes(shapes.forms - shapes.forms[:, -1:], shapes.last, None, shapes.rate_per_s)
+    return Shapes(shapes.forms - shapes.forms[:, -1:], shapes.last, None, shapes.rates_per_s)
 
 
 _RATES = (math.log(SLOWEST_PER_S), math.log(FASTEST_PER_S))

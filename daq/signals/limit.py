@@ -44,7 +44,7 @@ class Limit:
         to_come: limit minus the motion at the end of the last window, shape (q,).
         weights: posterior share of "none", "one rate", "two rates" and "oscillation"; sum 1.
         endless: posterior share of straight lines and growth before they were left out.
-        rate_per_s: posterior mean of the slowest decaying rate, 1/s; nan where the means stand.
+        rate_per_s: posterior mean of the rate with the largest change to come, 1/s; nan where the means stand.
         windows: how many of the newest windows were used.
         scatter: factor on each quantity's noise variance, shape (q,): 1 where the means scatter as their noise allows.
     """

@@ -205,3 +205,18 @@ def test_slow_rotors_and_signals_without_noise_leave_finite_numbers(window_s: fl
     standing_still = limit(edges, np.full((30, 2), 2.0), white(30, 2, noise))
     assert standing_still is not None
     assert standing_still.values == pytest.approx([2.0, 2.0], abs=noise)
+
+
+def test_what_moves_late_may_be_little() -> None:
+    """A slow part of a hundredth of the change, not seen for certain, is in the covariance of the limits."""
+    rng, z = np.random.default_rng(21), list[float]()
+    edges = np.arange(30.0)[:, None] + [0.0, 1.0]
+    t = edges.mean(axis=1)
+    for _ in range(25):
+        fast, slow = rng.standard_normal(4), 0.015 * rng.standard_normal(4)
+        means = np.exp(-0.19 * t)[:, None] * fast + np.exp(-0.08 * t)[:, None] * slow
+        means = means + 2e-3 * rng.standard_normal(means.shape)
+        found = limit(edges, means, np.tile(4e-6 * np.eye(30), (4, 1, 1)))
+        assert found is not None
+        z += list(found.values / np.sqrt(np.diag(found.covariance)))
+    assert np.mean(np.square(z)) < 4.0  # 9 where a slow part is expected to be as large as all that was seen
