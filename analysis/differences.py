@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.prediction import Prediction
+from analysis.run_out import SLOW_ROLL, by_slow_roll
 from analysis.steady_state import SteadyMeasurement
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import ZERO_A, ZERO_B, gain_label, known_label
@@ -108,6 +109,8 @@ class Differences:
             takes from the difference. Without it the covariance is still too large rather than too small.
         by_number: number of the rig file → derivative of the differences by it, the parameters as they are, shape (m,).
         shared: label → shift of the differences for one standard deviation of an error that rows share, shape (m,).
+        by_slow_roll: name of SLOW_ROLL → change of the differences per metre of it beyond what was taken, shape (m,).
+            Of releases it is not worked out.
     """
 
     rows: tuple[tuple[str, str], ...]
@@ -119,6 +122,7 @@ class Differences:
     uncertain: Array
     by_number: Mapping[str, Array]
     shared: Mapping[str, Array]
+    by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @cached_property
     def covariance(self) -> Array:
@@ -161,6 +165,7 @@ class Differences:
             tuple(self.rows[i] for i in at), self.values[at], self.own[np.ix_(at, at)], self.by_parameter[at],
             self.parameters, self.parameter_covariance, self.uncertain[at],
             {n: v[at] for n, v in self.by_number.items()}, {label: v[at] for label, v in self.shared.items()},
+            {n: v[at] for n, v in self.by_slow_roll.items()},
         )  # fmt: skip
 
 
@@ -209,6 +214,7 @@ def _joined(named: Sequence[tuple[str, _Part]], rig: Rig, identified: Identified
         np.concatenate([part.by_parameter * ~np.isin(names, part.used_for) for part in parts] or [np.empty((0, n))]),
         {name: joined("by_number", name) for name in numbers},
         {label: joined("shared", label) for label in labels},
+        {name: joined("by_slow_roll", name) for name in SLOW_ROLL},
     )
 
 
@@ -224,6 +230,7 @@ class _Part:
     shared: Mapping[str, Array]
     used_for: tuple[str, ...] = ()
     steady: bool = True
+    by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @classmethod
     def of_release(cls, release: Rows, parameters: Sequence[str], changed: Mapping[str, float]) -> _Part:
@@ -249,11 +256,12 @@ class _Part:
         off = measured_values(measured) - predicted.values
         off[:2] = (off[:2] + math.pi) % (2 * math.pi) - math.pi
         own = measured.own + predicted.own + np.diag(predicted.numerical**2)
-        if predicted.state.type != "I":
+        if not predicted.at_rest:
             pick = np.eye(5)[:4]
             return cls(
                 _ROWS, pick @ off, pick @ own @ pick.T, -pick @ predicted.by_parameter,
                 {n: -pick @ v for n, v in predicted.by_number.items()}, {n: pick @ v for n, v in shared.items()},
+                by_slow_roll=by_slow_roll(measured, predicted),
             )  # fmt: skip
         pick = np.zeros((6, 5))
         pick[0, 0] = pick[1, 1] = 1.0  # amplitudes beside zero depend on nothing but noise
@@ -262,7 +270,9 @@ class _Part:
         own = measured.to_come.covariance + pick @ predicted.own @ pick.T
         return cls(
             _NOISE_ROWS, values, own, -pick @ predicted.by_parameter,
-            {n: -pick @ v for n, v in predicted.by_number.items()}, {n: pick @ v for n, v in shared.items()},
+            {n: -pick @ v for n, v in predicted.by_number.items()},
+            {n: pick @ v + np.r_[0.0, 0.0, measured.run_out_errors.get(n, np.zeros(4))] for n, v in shared.items()},
+            by_slow_roll=by_slow_roll(measured, predicted),
         )  # fmt: skip
 
 
@@ -282,6 +292,7 @@ def measured_shifts(measured: SteadyMeasurement, rig: Rig) -> dict[str, Array]:
     x, y, radius = measured.amplitude_x_m.value, measured.amplitude_y_m.value, measured.amplitude_m.value
     share = 0.5 / radius if radius > 0 else 0.0
     return {
+        **measured.run_out_shifts,
         gain_label("x"): gain_x * np.array([0.0, 0.0, x, 0.0, share * x * x]),
         gain_label("y"): gain_y * np.array([0.0, 0.0, 0.0, y, share * y * y]),
         known_label(ZERO_A): -zero * np.eye(5)[0],  # a larger zero is a smaller angle

@@ -15,10 +15,12 @@ from analysis.errors import NoStableState
 from analysis.explanations import Explanations, explanations
 from analysis.noticed import Noticed, noticed
 from analysis.prediction import predict_point
+from analysis.run_out import with_more_run_out
 from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.errors import RigConfigError
 from rig_configs.known import PHYSICAL
+from rig_configs.slow_roll import SlowRoll
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class _Case:
     releases: tuple[Rows, ...] = ()
 
     def explained(self) -> Explanations:
-        return explanations(self.differences, self.causes, self.again)
+        return explanations(self.differences, self.causes, self.again, self.turned)
 
     def again(self, name: str, value: float) -> Differences | None:
         """The differences with a parameter or a number of the rig file at another value.
@@ -101,6 +103,19 @@ class _Case:
             return differences(predicted, rig, identified, self.releases, changed)
         except (NoStableState, DynamicsError, RigConfigError, np.linalg.LinAlgError):
             return None
+
+    def turned(self, kind: str, value_m: complex) -> Differences | None:
+        """The differences with more run-out or bow; kind: "run-out" or "bow", as SLOW_ROLL begins."""
+        if kind == "run-out":
+            moved = [replace(each, measured=with_more_run_out(each.measured, value_m)) for each in self.compared]
+            return differences(moved, self.rig, self.identified, self.releases)
+        roll = self.identified.slow_roll or SlowRoll(0j, 0j, 0j, np.zeros((6, 6)))
+        identified = replace(self.identified, slow_roll=replace(roll, bow_m=roll.bow_m + value_m))
+        try:
+            predicted = [self._predicted(each, self.rig, identified) for each in self.compared]
+        except (NoStableState, DynamicsError, np.linalg.LinAlgError):
+            return None
+        return differences(predicted, self.rig, identified, self.releases)
 
     @staticmethod
     def _predicted(each: Compared, rig: Rig, identified: IdentifiedParameters) -> Compared:

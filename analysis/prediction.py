@@ -10,8 +10,8 @@ lengths: an error in one of them moves what was identified and the prediction to
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,9 @@ Start = NDArray[np.floating[Any]]
 AXIS_ANGLE = "axis angle"
 """Label of the axis angle's error, which all points share."""
 _SPEED = "speed"
+BOW = ("bow_x_m", "bow_y_m")
+_BOW_STEP_M = 1e-7
+_AT_REST_M = 1e-9  # an orbit below is none
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
@@ -53,6 +56,8 @@ class Prediction:
         shared: label → shift of `values`, shape (5,), for one standard deviation of an error that other quantities
             share: "gain x", "known rotor.mass_kg", "axis angle".
         numerical: estimated error of the integration in `values`, shape (5,).
+        by_bow: derivatives of `values` by real and imaginary part of a bow, shape (5, 2), and those of the real and
+            imaginary parts of the complex order-1 amplitudes of x and y, shape (4, 2).
     """
 
     state: SteadyState
@@ -64,6 +69,12 @@ class Prediction:
     own: Array
     shared: Mapping[str, Array]
     numerical: Array
+    by_bow: tuple[Array, Array]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the disk stands still: a balanced state of a straight shaft."""
+        return self.state.type == "I" and float(self.values[4]) < _AT_REST_M
 
     @property
     def std(self) -> np.ndarray:
@@ -103,12 +114,18 @@ def predict_point(
     beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, axis_angle_deg, rig.roles.turn_deg))
     values, slopes, numerical = _slopes(physics, list(identified.values), state, speed_rad_s, beta)
     by_parameter = np.stack([slopes.pop(name) for name in identified.values] or [np.empty((5, 0))], axis=-1)
+    bow = np.stack([slopes.pop(name) for name in BOW], axis=-1)
+    by_bow = bow[:5]
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
     own = np.outer(by_speed, by_speed) * speed_std_rad_s**2
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
+    for label, shift in (identified.slow_roll.shifts if identified.slow_roll else {}).items():
+        shared[label] = shared.get(label, np.zeros(5)) + by_bow @ shift[4:]
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
-    return Prediction(state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical)
+    return Prediction(
+        state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical, (by_bow, bow[5:])
+    )
 
 
 def _shared(
@@ -168,6 +185,11 @@ def fixed_point_inverse(physics: RotorParameters, speed: float, start: Start) ->
 
 def observed(physics: RotorParameters, speed: float, start: Start, beta: float, finer: float = 1.0) -> Array:
     """θ3, θ4, order-1 amplitudes in sensor axes, rms radius; means over one revolution, shape (5,)."""
+    return with_orbit(physics, speed, start, beta, finer)[:5]
+
+
+def with_orbit(physics: RotorParameters, speed: float, start: Start, beta: float, finer: float = 1.0) -> Array:
+    """The same and the real and imaginary parts of both complex order-1 amplitudes in sensor axes, shape (9,)."""
     n = 64
     times = np.linspace(0, 2 * np.pi / speed, n + 1)
     states = _motion(physics, speed, start, times, finer)[:-1]
@@ -175,7 +197,8 @@ def observed(physics: RotorParameters, speed: float, start: Start, beta: float, 
     x, y = states[:, 0], states[:, 1]
     x_sensor, y_sensor = _rotated(complex(2 * np.mean(x * turn)), complex(2 * np.mean(y * turn)), beta)
     radius = math.sqrt(float(np.mean(x * x + y * y)))
-    return np.array([*states[:, 2:4].mean(axis=0), abs(x_sensor), abs(y_sensor), radius])
+    orbit = (x_sensor.real, x_sensor.imag, y_sensor.real, y_sensor.imag)
+    return np.array([*states[:, 2:4].mean(axis=0), abs(x_sensor), abs(y_sensor), radius, *orbit])
 
 
 def _rotated(x: complex, y: complex, beta: float) -> tuple[complex, complex]:
@@ -204,6 +227,10 @@ def _slopes(
             h = 1e-4 * value
             pair = [with_number(physics, name, value + sign * h) for sign in (1, -1)]
             slopes[name] = _along(pair, (speed, speed), (beta, beta), start, inverse, h)
+    for name in BOW:
+        h = _BOW_STEP_M
+        pair = [replace(physics, **{name: getattr(physics, name) + sign * h}) for sign in (1, -1)]
+        slopes[name] = _along(pair, (speed, speed), (beta, beta), start, inverse, h, with_orbit)
     h = 1e-5 * speed
     slopes[_SPEED] = _along([physics, physics], (speed + h, speed - h), (beta, beta), start, inverse, h)
     h = 1e-4
@@ -217,10 +244,10 @@ def _slopes(
 
 def _along(
     pair: Sequence[RotorParameters], speeds: tuple[float, float], betas: tuple[float, float],
-    start: np.ndarray, inverse: np.ndarray, h: float,
+    start: np.ndarray, inverse: np.ndarray, h: float, look: Callable[..., Array] = observed,
 ) -> np.ndarray:  # fmt: skip
-    """Derivative of what is observed when a number moves by ±h and the steady state with it, shape (5,)."""
+    """Derivative of what is observed when a number moves by ±h and the steady state with it, shape (5,) or (9,)."""
     up, down = (half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
     moved = inverse @ (up - down) / 2  # of the state, for +h
-    seen = [observed(p, w, start + sign * moved, b) for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)]
+    seen = [look(p, w, start + sign * moved, b) for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)]
     return (seen[0] - seen[1]) / (2 * h)

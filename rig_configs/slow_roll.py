@@ -1,0 +1,103 @@
+# pyright: strict
+"""What turns with the shaft at any speed, as a run-up found it: run-out of the measured surfaces, and a bent shaft."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ORDER = ("run_out_x", "run_out_y", "bow")
+"""Complex numbers, in the order of the covariance: real and imaginary part of each."""
+LABEL = "slow roll"
+"""Begin of the labels under which its errors are kept."""
+
+
+@dataclass(frozen=True)
+class SlowRoll:
+    """Run-out and bow against the rotor's phase ψ.
+
+    Attributes:
+        run_out_x_m, run_out_y_m: complex; sensor x shows Re(r_x e^{iψ}), sensor y Im(r_y e^{iψ}); 0 for none.
+        bow_m: complex; the springs rest at (Re, Im)(b e^{iψ}) in the stiffness axes; 0 for none.
+        covariance: of their real and imaginary parts, shape (6, 6), m².
+        delay_s: of lasers x and y against the phase, as in the test that found it.
+        log, digest: that test's.
+    Raises:
+        ValueError: numbers that are not finite, or a covariance of the wrong shape or with a negative variance.
+    """
+
+    run_out_x_m: complex
+    run_out_y_m: complex
+    bow_m: complex
+    covariance: Array
+    delay_s: tuple[float, float] = (0.0, 0.0)
+    log: str = ""
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        if self.covariance.shape != (6, 6) or not np.all(np.isfinite(self.covariance)):
+            raise ValueError(f"covariance must be a finite 6 × 6 matrix, got shape {self.covariance.shape}")
+        if np.any(np.diag(self.covariance) < 0) or not np.allclose(self.covariance, self.covariance.T, rtol=1e-9):
+            raise ValueError("covariance must be symmetric with no negative variance")
+        if not all(map(math.isfinite, [*self.values.tolist(), *self.delay_s])):
+            raise ValueError("expected finite numbers")
+
+    @property
+    def values(self) -> Array:
+        """Real and imaginary parts in the order of the covariance, shape (6,), m."""
+        parts = (self.run_out_x_m, self.run_out_y_m, self.bow_m)
+        return np.array([value for one in parts for value in (one.real, one.imag)])
+
+    @property
+    def shifts(self) -> dict[str, Array]:
+        """Independent errors: label → shift of `values` for one standard deviation of it, shape (6,)."""
+        sizes, turn = np.linalg.eigh(0.5 * (self.covariance + self.covariance.T))
+        kept = [j for j, size in enumerate(sizes.tolist()) if size > 1e-12 * max(float(sizes[-1]), 1e-300)]
+        return {f"{LABEL} {k + 1}": turn[:, j] * math.sqrt(float(sizes[j])) for k, j in enumerate(kept)}
+
+    def seen(self, speed_rad_s: float) -> tuple[complex, complex, Array]:
+        """What run-out adds to the complex order-1 amplitudes of x and y, x = Re(X e^{iψ}) in either sensor.
+
+        Returns:
+            X, Y, and the derivatives of (Re X, Im X, Re Y, Im Y) by `values`, shape (4, 6).
+        """
+        turns = [own * np.exp(-1j * speed_rad_s * d) for own, d in zip((1.0, -1j), self.delay_s, strict=True)]
+        slope = np.zeros((4, 6))
+        for k, turn in enumerate(turns):
+            slope[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[turn.real, -turn.imag], [turn.imag, turn.real]]
+        return complex(self.run_out_x_m * turns[0]), complex(self.run_out_y_m * turns[1]), slope
+
+    def table(self) -> dict[str, Any]:
+        """As parameters.toml has it."""
+        values = self.values.reshape(3, 2)
+        std = np.sqrt(np.diag(self.covariance)).reshape(3, 2)
+        entries: dict[str, Any] = {
+            name: {
+                "real_m": float(v[0]), "imaginary_m": float(v[1]),
+                "real_std_m": float(s[0]), "imaginary_std_m": float(s[1]),
+            }
+            for name, v, s in zip(ORDER, values, std, strict=True)
+        }  # fmt: skip
+        return entries | {
+            "covariance": self.covariance.tolist(), "delay_x_s": self.delay_s[0], "delay_y_s": self.delay_s[1],
+            "log": self.log, "digest": self.digest,
+        }  # fmt: skip
+
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> SlowRoll:
+        """From parameters.toml.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is none.
+        """
+        x, y, bow = (complex(float(table[n]["real_m"]), float(table[n]["imaginary_m"])) for n in ORDER)
+        delay = (float(table.get("delay_x_s", 0.0)), float(table.get("delay_y_s", 0.0)))
+        covariance = np.array([[float(cell) for cell in row] for row in table["covariance"]])
+        return cls(x, y, bow, covariance, delay, str(table.get("log", "")), str(table.get("digest", "")))
