@@ -271,7 +271,7 @@ class _Part:
         return cls(
             _NOISE_ROWS, values, own, -pick @ predicted.by_parameter,
             {n: -pick @ v for n, v in predicted.by_number.items()},
-            {n: pick @ v + np.r_[0.0, 0.0, measured.run_out_errors.get(n, np.zeros(4))] for n, v in shared.items()},
+            {n: pick @ v for n, v in shared.items()},
             by_slow_roll=by_slow_roll(measured, predicted),
         )  # fmt: skip
 
@@ -292,7 +292,6 @@ def measured_shifts(measured: SteadyMeasurement, rig: Rig) -> dict[str, Array]:
     x, y, radius = measured.amplitude_x_m.value, measured.amplitude_y_m.value, measured.amplitude_m.value
     share = 0.5 / radius if radius > 0 else 0.0
     return {
-        **measured.run_out_shifts,
         gain_label("x"): gain_x * np.array([0.0, 0.0, x, 0.0, share * x * x]),
         gain_label("y"): gain_y * np.array([0.0, 0.0, 0.0, y, share * y * y]),
         known_label(ZERO_A): -zero * np.eye(5)[0],  # a larger zero is a smaller angle

@@ -226,12 +226,13 @@ def _with_vector(
     best = _fitted(differences, own, limit)
     for _ in range(_ROUNDS):
         there = turned(kind, complex(*best.sizes))
-        if there is None or there.rows != differences.rows:
+        if there is None:
             break
+        left = _left_by_chance(len(there.values))  # a disk that no longer rests has other rows
         moved = tuple(replace(cause, direction=there.by_slow_roll[cause.name]) for cause in own)
-        step = _fitted(there, moved, limit)
+        step = _fitted(there, moved, left)
         sizes = np.array(best.sizes) + np.array(step.sizes)
-        best = _explanation(own, sizes, np.array(step.stds), step.chi2, limit)
+        best = _explanation(own, sizes, np.array(step.stds), step.chi2, left)
         if all(abs(by) < _NEAR * std for by, std in zip(step.sizes, step.stds, strict=True)):
             break
     return [*others, best]

@@ -15,7 +15,6 @@ from analysis.errors import NoStableState
 from analysis.explanations import Explanations, explanations
 from analysis.noticed import Noticed, noticed
 from analysis.prediction import predict_point
-from analysis.run_out import with_more_run_out
 from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.errors import RigConfigError
@@ -106,11 +105,12 @@ class _Case:
 
     def turned(self, kind: str, value_m: complex) -> Differences | None:
         """The differences with more run-out or bow; kind: "run-out" or "bow", as SLOW_ROLL begins."""
-        if kind == "run-out":
-            moved = [replace(each, measured=with_more_run_out(each.measured, value_m)) for each in self.compared]
-            return differences(moved, self.rig, self.identified, self.releases)
         roll = self.identified.slow_roll or SlowRoll(0j, 0j, 0j, np.zeros((6, 6)))
-        identified = replace(self.identified, slow_roll=replace(roll, bow_m=roll.bow_m + value_m))
+        if kind == "run-out":
+            roll = replace(roll, run_out_x_m=roll.run_out_x_m + value_m, run_out_y_m=roll.run_out_y_m + value_m)
+        else:
+            roll = replace(roll, bow_m=roll.bow_m + value_m)
+        identified = replace(self.identified, slow_roll=roll)
         try:
             predicted = [self._predicted(each, self.rig, identified) for each in self.compared]
         except (NoStableState, DynamicsError, np.linalg.LinAlgError):

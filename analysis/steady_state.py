@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analysis.errors import NotEnoughData
 from analysis.order_tracking import order_track
-from analysis.run_out import amplitude_slopes, without_run_out
 from analysis.to_come import ToCome, to_come
 from daq.signals.run import Run
 from daq.signals.settling import Settling, settled
 from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from rig_configs import Rig
-from rig_configs.slow_roll import SlowRoll
 
 AVERAGE_S = 6.0  # the last seconds that are averaged
 LOCK_TOLERANCE_RAD = math.radians(2.0)
@@ -54,9 +51,6 @@ class SteadyMeasurement:
             between laser and encoder clock.
         noise_x_m, noise_y_m: standard deviation of the real or imaginary part of x_m, y_m without the gain.
         to_come: how far the means of the last seconds were continued to their limits.
-        run_out_m: what was taken off the complex order-1 amplitudes of x and y as run-out.
-        run_out_errors: label → shift of (Re x, Im x, Re y, Im y) for one standard deviation of an error, (4,).
-        run_out_shifts: the same of (θ3, θ4, x amplitude, y amplitude, rms amplitude), shape (5,).
         own: joint covariance of (θ3, θ4, x amplitude, y amplitude, rms amplitude) from statistics, quantisation and
             what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
         release_s, from_s, to_s: last release, start and end of the last seconds' mean, s since the run's start.
@@ -77,9 +71,6 @@ class SteadyMeasurement:
     noise_y_m: float
     to_come: ToCome
     own: np.ndarray
-    run_out_m: tuple[complex, complex]
-    run_out_errors: Mapping[str, np.ndarray]
-    run_out_shifts: Mapping[str, np.ndarray]
     release_s: float
     from_s: float
     to_s: float
@@ -90,11 +81,10 @@ class SteadyMeasurement:
         return math.hypot(self.noise_x_m, self.noise_y_m)
 
 
-def measure(run: Run, rig: Rig, slow_roll: SlowRoll | None = None) -> SteadyMeasurement:
+def measure(run: Run, rig: Rig) -> SteadyMeasurement:
     """The steady state at the end of a point's run.
 
     Args:
-        slow_roll: run-out is taken off the order-1 amplitudes.
         run: a test "point-NAME"; what follows the plateau (the stop) is cut off by the marks' spacing.
         rig: for the first mass moments, the lasers' gain and the encoders' zero uncertainty.
     Raises:
@@ -115,20 +105,12 @@ def measure(run: Run, rig: Rig, slow_roll: SlowRoll | None = None) -> SteadyMeas
     theta = (theta + ends.shift[:2]) % (2 * math.pi)
     x[0] += complex(*ends.shift[2:4])
     y[0] += complex(*ends.shift[4:])
-    run_out, errors = without_run_out(x, y, speed.value, slow_roll)
-    radius = math.sqrt(0.5 * float(np.sum(np.abs(x) ** 2 + np.abs(y) ** 2)))
-    slope = amplitude_slopes(complex(x[0]), complex(y[0]), radius)
-    own = slope @ ends.covariance @ slope.T
+    own, radius = _own(x, y, ends.covariance)
     zero, gain = math.radians(rig.roles.zero_std_deg), rig.roles.gain_stds
     values = [*theta, abs(x[0]), abs(y[0]), radius]
     common = [zero, zero, gain[0] * abs(x[0]), gain[1] * abs(y[0]), _of_radius(x, y, radius, gain)]
-    from_run_out = np.sqrt(sum(((slope[:, 2:] @ e) ** 2 for e in errors.values()), np.zeros(5)))
-    stated = [
-        Interval(float(v), math.hypot(math.sqrt(own[j, j]), common[j], float(from_run_out[j])))
-        for j, v in enumerate(values)
-    ]
-    loose = ends.covariance[2:, 2:] + sum((np.outer(e, e) for e in errors.values()), np.zeros((4, 4)))
-    noise_x, noise_y = (math.sqrt(0.5 * np.trace(loose[j : j + 2, j : j + 2])) for j in (0, 2))
+    stated = [Interval(float(v), math.hypot(math.sqrt(own[j, j]), common[j])) for j, v in enumerate(values)]
+    noise_x, noise_y = (math.sqrt(0.5 * np.trace(ends.covariance[j : j + 2, j : j + 2])) for j in (2, 4))
     return SteadyMeasurement(
         state=_state(settling, (float(theta[0]), float(theta[1])), rig.physics),
         locked=locked,
@@ -145,13 +127,21 @@ def measure(run: Run, rig: Rig, slow_roll: SlowRoll | None = None) -> SteadyMeas
         noise_y_m=noise_y,
         to_come=ends,
         own=own,
-        run_out_m=run_out,
-        run_out_errors=errors,
-        run_out_shifts={label: slope[:, 2:] @ shift for label, shift in errors.items()},
         release_s=release,
         from_s=start,
         to_s=end,
     )
+
+
+def _own(x: np.ndarray, y: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, float]:
+    """Covariance (5, 5) of angles, amplitudes and rms radius from that of angles and complex amplitudes; the radius."""
+    radius = math.sqrt(0.5 * float(np.sum(np.abs(x) ** 2 + np.abs(y) ** 2)))
+    slope = np.zeros((5, 6))
+    slope[0, 0] = slope[1, 1] = 1.0
+    for row, j, first in ((2, 2, x[0]), (3, 4, y[0])):
+        slope[row, j : j + 2] = np.array([first.real, first.imag]) / max(abs(first), 1e-300)
+        slope[4, j : j + 2] = np.array([first.real, first.imag]) / (2 * max(radius, 1e-300))
+    return slope @ covariance @ slope.T, radius
 
 
 def _of_radius(x: np.ndarray, y: np.ndarray, radius: float, gain: tuple[float, float]) -> float:

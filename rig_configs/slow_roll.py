@@ -27,8 +27,7 @@ class SlowRoll:
         run_out_x_m, run_out_y_m: complex; sensor x shows Re(r_x e^{iψ}), sensor y Im(r_y e^{iψ}); 0 for none.
         bow_m: complex; the springs rest at (Re, Im)(b e^{iψ}) in the stiffness axes; 0 for none.
         covariance: of their real and imaginary parts, shape (6, 6), m².
-        delay_s: of lasers x and y against the phase, as in the test that found it.
-        log, digest: that test's.
+        log, digest: of the test that found them.
     Raises:
         ValueError: numbers that are not finite, or a covariance of the wrong shape or with a negative variance.
     """
@@ -37,7 +36,6 @@ class SlowRoll:
     run_out_y_m: complex
     bow_m: complex
     covariance: Array
-    delay_s: tuple[float, float] = (0.0, 0.0)
     log: str = ""
     digest: str = ""
 
@@ -46,7 +44,7 @@ class SlowRoll:
             raise ValueError(f"covariance must be a finite 6 × 6 matrix, got shape {self.covariance.shape}")
         if np.any(np.diag(self.covariance) < 0) or not np.allclose(self.covariance, self.covariance.T, rtol=1e-9):
             raise ValueError("covariance must be symmetric with no negative variance")
-        if not all(map(math.isfinite, [*self.values.tolist(), *self.delay_s])):
+        if not all(map(math.isfinite, self.values.tolist())):
             raise ValueError("expected finite numbers")
 
     @property
@@ -62,18 +60,6 @@ class SlowRoll:
         kept = [j for j, size in enumerate(sizes.tolist()) if size > 1e-12 * max(float(sizes[-1]), 1e-300)]
         return {f"{LABEL} {k + 1}": turn[:, j] * math.sqrt(float(sizes[j])) for k, j in enumerate(kept)}
 
-    def seen(self, speed_rad_s: float) -> tuple[complex, complex, Array]:
-        """What run-out adds to the complex order-1 amplitudes of x and y, x = Re(X e^{iψ}) in either sensor.
-
-        Returns:
-            X, Y, and the derivatives of (Re X, Im X, Re Y, Im Y) by `values`, shape (4, 6).
-        """
-        turns = [own * np.exp(-1j * speed_rad_s * d) for own, d in zip((1.0, -1j), self.delay_s, strict=True)]
-        slope = np.zeros((4, 6))
-        for k, turn in enumerate(turns):
-            slope[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[turn.real, -turn.imag], [turn.imag, turn.real]]
-        return complex(self.run_out_x_m * turns[0]), complex(self.run_out_y_m * turns[1]), slope
-
     def table(self) -> dict[str, Any]:
         """As parameters.toml has it."""
         values = self.values.reshape(3, 2)
@@ -86,8 +72,7 @@ class SlowRoll:
             for name, v, s in zip(ORDER, values, std, strict=True)
         }  # fmt: skip
         return entries | {
-            "covariance": self.covariance.tolist(), "delay_x_s": self.delay_s[0], "delay_y_s": self.delay_s[1],
-            "log": self.log, "digest": self.digest,
+            "covariance": self.covariance.tolist(), "log": self.log, "digest": self.digest,
         }  # fmt: skip
 
     @classmethod
@@ -98,6 +83,5 @@ class SlowRoll:
             KeyError, TypeError, ValueError: it is none.
         """
         x, y, bow = (complex(float(table[n]["real_m"]), float(table[n]["imaginary_m"])) for n in ORDER)
-        delay = (float(table.get("delay_x_s", 0.0)), float(table.get("delay_y_s", 0.0)))
         covariance = np.array([[float(cell) for cell in row] for row in table["covariance"]])
-        return cls(x, y, bow, covariance, delay, str(table.get("log", "")), str(table.get("digest", "")))
+        return cls(x, y, bow, covariance, str(table.get("log", "")), str(table.get("digest", "")))

@@ -147,7 +147,7 @@ def slow_roll_sentences(names: list[str], values: np.ndarray, covariance: np.nda
     if "run_out_x_m" in value:
         told.append(
             f"run-out: the sensors show {shown('run_out')} that turn with the shaft at any speed; it is fitted with "
-            "the resonances, and taken off where points are compared"
+            "the resonances, and is part of what the sensors are predicted to show"
         )
     if "bow_x_m" in value:
         told.append(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -150,7 +150,7 @@ def test_a_bow_of_both_sensors_is_one_vector() -> None:
 def _roll(values: list[float], spread: list[float]) -> SlowRoll:
     x, y, bow = (complex(a, b) for a, b in np.reshape(values, (3, 2)))
     mix = np.diag(spread) @ (np.eye(6) + 0.1 * np.ones((6, 6)))
-    return SlowRoll(x, y, bow, mix @ mix.T, (1e-3, -2e-3), "a.mcap", "d1")
+    return SlowRoll(x, y, bow, mix @ mix.T, "a.mcap", "d1")
 
 
 numbers = st.lists(st.floats(-1e-3, 1e-3, allow_subnormal=False), min_size=6, max_size=6)
@@ -168,7 +168,7 @@ def test_the_file_gives_back_what_was_written(
     assert found is not None
     assert found.values.tolist() == _roll(v, s).values.tolist()
     assert np.array_equal(found.covariance, _roll(v, s).covariance)
-    assert (found.delay_s, found.log, found.digest) == ((1e-3, -2e-3), "a.mcap", "d1")
+    assert (found.log, found.digest) == ("a.mcap", "d1")
 
 
 @settings(max_examples=25, deadline=None)
@@ -186,16 +186,6 @@ def test_a_damaged_table_is_refused(tmp_path: Path, damage: str) -> None:
     path.write_text(path.read_text() + f"\n[slow_roll]\n{damage}\n")
     with pytest.raises(ParametersFileError, match="parameters"):
         IdentifiedParameters.load(path)
-
-
-def test_what_a_delayed_laser_shows_of_run_out() -> None:
-    roll = replace(_roll([8e-5, 0, 0, 5e-5, 0, 0], [1e-7] * 6), delay_s=(2e-3, 0.0))
-    speed, time = 60.0, np.linspace(0, 1, 50)
-    x, y, slope = roll.seen(speed)
-    turn = np.exp(1j * speed * time)
-    assert (x * turn).real == pytest.approx((roll.run_out_x_m * np.exp(1j * speed * (time - 2e-3))).real)
-    assert (y * turn).real == pytest.approx((roll.run_out_y_m * turn).imag)
-    assert slope @ roll.values == pytest.approx([x.real, x.imag, y.real, y.imag])
 
 
 def test_two_run_ups_that_differ_are_told() -> None:
