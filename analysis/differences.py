@@ -78,6 +78,11 @@ class Rows(Protocol):
         ...
 
     @property
+    def by_slow_roll(self) -> Mapping[str, Array]:
+        """Of SLOW_ROLL → change of the values per metre of it beyond what was taken, shape (m,)."""
+        ...
+
+    @property
     def used_for(self) -> tuple[str, ...]:
         """Parameters that this very release has helped to identify."""
         ...
@@ -110,7 +115,6 @@ class Differences:
         by_number: number of the rig file → derivative of the differences by it, the parameters as they are, shape (m,).
         shared: label → shift of the differences for one standard deviation of an error that rows share, shape (m,).
         by_slow_roll: name of SLOW_ROLL → change of the differences per metre of it beyond what was taken, shape (m,).
-            Of releases it is not worked out.
     """
 
     rows: tuple[tuple[str, str], ...]
@@ -242,8 +246,9 @@ class _Part:
         columns = [by.get(name, np.zeros(len(values))) for name in parameters]
         by_parameter = np.stack(columns, axis=1) if columns else np.zeros((len(values), 0))
         return cls(
-            release.rows, values, release.own, by_parameter, release.by_number, release.shared, release.used_for, False
-        )
+            release.rows, values, release.own, by_parameter, release.by_number, release.shared, release.used_for, False,
+            release.by_slow_roll,
+        )  # fmt: skip
 
     @classmethod
     def of(cls, compared: Compared, rig: Rig) -> _Part:

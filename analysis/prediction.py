@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import NoStableState
-from analysis.run_out import run_out_errors, shown_run_out, with_run_out
+from analysis.run_out import shown_run_out, slow_roll_errors, with_run_out
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
@@ -124,9 +124,7 @@ def predict_point(
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
     own = np.outer(by_speed, by_speed) * speed_std_rad_s**2
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
-    for label, shift in (identified.slow_roll.shifts if identified.slow_roll else {}).items():
-        shared[label] = shared.get(label, np.zeros(5)) + by_bow @ shift[4:]
-    for label, shift in run_out_errors(identified.slow_roll, shown, rig.roles.gain_stds).items():
+    for label, shift in slow_roll_errors(rig, identified.slow_roll, shown, by_bow).items():
         shared[label] = shared.get(label, np.zeros(5)) + shift
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rig_configs.known import gain_label
+from rig_configs import Rig
 from rig_configs.slow_roll import SlowRoll
 
 if TYPE_CHECKING:
@@ -60,22 +60,19 @@ def by_orbit(values: Array) -> Array:
     return slope
 
 
-def run_out_errors(slow_roll: SlowRoll | None, values: Array, gain_stds: tuple[float, float]) -> dict[str, Array]:
-    """How errors of the run-out shift what is predicted: label → shift for one standard deviation, shape (5,).
+def slow_roll_errors(rig: Rig, slow_roll: SlowRoll | None, shown: Array, by_bow: Array) -> dict[str, Array]:
+    """How errors of run-out and bow shift what is predicted: label → shift for one standard deviation, shape (5,).
 
-    A laser has read run-out with its gain, which it reads points with as well.
+    Args:
+        shown: as with_run_out has it.
+        by_bow: derivatives of what is predicted by a bow, shape (5, 2).
     """
-    if slow_roll is None or not (slow_roll.run_out_x_m or slow_roll.run_out_y_m):
+    if slow_roll is None:
         return {}
-    slope, turn = by_orbit(values), np.zeros((4, 4))
+    turn = np.zeros((4, 4))
     turn[:2, :2], turn[2:, 2:] = np.eye(2), [[0.0, 1.0], [-1.0, 0.0]]  # y shows −i r_y
-    found = {label: slope @ turn @ shift[:4] for label, shift in slow_roll.shifts.items()}
-    shown = turn @ slow_roll.values[:4]
-    for k, axis in enumerate("xy"):
-        own = np.zeros(4)
-        own[2 * k : 2 * k + 2] = shown[2 * k : 2 * k + 2]
-        found[gain_label(axis)] = gain_stds[k] * slope @ own
-    return found
+    slope = np.hstack([by_orbit(shown) @ turn, by_bow])
+    return {label: slope @ shift for label, shift in slow_roll.errors(rig.roles.gain_stds, rig.known).items()}
 
 
 def by_slow_roll(measured: SteadyMeasurement, predicted: Prediction) -> dict[str, Array]:

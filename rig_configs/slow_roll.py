@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_configs.known import INDEX, Known, gain_label
+
 Array = NDArray[np.float64]
 
 ORDER = ("run_out_x", "run_out_y", "bow")
@@ -26,7 +28,8 @@ class SlowRoll:
     Attributes:
         run_out_x_m, run_out_y_m: complex; sensor x shows Re(r_x e^{iψ}), sensor y Im(r_y e^{iψ}); 0 for none.
         bow_m: complex; the springs rest at (Re, Im)(b e^{iψ}) in the stiffness axes; 0 for none.
-        covariance: of their real and imaginary parts, shape (6, 6), m².
+        covariance: of their real and imaginary parts without the lasers' gains, shape (6, 6), m².
+        bow_shares: of lasers x and y in the bow, whose gains are in it.
         log, digest: of the test that found them.
     Raises:
         ValueError: numbers that are not finite, or a covariance of the wrong shape or with a negative variance.
@@ -36,6 +39,7 @@ class SlowRoll:
     run_out_y_m: complex
     bow_m: complex
     covariance: Array
+    bow_shares: tuple[float, float] = (0.0, 0.0)
     log: str = ""
     digest: str = ""
 
@@ -60,6 +64,24 @@ class SlowRoll:
         kept = [j for j, size in enumerate(sizes.tolist()) if size > 1e-12 * max(float(sizes[-1]), 1e-300)]
         return {f"{LABEL} {k + 1}": turn[:, j] * math.sqrt(float(sizes[j])) for k, j in enumerate(kept)}
 
+    def errors(self, gain_stds: tuple[float, float], known: Known) -> dict[str, Array]:
+        """All errors that other quantities may share: label → shift of `values` for one standard deviation, shape (6,).
+
+        Args:
+            gain_stds: relative standard uncertainties of lasers x and y, which read run-out and bow with their gains.
+            known: for the index angle: a larger one leaves the same vector at a smaller angle.
+        """
+        found, values = self.shifts, self.values
+        for k, axis in enumerate("xy"):
+            share = np.zeros(6)
+            share[2 * k : 2 * k + 2], share[4:] = 1.0, self.bow_shares[k]
+            found[gain_label(axis)] = gain_stds[k] * share * values
+        turned = np.array([part for z in values.reshape(3, 2) for part in (z[1], -z[0])])
+        for source in known.sources:
+            if INDEX in source.effects:
+                found[source.label] = turned * source.effects[INDEX]
+        return found
+
     def table(self) -> dict[str, Any]:
         """As parameters.toml has it."""
         values = self.values.reshape(3, 2)
@@ -72,7 +94,8 @@ class SlowRoll:
             for name, v, s in zip(ORDER, values, std, strict=True)
         }  # fmt: skip
         return entries | {
-            "covariance": self.covariance.tolist(), "log": self.log, "digest": self.digest,
+            "covariance": self.covariance.tolist(), "bow_shares": list(self.bow_shares),
+            "log": self.log, "digest": self.digest,
         }  # fmt: skip
 
     @classmethod
@@ -83,5 +106,6 @@ class SlowRoll:
             KeyError, TypeError, ValueError: it is none.
         """
         x, y, bow = (complex(float(table[n]["real_m"]), float(table[n]["imaginary_m"])) for n in ORDER)
+        first, second = (float(share) for share in table["bow_shares"])
         covariance = np.array([[float(cell) for cell in row] for row in table["covariance"]])
-        return cls(x, y, bow, covariance, str(table.get("log", "")), str(table.get("digest", "")))
+        return cls(x, y, bow, covariance, (first, second), str(table.get("log", "")), str(table.get("digest", "")))

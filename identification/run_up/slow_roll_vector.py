@@ -39,7 +39,9 @@ def slow_roll_of(fit: RunUpFit, source: str = "", digest: str = "") -> SlowRoll 
     pick[:4, :4] = np.eye(4)
     pick[4:, 4:] = _mean_of(covariance[4:, 4:])
     x, y, bow = (complex(a, b) for a, b in (pick @ values).reshape(3, 2).tolist())
-    return SlowRoll(x, y, bow, pick @ covariance @ pick.T, Path(source).name, digest)
+    return SlowRoll(
+        x, y, bow, pick @ covariance @ pick.T, (float(pick[4, 4]), float(pick[4, 6])), Path(source).name, digest
+    )
 
 
 def slow_roll_of_all(found: Sequence[SlowRoll]) -> tuple[SlowRoll | None, list[str]]:

@@ -150,7 +150,7 @@ def test_a_bow_of_both_sensors_is_one_vector() -> None:
 def _roll(values: list[float], spread: list[float]) -> SlowRoll:
     x, y, bow = (complex(a, b) for a, b in np.reshape(values, (3, 2)))
     mix = np.diag(spread) @ (np.eye(6) + 0.1 * np.ones((6, 6)))
-    return SlowRoll(x, y, bow, mix @ mix.T, "a.mcap", "d1")
+    return SlowRoll(x, y, bow, mix @ mix.T, (0.4, 0.6), "a.mcap", "d1")
 
 
 numbers = st.lists(st.floats(-1e-3, 1e-3, allow_subnormal=False), min_size=6, max_size=6)
@@ -168,7 +168,7 @@ def test_the_file_gives_back_what_was_written(
     assert found is not None
     assert found.values.tolist() == _roll(v, s).values.tolist()
     assert np.array_equal(found.covariance, _roll(v, s).covariance)
-    assert (found.log, found.digest) == ("a.mcap", "d1")
+    assert (found.bow_shares, found.log, found.digest) == ((0.4, 0.6), "a.mcap", "d1")
 
 
 @settings(max_examples=25, deadline=None)
