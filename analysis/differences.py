@@ -184,7 +184,8 @@ def differences(
         rig: gains' and zeros' uncertainties.
         identified: what the predictions were made with.
         releases: what happened right after releases.
-        changed: parameter or number of the rig file → how far it is above what the releases were held against.
+        changed: parameter, number of the rig file or component of SLOW_ROLL → how far it is above what the releases
+            were held against.
     """
     names = tuple(identified.values)
     parts = [(each.name, _Part.of(each, rig)) for each in compared]
@@ -242,7 +243,8 @@ class _Part:
         by = dict(zip(release.parameters, release.by_parameter.T, strict=True))
         values = release.values.copy()
         for name, change in changed.items():
-            values = values + change * by.get(name, release.by_number.get(name, np.zeros(len(values))))
+            by_cause = -release.by_slow_roll.get(name, np.zeros(len(values)))
+            values = values + change * by.get(name, release.by_number.get(name, by_cause))
         columns = [by.get(name, np.zeros(len(values))) for name in parameters]
         by_parameter = np.stack(columns, axis=1) if columns else np.zeros((len(values), 0))
         return cls(

@@ -115,7 +115,8 @@ class _Case:
             predicted = [self._predicted(each, self.rig, identified) for each in self.compared]
         except (NoStableState, DynamicsError, np.linalg.LinAlgError):
             return None
-        return differences(predicted, self.rig, identified, self.releases)
+        changed = {f"{kind} along": value_m.real, f"{kind} across": value_m.imag}
+        return differences(predicted, self.rig, identified, self.releases, changed)
 
     @staticmethod
     def _predicted(each: Compared, rig: Rig, identified: IdentifiedParameters) -> Compared:

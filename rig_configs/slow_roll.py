@@ -82,6 +82,21 @@ class SlowRoll:
                 found[source.label] = turned * source.effects[INDEX]
         return found
 
+    @property
+    def sentences(self) -> list[str]:
+        """Size and angle of what there is, each in a line."""
+        told: list[str] = []
+        for k, (name, (real, imaginary)) in enumerate(zip(ORDER, self.values.reshape(3, 2).tolist(), strict=True)):
+            size = math.hypot(real, imaginary)
+            if size > 0:
+                unit = np.array([real, imaginary]) / size
+                std = math.sqrt(float(unit @ self.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] @ unit))
+                angle = math.degrees(math.atan2(imaginary, real))
+                told.append(
+                    f"{name:16} {1e6 * size:14.4g} ± {1e6 * std:.2g} µm at {angle:.1f}°, turning with the shaft"
+                )
+        return told
+
     def table(self) -> dict[str, Any]:
         """As parameters.toml has it."""
         values = self.values.reshape(3, 2)
