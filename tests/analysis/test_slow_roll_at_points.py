@@ -122,7 +122,7 @@ def test_derivatives_by_a_bow_are_those_of_the_prediction(rig: Rig, drawn: Drawn
 
     roll = SlowRoll(RUN_OUT, RUN_OUT, BOW, np.zeros((6, 6)))
     here = predict_point(rig, replace(drawn.identified, slow_roll=roll), speed)
-    near, step = here.values[:2], 1e-6
+    near, step = here.values[:2].tolist(), 1e-6
     for column, unit in enumerate((1.0, 1j)):
         slope = (predicted(BOW + unit * step) - predicted(BOW - unit * step)) / (2 * step)
         own = np.r_[here.by_bow[0][:, column], here.by_bow[1][:, column]]
