@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.differences import Differences
 from analysis.prediction import AXIS_ANGLE
+from analysis.run_out import SLOW_ROLL
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
 
@@ -33,7 +34,14 @@ _NUMBER_WORDS = {
     "pendulums.pivot_shift_m": "the pivot shift", ZERO_A: "the zero of encoder A", ZERO_B: "the zero of encoder B",
     INDEX: "the index angle",
 }  # fmt: skip
+SLOW_ROLL_STD_M = 2e-5
+"""Standard uncertainty of run-out and bow that no test has shown: what targets and shafts are usually worth."""
+_SLOW_ROLL_WORDS = {
+    "run-out along": "run-out along the imbalance", "run-out across": "run-out across the imbalance",
+    "bow along": "a bow along the imbalance", "bow across": "a bow across the imbalance",
+}  # fmt: skip
 _SETTLES = {
+    "run-out": "a slow roll, or another run-up", "bow": "another run-up",
     "k": "another ring-down along this direction", "zeta": "another ring-down along this direction",
     "c": "another spin-down", "SP": "another run-up", "rotor": "weigh the rotor", "imbalance": "weigh the imbalance",
     "pendulums": "weigh and measure the pendulum", "encoders": "set the zero again at the lock",
@@ -47,7 +55,7 @@ class Cause:
     """One thing that may be wrong.
 
     Attributes:
-        name: a parameter, a number of the rig file, "gain x", "gain y" or "axis angle".
+        name: a parameter, a number of the rig file, "gain x", "gain y", "axis angle" or one of SLOW_ROLL.
         words: what it is, for a reader.
         value: what was taken for it; nan where its size is no share of anything.
         std: standard uncertainty of that, in the cause's unit.
@@ -103,6 +111,10 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
         if shift is not None and deviation > 0:
             words = f"the gain of laser {axis}"
             found.append(_share(gain_label(axis), words, 1.0, deviation, shift / deviation))
+    for name in SLOW_ROLL:
+        if np.any(differences.by_slow_roll.get(name, 0.0)):
+            words, direction = _SLOW_ROLL_WORDS[name], differences.by_slow_roll[name]
+            found.append(Cause(name, words, math.nan, SLOW_ROLL_STD_M, direction, "µm", 1e6, _settles(name)))
     angle = identified.axis_angle_deg
     if angle is not None and angle[1] > 0 and AXIS_ANGLE in differences.shared:
         deviation = math.radians(angle[1])

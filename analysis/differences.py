@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.prediction import Prediction
+from analysis.run_out import SLOW_ROLL, by_slow_roll
 from analysis.steady_state import SteadyMeasurement
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import ZERO_A, ZERO_B, gain_label, known_label
@@ -77,6 +78,11 @@ class Rows(Protocol):
         ...
 
     @property
+    def by_slow_roll(self) -> Mapping[str, Array]:
+        """Of SLOW_ROLL → change of the values per metre of it beyond what was taken, shape (m,)."""
+        ...
+
+    @property
     def used_for(self) -> tuple[str, ...]:
         """Parameters that this very release has helped to identify."""
         ...
@@ -108,6 +114,7 @@ class Differences:
             takes from the difference. Without it the covariance is still too large rather than too small.
         by_number: number of the rig file → derivative of the differences by it, the parameters as they are, shape (m,).
         shared: label → shift of the differences for one standard deviation of an error that rows share, shape (m,).
+        by_slow_roll: name of SLOW_ROLL → change of the differences per metre of it beyond what was taken, shape (m,).
     """
 
     rows: tuple[tuple[str, str], ...]
@@ -119,6 +126,7 @@ class Differences:
     uncertain: Array
     by_number: Mapping[str, Array]
     shared: Mapping[str, Array]
+    by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @cached_property
     def covariance(self) -> Array:
@@ -161,6 +169,7 @@ class Differences:
             tuple(self.rows[i] for i in at), self.values[at], self.own[np.ix_(at, at)], self.by_parameter[at],
             self.parameters, self.parameter_covariance, self.uncertain[at],
             {n: v[at] for n, v in self.by_number.items()}, {label: v[at] for label, v in self.shared.items()},
+            {n: v[at] for n, v in self.by_slow_roll.items()},
         )  # fmt: skip
 
 
@@ -175,7 +184,8 @@ def differences(
         rig: gains' and zeros' uncertainties.
         identified: what the predictions were made with.
         releases: what happened right after releases.
-        changed: parameter or number of the rig file → how far it is above what the releases were held against.
+        changed: parameter, number of the rig file or component of SLOW_ROLL → how far it is above what the releases
+            were held against.
     """
     names = tuple(identified.values)
     parts = [(each.name, _Part.of(each, rig)) for each in compared]
@@ -209,6 +219,7 @@ def _joined(named: Sequence[tuple[str, _Part]], rig: Rig, identified: Identified
         np.concatenate([part.by_parameter * ~np.isin(names, part.used_for) for part in parts] or [np.empty((0, n))]),
         {name: joined("by_number", name) for name in numbers},
         {label: joined("shared", label) for label in labels},
+        {name: joined("by_slow_roll", name) for name in SLOW_ROLL},
     )
 
 
@@ -224,6 +235,7 @@ class _Part:
     shared: Mapping[str, Array]
     used_for: tuple[str, ...] = ()
     steady: bool = True
+    by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @classmethod
     def of_release(cls, release: Rows, parameters: Sequence[str], changed: Mapping[str, float]) -> _Part:
@@ -231,12 +243,14 @@ class _Part:
         by = dict(zip(release.parameters, release.by_parameter.T, strict=True))
         values = release.values.copy()
         for name, change in changed.items():
-            values = values + change * by.get(name, release.by_number.get(name, np.zeros(len(values))))
+            by_cause = -release.by_slow_roll.get(name, np.zeros(len(values)))
+            values = values + change * by.get(name, release.by_number.get(name, by_cause))
         columns = [by.get(name, np.zeros(len(values))) for name in parameters]
         by_parameter = np.stack(columns, axis=1) if columns else np.zeros((len(values), 0))
         return cls(
-            release.rows, values, release.own, by_parameter, release.by_number, release.shared, release.used_for, False
-        )
+            release.rows, values, release.own, by_parameter, release.by_number, release.shared, release.used_for, False,
+            release.by_slow_roll,
+        )  # fmt: skip
 
     @classmethod
     def of(cls, compared: Compared, rig: Rig) -> _Part:
@@ -249,11 +263,12 @@ class _Part:
         off = measured_values(measured) - predicted.values
         off[:2] = (off[:2] + math.pi) % (2 * math.pi) - math.pi
         own = measured.own + predicted.own + np.diag(predicted.numerical**2)
-        if predicted.state.type != "I":
+        if not predicted.at_rest:
             pick = np.eye(5)[:4]
             return cls(
                 _ROWS, pick @ off, pick @ own @ pick.T, -pick @ predicted.by_parameter,
                 {n: -pick @ v for n, v in predicted.by_number.items()}, {n: pick @ v for n, v in shared.items()},
+                by_slow_roll=by_slow_roll(measured, predicted),
             )  # fmt: skip
         pick = np.zeros((6, 5))
         pick[0, 0] = pick[1, 1] = 1.0  # amplitudes beside zero depend on nothing but noise
@@ -262,7 +277,9 @@ class _Part:
         own = measured.to_come.covariance + pick @ predicted.own @ pick.T
         return cls(
             _NOISE_ROWS, values, own, -pick @ predicted.by_parameter,
-            {n: -pick @ v for n, v in predicted.by_number.items()}, {n: pick @ v for n, v in shared.items()},
+            {n: -pick @ v for n, v in predicted.by_number.items()},
+            {n: pick @ v for n, v in shared.items()},
+            by_slow_roll=by_slow_roll(measured, predicted),
         )  # fmt: skip
 
 

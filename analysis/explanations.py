@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,8 @@ from analysis.differences import Differences
 Array = NDArray[np.float64]
 Again = Callable[[str, float], Differences | None]
 """(cause, its value) ↦ the differences with it; None where it cannot be predicted."""
+Turned = Callable[[str, complex], Differences | None]
+"""("run-out" or "bow", how much more of it in the rotor's frame, m) ↦ the differences with it; None as above."""
 
 _SHOWN, _FOLLOWED, _ROUNDS = 5, 4, 6
 _FAR = 8.0  # standard deviations of the points from which a linear size is predicted anew
@@ -116,13 +118,16 @@ class Explanations:
         }  # fmt: skip
 
 
-def explanations(differences: Differences, found: Sequence[Cause], again: Again | None = None) -> Explanations:
+def explanations(
+    differences: Differences, found: Sequence[Cause], again: Again | None = None, turned: Turned | None = None
+) -> Explanations:
     """Every cause and pair of causes fitted to all rows.
 
     Args:
         differences: of all points.
         found: the causes.
         again: predicts with a cause at another value; None takes every cause for small.
+        turned: the same for a slow roll, whose two components are one cause.
     """
     chi2, dof = differences.chi2, len(differences.values)
     limit = _left_by_chance(dof)
@@ -135,6 +140,9 @@ def explanations(differences: Differences, found: Sequence[Cause], again: Again 
         pairs = [
             _fitted(differences, pair, limit) for pair in itertools.combinations(found, 2) if _apart(differences, pair)
         ]
+        if turned is not None:
+            for kind in ("run-out", "bow"):
+                pairs = _with_vector(differences, kind, found, pairs, turned, limit)
         pairs.sort(key=lambda e: e.score)
         pairs = [e for e in pairs if e.chi2 < singles[0].chi2 - _WORTH_A_SECOND]
     return Explanations(chi2, dof, tuple(singles), tuple(pairs[:_SHOWN]))
@@ -201,3 +209,30 @@ def _direction_at(there: Differences, cause: Cause) -> Array:
     if cause.name in there.parameters:
         return -there.by_parameter[:, there.parameters.index(cause.name)]
     return cause.direction
+
+
+def _with_vector(
+    differences: Differences, kind: str, found: Sequence[Cause], pairs: list[Explanation], turned: Turned, limit: float
+) -> list[Explanation]:
+    """The pairs with that of a slow roll's components followed: a vector that is added to others of its size bends.
+
+    Args:
+        kind: how SLOW_ROLL begins.
+    """
+    own = tuple(cause for cause in found if cause.name.startswith(kind))
+    if len(own) != 2:
+        return pairs
+    others = [e for e in pairs if e.causes != own]
+    best = _fitted(differences, own, limit)
+    for _ in range(_ROUNDS):
+        there = turned(kind, complex(*best.sizes))
+        if there is None:
+            break
+        left = _left_by_chance(len(there.values))  # a disk that no longer rests has other rows
+        moved = tuple(replace(cause, direction=there.by_slow_roll[cause.name]) for cause in own)
+        step = _fitted(there, moved, left)
+        sizes = np.array(best.sizes) + np.array(step.sizes)
+        best = _explanation(own, sizes, np.array(step.stds), step.chi2, left)
+        if all(abs(by) < _NEAR * std for by, std in zip(step.sizes, step.stds, strict=True)):
+            break
+    return [*others, best]

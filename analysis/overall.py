@@ -19,6 +19,7 @@ from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.errors import RigConfigError
 from rig_configs.known import PHYSICAL
+from rig_configs.slow_roll import SlowRoll
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class _Case:
     releases: tuple[Rows, ...] = ()
 
     def explained(self) -> Explanations:
-        return explanations(self.differences, self.causes, self.again)
+        return explanations(self.differences, self.causes, self.again, self.turned)
 
     def again(self, name: str, value: float) -> Differences | None:
         """The differences with a parameter or a number of the rig file at another value.
@@ -101,6 +102,21 @@ class _Case:
             return differences(predicted, rig, identified, self.releases, changed)
         except (NoStableState, DynamicsError, RigConfigError, np.linalg.LinAlgError):
             return None
+
+    def turned(self, kind: str, value_m: complex) -> Differences | None:
+        """The differences with more run-out or bow; kind: "run-out" or "bow", as SLOW_ROLL begins."""
+        roll = self.identified.slow_roll or SlowRoll(0j, 0j, 0j, np.zeros((6, 6)))
+        if kind == "run-out":
+            roll = replace(roll, run_out_x_m=roll.run_out_x_m + value_m, run_out_y_m=roll.run_out_y_m + value_m)
+        else:
+            roll = replace(roll, bow_m=roll.bow_m + value_m)
+        identified = replace(self.identified, slow_roll=roll)
+        try:
+            predicted = [self._predicted(each, self.rig, identified) for each in self.compared]
+        except (NoStableState, DynamicsError, np.linalg.LinAlgError):
+            return None
+        changed = {f"{kind} along": value_m.real, f"{kind} across": value_m.imag}
+        return differences(predicted, self.rig, identified, self.releases, changed)
 
     @staticmethod
     def _predicted(each: Compared, rig: Rig, identified: IdentifiedParameters) -> Compared:

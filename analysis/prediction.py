@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import NoStableState
+from analysis.run_out import shown_run_out, slow_roll_errors, with_run_out
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
@@ -30,6 +31,9 @@ Start = NDArray[np.floating[Any]]
 AXIS_ANGLE = "axis angle"
 """Label of the axis angle's error, which all points share."""
 _SPEED = "speed"
+BOW = ("bow_x_m", "bow_y_m")
+_BOW_STEP_M = 1e-7
+_AT_REST_M = 1e-9  # an orbit below is none
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
@@ -53,6 +57,9 @@ class Prediction:
         shared: label → shift of `values`, shape (5,), for one standard deviation of an error that other quantities
             share: "gain x", "known rotor.mass_kg", "axis angle".
         numerical: estimated error of the integration in `values`, shape (5,).
+        by_bow: derivatives of `values` by real and imaginary part of a bow, shape (5, 2), and those of the real and
+            imaginary parts of the complex order-1 amplitudes of x and y, shape (4, 2).
+        orbit: complex order-1 amplitudes that x and y show, x = Re(x e^{iψ}), y the same; run-out included.
     """
 
     state: SteadyState
@@ -64,6 +71,13 @@ class Prediction:
     own: Array
     shared: Mapping[str, Array]
     numerical: Array
+    by_bow: tuple[Array, Array]
+    orbit: tuple[complex, complex]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the sensors show nothing: a balanced state of a straight shaft without run-out."""
+        return self.state.type == "I" and float(self.values[4]) < _AT_REST_M
 
     @property
     def std(self) -> np.ndarray:
@@ -101,14 +115,23 @@ def predict_point(
         raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
     state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
     beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, axis_angle_deg, rig.roles.turn_deg))
-    values, slopes, numerical = _slopes(physics, list(identified.values), state, speed_rad_s, beta)
+    run_out = shown_run_out(identified.slow_roll)
+    shown, slopes, numerical = _slopes(physics, list(identified.values), state, speed_rad_s, (beta, run_out))
+    values = shown[:5]
     by_parameter = np.stack([slopes.pop(name) for name in identified.values] or [np.empty((5, 0))], axis=-1)
+    bow = np.stack([slopes.pop(name) for name in BOW], axis=-1)
+    by_bow = bow[:5]
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
     own = np.outer(by_speed, by_speed) * speed_std_rad_s**2
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
+    for label, shift in slow_roll_errors(rig, identified.slow_roll, shown, by_bow).items():
+        shared[label] = shared.get(label, np.zeros(5)) + shift
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
-    return Prediction(state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical)
+    return Prediction(
+        state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical, (by_bow, bow[5:]),
+        (complex(*shown[5:7]), complex(*shown[7:])),
+    )  # fmt: skip
 
 
 def _shared(
@@ -168,14 +191,23 @@ def fixed_point_inverse(physics: RotorParameters, speed: float, start: Start) ->
 
 def observed(physics: RotorParameters, speed: float, start: Start, beta: float, finer: float = 1.0) -> Array:
     """θ3, θ4, order-1 amplitudes in sensor axes, rms radius; means over one revolution, shape (5,)."""
+    return _shown(physics, speed, start, (beta, (0j, 0j)), finer)[:5]
+
+
+Sensors = tuple[float, tuple[complex, complex]]
+"""Angle from the stiffness to the sensor x axis, rad, and what run-out adds to the complex amplitudes of x and y, m."""
+
+
+def _shown(physics: RotorParameters, speed: float, start: Start, sensors: Sensors, finer: float = 1.0) -> Array:
+    """The same as sensors with run-out show it, and (Re, Im) of both complex order-1 amplitudes, shape (9,)."""
     n = 64
     times = np.linspace(0, 2 * np.pi / speed, n + 1)
     states = _motion(physics, speed, start, times, finer)[:-1]
     turn = np.exp(-1j * speed * times[:-1])
     x, y = states[:, 0], states[:, 1]
-    x_sensor, y_sensor = _rotated(complex(2 * np.mean(x * turn)), complex(2 * np.mean(y * turn)), beta)
+    x_sensor, y_sensor = _rotated(complex(2 * np.mean(x * turn)), complex(2 * np.mean(y * turn)), sensors[0])
     radius = math.sqrt(float(np.mean(x * x + y * y)))
-    return np.array([*states[:, 2:4].mean(axis=0), abs(x_sensor), abs(y_sensor), radius])
+    return with_run_out(states[:, 2:4].mean(axis=0), x_sensor, y_sensor, radius, sensors[1])
 
 
 def _rotated(x: complex, y: complex, beta: float) -> tuple[complex, complex]:
@@ -185,9 +217,11 @@ def _rotated(x: complex, y: complex, beta: float) -> tuple[complex, complex]:
 
 
 def _slopes(
-    physics: RotorParameters, names: Sequence[str], state: SteadyState, speed: float, beta: float
+    physics: RotorParameters, names: Sequence[str], state: SteadyState, speed: float, sensors: Sensors
 ) -> tuple[Array, dict[str, Array], Array]:
-    """What is observed (5,), its derivatives by parameters, known numbers, speed and axis angle, and its error.
+    """What sensors show (9,), derivatives (5,) by parameters, known numbers, speed and axis angle, and its error (5,).
+
+    Derivatives by a bow are those of all that is shown, shape (9,).
 
     The error is what half the integration's step changes, the fixed point with it.
     """
@@ -195,32 +229,38 @@ def _slopes(
     inverse = fixed_point_inverse(physics, speed, start)
     found, known = physics.identified(), physical_numbers(physics)
     slopes: dict[str, Array] = {}
+    same, (beta, run_out) = (sensors, sensors), sensors
     for name in names:
         h = 1e-4 * abs(found[name]) or 1e-9
         pair = [physics.with_values(**{name: found[name] + sign * h}) for sign in (1, -1)]
-        slopes[name] = _along(pair, (speed, speed), (beta, beta), start, inverse, h)
+        slopes[name] = _along(pair, (speed, speed), same, start, inverse, h)[:5]
     for name, value in known.items():
         if value:
             h = 1e-4 * value
             pair = [with_number(physics, name, value + sign * h) for sign in (1, -1)]
-            slopes[name] = _along(pair, (speed, speed), (beta, beta), start, inverse, h)
+            slopes[name] = _along(pair, (speed, speed), same, start, inverse, h)[:5]
+    for name in BOW:
+        h = _BOW_STEP_M
+        pair = [replace(physics, **{name: getattr(physics, name) + sign * h}) for sign in (1, -1)]
+        slopes[name] = _along(pair, (speed, speed), same, start, inverse, h)
     h = 1e-5 * speed
-    slopes[_SPEED] = _along([physics, physics], (speed + h, speed - h), (beta, beta), start, inverse, h)
+    slopes[_SPEED] = _along([physics, physics], (speed + h, speed - h), same, start, inverse, h)[:5]
     h = 1e-4
-    slopes[AXIS_ANGLE] = _along([physics, physics], (speed, speed), (beta + h, beta - h), start, inverse, h)
-    values = observed(physics, speed, start, beta)
+    turned = ((beta + h, run_out), (beta - h, run_out))
+    slopes[AXIS_ANGLE] = _along([physics, physics], (speed, speed), turned, start, inverse, h)[:5]
+    values = _shown(physics, speed, start, sensors)
     finer = start + inverse @ (half_turn(physics, speed, start, 0.5) - half_turn(physics, speed, start))
-    numerical = np.abs(observed(physics, speed, finer, beta, 0.5) - values)
+    numerical = np.abs(_shown(physics, speed, finer, sensors, 0.5) - values)[:5]
     values[:2] %= 2 * np.pi
     return values, slopes, numerical
 
 
 def _along(
-    pair: Sequence[RotorParameters], speeds: tuple[float, float], betas: tuple[float, float],
+    pair: Sequence[RotorParameters], speeds: tuple[float, float], sensors: tuple[Sensors, Sensors],
     start: np.ndarray, inverse: np.ndarray, h: float,
 ) -> np.ndarray:  # fmt: skip
-    """Derivative of what is observed when a number moves by ±h and the steady state with it, shape (5,)."""
+    """Derivative of what is observed when a number moves by ±h and the steady state with it, shape (9,)."""
     up, down = (half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
     moved = inverse @ (up - down) / 2  # of the state, for +h
-    seen = [observed(p, w, start + sign * moved, b) for p, w, b, sign in zip(pair, speeds, betas, (1, -1), strict=True)]
+    seen = [_shown(p, w, start + sign * moved, s) for p, w, s, sign in zip(pair, speeds, sensors, (1, -1), strict=True)]
     return (seen[0] - seen[1]) / (2 * h)

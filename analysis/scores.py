@@ -119,7 +119,7 @@ def scores_of(measured: SteadyMeasurement, prediction: Prediction, rig: Rig) -> 
         scores[name] = Score(
             error / u, value, values[name].std, model, float(std[j]), error=error, u_numerical=numerical, u_validation=u
         )
-    if prediction.state.type == "I":
+    if prediction.at_rest:
         scores |= _noise_scores(measured)
     return scores
 

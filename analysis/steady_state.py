@@ -14,6 +14,7 @@ from daq.signals.run import Run
 from daq.signals.settling import Settling, settled
 from daq.signals.state_type import state_type
 from dynamics import RotorParameters
+from dynamics.steady.singular_points import bow_moment
 from rig_configs import Rig
 
 AVERAGE_S = 6.0  # the last seconds that are averaged
@@ -82,12 +83,13 @@ class SteadyMeasurement:
         return math.hypot(self.noise_x_m, self.noise_y_m)
 
 
-def measure(run: Run, rig: Rig) -> SteadyMeasurement:
+def measure(run: Run, rig: Rig, bow_m: complex = 0j) -> SteadyMeasurement:
     """The steady state at the end of a point's run.
 
     Args:
         run: a test "point-NAME"; what follows the plateau (the stop) is cut off by the marks' spacing.
         rig: for the first mass moments, the lasers' gain and the encoders' zero uncertainty.
+        bow_m: of the shaft in the rotor's frame: the pendulums balance it as well.
     Raises:
         NotEnoughData: no release, too short a record after it, or a signal that is missing there.
     """
@@ -110,10 +112,11 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
     zero, gain = math.radians(rig.roles.zero_std_deg), rig.roles.gain_stds
     values = [*theta, abs(x[0]), abs(y[0]), radius]
     common = [zero, zero, gain[0] * abs(x[0]), gain[1] * abs(y[0]), _of_radius(x, y, radius, gain)]
+    bow = bow_moment(replace(rig.physics, bow_x_m=bow_m.real, bow_y_m=bow_m.imag), speed.value)
     stated = [Interval(float(v), math.hypot(math.sqrt(own[j, j]), common[j])) for j, v in enumerate(values)]
     noise_x, noise_y = (math.sqrt(0.5 * np.trace(ends.covariance[j : j + 2, j : j + 2])) for j in (2, 4))
     return SteadyMeasurement(
-        state=_state(settling, (float(theta[0]), float(theta[1])), rig.physics),
+        state=_state(settling, (float(theta[0]), float(theta[1])), rig.physics, bow),
         locked=locked,
         locked_rad=locked_rad,
         settling=settling,
@@ -292,7 +295,7 @@ def _orders(
     return np.array([track.mean(k)[0] for k in (1, 2, 3)]), track.mean(1)[1]
 
 
-def _state(settling: Settling, theta: tuple[float, float], physics: RotorParameters) -> str:
+def _state(settling: Settling, theta: tuple[float, float], physics: RotorParameters, bow_kg_m: complex) -> str:
     if settling.slipping:
         return "slipping"
-    return state_type(theta, physics) if settling.settled else "not settled"
+    return state_type(theta, physics, bow_kg_m) if settling.settled else "not settled"

@@ -141,7 +141,7 @@ def validate_point(
     point = rig.points.get(name)
     expected = point.expected if point else None
     try:
-        measured = measure(run, rig)
+        measured = measure(run, rig, identified.slow_roll.bow_m if identified.slow_roll else 0j)
     except NotEnoughData as error:
         return PointResult(name, expected, "not settled", None, None, {}, "not enough data", f"{error}", run.source)
     prediction, trouble = _predict(rig, identified, measured, axis_angle_deg)

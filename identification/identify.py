@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,10 +31,12 @@ from identification.physical import keep_physical, physical_parameters, run_up_s
 from identification.ring_down.fit import RingDownFit
 from identification.ring_down.together import fit_ring_downs
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
+from identification.run_up.slow_roll_vector import slow_roll_of, slow_roll_of_all
 from identification.setting import Setting
 from identification.threads import on_one_thread
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
+from rig_configs.slow_roll import SlowRoll
 
 Fit = RingDownFit | RunUpFit | TransientFit
 
@@ -106,6 +108,8 @@ class _Work:
     def knowledge(self) -> Knowledge:
         """The rig file with what the tests so far have found laid over it."""
         known = replace(Knowledge.nominal(self.rig.physics), friction=self._friction())
+        if (roll := self.slow_roll()[0]) is not None and roll.bow_m:
+            known = replace(known, physics=replace(known.physics, bow_x_m=roll.bow_m.real, bow_y_m=roll.bow_m.imag))
         if not self.estimates:
             return known
         joint = joint_estimate(self.estimates)
@@ -114,6 +118,15 @@ class _Work:
         slopes = {n: dict(zip(found.values, by.tolist(), strict=True)) for n, by in joint.weighted.by_number.items()}
         known = known.with_found(found.values, found.std).with_slopes(found.values, slopes)
         return replace(known, physics=known.physics.with_values(**damping))
+
+    def slow_roll(self, digests: Mapping[str, str] | None = None) -> tuple[SlowRoll | None, list[str]]:
+        """Run-out and bow that the run-ups so far show; digests: of logs, by source."""
+        found = [
+            slow_roll_of(f.fit, f.source, (digests or {}).get(f.source, ""))
+            for f in self.fits
+            if isinstance(f.fit, RunUpFit) and f.fit.settled
+        ]
+        return slow_roll_of_all([one for one in found if one is not None])
 
     def _friction(self) -> Friction | None:
         """What all tests so far show of it, where that is sure; else what a release found, or a spin-down."""
@@ -268,8 +281,11 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
         warnings.append(f"not identified: {', '.join(missing)}; {advice(missing, runs, work.rig.roles)}")
     facts = _provenance(runs, work, rows)
     angle, std = _axis_angle(work.fits)
+    digests = {r.source: str(r.metadata.get("digest", "")) for r in runs}
+    slow_roll, told = work.slow_roll(digests)
+    warnings += told
     found = Identification(
-        replace(parameters, provenance=facts, axis_angle_deg=_known(angle, std)), angle, std,
+        replace(parameters, provenance=facts, axis_angle_deg=_known(angle, std), slow_roll=slow_roll), angle, std,
         work.estimates, work.fits, rows, work.warnings + warnings,
     )  # fmt: skip
     return replace(found, parameters=with_tests(found, runs))

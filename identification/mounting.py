@@ -47,7 +47,7 @@ def as_mounted(fit: Fit, turn_deg: float) -> Fit:
     named = _exchanged(fit) if quarters % 2 else fit
     values = dict(named.values)
     values[_ANGLE] = found + 90.0 * quarters
-    for name in ("phase_x_deg", "phase_y_deg"):
+    for name in ("phase_x_deg", "phase_y_deg", "bow_x_deg", "bow_y_deg"):
         if name in values:
             values[name] = math.remainder(values[name] + 90.0 * quarters, 360.0)
     shift = {name: values[name] - named.values[name] for name in values}

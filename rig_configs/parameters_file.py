@@ -15,6 +15,7 @@ import tomlkit
 from dynamics.equations.parameters import RotorParameters
 from rig_configs.errors import ParametersFileError, RigFileError
 from rig_configs.known import LABEL, Known, KnownSource
+from rig_configs.slow_roll import SlowRoll
 from rig_configs.toml_text import parse_toml, read_text
 
 PARAMETER_UNITS: Mapping[str, str] = {
@@ -44,6 +45,7 @@ class IdentifiedParameters:
         shared: label of an error that other quantities may share → the values' shift for one standard deviation of it,
             shape (n,), part of the covariance. "gain x" and "known rotor.mass_kg" are such labels.
         by_number: number of the rig file that was taken as known → derivative of the values by it, shape (n,).
+        slow_roll: run-out and bow as a run-up found them; None where none showed any.
     Raises:
         ParametersFileError: unknown names, a covariance of the wrong shape, not symmetric or not positive, or an axis
             angle that is no finite number with a standard uncertainty.
@@ -55,6 +57,7 @@ class IdentifiedParameters:
     axis_angle_deg: tuple[float, float] | None = None
     shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    slow_roll: SlowRoll | None = None
 
     def __post_init__(self) -> None:
         n = len(self.values)
@@ -102,7 +105,9 @@ class IdentifiedParameters:
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the identified ones in place of the file's."""
-        return physics.with_values(**self.values)
+        found = physics.with_values(**self.values)
+        bow = self.slow_roll.bow_m if self.slow_roll else 0j
+        return replace(found, bow_x_m=bow.real, bow_y_m=bow.imag) if bow else found
 
     def without(self, names: Collection[str]) -> IdentifiedParameters:
         """Without some of the values: the others keep their own covariance."""
@@ -162,6 +167,8 @@ class IdentifiedParameters:
                 document[key] = {label: vector.tolist() for label, vector in vectors.items()}
         if self.axis_angle_deg is not None:
             document["axis_angle"] = dict(zip(("value_deg", "std_deg"), self.axis_angle_deg, strict=True))
+        if self.slow_roll is not None:
+            document["slow_roll"] = self.slow_roll.table()
         document["provenance"] = self.provenance
         Path(path).write_text(tomlkit.dumps(document), encoding="utf-8")
 
@@ -192,7 +199,8 @@ class IdentifiedParameters:
             angle = raw.get("axis_angle")  # older files have none
             axis = None if angle is None else (_number(angle["value_deg"]), _number(angle["std_deg"]))
             shared, by_number = (_vectors(raw.get(key, {})) for key in ("shared", "by_number"))
-            return cls(values, matrix, dict(raw.get("provenance", {})), axis, shared, by_number)
+            slow_roll = SlowRoll.of_table(raw["slow_roll"]) if "slow_roll" in raw else None
+            return cls(values, matrix, dict(raw.get("provenance", {})), axis, shared, by_number, slow_roll)
         except ParametersFileError as error:
             raise ParametersFileError(f"{path}: {error}") from error
         except (KeyError, TypeError, ValueError) as error:

@@ -11,6 +11,7 @@ friction while it slides forward (an integrator that follows friction turns its 
 the first into the second leaves two equations
     (M_S 1 − Σ_free S_i²/J_i n_i n_iᵀ) q̈ = forces without q̈,
 whose matrix is positive definite because S_i²/J_i ≤ M_i < M_S. A locked pendulum has θ̇ = 0, θ̈ = 0.
+The springs of a bent shaft rest at b e^{iψ}, b = B_X + i B_Y.
 The rates may be complex: a complex step gives exact derivatives of everything built on this function.
 """
 
@@ -23,7 +24,7 @@ import numpy as np
 from numba import njit
 
 # Order of the packed parameters (RotorParameters.packed)
-MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC, DA, DB, FA, FB, GRAVITY = range(18)
+MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC, DA, DB, FA, FB, GRAVITY, BX, BY = range(20)
 DIMENSION = 8
 
 
@@ -47,7 +48,7 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     Args:
         y, out: shape (8,), float or complex.
         psi, omega, alpha: rotor phase (rad), speed (rad/s), acceleration (rad/s²).
-        p: packed parameters, shape (18,), float or complex.
+        p: packed parameters, shape (20,), float or complex.
         free_a, free_b: 1.0 for a released pendulum, 0.0 for a locked one.
     """
     nax, nay, ma, fax, fay, bare_a = _pendulum(y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA], p[DA], p[FA])
@@ -61,7 +62,7 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     dot_b = nbx * rx + nby * ry
     fx = (
         -p[C1] * y[4]
-        - p[K1] * y[0]
+        - p[K1] * (y[0] - (p[BX] * cos_psi - p[BY] * sin_psi))
         + fax
         + fbx
         + p[SP] * (w2 * cos_psi + alpha * sin_psi)
@@ -70,7 +71,7 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     )
     fy = (
         -p[C2] * y[5]
-        - p[K2] * y[1]
+        - p[K2] * (y[1] - (p[BX] * sin_psi + p[BY] * cos_psi))
         + fay
         + fby
         + p[SP] * (w2 * sin_psi - alpha * cos_psi)

@@ -118,13 +118,13 @@ def type_one(parameters: RotorParameters, theta3: float, theta4: float, speed_ra
         theta3, theta4: balanced angles (dynamics.equations.balancing.balanced_angles), rad.
         speed_rad_s: running speed ω, rad/s.
     Raises:
-        OutsideDomain: gravity in the disk plane or a pivot shift: the rotor does not rest there (use `along`).
+        OutsideDomain: gravity in the disk plane, a pivot shift or a bow: the rotor does not rest there (use `along`).
     """
     p, w = parameters, speed_rad_s
-    if p.gravity_m_per_s2 != 0 or p.pivot_shift_m != 0:
+    if p.gravity_m_per_s2 != 0 or p.pivot_shift_m != 0 or p.bow_m != 0:
         raise OutsideDomain(
-            "the closed form of Type I needs gravity_m_per_s2 = 0 and pivot_shift_m = 0, got "
-            f"{p.gravity_m_per_s2!r} and {p.pivot_shift_m!r}; linearise along the computed orbit instead"
+            "the closed form of Type I needs gravity_m_per_s2 = 0, pivot_shift_m = 0 and no bow, got "
+            f"{p.gravity_m_per_s2!r}, {p.pivot_shift_m!r} and {p.bow_m!r}; linearise along the computed orbit instead"
         )
     k, c = (p.k1_N_per_m, p.k2_N_per_m), p.damping_Ns_per_m
     packed = p.packed()

@@ -74,9 +74,10 @@ def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> 
         return Model(
             WHOLE_REVOLUTION, f"{who} free and gravity lies in the disk plane, which repeats once a revolution"
         )
-    if not p.is_isotropic:
+    if p.bow_m or not p.is_isotropic:
         unequal = "k1 ≠ k2" if p.k1_N_per_m != p.k2_N_per_m else "ζ1 ≠ ζ2"
-        return Model(HALF_REVOLUTION, f"{who} free and {unequal}, which the rotor sees twice a revolution")
+        why = "the shaft is bent" if p.is_isotropic else f"{unequal}, which the rotor sees twice a revolution"
+        return Model(HALF_REVOLUTION, f"{who} free and {why}")
     return Model(
         AUTONOMOUS, f"{who} free on an isotropic suspension: steady motions are rest points of the rotor's frame"
     )

@@ -80,6 +80,8 @@ class RotorParameters:
         pivot_shift_compensated: whether brass weights balance the imbalance (M_A + M_B) R_C that the shift brings,
             as the rig's procedure has it.
         gravity_m_per_s2: gravity within the disk plane, along −y (a horizontal shaft); 0 for a vertical one.
+        bow_x_m, bow_y_m: of a bent shaft: where the springs rest in the rotor's frame, x along the imbalance; 0 for a
+            straight one.
     Raises:
         OutsideDomain: a value that is not finite, a length or stiffness or the rotor's mass not positive, or a
             mass, damping or friction that is negative.
@@ -97,6 +99,8 @@ class RotorParameters:
     pivot_shift_m: float = 0.0
     pivot_shift_compensated: bool = True
     gravity_m_per_s2: float = 0.0
+    bow_x_m: float = 0.0
+    bow_y_m: float = 0.0
 
     def __post_init__(self) -> None:
         positive = {
@@ -134,6 +138,7 @@ class RotorParameters:
             if not _SMALLEST <= value <= _LARGEST:  # beyond, squares and quotients leave the range of a double
                 raise OutsideDomain(f"{name} must lie in {_SMALLEST:g} … {_LARGEST:g}, got {value!r}")
         self._need_a_rotor()
+        self._need_a_bow()
         for name, value in masses.items():
             if 0 < value < _SMALLEST:
                 raise OutsideDomain(f"{name} must be 0 (no pendulum) or at least {_SMALLEST:g}, got {value!r}")
@@ -148,6 +153,11 @@ class RotorParameters:
                 raise OutsideDomain(f"{name} must be finite and not negative, got {value!r}")
             if value > _LARGEST:
                 raise OutsideDomain(f"{name} must be at most {_LARGEST:g}, got {value!r}")
+
+    def _need_a_bow(self) -> None:
+        for name, value in (("bow_x_m", self.bow_x_m), ("bow_y_m", self.bow_y_m)):
+            if not (math.isfinite(value) and abs(value) <= _LARGEST):
+                raise OutsideDomain(f"{name} must be finite and at most {_LARGEST:g}, got {value!r}")
 
     def _need_a_rotor(self) -> None:
         if self.rotor_mass_kg < _LIGHTEST * (self.a.mass_kg + self.b.mass_kg):
@@ -185,6 +195,11 @@ class RotorParameters:
     def has_friction(self) -> bool:
         """Whether a pendulum that is there feels dry friction."""
         return any(q.present and q.friction_arm_m > 0 for q in (self.a, self.b))
+
+    @property
+    def bow_m(self) -> complex:
+        """b: the springs rest at b e^{iψ}, m."""
+        return complex(self.bow_x_m, self.bow_y_m)
 
     @property
     def is_isotropic(self) -> bool:
@@ -236,7 +251,7 @@ class RotorParameters:
         return self.imbalance_moment_kg_m + shift
 
     def packed(self) -> np.ndarray:
-        """The numbers in the order of the compiled kernels (see dynamics.equations.kernels), shape (18,)."""
+        """The numbers in the order of the compiled kernels (see dynamics.equations.kernels), shape (20,)."""
         a, b = self.a, self.b
         return np.array(
             [
@@ -257,6 +272,8 @@ class RotorParameters:
                 a.friction_arm_m * a.first_moment_kg_m,
                 b.friction_arm_m * b.first_moment_kg_m,
                 self.gravity_m_per_s2,
+                self.bow_x_m,
+                self.bow_y_m,
             ]
         )
 

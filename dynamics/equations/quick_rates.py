@@ -13,7 +13,28 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
-from dynamics.equations.kernels import C1, C2, CA, CB, DA, DB, FA, FB, GRAVITY, JA, JB, K1, K2, MASS, RC, SA, SB, SP
+from dynamics.equations.kernels import (
+    BX,
+    BY,
+    C1,
+    C2,
+    CA,
+    CB,
+    DA,
+    DB,
+    FA,
+    FB,
+    GRAVITY,
+    JA,
+    JB,
+    K1,
+    K2,
+    MASS,
+    RC,
+    SA,
+    SB,
+    SP,
+)
 
 # π/2 in two parts, the first with 33 bits so that its product with a count of quarter turns below 2²⁰ is exact
 _QUARTER, _QUARTER_REST = 1.57079632673412561417, 6.07710050630396597660e-11
@@ -68,8 +89,10 @@ def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
     along_a, along_b = p[SA] * wa * wa, p[SB] * wb * wb
     across_a = p[SA] * (alpha + own_a) + mass_a * (sin_a * rx - cos_a * ry)
     across_b = p[SB] * (alpha + own_b) + mass_b * (sin_b * rx - cos_b * ry)
-    fx = p[SP] * (w2 * cos_r + alpha * sin_r) - p[C1] * y[4] - p[K1] * y[0]
-    fy = p[SP] * (w2 * sin_r - alpha * cos_r) - p[C2] * y[5] - p[K2] * y[1] - p[MASS] * p[GRAVITY]
+    # the springs' stretch, from where they rest
+    ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
+    fx = p[SP] * (w2 * cos_r + alpha * sin_r) - p[C1] * y[4] - p[K1] * ux
+    fy = p[SP] * (w2 * sin_r - alpha * cos_r) - p[C2] * y[5] - p[K2] * uy - p[MASS] * p[GRAVITY]
     fx += along_a * cos_a + across_a * sin_a + along_b * cos_b + across_b * sin_b
     fy += along_a * sin_a - across_a * cos_a + along_b * sin_b - across_b * cos_b
     mxx = p[MASS] - mass_a * sin_a * sin_a - mass_b * sin_b * sin_b

@@ -18,7 +18,7 @@ def locked_orbit(
     Raises:
         OutsideDomain: exactly in a resonance without damping.
     Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}), S_P with what a pivot shift
-        that is not compensated adds to it.
+        that is not compensated adds to it; a bow b adds k b.
     """
     p = physics_of(parameters)
     moment = (
@@ -35,7 +35,7 @@ def locked_orbit(
             f"at {w:.6g} rad/s the rotor runs exactly in a resonance without damping and its whirl grows for ever: "
             "expected damping above 0 or another speed"
         )
-    return force / stiff1, force / stiff2
+    return (force + p.k1_N_per_m * p.bow_m) / stiff1, (force + p.k2_N_per_m * p.bow_m) / stiff2
 
 
 def locked_state(
@@ -57,8 +57,8 @@ def locked_state_derivatives(
     mass, (k1, k2) = p.total_mass_kg, (p.k1_N_per_m, p.k2_N_per_m)
     stiff1, stiff2 = k1 - mass * w * w + 1j * w * c1, k2 - mass * w * w + 1j * w * c2
     changes = {
-        "k1_N_per_m": (-x / stiff1 * (1 + 1j * w * c1 / (2 * k1)), 0j),
-        "k2_N_per_m": (0j, -y / stiff2 * (1 + 1j * w * c2 / (2 * k2))),
+        "k1_N_per_m": ((p.bow_m - x * (1 + 1j * w * c1 / (2 * k1))) / stiff1, 0j),
+        "k2_N_per_m": (0j, (p.bow_m - y * (1 + 1j * w * c2 / (2 * k2))) / stiff2),
         "zeta1": (-x / stiff1 * 2j * w * np.sqrt(k1 * mass), 0j),
         "zeta2": (0j, -y / stiff2 * 2j * w * np.sqrt(k2 * mass)),
         "SP_kg_m": (w * w / stiff1, w * w / stiff2),

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.kernels import C1, C2, CA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.kernels import BX, BY, C1, C2, CA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments, phase_within
 from dynamics.equations.quick_rates import quick_rates, real_sine_cosine
@@ -42,8 +42,9 @@ def _rate_derivatives(y, psi, omega, p, free_a, free_b, out):
     sines, cosines = (sin_a, sin_b), (cos_a, cos_b)
     w2 = omega * omega
     rx, ry = -p[RC] * w2 * cos_r, -p[RC] * w2 * sin_r + p[GRAVITY]
-    fx = p[SP] * w2 * cos_r - p[C1] * y[4] - p[K1] * y[0]
-    fy = p[SP] * w2 * sin_r - p[C2] * y[5] - p[K2] * y[1] - p[MASS] * p[GRAVITY]
+    ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
+    fx = p[SP] * w2 * cos_r - p[C1] * y[4] - p[K1] * ux
+    fy = p[SP] * w2 * sin_r - p[C2] * y[5] - p[K2] * uy - p[MASS] * p[GRAVITY]
     mxx, myy, mxy = p[MASS], p[MASS], 0.0
     for i in range(2):
         free, s, sin, cos = (free_a if i == 0 else free_b), p[SA + i], sines[i], cosines[i]

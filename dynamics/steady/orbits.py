@@ -19,11 +19,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.kernels import FA, FB, GRAVITY, jacobian, rates
+from dynamics.equations.kernels import BX, BY, FA, FB, GRAVITY, jacobian, rates
 from dynamics.equations.parameters import RotorParameters
 
 _FIRST, _LARGEST = 8, 256  # phases per half revolution
 _ITERATIONS = 25
+_OF_BOW = 1e-3  # of a bow: an orbit below is none
 _LONGEST_TURN = 0.3  # rad: Newton's step of an angle is cut to this
 
 
@@ -173,7 +174,7 @@ def periodic_orbit(
             return None
         whole = grid.whole(solved[0])
         if before is not None:
-            size = float(np.max(np.abs(whole[:, :2])))
+            size = max(float(np.max(np.abs(whole[:, :2]))), _least_size(packed))
             change = np.max(np.abs(whole[::2, :4] - before[:, :4]), axis=0)
             angle = float(max(change[2:])) + 2 * solved[1]
             position = float(max(change[:2])) + 2 * solved[1] * size
@@ -182,6 +183,11 @@ def periodic_orbit(
         before, positions = whole, whole[:, :4]
         half *= 2
     return None
+
+
+def _least_size(packed: NDArray[np.floating]) -> float:
+    """What x, y are held against at least, m: pendulums that balance a bow leave the disk at rest."""
+    return _OF_BOW * float(np.hypot(packed[BX], packed[BY]))
 
 
 def _newton(
@@ -203,7 +209,7 @@ def _newton(
     for _ in range(_ITERATIONS):
         states = _states(c, bases, speed)
         _forces(states, grid.phase, speed, packed, float(free[0]), float(free[1]), acceleration, slope)
-        size = float(np.max(np.abs(c[:, :2]))) or 1.0
+        size = max(float(np.max(np.abs(c[:, :2]))), _least_size(packed)) or 1.0
         unit = np.array([size, size, 1.0, 1.0])
         matrix, residual = _balance(c, bases, kept, speed, acceleration, slope, unit)
         step = _solved(matrix, -residual)

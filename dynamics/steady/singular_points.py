@@ -13,6 +13,7 @@ and the modulus gives ρ from |D|² ρ² − 2 ω² S_T Re(D) ρ + ω⁴ S_T² =
 
 With k1 ≠ k2 or c1 ≠ c2 the same equations hold for the mean torque of pendulums at rest on the rotor, with
 1/D = (1/D1 + 1/D2)/2: the forward whirl alone has a mean torque. Its points start the search for periodic orbits.
+A bow b adds to F what its force does to the forward whirl, D (k1/D1 + k2/D2) b/(2 ω²).
 """
 
 from __future__ import annotations
@@ -40,6 +41,20 @@ class SingularPoint:
     type: str
     theta_rad: tuple[float, float]
     z_m: complex
+
+
+def bow_moment(parameters: RotorParameters, speed_rad_s: float) -> complex:
+    """First moment whose rotating force drives the forward whirl as a bow does, kg m."""
+    p = parameters
+    if p.bow_m == 0:
+        return 0j
+    mean = 0.5 * (p.k1_N_per_m + p.k2_N_per_m) * p.bow_m
+    stiffness, own = dynamic_stiffness(p, speed_rad_s), p.total_mass_kg * speed_rad_s**2
+    if p.k1_N_per_m == p.k2_N_per_m or stiffness == 0 or not math.isfinite(abs(stiffness)):
+        return mean / speed_rad_s**2
+    directions = zip((p.k1_N_per_m, p.k2_N_per_m), p.damping_Ns_per_m, strict=True)
+    shares = sum(k / complex(k - own, speed_rad_s * c) for k, c in directions if k != own or c != 0)
+    return 0.5 * p.bow_m * stiffness * shares / speed_rad_s**2
 
 
 def dynamic_stiffness(parameters: RotorParameters, speed_rad_s: float) -> complex:
@@ -108,7 +123,7 @@ def singular_points(
     moments = (p.a.first_moment_kg_m, p.b.first_moment_kg_m)
     free = tuple(r and s > 0 for r, s in zip(released, moments, strict=True))
     stiffness = dynamic_stiffness(p, speed_rad_s)
-    fixed = complex(p.forcing_moment_kg_m)
+    fixed = p.forcing_moment_kg_m + bow_moment(p, speed_rad_s)
     for is_free, moment, angle in zip(free, moments, locked_at_rad, strict=True):
         fixed += 0.0 if is_free else moment * complex(math.cos(angle), math.sin(angle))
     if not any(free):

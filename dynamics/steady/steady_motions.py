@@ -156,12 +156,14 @@ def multipliers(rig: RotorParameters | object, speed_rad_s: float, accuracy: flo
     Args:
         rig, speed_rad_s, accuracy: as for steady_states.
     Raises:
-        NoBalancedState: the pendulums can't balance this imbalance, or a pivot shift or gravity leaves no rest.
+        NoBalancedState: the pendulums can't balance this imbalance, or a pivot shift, gravity or a bow leaves no rest.
     """
     parameters = physics_of(rig)
     check_request(speed_rad_s, accuracy)
     if not _rests(parameters):
-        raise NoBalancedState("a pivot shift or gravity moves the disk in every state; ask steady_states for them")
+        raise NoBalancedState(
+            "a pivot shift, gravity or a bow moves the disk in every state; ask steady_states for them"
+        )
     angles = balanced_angles(parameters)
     if not angles:
         a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
@@ -188,7 +190,7 @@ def check_request(speed_rad_s: float, accuracy: float) -> None:
 
 def _rests(parameters: RotorParameters) -> bool:
     """Whether the balanced state leaves the disk at rest."""
-    return parameters.pivot_shift_m == 0 and parameters.gravity_m_per_s2 == 0
+    return parameters.pivot_shift_m == 0 and parameters.gravity_m_per_s2 == 0 and parameters.bow_m == 0
 
 
 def _balanced(

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dynamics.equations.kernels import C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.kernels import BX, BY, C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 from identification.pendulums.variational import follow
@@ -33,7 +33,7 @@ _MOST_SWITCHES = 40_000
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _rates(y, phase, p, torque, mode, f, own, whole):
-    """Rates into f (8,); what `_linearised` reads into own (2, 8) and whole (5,).
+    """Rates into f (8,); what `_linearised` reads into own (2, 8) and whole (7,).
 
     own, by pendulum: cos φ, sin φ, S²/J, bare acceleration, turning rate, the bare one's derivative by the rate, e·p̈,
     the torque that holds it. whole: the inverse of 𝐌 (xx, yy, xy) and the imbalance's force over S_P.
@@ -44,8 +44,9 @@ def _rates(y, phase, p, torque, mode, f, own, whole):
     rx = -p[RC] * (alpha * sin_r + w2 * cos_r)
     ry = p[RC] * (alpha * cos_r - w2 * sin_r) + p[GRAVITY]
     whole[3], whole[4] = w2 * cos_r + alpha * sin_r, w2 * sin_r - alpha * cos_r
-    fx = p[SP] * whole[3] - p[C1] * y[4] - p[K1] * y[0]
-    fy = p[SP] * whole[4] - p[C2] * y[5] - p[K2] * y[1] - p[MASS] * p[GRAVITY]
+    whole[5], whole[6] = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
+    fx = p[SP] * whole[3] - p[C1] * y[4] - p[K1] * whole[5]
+    fy = p[SP] * whole[4] - p[C2] * y[5] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
     mxx, myy, mxy = p[MASS], p[MASS], 0.0
     for i in range(2):
         inertia, free = p[JA + i], 1.0 if mode[i] != 0 else 0.0
@@ -81,7 +82,7 @@ def _linearised(y, phase, p, mode, own, whole, g, d):
     alpha = phase[2]
     g[:] = 0.0
     g[0, 0], g[1, 1], g[0, 4], g[1, 5] = -p[K1], -p[K2], -p[C1], -p[C2]
-    g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -y[0], -y[1], -y[4], -y[5]
+    g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -y[4], -y[5]
     g[0, 14], g[1, 14] = whole[3], whole[4]
     for i in range(2):
         cosine, sine, m, bare, speed, slope = own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4], own[i, 5]
@@ -186,7 +187,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
     for i in range(4):
         u[i, i], v[i, 4 + i] = 1.0, 1.0
     k, wy, phase, at, out = np.empty((4, 8)), np.empty(8), np.empty((3, 3)), np.empty(3), np.empty(8)
-    own, whole, g, d = np.empty((2, 8)), np.empty(5), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
+    own, whole, g, d = np.empty((2, 8)), np.empty(7), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
     bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
     f, before, jump = np.empty(8), np.empty(8), np.empty(COLUMNS)
     last_y, last_f, waiting = np.empty(8), np.empty(8), 0.0  # the step that the derivatives have still to take, s

@@ -1,7 +1,8 @@
 """State of the rig at the release: both pendulums locked, the disk driven by the imbalance through the recorded speed.
 
 The locked rig is two linear oscillators, ḧ + 2ζω ḣ + ω² h = (ψ̇² − iψ̈) e^{iψ} per direction, x = Re(A h1),
-y = Im(A h2), A = (S_P + S_A e^{iθ3} + S_B e^{iθ4})/M_S. h does not depend on the locked angles or the imbalance, so
+y = Im(A h2), A = (S_P + S_A e^{iθ3} + S_B e^{iθ4})/M_S. A bow b adds b h_b, which follows from h
+(identification.run_up.slow_roll). h does not depend on the locked angles or the imbalance, so
 the state's derivatives by them are products; those by stiffness and damping take h at neighbouring ω and ζ.
 """
 
@@ -61,16 +62,45 @@ class LockedStart:
         derivatives[2, 0] = derivatives[3, 1] = 1.0
         for axis, (w, zeta) in enumerate(zip(p.natural_frequencies_rad_s, (p.zeta1, p.zeta2), strict=True)):
             h, by_omega, by_zeta = self._response(w, zeta, shift_s)
+            bow, bow_by_omega, bow_by_zeta = self._of_bow(p.bow_m, (h, by_omega, by_zeta), w, zeta, shift_s)
             for row, order in ((axis, 0), (4 + axis, 1)):
-                state[row] = _part(axis, moment * h[order])
+                state[row] = _part(axis, moment * h[order] + bow[order])
                 derivatives[row, [0, 1, 7]] = [_part(axis, b * h[order]) for b in by_moment]
-                derivatives[row, 2] = _part(axis, moment * h[order + 1])
-                derivatives[row, 3 + axis] = 0.5 * _part(axis, moment * by_omega[order])
-                derivatives[row, 5 + axis] = _part(axis, moment * by_zeta[order])
+                derivatives[row, 2] = _part(axis, moment * h[order + 1] + bow[order + 1])
+                derivatives[row, 3 + axis] = 0.5 * _part(axis, moment * by_omega[order] + bow_by_omega[order])
+                derivatives[row, 5 + axis] = _part(axis, moment * by_zeta[order] + bow_by_zeta[order])
         sag = mass * p.gravity_m_per_s2 / p.k2_N_per_m
         state[1] -= sag
         derivatives[1, 4] += sag
         return state, derivatives
+
+    def _of_bow(
+        self,
+        bow: complex,
+        response: tuple[np.ndarray, np.ndarray, np.ndarray],
+        omega: float,
+        zeta: float,
+        shift_s: float,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """b h_b, its rate and second rate, and the first two's derivatives by ln ω and ln ζ; zeros without a bow."""
+        if bow == 0:
+            return np.zeros(3), np.zeros(2), np.zeros(2)
+        h, by_omega, by_zeta = response
+        psi, speed, _ = self.history.phase(self.release_s + shift_s)[0]
+        p = np.exp(1j * psi)
+        lag, width = 2 * zeta / omega, 2 * zeta * omega
+        moved = h[1] + 1j * speed * p
+        answer, rate = (1 - lag * width) * h[0] + p - lag * moved, moved + width * h[0]
+        bent = omega**2 * (p - answer) - width * rate
+        of_omega = [
+            (1 - lag * width) * by_omega[0] - lag * (by_omega[1] - moved),
+            by_omega[1] + width * (h[0] + by_omega[0]),
+        ]
+        of_zeta = [
+            (1 - lag * width) * by_zeta[0] - lag * (by_zeta[1] + moved) - 2 * lag * width * h[0],
+            by_zeta[1] + width * (h[0] + by_zeta[0]),
+        ]
+        return bow * np.array([answer, rate, bent]), bow * np.array(of_omega), bow * np.array(of_zeta)
 
     def _response(self, omega: float, zeta: float, shift_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """h, ḣ, ḧ at the release and the first two's derivatives by ln ω and ln ζ, complex."""

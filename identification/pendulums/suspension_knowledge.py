@@ -12,6 +12,8 @@ from identification.pendulums.friction import Friction
 from rig_configs.known import physical_numbers, with_number
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
+BOW = ("bow_x_m", "bow_y_m")
+"""Components of a bow, by their places in RotorParameters."""
 NOMINAL_SHARE = (0.15, 0.15, 0.7, 0.7, 0.05)  # what a rig file's numbers are worth
 
 
@@ -44,8 +46,11 @@ class Knowledge:
         """The same with one physical number larger by a step, and with it what the tests have found.
 
         Args:
+            number: or a component of BOW.
             step: in the number's unit.
         """
+        if number in BOW:
+            return replace(self, physics=replace(self.physics, **{number: getattr(self.physics, number) + step}))
         physics = with_number(self.physics, number, physical_numbers(self.physics)[number] + step)
         found = physics.identified()
         shift = np.exp(self.by_number.get(number, np.zeros(len(NAMES))) * step)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dynamics.equations.kernels import C1, C2, CA, CB, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.kernels import BX, BY, C1, C2, CA, CB, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 
@@ -28,18 +28,19 @@ PARAMETER_COLUMNS = (K1, K2, C1, C2, CA, CB, SP)
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _accelerations(y, psi, omega, alpha, p, f, own, whole):
-    """Rates into f (8,); what their derivatives need into own (2, 8) and whole (5,).
+    """Rates into f (8,); what their derivatives need into own (2, 8) and whole (7,).
 
     own, by pendulum: cos φ, sin φ (e = (cos, sin), n = (sin, −cos)), S, S²/J, bare acceleration, its derivative by the
-    rate, n·p̈, e·p̈. whole: the inverse of 𝐌 (xx, yy, xy) and the imbalance's force over S_P.
+    rate, n·p̈, e·p̈. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P and the springs' stretch.
     """
     sin_r, cos_r = real_sine_cosine(psi)
     w2 = omega * omega
     rx = -p[RC] * (alpha * sin_r + w2 * cos_r)
     ry = p[RC] * (alpha * cos_r - w2 * sin_r) + p[GRAVITY]
     whole[3], whole[4] = w2 * cos_r + alpha * sin_r, w2 * sin_r - alpha * cos_r
-    fx = p[SP] * whole[3] - p[C1] * y[4] - p[K1] * y[0]
-    fy = p[SP] * whole[4] - p[C2] * y[5] - p[K2] * y[1] - p[MASS] * p[GRAVITY]
+    whole[5], whole[6] = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
+    fx = p[SP] * whole[3] - p[C1] * y[4] - p[K1] * whole[5]
+    fy = p[SP] * whole[4] - p[C2] * y[5] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
     mxx, myy, mxy = p[MASS], p[MASS], 0.0
     for i in range(2):
         s, j = p[SA + i], p[JA + i]
@@ -70,7 +71,7 @@ def _linearised(y, omega, alpha, p, own, whole, g, d):
     """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters) into d (4, 15), from what `_accelerations` left; g (2, 15) is scratch."""
     g[:] = 0.0
     g[0, 0], g[1, 1], g[0, 4], g[1, 5] = -p[K1], -p[K2], -p[C1], -p[C2]
-    g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -y[0], -y[1], -y[4], -y[5]
+    g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -y[4], -y[5]
     g[0, 14], g[1, 14] = whole[3], whole[4]
     for i in range(2):
         cosine, sine, s, m, bare, slope = own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4], own[i, 5]
@@ -157,7 +158,7 @@ def free_motion(start, start_s, times, step, knots, coefficients, p):
     for i in range(4):
         u[i, i], v[i, 4 + i] = 1.0, 1.0
     k, wy, phase = np.empty((4, 8)), np.empty(8), np.empty((3, 3))
-    own, whole, g, d = np.empty((2, 8)), np.empty(5), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
+    own, whole, g, d = np.empty((2, 8)), np.empty(7), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
     bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
     segment, t = phase_at(start_s, 0, knots, coefficients, phase[0]), start_s
     _accelerations(y, phase[0, 0], phase[0, 1], phase[0, 2], p, k[0], own, whole)

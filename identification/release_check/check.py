@@ -26,7 +26,7 @@ from identification.pendulums.free_angles import laid_over
 from identification.pendulums.friction import Friction
 from identification.pendulums.release_problem import SUSPENSION, Release, Shape
 from identification.pendulums.release_search import Effort, NotFollowed, Search, holding
-from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE, Knowledge
+from identification.pendulums.suspension_knowledge import BOW, NAMES, NOMINAL_SHARE, Knowledge
 from identification.pendulums.transient import TransientProblem
 from identification.pendulums.unknown_phase import angles_to_try, race
 from identification.release_check.model import Condensed, Fitted, condensed, fitted_with_numbers, opened
@@ -49,6 +49,8 @@ _NO_MOTION = 1e3  # standard deviations of a release along which the model has n
 _NOT_FOLLOWED = "release"  # the one row of such a release
 _THREADS = 2
 _PASSES, _STANDS = 8, 0.01  # over the place where all releases are met best; of what is worth seeing
+BOW_CAUSES = ("bow along", "bow across")
+"""How a validation names the components of BOW: along the imbalance, and a quarter turn ahead."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ class ReleaseRows:
         used_for: parameters that this very release has helped to identify: their errors are not independent of its own.
         chi2_per_dof: of the readings with everything open.
         sentence: in words; why there are no rows, or that the motion is not followed.
+        by_slow_roll: of BOW_CAUSES → change of the values per metre of a bow beyond what was taken, shape (m,).
     """
 
     point: str
@@ -80,6 +83,7 @@ class ReleaseRows:
     used_for: tuple[str, ...] = ()
     chi2_per_dof: float = math.nan
     sentence: str = ""
+    by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @property
     def followed(self) -> bool:
@@ -183,6 +187,15 @@ class _Case:
         """Places of θ that the release is held against."""
         return {name: math.log(value) for name, value in self.identified.values.items()} | {ZERO_A: 0.0, ZERO_B: 0.0}
 
+    @property
+    def _bow_errors(self) -> dict[str, Array]:
+        """Label → shift of the bow that was found for one standard deviation of an error in it, shape (2,), m."""
+        roll = self.identified.slow_roll
+        if roll is None or roll.bow_m == 0:
+            return {}
+        errors = roll.errors(self.rig.roles.gain_stds, self.rig.known)
+        return {label: shift[4:] for label, shift in errors.items()}
+
     def named(self, point: str, run: Run, found: Condensed) -> ReleaseRows:
         """Rows of what one release says."""
         values = self.identified.values
@@ -193,6 +206,9 @@ class _Case:
         for source in self.rig.known.sources:
             parts = [found.slopes[name] * step for name, step in source.effects.items() if name in found.slopes]
             shared[source.label] = np.sum([shared.get(source.label, np.zeros(len(by))), *parts], axis=0)
+        for label, shift in self._bow_errors.items():
+            parts = found.slopes[BOW[0]] * shift[0] + found.slopes[BOW[1]] * shift[1]
+            shared[label] = shared.get(label, np.zeros(len(by))) + parts
         rate = {name: 1.0 if name in _DAMPING else 2.0 for name in values if name[0] in "ck"}
         clock = -np.sum([power * found.slopes[name] for name, power in rate.items()], axis=0)
         for label, shift in clock_errors(run, {"angles": clock}).items():
@@ -202,6 +218,7 @@ class _Case:
             point, tuple(f"release {i + 1}" for i in range(count)), found.values, found.own, by, tuple(values),
             by_number, shared, _used_for(run, self.identified), found.misfit.chi2_per_dof,
             f"followed; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
+            {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)},
         )  # fmt: skip
 
     def _fitted(self, release: Release) -> Fitted:
@@ -261,6 +278,8 @@ class _Case:
             found[name] = max(_ZERO_WIDE * known.std(name), _NUMBER_SHARE * abs(known.values[name]))
         for name in (ZERO_A, ZERO_B, INDEX):
             found[name] = _ZERO_WIDE * known.std(name)
+        errors = np.array([*self._bow_errors.values()]).reshape(-1, 2)
+        found |= dict(zip(BOW, (_ZERO_WIDE * np.sqrt(np.sum(errors**2, axis=0))).tolist(), strict=True))
         return found
 
     def _friction(self, release: Release) -> tuple[Shape | None, Array]:

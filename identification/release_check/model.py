@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from identification.least_squares import Minimum
 from identification.pendulums.release_problem import Release, Shape
+from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
 from rig_configs.known import INDEX, ZERO_A, ZERO_B, physical_numbers
@@ -32,6 +33,7 @@ PLACES: Mapping[str, int] = {
 _DRAWS = 60
 _LEAST = 1.0  # standard deviations of a row for sizes worth seeing
 _STEP, _TURN_RAD = 1e-4, 1e-5  # of a number; of the index angle
+_BOW_STEP_M = 1e-7
 _OPEN_NUMBERS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
 _NUMBER_STD, _FURTHEST = 0.02, 0.5  # shares of these numbers
 _INDEPENDENT = 1e-9  # of the largest scaled column
@@ -99,7 +101,7 @@ class Fitted:
         return sum(len(c.time_s) for c in self.problem.cut(self.end_s))
 
     def number_columns(self) -> dict[str, Array]:
-        """Derivatives of the weighted readings, (n,), by each known number and the index angle; θ as it is."""
+        """Derivatives of the weighted readings, (n,), by each known number, the index angle and a bow; θ as it is."""
         n, minimum, knowledge = self.readings, self.minimum, self.release.knowledge
         values, found = physical_numbers(knowledge.physics), dict[str, Array]()
         weight = np.concatenate([c.weight for c in self.problem.cut(self.end_s)])
@@ -123,6 +125,8 @@ class Fitted:
             step = _STEP * values[name]
             # what was identified stays as it is: by_number of the knowledge is empty here
             found[name] = change(self.release.laid_over(knowledge.moved(name, step)), 0.0, step)
+        for name in BOW:
+            found[name] = change(self.release.laid_over(knowledge.moved(name, _BOW_STEP_M)), 0.0, _BOW_STEP_M)
         if self.release.run.phase_absolute:
             found[INDEX] = change(self.release, _TURN_RAD, _TURN_RAD)
         return {name: column for name, column in found.items() if np.all(np.isfinite(column))}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from identification.errors import FitFailed
 from identification.least_squares import Minimum
+from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.release_check.model import PLACES, Condensed, Fitted, Misfit
 
@@ -51,7 +52,7 @@ def fitted_at(fitted: Fitted, shared: Mapping[str, float], misfit: Misfit) -> Fi
     """
     minimum, held = fitted.minimum, [PLACES[name] for name in shared if name in PLACES]
     knowledge, moved = fitted.release.knowledge, dict(fitted.moved)
-    for name in knowledge.numbers:
+    for name in (*knowledge.numbers, *BOW):
         if name in shared and name != "imbalance.mass_kg":
             knowledge = knowledge.moved(name, shared[name] - moved.get(name, 0.0))
             moved[name] = shared[name]

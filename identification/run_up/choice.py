@@ -40,12 +40,14 @@ class Comparison:
         model: the smallest adequate one in words.
         table: every model compared.
         warnings: what the choice tells a reader.
+        gained: χ² + k ln n that the best wider model gains; not above 0 where none is taken.
     """
 
     structure: Structure
     model: str
     table: list[ModelChoice]
     warnings: list[str]
+    gained: float
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,8 @@ def compare(record: RunUpRecord, design: Design, clocks_apart: bool, marks_only:
         structure = structure.with_more(CLOCKS, _CLOCK_STD)
         warnings.append("the sensors' clocks are apart from the phase's; delays and drifts are fitted as well")
     base = design.chi2 / noise + design.unknowns * per_unknown
-    return Comparison(structure, *_table(others, gain, base, design.unknowns), warnings)
+    wider = max(gain[key] for key, other in others.items() if other.unknowns > 0)
+    return Comparison(structure, *_table(others, gain, base, design.unknowns), warnings, wider)
 
 
 def _table(

@@ -101,13 +101,18 @@ def design_at(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> Des
 
 
 def imbalance_gains(record: RunUpRecord, design: Design) -> tuple[float, float]:
-    """χ² by which the response to the imbalance makes either sensor fit better than free oscillations and drift do."""
+    """χ² by which the response to what drives the suspension makes either sensor fit better than all else does.
+
+    That is the imbalance, with a bow if there is one; all else: free oscillations, drift and run-out.
+    """
+    driven = np.zeros(len(design.coefficients[0]), bool)
+    driven[:2] = driven[design.structure.bow_at] = True
     gains, row, column = [], 0, design.nonlinear
     for channel, c in zip(record.channels, design.coefficients, strict=True):
         rows = slice(row, row + len(channel.time_s))
         basis, residual = design.matrix[rows, column : column + len(c)], design.residual[rows]
-        answer = basis[:, :2] @ c[:2]
-        without = answer - basis[:, 2:] @ _solve(basis[:, 2:], answer)
+        answer = basis[:, driven] @ c[driven]
+        without = answer - basis[:, ~driven] @ _solve(basis[:, ~driven], answer)
         gains.append(float(without @ without + 2 * without @ residual))
         row, column = rows.stop, column + len(c)
     return gains[0], gains[1]
@@ -137,13 +142,19 @@ def phase_noise_covariance(record: RunUpRecord, phase: RotorPhase, design: Desig
     for axis, channel in enumerate(record.channels):
         share = rows[:, begin : begin + len(channel.time_s)] * channel.weight
         begin += len(channel.time_s)
-        amplitude = complex(*design.coefficients[axis][:2])
+        c, at = design.coefficients[axis], design.structure
+        amplitude = complex(*c[:2])
+        run_out = complex(*c[at.run_out_at]) if at.run_out else 0j
+        bow = complex(*c[at.bow_at]) if at.bow else 0j
         mix = ((cos, sin), (-sin, cos))[axis]
         phasor = np.exp(1j * record.drive.history.phase(channel.time_s)[:, 0])
-        own = np.zeros_like(share)
+        # run-out shows the phase's error as it is
+        own = np.real(1j * phasor * run_out * (1.0, -1j)[axis]) * share
         for mode, turn in enumerate((1.0, -1j)):
             lam = rate(np.exp(theta[OMEGAS[mode]]), np.exp(theta[ZETAS[mode]]))
-            own += _backwards(share, np.gradient(channel.time_s), phasor, lam, mix[mode] * turn * amplitude)
+            factor = mix[mode] * turn
+            driven = factor * (lam * np.conj(lam) * bow - np.array([lam, np.conj(lam)]) ** 2 * amplitude)
+            own += _backwards(share, np.gradient(channel.time_s), phasor, lam, driven, factor * amplitude)
         for k in range(len(effect)):
             effect[k] += own[k] if axis == 0 else np.interp(x.time_s, channel.time_s, own[k])
     width = np.gradient(x.time_s)
@@ -193,8 +204,11 @@ def _rounded(times, block, knots, coefficients, step, blocks, offsets):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _backwards(share, width, phasor, lam, factor):
-    """Σ_j share_j ∂signal_j/∂ψ_i for every block i; share of shape (k, n)."""
+def _backwards(share, width, phasor, lam, driven, factor):
+    """Σ_j share_j ∂signal_j/∂ψ_i for every block i; share of shape (k, n).
+
+    An impulse of e^{iψ} is answered with (driven_0 e^{λt} − driven_1 e^{λ*t})/(λ − λ*), and at once with −factor.
+    """
     count, n = share.shape
     out = np.empty((count, n))
     other = np.conj(lam)
@@ -207,6 +221,6 @@ def _backwards(share, width, phasor, lam, factor):
         for i in range(n - 1, -1, -1):
             b0 = share[k, i] + decay[i, 0] * b0
             b1 = share[k, i] + decay[i, 1] * b1
-            answer = -(lam * lam * b0 - other * other * b1) / gap * width[i] - share[k, i]
-            out[k, i] = (factor * 1j * phasor[i] * answer).real
+            answer = (driven[0] * b0 - driven[1] * b1) / gap * width[i] - factor * share[k, i]
+            out[k, i] = (1j * phasor[i] * answer).real
     return out

@@ -35,10 +35,12 @@ from identification.run_up.model import (
 )
 from identification.run_up.naive import half_power, vold_kalman
 from identification.run_up.profile import intervals
-from identification.run_up.reported import determined, reported
+from identification.run_up.reported import determined, either, reported, slow_roll_sentences
 from identification.run_up.result import RunUpFit, run_up_estimate
 from identification.run_up.rotor_phase import RotorPhase
 from identification.run_up.sensors import sensor_averages
+from identification.run_up.slow_roll_choice import Doubt
+from identification.run_up.smallest_model import smallest_adequate
 from identification.run_up.start import RunUpStart, run_up_starts
 from identification.samples import correlation_inflation
 from identification.setting import Setting, check_setting
@@ -153,18 +155,15 @@ def _fit(
         record, warnings = quieter, warnings + told
         solution = _solve(record, structure, solution.minimum.theta)
     design = design_at(record, structure, solution.minimum.theta)
-    comparison = compare(
-        record,
-        design,
-        clocks.apart or phase.wander_density * (end - start) > _WANDER,
-        bool(np.isfinite(phase.mark_rad)),
-        setting,
+    lags_known = clocks.apart or phase.wander_density * (end - start) > _WANDER
+
+    def compared(at: Design) -> Comparison:
+        return compare(record, at, lags_known, bool(np.isfinite(phase.mark_rad)), setting)
+
+    solution, design, comparison, doubt = smallest_adequate(
+        record, solution, design, compared, lambda wanted, phi: _solve(record, wanted, phi)
     )
-    if comparison.structure is not structure:
-        phi = comparison.structure.project(structure.theta(solution.minimum.theta))
-        solution = _solve(record, comparison.structure, phi)
-        design = design_at(record, comparison.structure, solution.minimum.theta)
-    return _result(record, phase, solution, design, comparison, warnings, setting)
+    return _result(record, phase, solution, design, comparison, doubt, warnings, setting)
 
 
 def _structure(drive: Drive, clocks: _Clocks) -> Structure:
@@ -201,6 +200,11 @@ def _from_starts(record: RunUpRecord, structure: Structure) -> tuple[Structure, 
     best: Solution | None = None
     for start in _apart(record, starts):
         solution = _solve(record, structure, structure.project(_theta(start)))
+        if solution.chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed may hide it
+            wider = replace(structure, run_out=True, bow=True)
+            other = _solve(record, wider, solution.minimum.theta)
+            if other.chi2_per_dof < _EXCESS and other.minimum.converged:
+                return wider, other
         if best is None or solution.chi2_per_dof < best.chi2_per_dof:
             best = solution
         if best.chi2_per_dof < _EXCESS and best.minimum.converged:
@@ -284,6 +288,7 @@ def _result(
     solution: Solution,
     design: Design,
     comparison: Comparison,
+    doubt: Doubt | None,
     warnings: list[str],
     setting: Setting,
 ) -> RunUpFit:
@@ -300,9 +305,11 @@ def _result(
         correlated = max(correlated, correlation_inflation(residual))
         curves.append(Curve(f"run-up: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
     chi2 = solution.chi2_per_dof
-    names, values, jacobian = reported(design, phase.mark_rad)
-    sensor_part = jacobian @ design.covariance @ jacobian.T * max(chi2, 1e-3) * correlated**2
-    covariance = sensor_part + phase_noise_covariance(record, phase, design, jacobian)
+    names, values, covariance = _values(record, phase, design, max(chi2, 1e-3) * correlated**2)
+    if doubt is not None:
+        other = design_at(record, doubt.structure, doubt.solution.minimum.theta)
+        instead = _values(record, phase, other, max(chi2, 1e-3) * correlated**2)
+        values, covariance = either(names, (values, covariance), instead, doubt.probability)
     noise = max(1.0, chi2) * correlated**2
     gains = [gain / noise for gain in imbalance_gains(record, design)]
     keep, told = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
@@ -318,6 +325,7 @@ def _result(
     if correlated > 1.0:
         warnings.append(f"run-up residuals are correlated; standard deviations are {correlated:.3g} times as long")
     names, values, covariance = [names[i] for i in keep], values[keep], covariance[np.ix_(keep, keep)]
+    warnings += slow_roll_sentences(names, values, covariance)
     naive = {a: half_power(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
     tracked = {a: vold_kalman(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
     fit = RunUpFit(
@@ -326,3 +334,12 @@ def _result(
         solution.minimum.converged,
     )  # fmt: skip
     return replace(fit, intervals=intervals(record, design, fit, setting))
+
+
+def _values(
+    record: RunUpRecord, phase: RotorPhase, design: Design, stretch: float
+) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Names, values and covariance: the sensors' noise, its variance times stretch, and the phase's."""
+    names, values, jacobian = reported(design, phase.mark_rad)
+    sensor_part = jacobian @ design.covariance @ jacobian.T * stretch
+    return names, values, sensor_part + phase_noise_covariance(record, phase, design, jacobian)

@@ -7,6 +7,9 @@ drift, all linear. A `Structure` says which of θ are free.
 
 c1 and c2 are speed ripple between tachometer marks, which see one instant of each turn only: a phase of
 ψ + 2|c1| sin(ψ + arg c1) + 2|c2| sin(2ψ + arg c2) drives with e^{iψ} + c1 e^{2iψ} − c1* + c2 e^{3iψ} − c2* e^{−iψ}.
+
+A structure may add the slow roll, two complex amplitudes more per sensor, linear too (identification.run_up.slow_roll):
+run-out, which the sensor shows at any speed, and the answer of the suspension to a bent shaft.
 """
 
 from __future__ import annotations
@@ -19,10 +22,12 @@ import numpy as np
 from identification.least_squares import Block
 from identification.ring_down.modes import rate_derivatives
 from identification.run_up.forced_oscillator import Drive, Response, responses_at, responses_of
+from identification.run_up.slow_roll import Turning, bow_answer, turning
 from identification.samples import Averages
 
 OMEGAS, ZETAS, ANGLE, DELAYS, DRIFTS, RIPPLE, PARAMETERS = (0, 2), (1, 3), 4, slice(5, 7), slice(7, 9), slice(9, 13), 13
 AXIS_PRIOR_STD = np.radians(30.0)  # the data determine β; this only keeps x from being called y
+_SLOW_ROLL = 6  # linear unknowns of a sensor before it: the imbalance's amplitude, free oscillations
 _REMEMBERED = 2  # sets of responses: of the best θ and of the one tried after it
 CLOCKS = slice(DELAYS.start, DRIFTS.stop)
 
@@ -77,6 +82,7 @@ class Structure:
         spread: shape (13, p), of zeros and ones.
         prior, prior_std: of φ, shape (p,); std inf where nothing is known.
         drift_order: of the sensors' polynomial drift.
+        run_out, bow: whether either is in the model.
     """
 
     base: np.ndarray
@@ -84,6 +90,18 @@ class Structure:
     prior: np.ndarray
     prior_std: np.ndarray
     drift_order: int
+    run_out: bool = False
+    bow: bool = False
+
+    @property
+    def run_out_at(self) -> slice:
+        """Places of the run-out among a sensor's linear unknowns; empty without it."""
+        return slice(_SLOW_ROLL, _SLOW_ROLL + 2 * self.run_out)
+
+    @property
+    def bow_at(self) -> slice:
+        """Places of the bow among a sensor's linear unknowns; empty without it."""
+        return slice(self.run_out_at.stop, self.run_out_at.stop + 2 * self.bow)
 
     def theta(self, phi: np.ndarray) -> np.ndarray:
         """The whole θ."""
@@ -166,6 +184,9 @@ def _sensor_block(
     columns = [np.real(signal), -np.imag(signal)]
     for one in seen:
         columns += [np.real(one.decay), -np.imag(one.decay)]
+    slow = _slow_roll(structure, record.when(theta, axis), channel, drive, oscillators, seen, axis, (mix, turned))
+    for one in slow:
+        columns += [np.real(one.signal), -np.imag(one.signal)]
     weight = channel.weight
     basis = np.column_stack([*columns, *drift_columns(structure, from_middle)]) * weight[:, None]
 
@@ -182,7 +203,55 @@ def _sensor_block(
             free = complex(c[2 + 2 * mode], c[3 + 2 * mode])
             for k, derivative in enumerate(rate_derivatives(*oscillators[mode])):
                 out[2 * mode + k] += (free * derivative * seen[mode].decay_slope).real
+        for k, one in enumerate(slow):
+            factor = complex(c[_SLOW_ROLL + 2 * k], c[_SLOW_ROLL + 1 + 2 * k])
+            for row, by in one.by.items():
+                out[row] += (factor * by).real
+            out[DELAYS.start + axis] -= (factor * one.rate).real
         out[DRIFTS.start + axis] = out[DELAYS.start + axis] * from_middle
         return (out.T @ structure.spread) * weight[:, None]
 
     return Block(channel.value * weight, basis, tangent)
+
+
+@dataclass(frozen=True)
+class _Slow:
+    """One part of the slow roll as a sensor shows it, complex, shape (n,), its rate and ∂/∂θ by row."""
+
+    signal: np.ndarray
+    rate: np.ndarray
+    by: dict[int, np.ndarray]
+
+
+def slow_roll_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How run-out and bow, so far not in the model, would move the data: shape (n, 4) each, in standard deviations."""
+    wider = replace(structure, run_out=True, bow=True)
+    blocks = run_up_blocks(record, wider, phi)
+    first = len(blocks[0].data)
+    out = np.zeros((2, first + len(blocks[1].data), 4))
+    for k, at in enumerate((wider.run_out_at, wider.bow_at)):
+        out[k, :first, :2], out[k, first:, 2:] = (block.basis[:, at] for block in blocks)
+    return out[0], out[1]
+
+
+def _slow_roll(
+    structure: Structure, when_s: np.ndarray, channel: Averages, drive: Drive, oscillators: list[tuple[float, float]],
+    seen: list[Response], axis: int, mixes: tuple[Sequence[complex], Sequence[complex]],
+) -> list[_Slow]:  # fmt: skip
+    """Run-out and bow, whichever the structure has; mixes: of both oscillators in a sensor, and its slope by β."""
+    if not (structure.run_out or structure.bow):
+        return []
+    turn: Turning = turning(drive, when_s, channel.spread_s2)
+    found = []
+    if structure.run_out:
+        own = (1.0, -1j)[axis]  # sensor x shows Re(r e^{iψ}), sensor y Im(r e^{iψ})
+        found.append(_Slow(own * turn.phasor, own * turn.rate, {}))
+    if structure.bow:
+        mix, turned = mixes
+        answers = [bow_answer(one, turn, *own) for one, own in zip(seen, oscillators, strict=True)]
+        by = {ANGLE: turned[0] * answers[0].h + turned[1] * answers[1].h}
+        for mode, answer in enumerate(answers):
+            by[2 * mode], by[2 * mode + 1] = mix[mode] * answer.by_omega, mix[mode] * answer.by_zeta
+        a, b = answers
+        found.append(_Slow(mix[0] * a.h + mix[1] * b.h, mix[0] * a.rate + mix[1] * b.rate, by))
+    return found

@@ -26,8 +26,8 @@ def reported(design: Design, mark_rad: float) -> tuple[list[str], np.ndarray, np
     pull = 2 * np.array([np.sin(mark_rad), np.cos(mark_rad), np.sin(2 * mark_rad), np.cos(2 * mark_rad)])
     pull = np.degrees(np.nan_to_num(pull))
     for c in design.coefficients:
-        size = float(np.hypot(c[0], c[1]))
-        for unit in (np.array([c[0], c[1]]) / size, np.degrees(1.0) * np.array([-c[1], c[0]]) / size**2):
+        size, units = _polar(c[:2])
+        for unit in units:
             row = np.zeros(design.unknowns)
             row[at : at + 2] = unit
             rows.append(row)
@@ -37,12 +37,31 @@ def reported(design: Design, mark_rad: float) -> tuple[list[str], np.ndarray, np
         at += len(c)
     names += ["amplitude_x_m", "phase_x_deg", "amplitude_y_m", "phase_y_deg"]
     values += [sizes[0], turns[0], sizes[1], turns[1]]
+    for kind, part in (("run_out", structure.run_out_at), ("bow", structure.bow_at)):
+        at = p
+        for axis, c in zip("xy", design.coefficients, strict=True):
+            if part.stop > part.start:
+                names += [f"{kind}_{axis}_m", f"{kind}_{axis}_deg"]
+                size, units = _polar(c[part])
+                values += [size, float(np.degrees(np.arctan2(c[part][1], c[part][0])) + pull @ theta[RIPPLE])]
+                for unit in units:
+                    row = np.zeros(design.unknowns)
+                    row[at + part.start : at + part.stop] = unit
+                    rows.append(row)
+                rows[-1][:p] += pull @ structure.spread[RIPPLE]
+            at += len(c)
     for i, name in enumerate(("delay_x_s", "delay_y_s")):
         if structure.spread[DELAYS.start + i].any():
             names.append(name)
             values.append(theta[DELAYS][i])
             rows.append(np.pad(structure.spread[DELAYS.start + i], (0, design.unknowns - p)))
     return names, np.array(values), np.array(rows)
+
+
+def _polar(c: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
+    """Size of a complex number given as (Re, Im), and derivatives of size and angle (degrees) by both."""
+    size = max(float(np.hypot(c[0], c[1])), 1e-150)
+    return size, (np.array([c[0], c[1]]) / size, np.degrees(1.0) * np.array([-c[1], c[0]]) / size**2)
 
 
 def determined(
@@ -86,3 +105,53 @@ def determined(
         left_out.add("axis_angle_deg")
         warnings.append("axes not resolved: both directions are too much alike to tell their angle to the sensors")
     return [i for i, n in enumerate(names) if n not in left_out], warnings
+
+
+def either(
+    names: list[str],
+    one: tuple[np.ndarray, np.ndarray],
+    instead: tuple[list[str], np.ndarray, np.ndarray],
+    probability: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of values where another model may hold instead; what that one lacks stays as it is.
+
+    Args:
+        one: values and covariance by the chosen model.
+        instead: names, values and covariance by the other one.
+        probability: of the other one.
+    """
+    values, covariance = one
+    there = [instead[0].index(name) if name in instead[0] else -1 for name in names]
+    has = np.array(there) >= 0
+    off, own = np.zeros(len(names)), covariance.copy()
+    off[has] = instead[1][there][has] - values[has]
+    turned = np.array([name.endswith("_deg") for name in names])
+    off[turned] = (off[turned] + 180.0) % 360.0 - 180.0
+    own[np.ix_(has, has)] = instead[2][np.ix_(there, there)][np.ix_(has, has)]
+    mixed = (1 - probability) * covariance + probability * own
+    return values + probability * off, mixed + probability * (1 - probability) * np.outer(off, off)
+
+
+def slow_roll_sentences(names: list[str], values: np.ndarray, covariance: np.ndarray) -> list[str]:
+    """What turns with the shaft beside the answer to the imbalance, in words; none where the model has none."""
+    value, std = dict(zip(names, values, strict=True)), dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
+
+    def shown(kind: str) -> str:
+        sizes = [(axis, f"{kind}_{axis}_m", f"{kind}_{axis}_deg") for axis in "xy"]
+        return ", ".join(
+            f"{1e6 * value[size]:.4g} ± {1e6 * std[size]:.1g} µm at {value[angle]:.1f}° by sensor {axis}"
+            for axis, size, angle in sizes
+        )
+
+    told = []
+    if "run_out_x_m" in value:
+        told.append(
+            f"run-out: the sensors show {shown('run_out')} that turn with the shaft at any speed; it is fitted with "
+            "the resonances, and is part of what the sensors are predicted to show"
+        )
+    if "bow_x_m" in value:
+        told.append(
+            f"bow: the springs' rest position turns with the shaft, {shown('bow')}; its force is fitted with the "
+            "imbalance's, and acts where points are predicted"
+        )
+    return told

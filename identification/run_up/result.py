@@ -25,8 +25,10 @@ class RunUpFit:
         values: f1_Hz, zeta1, f2_Hz, zeta2 (of the stiffness axes nearest sensor x and y), axis_angle_deg,
             amplitude_x_m, amplitude_y_m (eccentricity of everything that turns, as each sensor sees it), phase_x_deg,
             phase_y_deg (of that eccentricity against ψ, seen from the first stiffness axis) and, where sensors and
-            phase keep different clocks, delay_x_s, delay_y_s (laser against phase). What the passage does not
-            determine is absent, and a warning says so.
+            phase keep different clocks, delay_x_s, delay_y_s (laser against phase). Where the passage shows a slow
+            roll: run_out_x_m, run_out_x_deg (sensor x shows Re(r e^{iψ}) at any speed, sensor y Im) and bow_x_m,
+            bow_x_deg (of the springs' rest position, seen from the first stiffness axis), the same for y. What the
+            passage does not determine is absent, and a warning says so.
         covariance: shape (n, n), in the values' order; statistical, the phase's own noise included.
         warnings: what a reader must know.
         curves: both sensors.

@@ -39,7 +39,7 @@ class _Motion:
     Attributes:
         steps: Runge–Kutta steps.
         phase: ψ, ω, α at its begin, shape (3,).
-        packed: parameters, shape (18,).
+        packed: parameters, shape (20,).
         free: 1.0 for a released pendulum, shape (2,).
     """
 

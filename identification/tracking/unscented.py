@@ -115,7 +115,7 @@ def predict(mean, cov, h, steps, phase, p, free, noise, factor, points, k, work)
 
     Args:
         phase: ψ, ω, α at the begin, shape (3,).
-        p: packed parameters (its dampings are overwritten), shape (18,).
+        p: packed parameters (its dampings are overwritten), shape (20,).
         free: 1.0 for a released pendulum, shape (2,).
         noise: growth of each variance per second, shape (10,).
         factor, points, k, work: scratch, shapes (10, 10), (20, 10), (4, 8), (8,).
@@ -205,7 +205,7 @@ def filter_readings(
         indices, readings, variances: what was read, its value and variance, shape (n,).
         phases: ψ, ω, α at the previous reading's tick, shape (n, 3).
         released: 1.0 for a released pendulum, shape (n, 2).
-        p: packed parameters (18,).
+        p: packed parameters (20,).
         noise: growth of variances per second (10,).
         longest: longest Runge–Kutta step, s.
         gate, still: as for `update`.

@@ -31,6 +31,7 @@ class Made:
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     used_for: tuple[str, ...] = ()
+    by_slow_roll: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
 
 
 @pytest.fixture(scope="module")

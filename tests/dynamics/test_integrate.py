@@ -102,8 +102,8 @@ def test_quick_rates_equal_the_kernels(seed: int, free_a: bool, free_b: bool) ->
     rng = np.random.default_rng(seed)
     y = rng.normal(size=8) * [0.01, 0.01, 30, 3, 0.5, 0.5, 20, 20]
     psi, speed, acceleration = rng.normal(size=3) * [1e3, 60, 20]
-    packed = rig().packed() * rng.uniform(0.5, 2, 18)
-    packed[12:] = rng.uniform(0, [3e-3, 1e-3, 1e-3, 1e-6, 1e-6, 9.81])
+    packed = rig().packed() * rng.uniform(0.5, 2, 20)
+    packed[12:] = rng.uniform(0, [3e-3, 1e-3, 1e-3, 1e-6, 1e-6, 9.81, 1e-3, 1e-3])
     arguments = psi, speed, acceleration, packed, float(free_a), float(free_b)
     for kind in (float, complex):
         state = y + (1e-30j * rng.normal(size=8) if kind is complex else 0.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from identification.pendulums.variational import PARAMETER_COLUMNS, free_motion
 from identification.samples import block_averages
 from rig_configs.load import load_rig
 
-RIG = load_rig("virtual").physics
+RIG = replace(load_rig("virtual").physics, bow_x_m=2e-4, bow_y_m=-1e-4)  # the most that there may be
 RAMP = SpeedHistory.ramp(40.0, 55.0, 4.0)
 START = np.array([1e-3, 5e-4, 0.02, 3.1, 0.03, 0.02, 0.1, 0.2])
 
@@ -59,4 +61,4 @@ def test_locked_start_s_derivatives_are_its_own() -> None:
         moves.append((start.at(RIG.with_values(**{name: true[name] * np.exp(1e-4)}), 0.01, 3.1, 1e-3)[0], 1e-4))
     for column, (moved, step) in enumerate(moves):
         numeric = (moved - state) / step
-        assert by[:, column] == pytest.approx(numeric, rel=2e-3, abs=2e-3 * np.abs(numeric).max() + 1e-9)
+        assert by[:, column] == pytest.approx(numeric, rel=4e-3, abs=4e-3 * np.abs(numeric).max() + 1e-9)

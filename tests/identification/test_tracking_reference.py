@@ -141,7 +141,7 @@ def test_what_goes_on_across_a_new_start_is_conditioned_upon_exactly(seed: int, 
     gain = cov @ observed.T @ np.linalg.inv(observed @ cov @ observed.T + noise)
     reading = rng.normal(size=len(observed))
     exact = mean + gain @ (reading - observed @ mean), cov - gain @ observed @ cov
-    motion = reference._Motion(1, np.zeros(3), np.zeros(18), np.ones(2))
+    motion = reference._Motion(1, np.zeros(3), np.zeros(20), np.ones(2))
     last = reference._Step(1e-3, motion, np.zeros(STATES), mean, cov)
     found = reference._before_begun(last, same, exact)
     assert found is not None

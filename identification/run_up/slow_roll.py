@@ -1,0 +1,78 @@
+# pyright: strict
+"""What turns with the shaft at any speed: run-out of the measured surface, and a bent shaft.
+
+Run-out r adds r e^{iψ}. A bow b turns the place where the springs are at rest with the shaft,
+
+    ḧ_b + 2ζω ḣ_b + ω² h_b = ω² e^{iψ},
+
+and the disk adds b h_b. With h the answer to the imbalance, driven by −d²/dt² e^{iψ}, h + e^{iψ} = g is driven by
+ω² e^{iψ} + 2ζω d/dt e^{iψ}, hence g = h_b + (2ζ/ω) ḣ_b, ġ = ḣ_b − 2ζω h, and
+
+    h_b = g − (2ζ/ω) (ġ + 2ζω h),    ḣ_b = ġ + 2ζω h:
+
+what has been computed for the imbalance is enough. Source: docs/theory/run_up.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.run_up.forced_oscillator import Drive, Response
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Turning:
+    """e^{iψ} and its rate as blocks see them, shape (n,).
+
+    Attributes:
+        phasor, rate: means over the blocks.
+        when_s: the blocks' times.
+        flat: how much smaller than its middle a block's mean of what turns with ψ is.
+    """
+
+    phasor: Complex
+    rate: Complex
+    when_s: Array
+    flat: Array
+
+
+def turning(drive: Drive, when_s: Array, spread_s2: Array) -> Turning:
+    """e^{iψ} over blocks.
+
+    Args:
+        when_s, spread_s2: mean times and variances of the samples' times, shape (n,).
+    """
+    psi, speed, acceleration = drive.history.phase(when_s).T
+    p = np.exp(1j * psi)
+    flat = 1 - 0.5 * spread_s2 * speed**2
+    return Turning(p * (flat + 0.5j * spread_s2 * acceleration), 1j * speed * p, when_s, flat)
+
+
+@dataclass(frozen=True)
+class BowAnswer:
+    """h_b, its rate, and its derivatives by ln ω and ln ζ, shape (n,)."""
+
+    h: Complex
+    rate: Complex
+    by_omega: Complex
+    by_zeta: Complex
+
+
+def bow_answer(seen: Response, turn: Turning, omega: float, zeta: float) -> BowAnswer:
+    """The answer to a bow from the one to the imbalance.
+
+    The rates of ∂h/∂ln ω and ∂h/∂ln ζ come from differences of neighbouring blocks: they count 2ζ.
+    """
+    lag, square = 2 * zeta / omega, 4 * zeta**2
+    moved = seen.rate + turn.rate  # ġ
+    h = (1 - square) * seen.h + turn.phasor - lag * turn.flat * moved
+    omega_rate, zeta_rate = np.gradient(seen.by_omega, turn.when_s), np.gradient(seen.by_zeta, turn.when_s)
+    by_omega = (1 - square) * seen.by_omega - lag * (omega_rate - moved)
+    by_zeta = (1 - square) * seen.by_zeta - lag * (zeta_rate + moved) - 2 * square * seen.h
+    return BowAnswer(h, moved + 2 * zeta * omega * seen.h, by_omega, by_zeta)

@@ -1,0 +1,136 @@
+# pyright: strict
+"""Whether a passage shows run-out, a bow, both or neither, by χ² + k ln n and by what is left.
+
+Both are judged by their score first. Where that asks for one, every combination is fitted: far from the truth a
+straight line does not tell a bow from run-out. Noise is that of the best fit, with the correlation of its residuals. A
+slow roll that leaves most of what is beyond noise is none: something else is wrong with the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.least_squares import Solution
+from identification.run_up.design import Design
+from identification.run_up.model import RunUpRecord, Structure, slow_roll_columns
+from identification.samples import correlation_inflation
+from identification.setting import ModelChoice
+
+Array = NDArray[np.float64]
+Solve = Callable[[Structure, Array], Solution]
+
+_UNKNOWNS = 4  # a complex amplitude in either sensor
+_SHARE = 0.5  # of what is beyond noise
+_ALIKE = 10.0  # χ² within which run-out and bow are not told apart
+_WORDS: Mapping[tuple[bool, bool], str] = {
+    (True, False): "run-out",
+    (False, True): "bow",
+    (True, True): "run-out and bow",
+}
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A model that may hold in place of the chosen one, its solution and its probability."""
+
+    structure: Structure
+    solution: Solution
+    probability: float
+
+
+@dataclass(frozen=True)
+class SlowRollChoice:
+    """What a passage shows of a slow roll.
+
+    Attributes:
+        structure, solution: with it; as they were where there is none.
+        table: the rungs compared.
+        warnings: what the choice tells a reader.
+        doubt: the other of run-out and bow where the passage does not exclude it.
+    """
+
+    structure: Structure
+    solution: Solution
+    table: list[ModelChoice]
+    warnings: list[str]
+    doubt: Doubt | None = None
+
+
+def slow_roll_choice(
+    record: RunUpRecord, design: Design, solution: Solution, solve: Solve, at_least: float = 0.0
+) -> SlowRollChoice:
+    """Run-out, bow, both or neither.
+
+    Args:
+        design, solution: of the fitted model; with both where it needed them to be found at all.
+        solve: fits a structure from φ.
+        at_least: what another rung gains by χ² + k ln n; a slow roll has to gain more.
+    """
+    fitted = design.structure
+    if not (fitted.run_out or fitted.bow):
+        gains, table = _scores(record, design)
+        if max(gains) <= max(0.0, at_least):
+            return SlowRollChoice(fitted, solution, table, [])
+    phi = solution.minimum.theta
+    kinds = [(False, False), *_WORDS]
+    models = {kind: replace(fitted, run_out=kind[0], bow=kind[1]) for kind in kinds}
+    fits = {
+        kind: solution if kind == (fitted.run_out, fitted.bow) else solve(model, phi) for kind, model in models.items()
+    }
+    return _chosen(models, fits, design.unknowns - _UNKNOWNS * (fitted.run_out + fitted.bow), solution)
+
+
+def _scores(record: RunUpRecord, design: Design) -> tuple[list[float], list[ModelChoice]]:
+    """What run-out, bow and both would gain, from the fitted model's own linearisation."""
+    n = len(design.residual)
+    run_out, bow = slow_roll_columns(record, design.structure, design.phi)
+    scores = [design.score(columns) for columns in (run_out, bow, np.hstack([run_out, bow]))]
+    noise = max(1.0, (design.chi2 - max(scores)) / max(1, n - design.unknowns - 2 * _UNKNOWNS))
+    base, gains, table = design.chi2 / noise + design.unknowns * np.log(n), list[float](), list[ModelChoice]()
+    for (kind, word), score in zip(_WORDS.items(), scores, strict=True):
+        more = _UNKNOWNS * sum(kind)
+        gains.append(float(score / noise - more * np.log(n)))
+        why = f"χ² {-score:+.3g} for {more:+d} unknowns (score)"
+        table.append(ModelChoice(word, design.unknowns + more, float(base - gains[-1]), False, why))
+    return gains, table
+
+
+def _chosen(
+    models: Mapping[tuple[bool, bool], Structure], fits: Mapping[tuple[bool, bool], Solution], unknowns: int,
+    given: Solution,
+) -> SlowRollChoice:  # fmt: skip
+    n = sum(len(r) for r in given.residuals)
+    chi2 = {kind: sum(float(r @ r) for r in found.residuals) for kind, found in fits.items()}
+    widest = min(fits, key=lambda kind: chi2[kind])
+    correlated = max(correlation_inflation(r) for r in fits[widest].residuals)
+    noise = max(1.0, chi2[widest] / max(1, n - unknowns - 2 * _UNKNOWNS)) * correlated**2
+    criterion = {
+        kind: value / noise + (unknowns + _UNKNOWNS * sum(kind)) * float(np.log(n)) for kind, value in chi2.items()
+    }
+    none = (False, False)
+    best = min(criterion, key=lambda kind: criterion[kind])
+    beyond = max(0.0, chi2[none] - n)
+    if chi2[none] - chi2[best] < _SHARE * beyond:
+        best = none
+    table = [
+        ModelChoice(
+            word, unknowns + _UNKNOWNS * sum(kind), criterion[kind], kind == best,
+            f"χ² {chi2[kind] - chi2[none]:+.3g} for {_UNKNOWNS * sum(kind):+d} unknowns (refitted)",
+        )
+        for kind, word in _WORDS.items()
+    ]  # fmt: skip
+    told: list[str] = []
+    other, doubt = (best[1], best[0]), None
+    off = (chi2[other] - chi2[best]) / noise
+    if best[0] != best[1] and off < _ALIKE:
+        told.append(
+            f"the passage hardly tells {_WORDS[best]} from {_WORDS[other]} (χ² {off:+.3g}): intervals cover either; "
+            "a slower passage tells them apart"
+        )
+        doubt = Doubt(models[other], fits[other], 1 / (1 + math.exp(0.5 * max(off, 0.0))))
+    return SlowRollChoice(models[best], fits[best], table, told, doubt)

@@ -1,0 +1,41 @@
+# pyright: strict
+"""The smallest adequate model of a passage: the slow roll's rungs and all others, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from identification.least_squares import Solution
+from identification.run_up.choice import Comparison
+from identification.run_up.design import Design, design_at
+from identification.run_up.model import RunUpRecord
+from identification.run_up.slow_roll_choice import Doubt, Solve, slow_roll_choice
+
+
+def smallest_adequate(
+    record: RunUpRecord, solution: Solution, design: Design, compared: Callable[[Design], Comparison], solve: Solve
+) -> tuple[Solution, Design, Comparison, Doubt | None]:
+    """The smallest adequate model's solution, and what may hold in its place.
+
+    Of a slow roll and the other rungs the one that gains more is first.
+    """
+    comparison = compared(design)
+    found = slow_roll_choice(record, design, solution, solve, comparison.gained)
+    if found.structure is not design.structure:
+        solution, design = found.solution, design_at(record, found.structure, found.solution.minimum.theta)
+        comparison = compared(design)
+    if comparison.structure is not design.structure:
+        phi = comparison.structure.project(design.structure.theta(solution.minimum.theta))
+        solution = solve(comparison.structure, phi)
+        design = design_at(record, comparison.structure, solution.minimum.theta)
+        if not (design.structure.run_out or design.structure.bow):
+            found = slow_roll_choice(record, design, solution, solve)
+            if found.structure is not design.structure:
+                solution, design = found.solution, design_at(record, found.structure, found.solution.minimum.theta)
+    there = design.structure
+    words = [word for word, has in (("run-out", there.run_out), ("bow", there.bow)) if has]
+    return solution, design, replace(
+        comparison, model=", ".join([comparison.model, *words]), table=comparison.table + found.table,
+        warnings=comparison.warnings + found.warnings,
+    ), found.doubt  # fmt: skip

@@ -1,0 +1,126 @@
+# pyright: strict
+"""What turns with the shaft at any speed, as a run-up found it: run-out of the measured surfaces, and a bent shaft."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig_configs.known import INDEX, Known, gain_label
+
+Array = NDArray[np.float64]
+
+ORDER = ("run_out_x", "run_out_y", "bow")
+"""Complex numbers, in the order of the covariance: real and imaginary part of each."""
+LABEL = "slow roll"
+"""Begin of the labels under which its errors are kept."""
+
+
+@dataclass(frozen=True)
+class SlowRoll:
+    """Run-out and bow against the rotor's phase ψ.
+
+    Attributes:
+        run_out_x_m, run_out_y_m: complex; sensor x shows Re(r_x e^{iψ}), sensor y Im(r_y e^{iψ}); 0 for none.
+        bow_m: complex; the springs rest at (Re, Im)(b e^{iψ}) in the stiffness axes; 0 for none.
+        covariance: of their real and imaginary parts without the lasers' gains, shape (6, 6), m².
+        bow_shares: of lasers x and y in the bow, whose gains are in it.
+        log, digest: of the test that found them.
+    Raises:
+        ValueError: numbers that are not finite, or a covariance of the wrong shape or with a negative variance.
+    """
+
+    run_out_x_m: complex
+    run_out_y_m: complex
+    bow_m: complex
+    covariance: Array
+    bow_shares: tuple[float, float] = (0.0, 0.0)
+    log: str = ""
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        if self.covariance.shape != (6, 6) or not np.all(np.isfinite(self.covariance)):
+            raise ValueError(f"covariance must be a finite 6 × 6 matrix, got shape {self.covariance.shape}")
+        if np.any(np.diag(self.covariance) < 0) or not np.allclose(self.covariance, self.covariance.T, rtol=1e-9):
+            raise ValueError("covariance must be symmetric with no negative variance")
+        if not all(map(math.isfinite, self.values.tolist())):
+            raise ValueError("expected finite numbers")
+
+    @property
+    def values(self) -> Array:
+        """Real and imaginary parts in the order of the covariance, shape (6,), m."""
+        parts = (self.run_out_x_m, self.run_out_y_m, self.bow_m)
+        return np.array([value for one in parts for value in (one.real, one.imag)])
+
+    @property
+    def shifts(self) -> dict[str, Array]:
+        """Independent errors: label → shift of `values` for one standard deviation of it, shape (6,)."""
+        sizes, turn = np.linalg.eigh(0.5 * (self.covariance + self.covariance.T))
+        kept = [j for j, size in enumerate(sizes.tolist()) if size > 1e-12 * max(float(sizes[-1]), 1e-300)]
+        return {f"{LABEL} {k + 1}": turn[:, j] * math.sqrt(float(sizes[j])) for k, j in enumerate(kept)}
+
+    def errors(self, gain_stds: tuple[float, float], known: Known) -> dict[str, Array]:
+        """All errors that other quantities may share: label → shift of `values` for one standard deviation, shape (6,).
+
+        Args:
+            gain_stds: relative standard uncertainties of lasers x and y, which read run-out and bow with their gains.
+            known: for the index angle: a larger one leaves the same vector at a smaller angle.
+        """
+        found, values = self.shifts, self.values
+        for k, axis in enumerate("xy"):
+            share = np.zeros(6)
+            share[2 * k : 2 * k + 2], share[4:] = 1.0, self.bow_shares[k]
+            found[gain_label(axis)] = gain_stds[k] * share * values
+        turned = np.array([part for z in values.reshape(3, 2) for part in (z[1], -z[0])])
+        for source in known.sources:
+            if INDEX in source.effects:
+                found[source.label] = turned * source.effects[INDEX]
+        return found
+
+    @property
+    def sentences(self) -> list[str]:
+        """Size and angle of what there is, each in a line."""
+        told: list[str] = []
+        for k, (name, (real, imaginary)) in enumerate(zip(ORDER, self.values.reshape(3, 2).tolist(), strict=True)):
+            size = math.hypot(real, imaginary)
+            if size > 0:
+                unit = np.array([real, imaginary]) / size
+                std = math.sqrt(float(unit @ self.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] @ unit))
+                angle = math.degrees(math.atan2(imaginary, real))
+                told.append(
+                    f"{name:16} {1e6 * size:14.4g} ± {1e6 * std:.2g} µm at {angle:.1f}°, turning with the shaft"
+                )
+        return told
+
+    def table(self) -> dict[str, Any]:
+        """As parameters.toml has it."""
+        values = self.values.reshape(3, 2)
+        std = np.sqrt(np.diag(self.covariance)).reshape(3, 2)
+        entries: dict[str, Any] = {
+            name: {
+                "real_m": float(v[0]), "imaginary_m": float(v[1]),
+                "real_std_m": float(s[0]), "imaginary_std_m": float(s[1]),
+            }
+            for name, v, s in zip(ORDER, values, std, strict=True)
+        }  # fmt: skip
+        return entries | {
+            "covariance": self.covariance.tolist(), "bow_shares": list(self.bow_shares),
+            "log": self.log, "digest": self.digest,
+        }  # fmt: skip
+
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> SlowRoll:
+        """From parameters.toml.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is none.
+        """
+        x, y, bow = (complex(float(table[n]["real_m"]), float(table[n]["imaginary_m"])) for n in ORDER)
+        first, second = (float(share) for share in table["bow_shares"])
+        covariance = np.array([[float(cell) for cell in row] for row in table["covariance"]])
+        return cls(x, y, bow, covariance, (first, second), str(table.get("log", "")), str(table.get("digest", "")))
