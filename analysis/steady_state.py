@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.errors import NotEnoughData
+from analysis.laser_remarks import laser_remarks
 from analysis.order_tracking import order_track
 from analysis.to_come import ToCome, to_come
 from daq.signals.run import Run
@@ -54,6 +55,7 @@ class SteadyMeasurement:
         own: joint covariance of (θ3, θ4, x amplitude, y amplitude, rms amplitude) from statistics, quantisation and
             what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
         release_s, from_s, to_s: last release, start and end of the last seconds' mean, s since the run's start.
+        remarks: what the lasers show beside the rotor's motion, sentences.
     """
 
     state: str
@@ -74,6 +76,7 @@ class SteadyMeasurement:
     release_s: float
     from_s: float
     to_s: float
+    remarks: tuple[str, ...] = ()
 
     @property
     def noise_floor_m(self) -> float:
@@ -130,6 +133,7 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
         release_s=release,
         from_s=start,
         to_s=end,
+        remarks=laser_remarks(run, release, end),
     )
 
 
