@@ -94,6 +94,8 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
         NotEnoughData: no release, too short a record after it, or a signal that is missing there.
     """
     release, end = _span(run)
+    remarks = laser_remarks(run, release, end)
+    run = remarks.without_lines(run)
     angles = _between(run.angle_time_s, run.angle_rad, release - 3.0, end)
     locked, locked_rad = _locked(run, angles)
     settling, start = _settling(run, release, end), end - AVERAGE_S
@@ -133,7 +135,7 @@ def measure(run: Run, rig: Rig) -> SteadyMeasurement:
         release_s=release,
         from_s=start,
         to_s=end,
-        remarks=laser_remarks(run, release, end),
+        remarks=remarks.sentences,
     )
 
 

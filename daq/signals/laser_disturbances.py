@@ -9,8 +9,9 @@ Source: docs/theory/steady_states.md, "Noise that is not white".
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BELOW_Hz = 1.0
-_HIGHEST_RATE_Hz = 400.0  # of the grid: mains and two of its harmonics
+_HIGHEST_RATE_Hz = 1000.0  # of the grid
 _LEAST_S = 6.0
 _FEWEST_ORDINATES = 5
 _FAR = 10.0  # of the white level: residuals of a misfit reach a few times it
@@ -29,7 +30,7 @@ _PROMINENT = 60.0  # power over that level; noise's largest of 10⁵ ordinates s
 _CLEARLY = 12.0  # standard deviations of a line's amplitude
 _STAYS = 0.25  # of the amplitude, by which both halves of a record may differ
 _APART = 4.0  # ordinates from a line or an order to another
-_MOST = 4
+_MOST, _LOOKED_AT = 4, 20
 _MAINS_Hz = (50.0, 60.0)
 
 
@@ -54,10 +55,20 @@ class Wander:
 
 @dataclass(frozen=True)
 class SteadyLine:
-    """A sinusoid that does not decay; amplitude in m."""
+    """A sinusoid that does not decay.
+
+    Attributes:
+        frequency_Hz, amplitude_m: its own.
+        phase_rad: of its cosine at time 0.
+    """
 
     frequency_Hz: float
     amplitude_m: float
+    phase_rad: float = 0.0
+
+    def at(self, time_s: Array) -> Array:
+        """Its values, m."""
+        return self.amplitude_m * np.cos(2 * math.pi * self.frequency_Hz * time_s + self.phase_rad)
 
     @property
     def words(self) -> str:
@@ -110,41 +121,50 @@ def wander_in(time_s: Array, rest_m: Array, white_m2_per_Hz: float) -> Wander | 
 
 
 def lines_in(
-    time_s: Array, rest_m: Array, known_Hz: Sequence[tuple[float, float]] = (), least_m: float = 0.0
-) -> list[SteadyLine]:
+    time_s: Array, value_m: Array, rest: tuple[Array, Array], known_Hz: Sequence[tuple[float, float]] = (),
+    least_m: float = 0.0,
+) -> list[SteadyLine]:  # fmt: skip
     """Steady lines that stand clear, strongest first.
 
     Args:
-        time_s, rest_m: as in `wander_in`.
+        time_s, value_m: samples, shape (n,), ascending, finite; s and m. They have the line's amplitude, and tell a
+            line from one that only looks like it where samples are thinned.
+        rest: times and what the motion leaves, thinned, shapes (k,).
         known_Hz: frequencies and half-widths of bands in which the motion itself may have left something.
         least_m: amplitude below which a line is none to speak of.
     """
-    even = _evenly(time_s, rest_m)
-    if even is None:
+    length = float(rest[0][-1] - rest[0][0]) if len(rest[0]) > 1 else 0.0
+    if length < _LEAST_S:
         return []
-    window = np.hanning(len(even.value))
-    power = np.abs(np.fft.rfft((even.value - even.value.mean()) * window)) ** 2
-    frequency = np.arange(len(power)) / even.length_s
-    count = len(power) // _GROUP
-    if count < 2:
-        return []
-    local = np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1)
-    level = np.concatenate([np.repeat(local, _GROUP), np.full(len(power) - count * _GROUP, local[-1])])
-    inner = power[1:-1]
-    top = (inner > power[:-2]) & (inner >= power[2:]) & (inner > _PROMINENT * level[1:-1])
-    apart = _APART / even.length_s
     found: list[SteadyLine] = []
-    for k in 1 + np.flatnonzero(top)[np.argsort(inner[top])[::-1]]:
+    apart = _APART / length
+    for frequency, noise in _peaks(*rest):
         near = [*known_Hz, *((line.frequency_Hz, 0.0) for line in found)]
-        if frequency[k] < max(BELOW_Hz, 2 * apart) or any(abs(frequency[k] - f) < apart + wide for f, wide in near):
+        if frequency < max(BELOW_Hz, 2 * apart) or any(abs(frequency - f) < apart + wide for f, wide in near):
             continue
-        noise = 2 * math.sqrt(float(level[k]) / math.log(2) / 2) / float(window.sum())
-        line = _steady(even, _peak(power, int(k)) / even.length_s, noise)
+        line = _steady(time_s, value_m, frequency, noise)
         if line is not None and line.amplitude_m >= least_m:
             found.append(line)
         if len(found) == _MOST:
             break
     return found
+
+
+def _peaks(time_s: Array, rest_m: Array) -> Iterator[tuple[float, float]]:
+    """Frequencies of narrow peaks, the strongest first, each with the noise of a half's amplitude there, m."""
+    step = float(time_s[1] - time_s[0])
+    window = np.hanning(len(rest_m))
+    power = np.abs(np.fft.rfft((rest_m - rest_m.mean()) * window)) ** 2
+    count = len(power) // _GROUP
+    if count < 2:
+        return
+    local = np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1)
+    level = np.concatenate([np.repeat(local, _GROUP), np.full(len(power) - count * _GROUP, local[-1])])
+    inner = power[1:-1]
+    top = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > _PROMINENT * level[1:-1]))
+    for k in top[np.argsort(power[top])[::-1]][:_LOOKED_AT]:
+        noise = 2 * math.sqrt(2 * float(level[k]) / math.log(2) / 2) / float(window.sum())
+        yield _peak(power, int(k)) / (step * len(rest_m)), noise
 
 
 def sentences(name: str, wander: Wander | None, lines: Sequence[SteadyLine]) -> list[str]:
@@ -161,7 +181,7 @@ def sentences(name: str, wander: Wander | None, lines: Sequence[SteadyLine]) -> 
 
 
 def thinned(time_s: Array, value: Array) -> tuple[Array, Array]:
-    """A record on an even grid of at most about 400 Hz, means of what lies between: times and values."""
+    """A record on an even grid of at most about 1 kHz, means of what lies between: times and values."""
     step = float(np.median(np.diff(time_s)))
     grid: Array = float(time_s[0]) + step * np.arange(float(int((time_s[-1] - time_s[0]) / step + 1e-6) + 1))
     even: Array = np.asarray(np.interp(grid, time_s, value), np.float64)
@@ -185,14 +205,26 @@ def _peak(power: Array, k: int) -> float:
     return k + float(0.5 * (a - c) / (a - 2 * b + c))
 
 
-def _steady(even: _Even, frequency: float, noise: float) -> SteadyLine | None:
-    """The line at a peak, where both halves of the record show it alike and far above the noise."""
-    half = len(even.value) // 2
-    window = np.hanning(half)
-    time = even.step_s * np.arange(half)
-    wave = window * np.exp(-2j * math.pi * frequency * time) * (2 / window.sum())
-    sizes = [abs(complex(np.sum(part * wave))) for part in (even.value[:half], even.value[-half:])]
-    size = 0.5 * sum(sizes)
-    if size < _CLEARLY * noise or abs(sizes[0] - sizes[1]) > _STAYS * size + 4 * noise:
+def _of_halves(time_s: Array, value: Array, frequency: float) -> tuple[complex, complex]:
+    """Complex amplitudes, phases at time 0, in both halves of a record, each under a taper."""
+    middle, reach = 0.5 * float(time_s[0] + time_s[-1]), 0.25 * float(time_s[-1] - time_s[0])
+    found: list[complex] = []
+    for centre in (middle - reach, middle + reach):
+        first, last = np.searchsorted(time_s, [centre - reach, centre + reach])
+        time, part = time_s[first:last], value[first:last]
+        taper = 1 + np.cos(math.pi / reach * (time - centre))
+        wave = taper * np.exp(-2j * math.pi * frequency * time)
+        found.append(complex(2 * (wave @ (part - part.mean())) / taper.sum()))
+    return found[0], found[1]
+
+
+def _steady(time_s: Array, value: Array, frequency: float, noise: float) -> SteadyLine | None:
+    """The line at a peak, where both halves of a record show it alike and far above the noise."""
+    early, late = _of_halves(time_s, value, frequency)
+    turned = math.remainder(cmath.phase(late) - cmath.phase(early), 2 * math.pi)
+    frequency += turned / (math.pi * float(time_s[-1] - time_s[0]))
+    early, late = _of_halves(time_s, value, frequency)
+    size = 0.5 * (abs(early) + abs(late))
+    if size < _CLEARLY * noise or abs(abs(early) - abs(late)) > _STAYS * size + 4 * noise:
         return None
-    return SteadyLine(frequency, size / max(float(np.sinc(frequency * even.step_s)), 0.1))
+    return SteadyLine(frequency, abs(early + late) / 2, cmath.phase(early + late))

@@ -109,9 +109,10 @@ def _at_order(order: Array, levels: Array, windows: int) -> tuple[float, float]:
 
 
 def _neighbours(scaled: Complex) -> float:
-    """Correlation of a coefficient with that of the next window; 0 unless beyond chance."""
+    """Correlation of a coefficient with that of the next window; 0 unless above chance.
+
+    One below 0 would make a mean's errors cancel; a beat of hum with the windows looks like that for a while.
+    """
     products = np.real(np.conj(scaled[:-1]) * scaled[1:])
     found = float(products.sum() / np.sum(np.abs(scaled) ** 2)) * len(scaled) / (len(scaled) - 1)
-    if abs(found) < _SURE / math.sqrt(2 * products.size):
-        return 0.0
-    return float(np.clip(found, -_MOST_CORRELATED, _MOST_CORRELATED))
+    return min(found, _MOST_CORRELATED) if found > _SURE / math.sqrt(2 * products.size) else 0.0

@@ -10,6 +10,10 @@ LEVEL = 2 * WHITE_M**2 / RATE
 TIME = np.arange(0.0, 24.0, 1 / RATE)
 
 
+def lines_of(value: np.ndarray, *known) -> list[SteadyLine]:
+    return lines_in(TIME, value, (TIME, value), *known)
+
+
 def white(seed: int) -> np.ndarray:
     return WHITE_M * np.random.default_rng(seed).standard_normal(len(TIME))
 
@@ -29,7 +33,7 @@ def wandering(seed: int, power: float, below_1_Hz_m: float) -> np.ndarray:
 def test_white_noise_is_neither() -> None:
     for seed in range(40):
         assert wander_in(TIME, white(seed), LEVEL) is None
-        assert lines_in(TIME, white(seed)) == []
+        assert lines_of(white(seed)) == []
 
 
 @pytest.mark.parametrize(("power", "words"), [(1.0, "about 1/f"), (2.0, "about 1/f^")])
@@ -49,26 +53,34 @@ def test_a_drift_of_temperature_is_no_wander() -> None:
 def test_a_record_too_short_tells_nothing() -> None:
     some = TIME < 4.0
     assert wander_in(TIME[some], wandering(0, 1.0, 6e-6)[some], LEVEL) is None
-    assert lines_in(TIME[some], white(0)[some]) == []
+    assert lines_in(TIME[some], white(0)[some], (TIME[some], white(0)[some])) == []
 
 
 @pytest.mark.parametrize("frequency", [50.0, 60.0, 23.37])
 def test_a_steady_line_is_found_with_its_figures(frequency: float) -> None:
-    found = lines_in(TIME, white(2) + 3e-5 * np.sin(2 * np.pi * frequency * TIME + 1.0))
+    found = lines_of(white(2) + 3e-5 * np.cos(2 * np.pi * frequency * TIME + 1.0))
     assert len(found) == 1
     assert found[0].frequency_Hz == pytest.approx(frequency, abs=0.01)
     assert found[0].amplitude_m == pytest.approx(3e-5, rel=0.02)
+    off = found[0].at(TIME) - 3e-5 * np.cos(2 * np.pi * frequency * TIME + 1.0)
+    assert np.abs(off).max() < 1e-6
     assert ("mains hum?" in found[0].words) == (frequency != 23.37)
 
 
 def test_what_rings_or_is_known_is_no_line() -> None:
     ringing = 1e-4 * np.exp(-0.2 * TIME) * np.sin(2 * np.pi * 11.6 * TIME)
-    assert lines_in(TIME, white(3) + ringing) == []
+    assert lines_of(white(3) + ringing) == []
     known = white(3) + 3e-5 * np.sin(2 * np.pi * 16.0 * TIME)
-    assert lines_in(TIME, known)
-    assert lines_in(TIME, known, [(8.0, 0.0), (16.0, 0.0)]) == []
-    assert lines_in(TIME, known, [(15.0, 1.0)]) == []
-    assert lines_in(TIME, known, least_m=4e-5) == []
+    assert lines_of(known)
+    assert lines_of(known, [(8.0, 0.0), (16.0, 0.0)]) == []
+    assert lines_of(known, [(15.0, 1.0)]) == []
+    assert lines_of(known, (), 4e-5) == []
+
+
+def test_a_line_that_only_looks_like_one_in_thinned_samples_is_none() -> None:
+    fast = 3e-5 * np.cos(2 * np.pi * 470.0 * TIME)
+    thin = TIME[::4]
+    assert lines_in(TIME, white(4) + fast, (thin, (white(4) + fast)[::4])) == []  # appears at 30 Hz
 
 
 def test_sentences_name_all_with_figures() -> None:
