@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.errors import NotEnoughData
+from analysis.laser_remarks import laser_remarks
 from analysis.order_tracking import order_track
 from analysis.to_come import ToCome, to_come
 from daq.signals.run import Run
@@ -56,6 +57,7 @@ class SteadyMeasurement:
         own: joint covariance of (θ3, θ4, x amplitude, y amplitude, rms amplitude) from statistics, quantisation and
             what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
         release_s, from_s, to_s: last release, start and end of the last seconds' mean, s since the run's start.
+        remarks: what the lasers show beside the rotor's motion, sentences.
     """
 
     state: str
@@ -76,6 +78,7 @@ class SteadyMeasurement:
     release_s: float
     from_s: float
     to_s: float
+    remarks: tuple[str, ...] = ()
 
     @property
     def noise_floor_m(self) -> float:
@@ -94,6 +97,8 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j) -> SteadyMeasurement:
         NotEnoughData: no release, too short a record after it, or a signal that is missing there.
     """
     release, end = _span(run)
+    remarks = laser_remarks(run, release, end)
+    run = remarks.without_lines(run)
     angles = _between(run.angle_time_s, run.angle_rad, release - 3.0, end)
     locked, locked_rad = _locked(run, angles)
     settling, start = _settling(run, release, end), end - AVERAGE_S
@@ -134,6 +139,7 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j) -> SteadyMeasurement:
         release_s=release,
         from_s=start,
         to_s=end,
+        remarks=remarks.sentences,
     )
 
 

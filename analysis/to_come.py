@@ -125,7 +125,7 @@ def _limit(run: Run, release_s: float, end_s: float) -> Limit | None:
     if len(a) < LEAST_WINDOWS:
         return None
     turning, whirling = angles.means[a], orbit.means[o]
-    of_orbit = np.maximum(orbit.noise, _LEAST_M)[:, None, None] ** 2 * np.eye(len(o))
+    of_orbit = orbit.noise_covariance(_LEAST_M)[:, o][:, :, o]
     noise = np.concatenate([_angle_noise(angles, turning), of_orbit])
     return limit(angles.edges_s[a], np.concatenate([turning, whirling], axis=1), noise)
 

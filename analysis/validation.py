@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,16 @@ class Validation:
     explanations: Explanations | None = None
     noticed: Sequence[Noticed] = ()
     start_ups: Sequence[StartUps] = ()
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the lasers show beside the rotor's motion, a sentence each, under the log's name."""
+        return [
+            f"{Path(point.source).name}: {remark}"
+            for point in self.points.values()
+            if point.measurement is not None
+            for remark in point.measurement.remarks
+        ]
 
     @property
     def passed(self) -> bool:

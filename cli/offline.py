@@ -99,6 +99,7 @@ def validate(
         releases = check_releases(runs, loaded, known, STDERR.print, overridden(found_before, settings or []))
     found = compare(runs, loaded, known, given, releases)
     warnings = missing_warnings(runs) + [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
+    warnings += found.warnings
     warnings += [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
     if given is None and known.axis_angle_deg is None:
         value, std = known_axis_angle(known, turn_deg=loaded.roles.turn_deg)

@@ -122,6 +122,7 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
     return {
         **results.identification_json(joint),
         **validation.to_json(),
+        "warnings": [*joint.warnings, *validation.warnings],
         "passed": validation.passed if seen.points else None,  # a rig without sensors for a point has no verdict
         "losses": losses,
         "lines": results.parameter_lines(joint.parameters, facts["truth"]),

@@ -86,7 +86,9 @@ def campaign(seed: int, plan: Plan) -> dict[str, Any]:
         points = [record(later, seed, test) for test in campaign_tests(world)[len(BEFORE_POINTS) :]]
         seconds["data"] += time.perf_counter() - started
         started = time.perf_counter()
-        row |= _judged(validated(points, world.rig, found))
+        judged = validated(points, world.rig, found)
+        row |= _judged(judged)
+        row["warnings"] = [*row["warnings"], *judged.warnings]
         seconds["validation"] = time.perf_counter() - started
         if plan.joint:
             started = time.perf_counter()

@@ -114,7 +114,7 @@ def settled(
     held = release_time_s is not None and _still_as_released(
         time_s, angles_rad, angles.means[-1], edges[-1], release_time_s, linger_s
     )
-    angle_limit, amplitude_limit = slack * angle_tolerance_rad, slack * amplitude_tolerance_m
+    angle_limit, amplitude_limit = slack * angle_tolerance_rad, slack * _visible(orbit, amplitude_tolerance_m)
     reasons = [
         _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
         slip,
@@ -146,12 +146,21 @@ def locked_settled(
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
     whirling = _worst(orbit, amplitude_tolerance_m, _UNSEEN_AMPLITUDE, window_s)
+    limit = _visible(orbit, amplitude_tolerance_m)
     found = _settling(None, orbit, Approach(math.nan, math.nan, 0.0, 0.0), whirling)
     reasons = [
         _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
-        _reason("amplitudes", found.drift_m, whirling, amplitude_tolerance_m, 1e6, " µm"),
+        _reason("amplitudes", found.drift_m, whirling, limit, 1e6, " µm"),
     ]
-    return _said(found, reasons, "amplitudes are steady", _more(whirling, amplitude_tolerance_m), slipping=False)
+    return _said(found, reasons, "amplitudes are steady", _more(whirling, limit), slipping=False)
+
+
+def _visible(orbit: WindowMeans, tolerance_m: float) -> float:
+    """The amplitudes' tolerance, or the width of a mean where noise that is not white makes that larger.
+
+    What lasers that wander cannot show is asked of the pendulum angles alone, which the orbit follows.
+    """
+    return max(tolerance_m, float(orbit.width.max())) if orbit.coloured else tolerance_m
 
 
 def _unknown(why: str) -> Settling:

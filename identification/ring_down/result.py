@@ -8,6 +8,7 @@ import numpy as np
 
 from identification.curve import Curve
 from identification.errors import FitFailed
+from identification.laser_wander import wander_sentences
 from identification.lines import sentences
 from identification.ring_down.amplitude import AmplitudeDependence
 from identification.ring_down.decay import Fitted, Priors
@@ -112,7 +113,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     minimum = fitted.solution.minimum
     chi2 = fitted.solution.chi2_per_dof
     stretch = stretches(fitted)
-    warnings = [*findings.warnings, *_lines_said(fitted, labels)]
+    warnings = [*findings.warnings, *_disturbances_said(fitted, labels)]
     found: Resolution | None = None
     if fitted.model.turned:
         held = (
@@ -169,10 +170,14 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     )
 
 
-def _lines_said(fitted: Fitted, labels: tuple[str, ...]) -> list[str]:
-    """Lines by name; a lone sensor is that of its direction."""
-    found = fitted.found_lines()
-    return sentences([(a, lines) for own in found for a, lines in zip(_axes(labels), own, strict=True)])
+def _disturbances_said(fitted: Fitted, labels: tuple[str, ...]) -> list[str]:
+    """Lines and wander by name; a lone sensor is that of its direction."""
+    found, axes = fitted.found_lines(), _axes(labels)
+    lines = sentences([(a, lines) for own in found for a, lines in zip(axes, own, strict=True)])
+    left = zip(fitted.model.records, fitted.plain_residuals(), strict=True)
+    return lines + wander_sentences(
+        one for record, rests in left for one in zip(axes, record.channels, rests, strict=True)
+    )
 
 
 def _axes(labels: tuple[str, ...]) -> str:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.ndimage import uniform_filter1d
 
 from dynamics.equations.speed_history import phase_at
 from identification.ring_down.modes import rate
@@ -22,6 +23,8 @@ from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Struc
 from identification.run_up.rotor_phase import RotorPhase
 from identification.samples import Averages
 
+_SMOOTH = 33  # periodogram ordinates averaged
+_LEAST_LEFT = 0.2  # of the noise in a band
 _OFFSETS = 16  # draws of where a phase lies within an encoder's step
 _DRIFT_S = 0.25  # in which that is another: far longer than a beat, far shorter than a passage
 
@@ -164,6 +167,33 @@ def phase_noise_covariance(record: RunUpRecord, phase: RotorPhase, design: Desig
     random = (effect * variance) @ effect.T + (later * (phase.wander_density * width)) @ later.T
     moved = effect @ rounding_errors(phase, x)
     return random + moved @ moved.T / _OFFSETS
+
+
+def excess_covariance(record: RunUpRecord, design: Design, jacobian: np.ndarray) -> np.ndarray:
+    """What noise beyond the white part adds to the covariance of jacobian @ unknowns, shape (k, k).
+
+    Each row's influence on the data is held against the residuals' spectrum, so that slow noise counts for what is slow
+    and little for a resonance: Σ_f h(f) (S(f) − 1) h(f)*, S that of the noise in standard deviations of the white one.
+    The fit has taken some of the noise near the resonances; S is the residuals' power over the share that it left.
+    """
+    scale = np.sqrt(np.diag(design.covariance)) + 1e-150
+    values, vectors = np.linalg.eigh(design.covariance / np.outer(scale, scale))
+    taken = design.matrix @ (scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))  # hat matrix: taken @ takenᵀ
+    rows = jacobian @ design.covariance @ design.matrix.T
+    out, begin = np.zeros((len(jacobian), len(jacobian))), 0
+    for channel in record.channels:
+        own = slice(begin, begin + len(channel.time_s))
+        begin = own.stop
+        count = len(channel.time_s)
+        size = 1 << int(np.ceil(np.log2(count)))
+        level = uniform_filter1d(np.abs(np.fft.rfft(design.residual[own], size)) ** 2, _SMOOTH, mode="nearest")
+        fitted = (np.abs(np.fft.rfft(taken[own], size, axis=0)) ** 2).sum(axis=1)
+        left = uniform_filter1d(count - fitted, _SMOOTH, mode="nearest")
+        excess = np.maximum(level / np.maximum(left, _LEAST_LEFT * count) - 1.0, 0.0)
+        share = np.fft.rfft(rows[:, own], size, axis=1)
+        weight = np.r_[1.0, np.full(len(level) - 2, 2.0), 1.0] / size
+        out += np.real((share * (excess * weight)) @ share.conj().T)
+    return out
 
 
 def rounding_errors(phase: RotorPhase, channel: Averages) -> np.ndarray:

@@ -16,9 +16,16 @@ from daq.signals.run import Run
 from identification.clocks import rate_std_between
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
+from identification.laser_wander import wander_sentences
 from identification.least_squares import Solution, solve_separable
 from identification.run_up.choice import Comparison, alike, compare
-from identification.run_up.design import Design, design_at, imbalance_gains, phase_noise_covariance
+from identification.run_up.design import (
+    Design,
+    design_at,
+    excess_covariance,
+    imbalance_gains,
+    phase_noise_covariance,
+)
 from identification.run_up.forced_oscillator import Drive
 from identification.run_up.model import (
     ANGLE,
@@ -293,7 +300,7 @@ def _result(
     setting: Setting,
 ) -> RunUpFit:
     warnings = warnings + comparison.warnings
-    curves, correlated = [], 1.0
+    curves, correlated, rests = [], 1.0, []
     for axis, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
         metres = residual / channel.weight
         left = np.sqrt(max(0.0, float(np.var(metres) - np.mean(channel.weight**-2.0))))
@@ -303,13 +310,18 @@ def _result(
                 "is the phase the rotor's, and were the pendulums locked?"
             )
         correlated = max(correlated, correlation_inflation(residual))
+        rests.append((axis, channel, metres))
         curves.append(Curve(f"run-up: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
+    slow = wander_sentences(rests)
+    warnings += slow
     chi2 = solution.chi2_per_dof
-    names, values, covariance = _values(record, phase, design, max(chi2, 1e-3) * correlated**2)
+    stretch = None if slow else max(chi2, 1e-3) * correlated**2
+    names, values, covariance = _values(record, phase, design, stretch)
     if doubt is not None:
         other = design_at(record, doubt.structure, doubt.solution.minimum.theta)
-        instead = _values(record, phase, other, max(chi2, 1e-3) * correlated**2)
-        values, covariance = either(names, (values, covariance), instead, doubt.probability)
+        values, covariance = either(
+            names, (values, covariance), _values(record, phase, other, stretch), doubt.probability
+        )
     noise = max(1.0, chi2) * correlated**2
     gains = [gain / noise for gain in imbalance_gains(record, design)]
     keep, told = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
@@ -318,11 +330,11 @@ def _result(
         warnings.append(
             f"the run-up's fit had not settled after {solution.minimum.iterations} iterations; do not quote it"
         )
-    if chi2 > 1.3:
+    if chi2 > 1.3 and not slow:
         warnings.append(
             f"run-up residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up"
         )
-    if correlated > 1.0:
+    if correlated > 1.0 and not slow:
         warnings.append(f"run-up residuals are correlated; standard deviations are {correlated:.3g} times as long")
     names, values, covariance = [names[i] for i in keep], values[keep], covariance[np.ix_(keep, keep)]
     warnings += slow_roll_sentences(names, values, covariance)
@@ -337,9 +349,18 @@ def _result(
 
 
 def _values(
-    record: RunUpRecord, phase: RotorPhase, design: Design, stretch: float
+    record: RunUpRecord, phase: RotorPhase, design: Design, stretch: float | None
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Names, values and covariance: the sensors' noise, its variance times stretch, and the phase's."""
+    """Names, values and covariance of the sensors' noise and the phase's.
+
+    Args:
+        stretch: of the variance that white noise gives; None where slow noise counts by its spectrum: it is far from a
+            resonance, and what of it counts depends on the number.
+    """
     names, values, jacobian = reported(design, phase.mark_rad)
-    sensor_part = jacobian @ design.covariance @ jacobian.T * stretch
+    sensor_part = jacobian @ design.covariance @ jacobian.T
+    if stretch is None:
+        sensor_part = sensor_part + excess_covariance(record, design, jacobian)
+    else:
+        sensor_part = sensor_part * stretch
     return names, values, sensor_part + phase_noise_covariance(record, phase, design, jacobian)

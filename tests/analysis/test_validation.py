@@ -127,13 +127,14 @@ def shaken_at_the_end(run: Run, phase: float, last_second_m: float) -> Run:
     """The orbit's amplitude still beats by some tenths of a µm; in its last second it may grow besides."""
     before_end = run.x_time_s - run.x_time_s[-1] + 1.632
     noise = np.random.default_rng(int(10 * phase)).standard_normal(100)
-    beat = 0.3e-6 * np.exp(-0.3 * before_end) * np.cos(3.0 * before_end + phase) * (before_end > -15)
+    beat = 0.3e-6 * np.exp(-0.3 * before_end) * np.cos(1.5 * before_end + phase) * (before_end > -15)
     beat += 0.2e-6 * np.interp(run.x_time_s, np.arange(0, 50, 0.5), noise) * (before_end > -15)
     grown = last_second_m * np.maximum(before_end + 1.0, 0.0)
-    return dataclasses.replace(run, x_m=run.x_m * (1 + (beat + grown) / 3e-3))
+    rest = float(np.median(run.x_m))
+    return dataclasses.replace(run, x_m=rest + (run.x_m - rest) * (1 + (beat + grown) / 3e-3))
 
 
-@pytest.mark.parametrize("phase", [0.0, 1.5, 4.5])
+@pytest.mark.parametrize("phase", [1.5, 4.5])
 def test_what_was_steady_a_moment_ago_is_steady_unless_something_moved(
     rig: Rig, drawn: Drawn, runs: dict[str, Run], phase: float
 ) -> None:

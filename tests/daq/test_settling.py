@@ -211,3 +211,35 @@ def test_slack_changes_the_decision_and_not_the_bound() -> None:
     assert (strict.settled, lenient.settled) == (False, True)
     assert strict.remaining_m == lenient.remaining_m
     assert lenient.more_s == 0.0
+
+
+def _wander(count: int, rate_Hz: float, seed: int) -> np.ndarray:
+    """1/f noise with an rms of 10 µm."""
+    rng = np.random.default_rng([seed, 5])
+    frequency = np.fft.rfftfreq(count, 1 / rate_Hz)
+    shape = np.where(frequency >= 0.02, np.maximum(frequency, 0.02) ** -0.5, 0.0)
+    noise = np.fft.irfft(shape * (rng.standard_normal(len(shape)) + 1j * rng.standard_normal(len(shape))), count)
+    return 1e-5 * noise / noise.std()
+
+
+def test_lasers_that_wander_are_no_motion() -> None:
+    """At 2.5 Hz an amplitude of a window scatters by 2 µm; pendulums that stand are settled all the same."""
+    for duration in (18.0, 40.0):
+        for seed in range(6):
+            data = list(signals(lambda t: 1.0 + 0 * t, speed=5 * np.pi, duration=duration, seed=seed))
+            data[5], data[7] = (data[j] + _wander(len(data[j]), 4000.0, seed + 10 * j) for j in (5, 7))
+            result = settled(*data, angle_step_rad=STEP)
+            assert result.settled, result.why
+
+
+def test_lasers_that_wander_do_not_hide_an_orbit_or_pendulums_that_move() -> None:
+    for seed in range(4):
+        orbit = list(
+            signals(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 1e-4 * np.exp(-0.1 * (t - 20.0)), seed=seed)
+        )
+        angle = list(signals(lambda t: 1.0 + math.radians(0.5) * np.exp(-0.2 * (t - 30.0)), seed=seed))
+        for data, which in ((orbit, "amplitudes"), (angle, "pendulum angles")):
+            data[5], data[7] = (data[j] + _wander(len(data[j]), 4000.0, seed + 10 * j) for j in (5, 7))
+            result = settled(*data, angle_step_rad=STEP)
+            assert not result.settled
+            assert which in result.why

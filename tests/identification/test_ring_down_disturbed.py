@@ -232,3 +232,29 @@ def test_an_unresolved_pair_is_given_the_criterion_that_it_fails() -> None:
     assert "uncertain by 5.1°, 3° are needed" in said
     assert "half-bandwidths" not in said
     assert "second mode" not in said
+
+
+def one_over_f(count: int, seed: int) -> np.ndarray:
+    """1/f noise from 0.02 Hz on for two sensors, rms 1."""
+    rng = np.random.default_rng([seed, 9])
+    frequency = np.fft.rfftfreq(8 * count, 1 / RATE)
+    shape = np.where(frequency >= 0.02, np.maximum(frequency, 0.02) ** -0.5, 0.0)[:, None]
+    drawn = rng.standard_normal((len(shape), 2)) + 1j * rng.standard_normal((len(shape), 2))
+    noise = np.fft.irfft(shape * drawn, axis=0)[:count]
+    return noise / noise.std(axis=0)
+
+
+def test_wander_of_a_laser_is_named_with_its_figures() -> None:
+    t, signal, _ = pluck(1)
+    noise = 1e-5 * one_over_f(len(t), 1) * [1.0, 0.0]  # of x alone
+    told = [w for w in fit_ring_down(t, signal + noise).warnings if "wanders" in w]
+    assert len(told) == 1
+    found = re.fullmatch(r"laser x wanders: ([0-9.]+) µm rms below 1 Hz, spectrum about 1/f.*", told[0])
+    assert found
+    assert 2 < float(found[1]) < 10
+
+
+def test_quiet_lasers_do_not_wander() -> None:
+    for seed in range(3):
+        t, signal, _ = pluck(20 + seed, seed % 2)
+        assert not any("wander" in w for w in fit_ring_down(t, signal).warnings)
