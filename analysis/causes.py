@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from analysis.differences import Differences
 from analysis.prediction import AXIS_ANGLE
 from rig_configs import IdentifiedParameters, Rig
-from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
+from rig_configs.known import FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
 
 Array = NDArray[np.float64]
 
@@ -38,8 +38,12 @@ _SETTLES = {
     "c": "another spin-down", "SP": "another run-up", "rotor": "weigh the rotor", "imbalance": "weigh the imbalance",
     "pendulums": "weigh and measure the pendulum", "encoders": "set the zero again at the lock",
     "phase": "set the index angle again by a slow roll", "gain": "calibrate the laser and its lever",
-    AXIS_ANGLE: "another ring-down in both directions",
+    AXIS_ANGLE: "another ring-down in both directions", "friction": "another spin-down, and clean bearings",
 }  # fmt: skip
+
+
+_FLICK_RAD_S, _USUAL_SHARE = 12.0, 1e-2
+"""Speed of a flicked pendulum: friction is shown as a share of the largest viscous torque, and is usually so much."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class Cause:
         direction: change of the differences when the truth is one unit above what was taken, shape (m,).
         unit, factor: how its size is shown: "%", "°" or a unit, and what it is multiplied with.
         settles: the test or measurement that would show it.
+        one_sided: whether its size cannot be below 0.
     """
 
     name: str
@@ -64,11 +69,14 @@ class Cause:
     unit: str
     factor: float
     settles: str
+    one_sided: bool = False
 
     def sized(self, size: float, std: float) -> str:
         """In words, of a size and its standard uncertainty in the cause's unit."""
         shown, spread = abs(size) * self.factor, std * self.factor
         digits = max(0, min(6, 1 - math.floor(math.log10(spread)))) if spread > 0 else 3
+        if self.one_sided:
+            return f"{self.words} of {shown:.{digits}f} ± {spread:.{digits}f} {self.unit}"
         side = "above" if size > 0 else "below"
         against = "what the rig file says" if self.name in _NUMBER_WORDS else "what was taken"
         return f"{self.words} {shown:.{digits}f} ± {spread:.{digits}f} {self.unit} {side} {against}"
@@ -94,6 +102,14 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
             moved = differences.by_number[name] + own @ identified.by_number.get(name, np.zeros(len(identified.values)))
             deviation = known.std(name) or NOMINAL_SHARE * value
             found.append(_share(name, _NUMBER_WORDS[name], value, deviation, -moved))
+    for name, at, damping in zip(FRICTION, "AB", ("c3_Nms_per_rad", "c4_Nms_per_rad"), strict=True):
+        viscous = _FLICK_RAD_S * identified.values.get(damping, 0.0)
+        if name in differences.by_number and viscous > 0:
+            words, unit = f"dry friction of pendulum {at}", f"% of {damping[:2]} · {_FLICK_RAD_S:g} rad/s"
+            found.append(Cause(
+                name, words, math.nan, _USUAL_SHARE * viscous, -differences.by_number[name], unit, 100 / viscous,
+                _settles(name), one_sided=True,
+            ))  # fmt: skip
     for name in (ZERO_A, ZERO_B, INDEX):
         shift, deviation = differences.shared.get(known_label(name)), known.std(name)
         if shift is not None and deviation > 0:

@@ -51,6 +51,11 @@ class Explanation:
     score: float
     explained: bool
 
+    @property
+    def possible(self) -> bool:
+        """Whether no cause that cannot be below 0 is."""
+        return all(size > 0 or not cause.one_sided for cause, size in zip(self.causes, self.sizes, strict=True))
+
     def sentence(self, before: float) -> str:
         """In words, with χ² before and after."""
         parts = [c.sized(size, std) for c, size, std in zip(self.causes, self.sizes, self.stds, strict=True)]
@@ -126,7 +131,8 @@ def explanations(differences: Differences, found: Sequence[Cause], again: Again 
     """
     chi2, dof = differences.chi2, len(differences.values)
     limit = _left_by_chance(dof)
-    singles = sorted((_fitted(differences, (c,), limit) for c in found), key=lambda e: e.score)
+    alone = [_fitted(differences, (c,), limit) for c in found]
+    singles = sorted((e for e in alone if e.possible), key=lambda e: e.score)
     if again is not None:
         followed = [_followed(differences, e, again, limit) for e in singles[:_FOLLOWED]]
         singles = sorted([*followed, *singles[_FOLLOWED:]], key=lambda e: e.score)
@@ -136,7 +142,7 @@ def explanations(differences: Differences, found: Sequence[Cause], again: Again 
             _fitted(differences, pair, limit) for pair in itertools.combinations(found, 2) if _apart(differences, pair)
         ]
         pairs.sort(key=lambda e: e.score)
-        pairs = [e for e in pairs if e.chi2 < singles[0].chi2 - _WORTH_A_SECOND]
+        pairs = [e for e in pairs if e.possible and e.chi2 < singles[0].chi2 - _WORTH_A_SECOND]
     return Explanations(chi2, dof, tuple(singles), tuple(pairs[:_SHOWN]))
 
 

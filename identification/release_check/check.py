@@ -32,7 +32,7 @@ from identification.pendulums.unknown_phase import angles_to_try, race
 from identification.release_check.model import Condensed, Fitted, condensed, fitted_with_numbers, opened
 from identification.release_check.together import agreed, fitted_at
 from identification.threads import on_one_thread
-from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B
+from rig_configs.known import FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -45,6 +45,7 @@ _NUMBER_SHARE = 1e-3  # of a number: an error worth seeing
 _EXACT = 1e-7  # std of a logarithm that was set
 _DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 _NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)), **dict.fromkeys(_DAMPING, 2.5)}
+_FRICTION_RAD_S = 0.03  # times the damping: friction worth seeing
 _NO_MOTION = 1e3  # standard deviations of a release along which the model has no finite motion
 _NOT_FOLLOWED = "release"  # the one row of such a release
 _THREADS = 2
@@ -62,7 +63,8 @@ class ReleaseRows:
         own: covariance of these errors, shape (m, m).
         by_parameter: derivatives of the values by the identified parameters, shape (m, n).
         parameters: names of these, n of them.
-        by_number: number of the rig file → derivative of the values by it, shape (m,).
+        by_number: number of the rig file, or a pendulum's dry friction that was taken as 0 → derivative of the values
+            by it, shape (m,).
         shared: label → shift of the values for one standard deviation of an error that others share, shape (m,).
         used_for: parameters that this very release has helped to identify: their errors are not independent of its own.
         chi2_per_dof: of the readings with everything open.
@@ -162,7 +164,8 @@ class _Case:
         worth, assumed = self._worth(), self._assumed
         found = [condensed(fitted, assumed, worth) for fitted in fits]
         for _ in range(_PASSES):
-            place = {name: assumed.get(name, 0.0) + off for name, off in agreed(found, worth).items()}
+            shared = {name: size for name, size in worth.items() if name not in FRICTION}
+            place = {name: assumed.get(name, 0.0) + off for name, off in agreed(found, shared).items()}
             moved = pool.map(fitted_at, fits, repeat(place), [each.misfit for each in found])
             fits = [new or old for new, old in zip(moved, fits, strict=True)]
             found = [condensed(fitted, assumed, worth) for fitted in fits]
@@ -177,7 +180,7 @@ class _Case:
         """Rows of what one release says."""
         values = self.identified.values
         by = np.column_stack([found.slopes[name] / value for name, value in values.items()])
-        by_number = {name: found.slopes[name] for name in PHYSICAL if name in found.slopes}
+        by_number = {name: found.slopes[name] for name in (*PHYSICAL, *FRICTION) if name in found.slopes}
         shared = {label: by @ shift for label, shift in self.identified.shared.items()}
         for source in self.rig.known.sources:
             parts = [found.slopes[name] * step for name, step in source.effects.items() if name in found.slopes]
@@ -250,15 +253,19 @@ class _Case:
             found[name] = max(_ZERO_WIDE * known.std(name), _NUMBER_SHARE * abs(known.values[name]))
         for name in (ZERO_A, ZERO_B, INDEX):
             found[name] = _ZERO_WIDE * known.std(name)
+        for name, damping in zip(FRICTION, _DAMPING, strict=True):
+            found[name] = _FRICTION_RAD_S * self.identified.values.get(damping, 0.0)
         return found
 
     def _friction(self, release: Release) -> tuple[Shape | None, Array]:
         """Dry friction to open, and its torque to start from, where the identification found some."""
         kept: list[Any] = self.identified.provenance.get("tests", [])
-        found = [test for test in kept if test.get("friction")]
+        found = [test["friction"] for test in kept if test.get("friction")]
+        if whole := self.identified.provenance.get("friction"):
+            found.append(whole["values"])
         if not found:
             return None, np.zeros(2)
-        values: Mapping[str, float] = found[-1]["friction"]
+        values: Mapping[str, float] = found[-1]
         torque = (values.get("coulomb_a_Nm", 0.0), values.get("coulomb_b_Nm", 0.0))
         contact = (values.get("contact_a_kg_m2", 0.0), values.get("contact_b_kg_m2", 0.0))
         none = (0.0, 0.0)

@@ -19,7 +19,7 @@ from identification.least_squares import Minimum
 from identification.pendulums.release_problem import Release, Shape
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
-from rig_configs.known import INDEX, ZERO_A, ZERO_B, physical_numbers
+from rig_configs.known import FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
 
 Array = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ class Fitted:
         return sum(len(c.time_s) for c in self.problem.cut(self.end_s))
 
     def number_columns(self) -> dict[str, Array]:
-        """Derivatives of the weighted readings, (n,), by each known number and the index angle; θ as it is."""
+        """Derivatives of the weighted readings, (n,), by known numbers, index angle and dry friction; θ as it is."""
         n, minimum, knowledge = self.readings, self.minimum, self.release.knowledge
         values, found = physical_numbers(knowledge.physics), dict[str, Array]()
         weight = np.concatenate([c.weight for c in self.problem.cut(self.end_s)])
@@ -119,6 +119,8 @@ class Fitted:
             found[name] = change(self.release.laid_over(knowledge.moved(name, step)), 0.0, step)
         if self.release.run.phase_absolute:
             found[INDEX] = change(self.release, _TURN_RAD, _TURN_RAD)
+        if self.shape is None:  # an open torque is the release's own
+            found |= zip(FRICTION, self.release.torque_columns(minimum, self.end_s).T, strict=True)
         return {name: column for name, column in found.items() if np.all(np.isfinite(column))}
 
 
