@@ -11,16 +11,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.dry_friction import DryFriction, seen_slopes
 from analysis.errors import NoStableState
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
+from dynamics.steady.held_band import HeldBand
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import Known, physical_numbers, with_number
 
@@ -53,6 +55,8 @@ class Prediction:
         shared: label → shift of `values`, shape (5,), for one standard deviation of an error that other quantities
             share: "gain x", "known rotor.mass_kg", "axis angle".
         numerical: estimated error of the integration in `values`, shape (5,).
+        held: where dry friction may hold the pendulums about the state's angles; None where none is known of.
+        by_friction: covariance of `values` from that, part of `own`, shape (5, 5).
     """
 
     state: SteadyState
@@ -64,6 +68,8 @@ class Prediction:
     own: Array
     shared: Mapping[str, Array]
     numerical: Array
+    held: HeldBand | None = None
+    by_friction: Array = field(default_factory=lambda: np.zeros((5, 5)))
 
     @property
     def std(self) -> np.ndarray:
@@ -104,11 +110,27 @@ def predict_point(
     values, slopes, numerical = _slopes(physics, list(identified.values), state, speed_rad_s, beta)
     by_parameter = np.stack([slopes.pop(name) for name in identified.values] or [np.empty((5, 0))], axis=-1)
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
-    own = np.outer(by_speed, by_speed) * speed_std_rad_s**2
+    held, by_friction = _held(identified, physics, state, speed_rad_s, beta)
+    own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + by_friction
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
-    return Prediction(state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical)
+    return Prediction(
+        state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical, held, by_friction
+    )
+
+
+def _held(
+    identified: IdentifiedParameters, physics: RotorParameters, state: SteadyState, speed: float, beta: float
+) -> tuple[HeldBand | None, Array]:
+    """Where dry friction may hold the pendulums, and what it leaves open of the values, shape (5, 5)."""
+    friction = DryFriction.of(identified)
+    if friction is None:
+        return None, np.zeros((5, 5))
+    theta = (float(state.theta_rad[0]), float(state.theta_rad[1]))
+    held = friction.band(physics, speed, theta)
+    by = seen_slopes(held, np.array([state.x_m, -1j * state.y_m]), beta)
+    return held, by @ held.covariance @ by.T
 
 
 def _shared(
