@@ -2,8 +2,9 @@
 """Dry friction of the pendulums as an identification has found it, and what it leaves open of a steady state.
 
 With friction a pendulum rests anywhere in a band about its frictionless angle. A prediction states the frictionless
-angle; the band is a standard uncertainty of type B of its own, evenly spread over the mean torques that friction can
-hold, new at each point: nothing is common to where two points come to rest. Source: docs/theory/validation.md.
+angle; the band is a standard uncertainty of type B of its own, evenly spread over its edge, new at each point: nothing
+is common to where two points come to rest. Pendulums that wobble too much to be held are moved by the friction's mean
+torque instead, which the prediction follows. Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -18,10 +19,13 @@ from numpy.typing import NDArray
 
 from dynamics import RotorParameters
 from dynamics.steady.held_band import HeldBand, held_band
+from dynamics.steady.sliding_shift import Motion, sliding_shift
 from rig_configs import IdentifiedParameters
 
 Array = NDArray[np.float64]
 
+FIRST_ORDER = 0.1
+"""Relative standard uncertainty of a shift that is worked out to first order in the friction."""
 NAMES = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_kg_m2")
 
 
@@ -62,6 +66,34 @@ class DryFriction:
         """Where the pendulums may rest; a torque's own uncertainty is in its root mean square."""
         value, std = self.torque_at(speed_rad_s)
         return held_band(physics, speed_rad_s, theta_rad, np.hypot(np.maximum(value, 0.0), std))
+
+    def shift(
+        self, physics: RotorParameters, speed_rad_s: float, start: Array, motion: Motion
+    ) -> tuple[NDArray[np.complex128], float]:
+        """How a wobbling state moves: mean θ3, θ4, order-1 amplitudes of x and y; and its relative uncertainty.
+
+        Args:
+            start: of the frictionless state at ψ = 0, shape (8,).
+            motion: integrates.
+        """
+        value, std = self.torque_at(speed_rad_s)
+        torque = np.maximum(value, 0.0)
+        share = float(np.max(std) / np.max(torque)) if np.max(torque) > 0 else 0.0
+        return sliding_shift(physics, speed_rad_s, start, motion, torque), math.hypot(share, FIRST_ORDER)
+
+
+def seen_shift(shift: NDArray[np.complex128], orbit: NDArray[np.complex128], beta_rad: float) -> Array:
+    """A shift of mean angles and orbit as that of θ3, θ4, amplitudes in sensor axes and rms radius, shape (5,).
+
+    Args:
+        shift: θ3, θ4 (rad), X and Y in stiffness axes (m), shape (4,).
+        orbit: X, Y about which it holds, m.
+        beta_rad: from the stiffness to the sensor x axis.
+    """
+    turn = np.array([[math.cos(beta_rad), math.sin(beta_rad)], [-math.sin(beta_rad), math.cos(beta_rad)]])
+    before, after = np.abs(turn @ orbit), np.abs(turn @ (orbit + shift[2:]))
+    radius = math.sqrt(0.5) * (float(np.linalg.norm(after)) - float(np.linalg.norm(before)))
+    return np.r_[np.real(shift[:2]), after - before, radius]
 
 
 def seen_slopes(band: HeldBand, orbit: NDArray[np.complex128], beta_rad: float) -> Array:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dry_friction import DryFriction, seen_slopes
+from analysis.dry_friction import DryFriction, seen_shift, seen_slopes
 from analysis.errors import NoStableState
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
@@ -56,7 +56,7 @@ class Prediction:
             share: "gain x", "known rotor.mass_kg", "axis angle".
         numerical: estimated error of the integration in `values`, shape (5,).
         held: where dry friction may hold the pendulums about the state's angles; None where none is known of.
-        by_friction: covariance of `values` from that, part of `own`, shape (5, 5).
+        by_friction: covariance of `values` from that, or from how far friction has moved them, part of `own`, (5, 5).
     """
 
     state: SteadyState
@@ -110,7 +110,8 @@ def predict_point(
     values, slopes, numerical = _slopes(physics, list(identified.values), state, speed_rad_s, beta)
     by_parameter = np.stack([slopes.pop(name) for name in identified.values] or [np.empty((5, 0))], axis=-1)
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
-    held, by_friction = _held(identified, physics, state, speed_rad_s, beta)
+    held, shift, by_friction = _dry(identified, physics, state, speed_rad_s, beta)
+    values = values + shift
     own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + by_friction
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
@@ -120,17 +121,25 @@ def predict_point(
     )
 
 
-def _held(
+def _dry(
     identified: IdentifiedParameters, physics: RotorParameters, state: SteadyState, speed: float, beta: float
-) -> tuple[HeldBand | None, Array]:
-    """Where dry friction may hold the pendulums, and what it leaves open of the values, shape (5, 5)."""
+) -> tuple[HeldBand | None, Array, Array]:
+    """Where dry friction may hold the pendulums, how it moves the values (5,), and the covariance of both (5, 5)."""
     friction = DryFriction.of(identified)
     if friction is None:
-        return None, np.zeros((5, 5))
-    theta = (float(state.theta_rad[0]), float(state.theta_rad[1]))
-    held = friction.band(physics, speed, theta)
-    by = seen_slopes(held, np.array([state.x_m, -1j * state.y_m]), beta)
-    return held, by @ held.covariance @ by.T
+        return None, np.zeros(5), np.zeros((5, 5))
+    held = friction.band(physics, speed, (float(state.theta_rad[0]), float(state.theta_rad[1])))
+    orbit = np.array([state.x_m, -1j * state.y_m])
+    if np.any(held.half_width_rad > 0):
+        by = seen_slopes(held, orbit, beta)
+        return held, np.zeros(5), by @ held.covariance @ by.T
+
+    def motion(start: Array, times: Array) -> Array:
+        return _motion(physics, speed, start, times)
+
+    moved, share = friction.shift(physics, speed, np.asarray(state.start, np.float64), motion)
+    shift = seen_shift(moved, orbit, beta)
+    return held, shift, share**2 * np.outer(shift, shift)
 
 
 def _shared(

@@ -170,6 +170,8 @@ def validate_point(
     except NotEnoughData as error:
         return PointResult(name, expected, "not settled", None, None, {}, "not enough data", f"{error}", run.source)
     prediction, trouble = _predict(rig, identified, measured, axis_angle_deg)
+    if measured.state == "not settled" and prediction is not None and prediction.held is not None:
+        measured = measure(run, rig, float(np.max(prediction.held.outer_rad)))
     scores = scores_of(measured, prediction, rig) if prediction and measured.state in ("I", "II", "III") else {}
     verdict, why = _judge(measured, prediction, trouble, expected, scores)
     return PointResult(name, expected, measured.state, measured, prediction, scores, verdict, why, run.source)
@@ -203,7 +205,9 @@ def _judge(
         a, b = np.degrees(measured.locked_rad)
         return "not locked", (f"before release the pendulums stood at {a:.1f}° and {b:.1f}°, not locked at 0° and 180°")
     if measured.state == "not settled":
-        return "not settled", measured.settling.why
+        dry = prediction is not None and prediction.held is not None and measured.settling.approaching
+        rubs = "; the dry friction that was identified makes the approach a creep" if dry else ""
+        return "not settled", measured.settling.why + rubs
     if prediction is None:
         return "fail", f"measured state {measured.state}, but {trouble}"
     return _compare(measured, prediction, expected, scores)
@@ -228,7 +232,10 @@ def _compare(
 
 
 def _moved_on(measured: SteadyMeasurement) -> str:
-    """How much was extrapolated, where it matters."""
+    """How much was extrapolated, where it matters, and that friction lets it creep."""
+    if measured.creeps:
+        left = math.degrees(measured.settling.remaining_rad)
+        return f"; held and shaken loose by dry friction it creeps, by up to {left:.2g}° more"
     moved = measured.to_come.sentence
     return f"; {moved}" if moved else ""
 

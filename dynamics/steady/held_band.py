@@ -34,12 +34,15 @@ class HeldBand:
 
     Attributes:
         half_width_rad: of A and B, shape (2,): the farthest either may rest; π where nothing draws it back.
-        covariance: of both angles, evenly spread over the region, rad², shape (2, 2).
+        covariance: of both angles, evenly spread over the region's edge, where a creep ends, rad², shape (2, 2).
+        outer_rad: of A and B, shape (2,): how far the mean torque alone leaves either at rest (stick_band). From there
+            to the region a pendulum creeps, shaken loose twice a revolution.
         orbit_slopes: ∂(X, Y)/∂(θ3, θ4) of the held orbit x = Re(X e^{iψ}), y = Re(Y e^{iψ}), m/rad, shape (2, 2).
     """
 
     half_width_rad: Array
     covariance: Array
+    outer_rad: Array
     orbit_slopes: Complex
 
     @property
@@ -74,14 +77,24 @@ def held_band(p: RotorParameters, speed: float, theta: tuple[float, float], torq
         * np.imag(np.conj(forward_by)[None, :] * turn[:, None] + np.diag(1j * np.conj(forward + shift) * turn))
     )
     backward, backward_by = np.conj(orbit[0] - 1j * orbit[1]) / 2, np.conj(slopes[0] - 1j * slopes[1]) / 2
+    outer = _outer(stiffness, torque_Nm)
     reach = _reach(stiffness, np.concatenate([[backward], backward_by]), moments, torque_Nm)
     ends_rad = _DIRECTIONS * reach[:, None]
     area = float(np.sum(reach**2))
     if not area > 0:
-        return HeldBand(np.zeros(2), np.zeros((2, 2)), slopes)
-    # evenly over the region: ∫ u uᵀ r³ dr dφ over ∫ r dr dφ
-    covariance = np.asarray(0.5 * (ends_rad * reach[:, None]).T @ (ends_rad * reach[:, None]) / area, np.float64)
-    return HeldBand(np.max(np.abs(ends_rad), axis=0), covariance, slopes)
+        return HeldBand(np.zeros(2), np.zeros((2, 2)), outer, slopes)
+    # of an ellipse's edge twice that of what it holds, ∫ u uᵀ r³ dr dφ over ∫ r dr dφ
+    covariance = np.asarray((ends_rad * reach[:, None]).T @ (ends_rad * reach[:, None]) / area, np.float64)
+    return HeldBand(np.max(np.abs(ends_rad), axis=0), covariance, outer, slopes)
+
+
+def _outer(stiffness: Array, torque_Nm: Array) -> Array:
+    """|K⁻¹| M, at most π; π where nothing draws the pendulums back."""
+    try:
+        compliance = np.abs(np.asarray(np.linalg.inv(stiffness), np.float64))
+    except np.linalg.LinAlgError:
+        return np.full(2, math.pi)
+    return np.minimum(compliance @ torque_Nm, math.pi)
 
 
 def _reach(stiffness: Array, backward: Complex, moments: Array, torque_Nm: Array) -> Array:
