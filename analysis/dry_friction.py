@@ -46,7 +46,8 @@ class DryFriction:
         """What parameters.toml keeps of it; None where no test has shown any."""
         kept: Mapping[str, Any] | None = identified.provenance.get("friction")
         if kept:
-            return cls(np.array([float(kept["values"][n]) for n in NAMES]), np.array(kept["covariance"], np.float64))
+            values = np.array([float(kept["values"][n]) for n in NAMES])
+            return cls(values, np.array(kept["covariance"], np.float64)) if np.any(values > 0) else None
         tests: list[Mapping[str, Any]] = identified.provenance.get("tests", [])
         found = [test for test in tests if test.get("friction")]
         if not found:

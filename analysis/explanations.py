@@ -134,8 +134,12 @@ def explanations(differences: Differences, found: Sequence[Cause], again: Again 
     alone = [_fitted(differences, (c,), limit) for c in found]
     singles = sorted((e for e in alone if e.possible), key=lambda e: e.score)
     if again is not None:
-        followed = [_followed(differences, e, again, limit) for e in singles[:_FOLLOWED]]
-        singles = sorted([*followed, *singles[_FOLLOWED:]], key=lambda e: e.score)
+        # friction changes what may be left of the points, too, so where releases show it it is always tried
+        singles = [
+            _followed(differences, e, again, limit) if k < _FOLLOWED or e.causes[0].one_sided else e
+            for k, e in enumerate(singles)
+        ]
+        singles.sort(key=lambda e: e.score)
     pairs: list[Explanation] = []
     if singles and not singles[0].explained:
         pairs = [

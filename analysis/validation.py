@@ -170,11 +170,24 @@ def validate_point(
     except NotEnoughData as error:
         return PointResult(name, expected, "not settled", None, None, {}, "not enough data", f"{error}", run.source)
     prediction, trouble = _predict(rig, identified, measured, axis_angle_deg)
-    if measured.state == "not settled" and prediction is not None and prediction.held is not None:
-        measured = measure(run, rig, float(np.max(prediction.held.outer_rad)))
+    if prediction is not None and prediction.held is not None:
+        measured = _held(run, rig, measured, prediction)
     scores = scores_of(measured, prediction, rig) if prediction and measured.state in ("I", "II", "III") else {}
     verdict, why = _judge(measured, prediction, trouble, expected, scores)
     return PointResult(name, expected, measured.state, measured, prediction, scores, verdict, why, run.source)
+
+
+def _held(run: Run, rig: Rig, measured: SteadyMeasurement, prediction: Prediction) -> SteadyMeasurement:
+    """The measurement of pendulums that known dry friction holds, or lets creep, beside the predicted angles."""
+    held = prediction.held
+    if held is None or not np.any(held.half_width_rad > 0):
+        return measured
+    if measured.state == "not settled":
+        measured = measure(run, rig, float(np.max(held.outer_rad)))
+    off = np.array([theta.value for theta in measured.theta_rad]) - prediction.values[:2]
+    inside = bool(np.all(np.abs((off + math.pi) % (2 * math.pi) - math.pi) <= held.outer_rad))
+    settled = measured.state not in ("not settled", "slipping")
+    return replace(measured, state=prediction.state.type) if inside and settled else measured
 
 
 def _predict(
@@ -205,7 +218,7 @@ def _judge(
         a, b = np.degrees(measured.locked_rad)
         return "not locked", (f"before release the pendulums stood at {a:.1f}° and {b:.1f}°, not locked at 0° and 180°")
     if measured.state == "not settled":
-        dry = prediction is not None and prediction.held is not None and measured.settling.approaching
+        dry = prediction is not None and prediction.held is not None
         rubs = "; the dry friction that was identified makes the approach a creep" if dry else ""
         return "not settled", measured.settling.why + rubs
     if prediction is None:

@@ -341,8 +341,10 @@ def _kept_friction(work: _Work) -> dict[str, Any]:
     if whole is not None and Friction.sure(whole) is not None:
         values, covariance = whole.values[FRICTION], whole.covariance[FRICTION, FRICTION]
     else:
-        values = np.array(found.torque_Nm + found.contact_kg_m2)
-        covariance = np.diag(np.square(found.torque_std_Nm + found.contact_std_kg_m2))
+        # on a rotor at rest the air's drag looks like contact friction, and says nothing of a turning one
+        turned = 1.0 if found.speed_rad_s > 0 else 0.0
+        values = np.r_[found.torque_Nm, turned * np.array(found.contact_kg_m2)]
+        covariance = np.diag(np.square(np.r_[found.torque_std_Nm, turned * np.array(found.contact_std_kg_m2)]))
     return {
         "friction": {
             "values": dict(zip(FRICTION_NAMES, values.tolist(), strict=True)),
