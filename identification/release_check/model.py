@@ -178,7 +178,7 @@ def _with_torque(found: Condensed, fitted: Fitted) -> Condensed:
     own = np.eye(count + 2)
     own[:count, :count] = found.own
     slopes = {name: np.r_[slope, 0.0, 0.0] for name, slope in found.slopes.items()}
-    slopes |= {name: np.r_[np.zeros(count), -(np.arange(2) == i) / std] for i, name in enumerate(FRICTION)}
+    slopes |= {name: np.r_[np.zeros(count), -np.eye(2)[i] / std] for i, name in enumerate(FRICTION)}
     return Condensed(np.r_[found.values, torque / std], own, slopes, found.misfit, True)
 
 
