@@ -7,6 +7,7 @@ everything open, from what was identified on, so that the rows hold also where t
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -202,24 +203,35 @@ class _Case:
         )  # fmt: skip
 
     def _fitted(self, release: Release) -> Fitted:
-        """The release with everything open: from near what was identified, from far, with other pendulums.
+        """The release with everything open: from near what was identified, from far, with what a rig may have beside.
+
+        That is other pendulums or dry friction, whichever leaves less.
 
         Raises:
             FitFailed: the model does not follow the angles.
         """
         last: FitFailed | None = None
-        for wide, numbers in ((_WIDE, False), (math.inf, False), (_WIDE, True)):
+        for wide in (_WIDE, math.inf):
             try:
-                return self._opened(release, self._std(wide), numbers)
+                return self._opened(release, self._std(wide), False)
             except FitFailed as error:
                 last = last or error
+        found = self._beside(release)
+        if not found:
+            assert last is not None
+            raise last
+        return min(found, key=lambda fitted: fitted.minimum.cost)
+
+    def _beside(self, release: Release) -> list[Fitted]:
+        """A release that the identified model does not follow, with other pendulums and with dry friction."""
+        found = list[Fitted]()
+        with contextlib.suppress(FitFailed):
+            found.append(self._opened(release, self._std(_WIDE), True))
         for share in () if self._known_friction else _FRICTION_SHARES:
-            try:
-                return self._opened(release, self._std(_WIDE), False, share)
-            except FitFailed:
-                continue
-        assert last is not None
-        raise last
+            with contextlib.suppress(FitFailed):
+                found.append(self._opened(release, self._std(_WIDE), False, share))
+                break
+        return found
 
     def _opened(
         self, release: Release, std: Mapping[str, float], numbers: bool, rubbing: float | None = None
