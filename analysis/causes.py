@@ -9,6 +9,7 @@ angle, a laser's gain or the axis angle.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from analysis.differences import Differences
 from analysis.prediction import AXIS_ANGLE
 from analysis.run_out import SLOW_ROLL
 from rig_configs import IdentifiedParameters, Rig
-from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
+from rig_configs.known import CONTACT_FRICTION, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
 
 Array = NDArray[np.float64]
 
@@ -46,8 +47,14 @@ _SETTLES = {
     "c": "another spin-down", "SP": "another run-up", "rotor": "weigh the rotor", "imbalance": "weigh the imbalance",
     "pendulums": "weigh and measure the pendulum", "encoders": "set the zero again at the lock",
     "phase": "set the index angle again by a slow roll", "gain": "calibrate the laser and its lever",
-    AXIS_ANGLE: "another ring-down in both directions",
+    AXIS_ANGLE: "another ring-down in both directions", "friction": "another spin-down, and clean bearings",
 }  # fmt: skip
+
+
+BOTH: Mapping[tuple[str, str], str] = {FRICTION: "friction.both_Nm", CONTACT_FRICTION: "friction.both_kg_m2"}
+_USUAL_SPEED2 = 1e4  # (rad/s)²
+_FLICK_RAD_S, _USUAL_SHARE = 12.0, 1e-2
+"""Speed of a flicked pendulum: friction is shown as a share of the largest viscous torque, and is usually so much."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,7 @@ class Cause:
         direction: change of the differences when the truth is one unit above what was taken, shape (m,).
         unit, factor: how its size is shown: "%", "°" or a unit, and what it is multiplied with.
         settles: the test or measurement that would show it.
+        one_sided: whether its size cannot be below 0.
     """
 
     name: str
@@ -72,11 +80,14 @@ class Cause:
     unit: str
     factor: float
     settles: str
+    one_sided: bool = False
 
     def sized(self, size: float, std: float) -> str:
         """In words, of a size and its standard uncertainty in the cause's unit."""
         shown, spread = abs(size) * self.factor, std * self.factor
         digits = max(0, min(6, 1 - math.floor(math.log10(spread)))) if spread > 0 else 3
+        if self.one_sided:
+            return f"{self.words} of {shown:.{digits}f} ± {spread:.{digits}f} {self.unit}"
         side = "above" if size > 0 else "below"
         against = "what the rig file says" if self.name in _NUMBER_WORDS else "what was taken"
         return f"{self.words} {shown:.{digits}f} ± {spread:.{digits}f} {self.unit} {side} {against}"
@@ -102,6 +113,7 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
             moved = differences.by_number[name] + own @ identified.by_number.get(name, np.zeros(len(identified.values)))
             deviation = known.std(name) or NOMINAL_SHARE * value
             found.append(_share(name, _NUMBER_WORDS[name], value, deviation, -moved))
+    found += _frictions(differences, identified)
     for name in (ZERO_A, ZERO_B, INDEX):
         shift, deviation = differences.shared.get(known_label(name)), known.std(name)
         if shift is not None and deviation > 0:
@@ -120,6 +132,36 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
         deviation = math.radians(angle[1])
         found.append(_angle(AXIS_ANGLE, "the axis angle", deviation, -differences.shared[AXIS_ANGLE] / deviation))
     return tuple(found)
+
+
+def _frictions(differences: Differences, identified: IdentifiedParameters) -> list[Cause]:
+    """Dry friction of A, of B and of both alike, the same at any speed or with the contact force, taken as 0."""
+    viscous = [_FLICK_RAD_S * identified.values.get(name, 0.0) for name in ("c3_Nms_per_rad", "c4_Nms_per_rad")]
+    found, by = list[Cause](), differences.by_number
+    if not all(name in by for name in (*FRICTION, *CONTACT_FRICTION)) or min(viscous) <= 0:
+        return found
+    usual = _USUAL_SHARE * 0.5 * sum(viscous)
+    for names, unit, factor, words, std in (
+        (FRICTION, f"% of c3 · {_FLICK_RAD_S:g} rad/s", 100 / viscous[0], "dry friction", usual),
+        (CONTACT_FRICTION, "g mm²", 1e9, "dry friction with the contact force", usual / _USUAL_SPEED2),
+    ):
+        whose = {names[0]: "pendulum A", names[1]: "pendulum B", BOTH[names]: "both pendulums alike"}
+        for name, of in whose.items():
+            direction = -(by[name] if name in by else by[names[0]] + by[names[1]])
+            found.append(Cause(
+                name, f"{words} of {of}", 0.0, std, direction, unit, factor, _settles(name), one_sided=True
+            ))  # fmt: skip
+    return found
+
+
+def friction_of(name: str, size: float) -> dict[str, float]:
+    """The frictions that a cause stands for, by their names in FRICTION and CONTACT_FRICTION; empty for another."""
+    for names, both in BOTH.items():
+        if name == both:
+            return dict.fromkeys(names, size)
+        if name in names:
+            return {name: size}
+    return {}
 
 
 def _share(name: str, words: str, value: float, std: float, direction: Array) -> Cause:

@@ -275,12 +275,21 @@ class _Part:
         x, y = measured.x_m, measured.y_m
         values = pick @ off + np.array([0.0, 0.0, x.real, x.imag, y.real, y.imag])
         own = measured.to_come.covariance + pick @ predicted.own @ pick.T
+        own[2:, 2:] += np.diag(np.repeat(held_variance(predicted), 2))
         return cls(
             _NOISE_ROWS, values, own, -pick @ predicted.by_parameter,
             {n: -pick @ v for n, v in predicted.by_number.items()},
             {n: pick @ v for n, v in shared.items()},
             by_slow_roll=by_slow_roll(measured, predicted),
         )  # fmt: skip
+
+
+def held_variance(predicted: Prediction) -> Array:
+    """Variance of the real or the imaginary part of x and y in sensor axes where dry friction leaves a vibration, m².
+
+    Which axis it is on does not matter where the whirl is turned by the small angle between springs and sensors.
+    """
+    return np.zeros(2) if predicted.held is None else predicted.held.whirl_variance_m2
 
 
 def measured_values(measured: SteadyMeasurement) -> Array:

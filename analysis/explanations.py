@@ -53,6 +53,11 @@ class Explanation:
     score: float
     explained: bool
 
+    @property
+    def possible(self) -> bool:
+        """Whether no cause that cannot be below 0 is."""
+        return all(size > 0 or not cause.one_sided for cause, size in zip(self.causes, self.sizes, strict=True))
+
     def sentence(self, before: float) -> str:
         """In words, with χ² before and after."""
         parts = [c.sized(size, std) for c, size, std in zip(self.causes, self.sizes, self.stds, strict=True)]
@@ -131,10 +136,15 @@ def explanations(
     """
     chi2, dof = differences.chi2, len(differences.values)
     limit = _left_by_chance(dof)
-    singles = sorted((_fitted(differences, (c,), limit) for c in found), key=lambda e: e.score)
+    alone = [_fitted(differences, (c,), limit) for c in found]
+    singles = sorted((e for e in alone if e.possible), key=lambda e: e.score)
     if again is not None:
-        followed = [_followed(differences, e, again, limit) for e in singles[:_FOLLOWED]]
-        singles = sorted([*followed, *singles[_FOLLOWED:]], key=lambda e: e.score)
+        # friction changes what may be left of the points, too, so where releases show it it is always tried
+        singles = [
+            _followed(differences, e, again, limit) if k < _FOLLOWED or e.causes[0].one_sided else e
+            for k, e in enumerate(singles)
+        ]
+        singles.sort(key=lambda e: e.score)
     pairs: list[Explanation] = []
     if singles and not singles[0].explained:
         pairs = [
@@ -144,7 +154,7 @@ def explanations(
             for kind in ("run-out", "bow"):
                 pairs = _with_vector(differences, kind, found, pairs, turned, limit)
         pairs.sort(key=lambda e: e.score)
-        pairs = [e for e in pairs if e.chi2 < singles[0].chi2 - _WORTH_A_SECOND]
+        pairs = [e for e in pairs if e.possible and e.chi2 < singles[0].chi2 - _WORTH_A_SECOND]
     return Explanations(chi2, dof, tuple(singles), tuple(pairs[:_SHOWN]))
 
 

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from analysis.agreement import Agreement, agreement
-from analysis.causes import Cause, causes
+from analysis.causes import Cause, causes, friction_of
 from analysis.differences import Compared, Differences, Rows, differences
+from analysis.dry_friction import NAMES
 from analysis.errors import NoStableState
 from analysis.explanations import Explanations, explanations
 from analysis.noticed import Noticed, noticed
@@ -18,7 +20,7 @@ from analysis.prediction import predict_point
 from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.errors import RigConfigError
-from rig_configs.known import PHYSICAL
+from rig_configs.known import CONTACT_FRICTION, FRICTION, PHYSICAL
 from rig_configs.slow_roll import SlowRoll
 
 
@@ -65,6 +67,12 @@ def overall(
     return Overall(whole, None if whole.passed else case.explained(), noticed(found, suspects), case)
 
 
+def _as_kept(friction: Mapping[str, float]) -> dict[str, Any]:
+    """Friction that is tried, as an identification keeps what it has found."""
+    values = [max(0.0, friction.get(name, 0.0)) for name in (*FRICTION, *CONTACT_FRICTION)]
+    return {"values": dict(zip(NAMES, values, strict=True)), "covariance": np.zeros((4, 4)).tolist()}
+
+
 @dataclass(frozen=True)
 class _Case:
     """What a validation rests on, so that a cause can be tried."""
@@ -86,8 +94,12 @@ class _Case:
         """
         rig, values, changed = self.rig, dict(self.identified.values), dict[str, float]()
         try:
+            provenance = self.identified.provenance
             if name in values:
                 values[name] = value
+            elif friction := friction_of(name, value):
+                changed |= friction
+                provenance = {**provenance, "friction": _as_kept(friction)}
             elif name in PHYSICAL:
                 change = value - rig.known.values[name]
                 changed[name] = change
@@ -96,7 +108,7 @@ class _Case:
                 values = {n: v + float(s) * change for (n, v), s in zip(values.items(), slopes, strict=True)}
             else:
                 return None
-            identified = replace(self.identified, values=values)
+            identified = replace(self.identified, values=values, provenance=provenance)
             changed |= {n: v - self.identified.values[n] for n, v in values.items()}
             predicted = [self._predicted(each, rig, identified) for each in self.compared]
             return differences(predicted, rig, identified, self.releases, changed)

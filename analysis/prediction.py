@@ -11,17 +11,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.dry_friction import DryFriction, seen_shift, seen_slopes
 from analysis.errors import NoStableState
 from analysis.run_out import shown_run_out, slow_roll_errors, with_run_out
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
+from dynamics.steady.held_band import HeldBand
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import Known, physical_numbers, with_number
 
@@ -60,6 +62,8 @@ class Prediction:
         by_bow: derivatives of `values` by real and imaginary part of a bow, shape (5, 2), and those of the real and
             imaginary parts of the complex order-1 amplitudes of x and y, shape (4, 2).
         orbit: complex order-1 amplitudes that x and y show, x = Re(x e^{iψ}), y the same; run-out included.
+        held: where dry friction may hold the pendulums about the state's angles; None where none is known of.
+        by_friction: covariance of `values` from that, or from how far friction has moved them, part of `own`, (5, 5).
     """
 
     state: SteadyState
@@ -73,11 +77,13 @@ class Prediction:
     numerical: Array
     by_bow: tuple[Array, Array]
     orbit: tuple[complex, complex]
+    held: HeldBand | None = None
+    by_friction: Array = field(default_factory=lambda: np.zeros((5, 5)))
 
     @property
     def at_rest(self) -> bool:
         """Whether the sensors show nothing: a balanced state of a straight shaft without run-out."""
-        return self.state.type == "I" and float(self.values[4]) < _AT_REST_M
+        return self.state.type == "I" and abs(self.orbit[0]) + abs(self.orbit[1]) < _AT_REST_M
 
     @property
     def std(self) -> np.ndarray:
@@ -122,7 +128,9 @@ def predict_point(
     bow = np.stack([slopes.pop(name) for name in BOW], axis=-1)
     by_bow = bow[:5]
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
-    own = np.outer(by_speed, by_speed) * speed_std_rad_s**2
+    held, shift, by_friction = _dry(identified, physics, state, speed_rad_s, beta)
+    values = values + shift
+    own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + by_friction
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
     for label, shift in slow_roll_errors(rig, identified.slow_roll, shown, by_bow).items():
         shared[label] = shared.get(label, np.zeros(5)) + shift
@@ -130,8 +138,29 @@ def predict_point(
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
     return Prediction(
         state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical, (by_bow, bow[5:]),
-        (complex(*shown[5:7]), complex(*shown[7:])),
+        (complex(*shown[5:7]), complex(*shown[7:])), held, by_friction,
     )  # fmt: skip
+
+
+def _dry(
+    identified: IdentifiedParameters, physics: RotorParameters, state: SteadyState, speed: float, beta: float
+) -> tuple[HeldBand | None, Array, Array]:
+    """Where dry friction may hold the pendulums, how it moves the values (5,), and the covariance of both (5, 5)."""
+    friction = DryFriction.of(identified)
+    if friction is None:
+        return None, np.zeros(5), np.zeros((5, 5))
+    held = friction.band(physics, speed, (float(state.theta_rad[0]), float(state.theta_rad[1])))
+    orbit = np.array([state.x_m, -1j * state.y_m])
+    if np.any(held.half_width_rad > 0):
+        by = seen_slopes(held, orbit, beta)
+        return held, np.zeros(5), by @ held.covariance @ by.T
+
+    def motion(start: Array, times: Array) -> Array:
+        return _motion(physics, speed, start, times)
+
+    moved, share = friction.shift(physics, speed, np.asarray(state.start, np.float64), motion)
+    shift = seen_shift(moved, orbit, beta)
+    return held, shift, share**2 * np.outer(shift, shift)
 
 
 def _shared(

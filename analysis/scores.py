@@ -17,7 +17,7 @@ from typing import Any
 
 from scipy.special import ndtri_exp
 
-from analysis.differences import measured_shifts
+from analysis.differences import held_variance, measured_shifts
 from analysis.prediction import QUANTITIES, Prediction
 from analysis.steady_state import SteadyMeasurement
 from rig_configs import Rig
@@ -120,13 +120,14 @@ def scores_of(measured: SteadyMeasurement, prediction: Prediction, rig: Rig) -> 
             error / u, value, values[name].std, model, float(std[j]), error=error, u_numerical=numerical, u_validation=u
         )
     if prediction.at_rest:
-        scores |= _noise_scores(measured)
+        scores |= _noise_scores(measured, prediction)
     return scores
 
 
-def _noise_scores(measured: SteadyMeasurement) -> dict[str, Score]:
-    """Of amplitudes where none is predicted: held against noise and what was still to come."""
-    noise_x, noise_y = measured.noise_x_m, measured.noise_y_m
+def _noise_scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[str, Score]:
+    """Of amplitudes where none is predicted: held against noise, what was still to come and what friction leaves."""
+    left_x, left_y = held_variance(prediction).tolist()
+    noise_x, noise_y = math.hypot(measured.noise_x_m, left_x**0.5), math.hypot(measured.noise_y_m, left_y**0.5)
     x, y = abs(measured.x_m), abs(measured.y_m)
     rms = measured.amplitude_m
     looks = {

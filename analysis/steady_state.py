@@ -56,6 +56,7 @@ class SteadyMeasurement:
         to_come: how far the means of the last seconds were continued to their limits.
         own: joint covariance of (θ3, θ4, x amplitude, y amplitude, rms amplitude) from statistics, quantisation and
             what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
+        creeps: whether it is compared although it was not settled: dry friction lets it creep.
         release_s, from_s, to_s: last release, start and end of the last seconds' mean, s since the run's start.
         remarks: what the lasers show beside the rotor's motion, sentences.
     """
@@ -79,6 +80,7 @@ class SteadyMeasurement:
     from_s: float
     to_s: float
     remarks: tuple[str, ...] = ()
+    creeps: bool = False
 
     @property
     def noise_floor_m(self) -> float:
@@ -86,13 +88,15 @@ class SteadyMeasurement:
         return math.hypot(self.noise_x_m, self.noise_y_m)
 
 
-def measure(run: Run, rig: Rig, bow_m: complex = 0j) -> SteadyMeasurement:
+def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> SteadyMeasurement:
     """The steady state at the end of a point's run.
 
     Args:
         run: a test "point-NAME"; what follows the plateau (the stop) is cut off by the marks' spacing.
         rig: for the first mass moments, the lasers' gain and the encoders' zero uncertainty.
         bow_m: of the shaft in the rotor's frame: the pendulums balance it as well.
+        creep_rad: within which dry friction makes of an approach a creep that ends late. Where no more than that is
+            still to come, the point is taken as it stands, with what is to come, over √3, in its uncertainty.
     Raises:
         NotEnoughData: no release, too short a record after it, or a signal that is missing there.
     """
@@ -110,6 +114,10 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j) -> SteadyMeasurement:
     stds = np.hypot([*theta_std, x_std, x_std, y_std, y_std], [drift_rad] * 2 + [drift_m] * 4)
     means = np.array([*theta, x[0].real, x[0].imag, y[0].real, y[0].imag])
     ends = to_come(run, release, end, means, stds)
+    creeps = not settling.settled and settling.approaching and settling.remaining_rad <= creep_rad
+    if creeps:
+        left = np.r_[np.full(2, settling.remaining_rad), np.full(4, settling.remaining_m)] / math.sqrt(3)
+        ends = replace(ends, covariance=ends.covariance + np.diag(left**2))
     theta = (theta + ends.shift[:2]) % (2 * math.pi)
     x[0] += complex(*ends.shift[2:4])
     y[0] += complex(*ends.shift[4:])
@@ -121,7 +129,7 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j) -> SteadyMeasurement:
     stated = [Interval(float(v), math.hypot(math.sqrt(own[j, j]), common[j])) for j, v in enumerate(values)]
     noise_x, noise_y = (math.sqrt(0.5 * np.trace(ends.covariance[j : j + 2, j : j + 2])) for j in (2, 4))
     return SteadyMeasurement(
-        state=_state(settling, (float(theta[0]), float(theta[1])), rig.physics, bow),
+        state=_state(settling, (float(theta[0]), float(theta[1])), rig.physics, bow, creeps),
         locked=locked,
         locked_rad=locked_rad,
         settling=settling,
@@ -140,6 +148,7 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j) -> SteadyMeasurement:
         from_s=start,
         to_s=end,
         remarks=remarks.sentences,
+        creeps=creeps,
     )
 
 
@@ -301,7 +310,9 @@ def _orders(
     return np.array([track.mean(k)[0] for k in (1, 2, 3)]), track.mean(1)[1]
 
 
-def _state(settling: Settling, theta: tuple[float, float], physics: RotorParameters, bow_kg_m: complex) -> str:
+def _state(
+    settling: Settling, theta: tuple[float, float], physics: RotorParameters, bow_kg_m: complex, creeps: bool
+) -> str:
     if settling.slipping:
         return "slipping"
-    return state_type(theta, physics, bow_kg_m) if settling.settled else "not settled"
+    return state_type(theta, physics, bow_kg_m) if settling.settled or creeps else "not settled"

@@ -9,6 +9,7 @@ Derivation and the choice of the threshold: docs/theory/validation.md.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -152,13 +153,34 @@ def validate_point(
     point = rig.points.get(name)
     expected = point.expected if point else None
     try:
-        measured = measure(run, rig, identified.slow_roll.bow_m if identified.slow_roll else 0j)
+        measured = measure(run, rig, _bow_m(identified))
     except NotEnoughData as error:
         return PointResult(name, expected, "not settled", None, None, {}, "not enough data", f"{error}", run.source)
     prediction, trouble = _predict(rig, identified, measured, axis_angle_deg)
+    if prediction is not None and prediction.held is not None:
+        measured = _held(run, rig, identified, measured, prediction)
     scores = scores_of(measured, prediction, rig) if prediction and measured.state in ("I", "II", "III") else {}
     verdict, why = _judge(measured, prediction, trouble, expected, scores)
     return PointResult(name, expected, measured.state, measured, prediction, scores, verdict, why, run.source)
+
+
+def _bow_m(identified: IdentifiedParameters) -> complex:
+    return identified.slow_roll.bow_m if identified.slow_roll else 0j
+
+
+def _held(
+    run: Run, rig: Rig, identified: IdentifiedParameters, measured: SteadyMeasurement, prediction: Prediction
+) -> SteadyMeasurement:
+    """The measurement of pendulums that known dry friction holds, or lets creep, beside the predicted angles."""
+    held = prediction.held
+    if held is None or not np.any(held.half_width_rad > 0):
+        return measured
+    if measured.state == "not settled":
+        measured = measure(run, rig, _bow_m(identified), float(np.max(held.outer_rad)))
+    off = np.array([theta.value for theta in measured.theta_rad]) - prediction.values[:2]
+    inside = bool(np.all(np.abs((off + math.pi) % (2 * math.pi) - math.pi) <= held.outer_rad))
+    settled = measured.state not in ("not settled", "slipping")
+    return replace(measured, state=prediction.state.type) if inside and settled else measured
 
 
 def _predict(
@@ -189,7 +211,9 @@ def _judge(
         a, b = np.degrees(measured.locked_rad)
         return "not locked", (f"before release the pendulums stood at {a:.1f}° and {b:.1f}°, not locked at 0° and 180°")
     if measured.state == "not settled":
-        return "not settled", measured.settling.why
+        dry = prediction is not None and prediction.held is not None
+        rubs = "; the dry friction that was identified makes the approach a creep" if dry else ""
+        return "not settled", measured.settling.why + rubs
     if prediction is None:
         return "fail", f"measured state {measured.state}, but {trouble}"
     return _compare(measured, prediction, expected, scores)
@@ -214,6 +238,9 @@ def _compare(
 
 
 def _moved_on(measured: SteadyMeasurement) -> str:
-    """How much was extrapolated, where it matters."""
+    """How much was extrapolated, where it matters, and that friction lets it creep."""
+    if measured.creeps:
+        left = math.degrees(measured.settling.remaining_rad)
+        return f"; held and shaken loose by dry friction it creeps, by up to {left:.2g}° more"
     moved = measured.to_come.sentence
     return f"; {moved}" if moved else ""

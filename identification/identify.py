@@ -17,11 +17,12 @@ from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine, joint_estimate
 from identification.joint.provenance import with_tests
-from identification.joint.shared_friction import told, with_shared_friction
+from identification.joint.shared_friction import told, with_shared_friction, without_known
 from identification.methods import advice, passed_over, runs_for, taken, turns
 from identification.mounting import as_mounted
-from identification.pendulums.friction import Friction
-from identification.pendulums.open_friction import pooled
+from identification.pendulums.friction import FRICTION_NAMES, Friction
+from identification.pendulums.open_friction import FRICTION, OpenFriction, pooled
+from identification.pendulums.open_numbers import PENDULUMS
 from identification.pendulums.release import ReleaseLeftOut, fit_release
 from identification.pendulums.release_search import Effort
 from identification.pendulums.spin_down_run import damping_estimate, fit_spin_down_run
@@ -107,7 +108,8 @@ class _Work:
 
     def knowledge(self) -> Knowledge:
         """The rig file with what the tests so far have found laid over it."""
-        known = replace(Knowledge.nominal(self.rig.physics), friction=self._friction())
+        stated = {n: std for n in PENDULUMS if (std := self.rig.known.std(n)) > 0}
+        known = replace(Knowledge.nominal(self.rig.physics), friction=self.friction(), number_std=stated)
         if (roll := self.slow_roll()[0]) is not None and roll.bow_m:
             known = replace(known, physics=replace(known.physics, bow_x_m=roll.bow_m.real, bow_y_m=roll.bow_m.imag))
         if not self.estimates:
@@ -128,11 +130,19 @@ class _Work:
         ]
         return slow_roll_of_all([one for one in found if one is not None])
 
-    def _friction(self) -> Friction | None:
+    def open_friction(self) -> OpenFriction | None:
+        """By all transients so far, with the known numbers' uncertainty in it; None with fewer than two."""
+        fits = [f.fit for f in self.fits if isinstance(f.fit, TransientFit) and f.fit.open_friction is not None]
+        sources, zero_std = self.rig.known.sources, math.radians(self.rig.roles.zero_std_deg)
+        if len(fits) < 2:
+            return None
+        return pooled([without_known(fit, zero_std) for fit in fits], sources).covering(sources)
+
+    def friction(self) -> Friction | None:
         """What all tests so far show of it, where that is sure; else what a release found, or a spin-down."""
         found = [(turns(f.test), f.fit) for f in self.fits if isinstance(f.fit, TransientFit)]
-        opens = [o for _, fit in found if (o := fit.open_friction) is not None]
-        if len(opens) > 1 and (sure := Friction.sure(pooled(opens))) is not None:
+        whole = self.open_friction()
+        if whole is not None and (sure := Friction.sure(whole)) is not None:
             return sure
         at_speed = [fit.friction for release, fit in found if fit.friction is not None and release]
         return at_speed[-1] if at_speed else next((fit.friction for _, fit in found if fit.friction is not None), None)
@@ -252,7 +262,7 @@ def _share_friction(work: _Work) -> None:
     """Each transient's damping with the friction that all of them found; a lone one says what it leaves open."""
     fits = {f.source: f.fit for f in work.fits if isinstance(f.fit, TransientFit)}
     zero_std = math.radians(work.rig.roles.zero_std_deg)
-    work.estimates, shared = with_shared_friction(work.estimates, fits, zero_std)
+    work.estimates, shared = with_shared_friction(work.estimates, fits, zero_std, work.rig.known.sources)
     undecided = [f"{Path(source).name}: {fit.undecided}" for source, fit in fits.items() if fit.undecided]
     work.warnings = [w for w in work.warnings if w not in undecided]
     work.warnings += undecided if shared is None else told(shared)
@@ -334,7 +344,29 @@ def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) ->
     consistency = [
         {"parameter": r.parameter, "test": r.test, "z": r.z, "chi2": r.chi2, "dof": r.dof, "p": r.p} for r in rows
     ]
-    return {"method": "generalised least squares over per-test fits", "tests": tests, "consistency": consistency}
+    facts: dict[str, Any] = {"method": "generalised least squares over per-test fits", "tests": tests}
+    return {**facts, "consistency": consistency, **_kept_friction(work)}
+
+
+def _kept_friction(work: _Work) -> dict[str, Any]:
+    """Dry friction for parameters.toml; nothing where none is found."""
+    found = work.friction()
+    if found is None:
+        return {}
+    whole = work.open_friction()
+    if whole is not None and Friction.sure(whole) is not None:
+        values, covariance = whole.values[FRICTION], whole.covariance[FRICTION, FRICTION]
+    else:
+        # on a rotor at rest the air's drag looks like contact friction, and says nothing of a turning one
+        turned = 1.0 if found.speed_rad_s > 0 else 0.0
+        values = np.r_[found.torque_Nm, turned * np.array(found.contact_kg_m2)]
+        covariance = np.diag(np.square(np.r_[found.torque_std_Nm, turned * np.array(found.contact_std_kg_m2)]))
+    return {
+        "friction": {
+            "values": dict(zip(FRICTION_NAMES, values.tolist(), strict=True)),
+            "covariance": covariance.tolist(),
+        }
+    }
 
 
 def _digests(runs: Sequence[Run], estimates: Sequence[Estimate]) -> dict[str, str]:

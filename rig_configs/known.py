@@ -37,6 +37,10 @@ NUMBERS: Mapping[str, str] = {
 """What no test finds, by its place in the rig file, with its unit. The imbalance's radius is none: S_P is found."""
 MASSES = tuple(name for name, unit in NUMBERS.items() if unit == "kg")
 PHYSICAL = tuple(name for name in NUMBERS if name not in (ZERO_A, ZERO_B, INDEX))
+FRICTION = ("friction.a_Nm", "friction.b_Nm")
+"""Dry friction of A and B at the speed of a release, N m: no number of the rig file, taken as 0 where none is found."""
+CONTACT_FRICTION = ("friction.a_kg_m2", "friction.b_kg_m2")
+"""The same as one that goes with the contact force: torque per square of the speed."""
 LABEL = "known"
 """Begin of the labels under which a source's errors are kept in estimates."""
 

@@ -40,6 +40,7 @@ class Settling:
         drift_m, remaining_m, mean_off_m: the same for the order-1 amplitudes of x and y, m.
         span_s: how far back the windows reach, s.
         more_s: about how much longer it will take until all is settled, s; inf where no end is in sight.
+        approaching: whether nothing but a bounded change still to come speaks against it.
     """
 
     settled: bool
@@ -53,6 +54,7 @@ class Settling:
     mean_off_rad: float = math.nan
     mean_off_m: float = math.nan
     more_s: float = math.inf
+    approaching: bool = False
 
 
 def settled(
@@ -123,6 +125,8 @@ def settled(
         _reason("amplitudes", found.drift_m, whirling, amplitude_limit, 1e6, " µm"),
     ]
     lasting = max(_more(turning, angle_limit), _more(whirling, amplitude_limit))
+    bounded = math.isfinite(found.remaining_rad) and math.isfinite(found.remaining_m)
+    found = replace(found, approaching=bounded and any(reasons[3:]) and not any(reasons[:3]))
     return _said(found, reasons, "angles and amplitudes are steady", math.inf if slip else lasting, bool(slip))
 
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from identification.estimate import FOUND_TOGETHER, Estimate
 from identification.joint.combine import joint_estimate
-from identification.pendulums.known_numbers import knowing_zeros
-from identification.pendulums.open_friction import Together, together
+from identification.pendulums.known_numbers import knowing, zeros_std
+from identification.pendulums.open_friction import OpenFriction, Together, together
 from identification.pendulums.transient import TransientFit
-from rig_configs.known import ZERO_A, ZERO_B
+from rig_configs.known import KnownSource
 
 _ROUNDS = 3  # of leaving out tests that stand apart and taking the friction without them
 _CERTAIN, _BELOW = 4.0, 6.0  # standard deviations from which friction is told of, and that it is less than none
@@ -28,7 +28,10 @@ _NAMES = (("a torque of A", "N m"), ("a torque of B", "N m"), ("contact friction
 
 
 def with_shared_friction(
-    estimates: Sequence[Estimate], fits: Mapping[str, TransientFit], zero_std_rad: float = 0.0
+    estimates: Sequence[Estimate],
+    fits: Mapping[str, TransientFit],
+    zero_std_rad: float = 0.0,
+    sources: Sequence[KnownSource] = (),
 ) -> tuple[list[Estimate], Together | None]:
     """The estimates with the pendulums' friction shared by the tests that show damping.
 
@@ -36,25 +39,24 @@ def with_shared_friction(
         estimates: of all tests.
         fits: the transients among them by source.
         zero_std_rad: of the encoders' zeros, which all tests share; estimates have it by number, not in themselves.
+        sources: of uncertainty in what the rig takes as known; estimates have these by number, too.
     Returns:
         Estimates in the same order, and what they share; a single transient as it stands alone, and None.
     """
     own = [_alone(e, fits[e.source], zero_std_rad) if e.source in fits else e for e in estimates]
-    zeros = {ZERO_A: zero_std_rad, ZERO_B: zero_std_rad}
     at = [i for i, e in enumerate(own) if e.source in fits and _is_open(e, fits[e.source])]
     if len(at) < 2:
         return own, None
-    opens = [o for i in at if (o := fits[own[i].source].open_friction) is not None]
-    opens = [one.knowing(zeros) for one in opens]
+    opens = [without_known(fits[own[i].source], zero_std_rad) for i in at]
     trusted = list(range(len(at)))
-    found, shared = _each(own, at, together(opens))
+    found, shared = _each(own, at, together(opens, None, sources))
     for _ in range(_ROUNDS):
-        bad = joint_estimate(found).left_out
+        bad = joint_estimate([e.with_sources(sources) for e in found]).left_out
         less = [k for k in trusted if at[k] not in bad]
         if len(less) == len(trusted) or not less:
             break
         trusted = less
-        found, shared = _each(own, at, together(opens, trusted))
+        found, shared = _each(own, at, together(opens, trusted, sources))
     return found, shared
 
 
@@ -77,6 +79,12 @@ def told(shared: Together) -> list[str]:
     return (out if parts else []) + (less if below else [])
 
 
+def without_known(fit: TransientFit, zero_std_rad: float) -> OpenFriction:
+    """What a fit with open friction says of it, without what the known numbers that it left open have brought in."""
+    assert fit.open_friction is not None
+    return fit.open_friction.knowing({**zeros_std(zero_std_rad), **fit.number_std})
+
+
 def _each(own: Sequence[Estimate], at: Sequence[int], shared: Together) -> tuple[list[Estimate], Together]:
     found = list(own)
     for k, i in enumerate(at):
@@ -94,7 +102,7 @@ def _alone(estimate: Estimate, fit: TransientFit, zero_std_rad: float) -> Estima
         return estimate
     shared = {label: v for label, v in estimate.shared.items() if not label.startswith(FOUND_TOGETHER)}
     values, by_number = np.array(list(fit.values.values())), fit.slopes
-    own = knowing_zeros(fit.covariance, by_number, zero_std_rad)
+    own = knowing(fit.covariance, by_number, {**zeros_std(zero_std_rad), **fit.number_std})
     return replace(estimate, values=values, covariance=own, shared=shared, by_number=by_number)
 
 

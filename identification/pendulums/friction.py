@@ -17,6 +17,7 @@ from identification.pendulums.open_friction import OpenFriction
 from identification.samples import correlation_inflation
 
 CHANCE = 5e-4  # of friction being taken for real where there is none
+FRICTION_NAMES = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_kg_m2")
 _FEW_DRAWS = 40
 _BEYOND_DOUBT = 3.5  # standard deviations
 
@@ -39,7 +40,11 @@ class Friction:
 
     @classmethod
     def sure(cls, found: OpenFriction) -> Friction | None:
-        """What tests with open friction show beyond doubt; None where that is nothing."""
+        """What tests with open friction show beyond doubt; None where that is nothing.
+
+        Args:
+            found: with the uncertainty of the known numbers in its covariance.
+        """
         values, std = found.values[2:], np.sqrt(np.diag(found.covariance)[2:])
         if not np.any(values > _BEYOND_DOUBT * std):
             return None
@@ -57,9 +62,8 @@ class Friction:
         return {n: std for n, _, std in self._rows() if std > 0}
 
     def _rows(self) -> list[tuple[str, float, float]]:
-        names = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_kg_m2")
         values, std = self.torque_Nm + self.contact_kg_m2, self.torque_std_Nm + self.contact_std_kg_m2
-        return list(zip(names, values, std, strict=True))
+        return list(zip(FRICTION_NAMES, values, std, strict=True))
 
     def torque_at(self, speed_rad_s: float) -> np.ndarray:
         """M + F ω² of A and B on a rotor that turns at a speed, N m, shape (2,), not below 0."""

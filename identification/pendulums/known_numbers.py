@@ -61,20 +61,25 @@ def answer_to(minimum: Minimum, change: Array, wanted: Sequence[int]) -> Array:
     return -(minimum.covariance[list(wanted)] @ (minimum.jacobian.T @ change))
 
 
-def knowing_zeros(covariance: Array, by_number: Mapping[str, Array], zero_std_rad: float) -> Array:
-    """A covariance without what the encoders' zeros have brought into it.
+def knowing(covariance: Array, by_number: Mapping[str, Array], std: Mapping[str, float]) -> Array:
+    """A covariance without what some known numbers have brought into it.
 
     Where friction is bounded from below a fit's covariance may hold less of it than its slopes say; then it stays.
 
     Args:
-        covariance: shape (m, m), with the zeros' part.
+        covariance: shape (m, m), with these numbers' part.
         by_number: derivatives by the known numbers, shape (m,) each.
-        zero_std_rad: of each zero, as the fit took it.
+        std: standard uncertainty of each number whose part it holds, as the fit took it.
     """
     own = covariance.copy()
-    for name in (ZERO_A, ZERO_B):
-        shift = zero_std_rad * by_number.get(name, np.zeros(len(own)))
+    for name, deviation in std.items():
+        shift = deviation * by_number.get(name, np.zeros(len(own)))
         own -= np.outer(shift, shift)
-    std = np.sqrt(np.diag(covariance))
-    sound = float(np.linalg.eigvalsh(own / np.outer(std, std))[0]) > _LEAST_OWN
+    unit = np.sqrt(np.diag(covariance))
+    sound = float(np.linalg.eigvalsh(own / np.outer(unit, unit))[0]) > _LEAST_OWN
     return own if sound else covariance
+
+
+def zeros_std(zero_std_rad: float) -> dict[str, float]:
+    """Standard uncertainty of both encoders' zeros, by number."""
+    return {ZERO_A: zero_std_rad, ZERO_B: zero_std_rad}

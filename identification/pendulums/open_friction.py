@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from identification.errors import FitFailed
+from rig_configs.known import KnownSource
 
 Array = NDArray[np.float64]
 
@@ -95,6 +96,22 @@ class OpenFriction:
             covariance -= np.outer(shift, shift)
         return replace(self, covariance=covariance)
 
+    def covering(self, sources: Sequence[KnownSource]) -> OpenFriction:
+        """The same with the uncertainty of what is taken as known in its covariance."""
+        covariance = self.covariance.copy()
+        for shift in self._shifts(sources):
+            covariance += np.outer(shift, shift)
+        return replace(self, covariance=covariance)
+
+    def _shifts(self, sources: Sequence[KnownSource]) -> Array:
+        """The values' shift for one standard deviation of each source, shape (k, 6)."""
+        parts = [sum((self.slope(n) * step for n, step in s.effects.items()), np.zeros(6)) for s in sources]
+        return np.array(parts).reshape(len(sources), 6)
+
+    def loadings(self, sources: Sequence[KnownSource]) -> Array:
+        """The same in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice), shape (6, k)."""
+        return (self._shifts(sources) / _UNIT).T
+
     def widened(self, log_damping: Array) -> OpenFriction:
         """The same with more covariance of ln c3, ln c4, shape (2, 2)."""
         covariance = self.covariance.copy()
@@ -139,7 +156,7 @@ class Together:
     """What several transients say of the friction that they share.
 
     Attributes:
-        friction, covariance: M_A, M_B, F_A, F_B, shapes (4,), (4, 4).
+        friction, covariance: M_A, M_B, F_A, F_B, shapes (4,), (4, 4), with the known numbers' uncertainty.
         log_damping: ln c3, ln c4 by each test with this friction, shape (2,) each.
         own: their covariances were the friction known, shape (2, 2) each.
         shared: shifts of each test's ln c3, ln c4 for one standard deviation of each independent part of the friction's
@@ -224,36 +241,51 @@ def _profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, 
     return best, reach[0], reach[1]
 
 
-def pooled(tests: Sequence[OpenFriction]) -> OpenFriction:
-    """Damping and friction by several tests, or stretches of one, each by its information."""
-    information = [t.information() for t in tests]
-    whole = inverse(sum(information, np.zeros((6, 6))))
-    pulls = [whole @ i / _UNIT for i in information]
+def pooled(tests: Sequence[OpenFriction], sources: Sequence[KnownSource] = ()) -> OpenFriction:
+    """Damping and friction by several tests, or stretches of one: generalised least squares.
+
+    Args:
+        sources: of uncertainty in what all tests take as known. A test whose answer hangs on a mass weighs less, and
+            what tests disagree in because of a mass is no friction. The covariance is without them, as each test's is.
+    """
+    k = len(sources)
+    whole, rows = np.zeros((6 + k, 6 + k)), list[Array]()
+    whole[6:, 6:] = np.eye(k)
+    for test in tests:  # x = z − loadings · errors + noise
+        design = np.hstack([np.eye(6), -test.loadings(sources)])
+        rows.append(design.T @ test.information())
+        whole += rows[-1] @ design
+    pulls = [(inverse(whole) @ row)[:6] / _UNIT for row in rows]
 
     def joint(each: Sequence[Array]) -> Array:
         return _UNIT * sum((pull @ v for pull, v in zip(pulls, each, strict=True)), np.zeros(6))
 
+    own = sum((pull @ t.covariance @ pull.T for pull, t in zip(pulls, tests, strict=True)), np.zeros((6, 6)))
     return OpenFriction(
-        joint([t.values for t in tests]), whole * np.outer(_UNIT, _UNIT),
+        joint([t.values for t in tests]), own * np.outer(_UNIT, _UNIT),
         {name: joint([t.slope(name) for t in tests]) for name in dict.fromkeys(n for t in tests for n in t.by_number)},
     )  # fmt: skip
 
 
-def together(tests: Sequence[OpenFriction], trusted: Sequence[int] | None = None) -> Together:
+def together(
+    tests: Sequence[OpenFriction], trusted: Sequence[int] | None = None, sources: Sequence[KnownSource] = ()
+) -> Together:
     """All tests' friction as one, and each test's damping with it.
 
     Args:
         trusted: those that say what the friction is; all of them where it is not given.
+        sources: of uncertainty in what all tests take as known.
 
-    Weighted sums of the damping, each test by its own covariance, and the shared parts added, are then exactly the
-    least squares over damping and friction together.
+    Without sources, weighted sums of the damping, each test by its own covariance, and the shared parts added, are
+    then exactly the least squares over damping and friction together.
     """
-    whole = pooled(tests if trusted is None else [tests[i] for i in trusted])
+    whole = pooled(tests if trusted is None else [tests[i] for i in trusted], sources)
     unit = _UNIT[FRICTION]
     spread = whole.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
     sizes, turn = np.linalg.eigh(spread)
     parts = turn * np.sqrt(np.maximum(sizes, 0.0))
-    out = Together(whole.values[FRICTION], whole.covariance[FRICTION, FRICTION], [], [], [], [])
+    total = whole.covering(sources).covariance[FRICTION, FRICTION]
+    out = Together(whole.values[FRICTION], total, [], [], [], [])
     for test in tests:
         log_damping, own = test.given(whole.values[FRICTION])
         out.own.append(own)

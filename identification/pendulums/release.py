@@ -18,7 +18,7 @@ import numpy as np
 from daq.signals.run import Run
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Minimum
-from identification.pendulums.answers import covering
+from identification.pendulums.answers import covering, plausible_answers
 from identification.pendulums.diagnosis import candidates, likely_causes
 from identification.pendulums.free_angles import laid_over
 from identification.pendulums.friction import Evidence, Friction
@@ -83,7 +83,7 @@ def fit_release(
         raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
     horizons, effort, tell = release.horizons(setting), effort or Effort(), tell or (lambda _: None)
     end = horizons[-1]
-    answers, shape, other = _searched(release, horizons, effort, tell)
+    release, answers, shape, other = _searched(release, horizons, effort, tell)
     problem, best = release.problem(shape), answers[0]
     fit = problem.result(best, end, f"release {run.test}", 2, setting, _model_table(release, best, end, shape))
     if max(fit.std[n] / fit.values[n] for n in fit.values) > 0.2:
@@ -96,7 +96,8 @@ def fit_release(
     if found is None:
         raise FitFailed(UNTOLD.format(run.source, "release", "record one at another speed, or clean the bearings"))
     fit = with_open_friction(fit, found, f"release {run.test}")
-    fit = replace(fit, by_number=release.by_number(problem, best, end, shape, (0, 1)))
+    by_number = release.by_number(problem, best, end, shape, (0, 1))
+    fit = replace(fit, by_number=by_number, number_std=release.number_std)
     if not run.phase_absolute:
         return told(fit, answers, knowledge.physics)
     return covering(fit, answers, "from another start", "Another release decides")
@@ -118,17 +119,18 @@ def _not_shown(release: Release, fit: TransientFit, shape: Shape | None) -> str:
 
 def _searched(
     release: Release, horizons: list[float], effort: Effort, tell: Tell
-) -> tuple[list[Minimum], Shape | None, list[str]]:
-    """The answers, the shape of the dry friction in them, and warnings.
+) -> tuple[Release, list[Minimum], Shape | None, list[str]]:
+    """The release as it was followed, the answers, the shape of the dry friction in them, and warnings.
 
     Raises:
         ReleaseLeftOut: there are none.
     """
     known = release.knowledge.friction
     if known is not None:
-        found = _with_friction(release, horizons, _frictional_starts(release, known, horizons), effort, tell)
-        if found is not None:
-            return *found, []
+        with_known = _with_known_friction(release, horizons, known, effort, tell)
+        if with_known is not None:
+            followed, answers, shape = with_known
+            return followed, answers, shape, []
         torque = known.sure_torque_at(release.speed_rad_s)
         if torque.min() > 0:
             a, b = np.degrees(release.moved_rad)
@@ -138,20 +140,81 @@ def _searched(
                 "viscous damping. Clean or replace the bearings, or release at another speed"
             )
     try:
-        answers = _viscous(release, horizons, effort, tell)
-    except NotFollowed as stuck:
-        rescued = _rescued(release, horizons, stuck, effort, tell)
+        release, answers = _followed(release, horizons, effort, tell)
+    except _Stuck as error:
+        rescued = _rescued(error.release, horizons, error.search, effort, tell)
         if rescued is None:
-            raise _left_out(release, stuck) from stuck
-        return *rescued, []
+            raise _left_out(error.release, error.search) from error.search
+        return error.release, *rescued, []
     ask = release.friction_evidence(answers[0], horizons[-1])
     dry, other = _dry_or_else(release, answers[0], horizons[-1], ask)
     if dry and known is None:
         starts = [(release.with_torque(answers[0].theta, np.maximum(ask.step, 0.0)), False)]
         found = _with_friction(release, horizons[-1:], starts, effort, tell)
         if found is not None:
-            return *found, []
-    return answers, None, other
+            return release, *found, []
+    return release, answers, None, other
+
+
+class _Stuck(Exception):
+    """Viscous damping does not follow a release; with what was tried last."""
+
+    def __init__(self, release: Release, search: NotFollowed) -> None:
+        super().__init__(str(search))
+        self.release, self.search = release, search
+
+
+def _followed(release: Release, horizons: list[float], effort: Effort, tell: Tell) -> tuple[Release, list[Minimum]]:
+    """The answers without dry friction, the pendulums' masses and lengths open where they are uncertain.
+
+    The search goes with the numbers as they stand, which costs a fifth, and opens them where it ends: at the whole
+    release, or where the residuals first were more than noise.
+
+    Raises:
+        _Stuck: there are none.
+    """
+    wide = release.opened
+    none = np.zeros(len(wide.number_std))
+    try:
+        answers = _viscous(release, horizons, effort, tell)
+    except NotFollowed as stuck:
+        if not wide.number_std or stuck.doubtful is None:
+            raise _Stuck(release, stuck) from stuck
+        tell("with the pendulums' masses and lengths open")
+        minimum, end = stuck.doubtful
+        search = Search(wide.problem(), [h for h in horizons if h >= end], 1, effort, tell)
+        try:
+            return wide, search.answers([(np.r_[minimum.theta, none], False)], release.run.source)
+        except NotFollowed as still:
+            raise _Stuck(wide, still) from still
+    return _with_numbers(release, answers, None, horizons[-1])
+
+
+def _with_numbers(
+    release: Release, answers: list[Minimum], shape: Shape | None, end_s: float
+) -> tuple[Release, list[Minimum]]:
+    """Answers with the pendulums' masses and lengths open, from where they are; as they are where that fails."""
+    wide = release.opened
+    if not wide.number_std:
+        return release, answers
+    problem, none = wide.problem(shape), np.zeros(len(wide.number_std))
+    opened = [problem.solve(np.r_[answer.theta, none], end_s, _EARLY) for answer in answers]
+    settled = [minimum for minimum in opened if minimum.converged]
+    return (wide, plausible_answers(settled)) if settled else (release, answers)
+
+
+def _with_known_friction(
+    release: Release, horizons: list[float], known: Friction, effort: Effort, tell: Tell
+) -> tuple[Release, list[Minimum], Shape] | None:
+    """The answer from the friction that other tests show; None where none settles."""
+    found = _with_friction(release, horizons, _frictional_starts(release, known, horizons), effort, tell)
+    if found is not None:
+        return *_with_numbers(release, found[0], found[1], horizons[-1]), found[1]
+    wide = release.opened
+    if not wide.number_std:
+        return None
+    found = _with_friction(wide, horizons, _frictional_starts(wide, known, horizons), effort, tell)
+    return None if found is None else (wide, *found)
 
 
 def _frictional_starts(release: Release, known: Friction, horizons: list[float]) -> list[tuple[np.ndarray, bool]]:

@@ -2,13 +2,14 @@
 
 θ = (ln c3, ln c4, θ3, θ4 at release, two encoder zeros, shift of the release's time, the disk's deviation x, y, ẋ, ẏ
 from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P), then with dry friction its torque on A and B at the rotor's
-speed (of both shapes: first one's, then the other's), then what the recorded phase leaves open.
+speed (of both shapes: first one's, then the other's), then what the recorded phase leaves open, then the errors of the
+pendulums' masses and lengths where these are open.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from identification.pendulums.friction import Evidence, Friction, evidence
 from identification.pendulums.known_numbers import answer_to, by_physical_numbers
 from identification.pendulums.locked_start import LockedStart
 from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFriction, TORQUE_STD_Nm
+from identification.pendulums.open_numbers import PENDULUMS, with_open_numbers
 from identification.pendulums.recorded_speed import RecordedSpeed, recorded_speed
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import Readings, TransientProblem
@@ -59,6 +61,7 @@ class Release:
         readings: both encoders from begin_s on.
         locked_rad: their mean readings before, shape (2,).
         zero_std_rad: of the encoders' zeros.
+        number_std: known number that is open → its standard uncertainty.
     """
 
     run: Run
@@ -70,6 +73,7 @@ class Release:
     readings: tuple[Readings, Readings]
     locked_rad: np.ndarray
     zero_std_rad: float
+    number_std: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @classmethod
     def of(cls, run: Run, knowledge: Knowledge, zero_std_rad: float, setting: Setting) -> Release:
@@ -134,7 +138,13 @@ class Release:
             return self.angles(theta, problem.cut(end_s), phase, shape)
 
         problem = TransientProblem(self.readings, with_phase(predict, start[:2], modes, turn), prior, std)
-        return problem
+        if not self.number_std:
+            return problem
+
+        def made(knowledge: Knowledge) -> TransientProblem:
+            return replace(self, knowledge=knowledge, number_std={}).problem(shape)
+
+        return with_open_numbers(problem, self.knowledge, self.number_std, SUSPENSION, made)
 
     def angles(
         self, theta: np.ndarray, cut: tuple[Averages, Averages], phase: np.ndarray, shape: Shape | None
@@ -187,13 +197,17 @@ class Release:
 
     def friction_evidence(self, minimum: Minimum, end_s: float) -> Evidence:
         """Whether friction would mend a fit that goes without."""
-        problem, plain = self.problem("torque"), self.problem()
+        plain = self.problem()
+        first, second = plain.cut(end_s)
+        columns, rounding = self.torque_columns(minimum, end_s), plain.rounding(minimum, end_s, 40)
+        return evidence(minimum, columns, rounding, (len(first.time_s), len(second.time_s)))
+
+    def torque_columns(self, minimum: Minimum, end_s: float) -> np.ndarray:
+        """Derivatives of the weighted readings by friction of A and B for a fit without, shape (n, 2), per N m."""
+        problem = self.problem("torque")
         _, slope = problem.predict(self.with_torque(minimum.theta, np.zeros(2)), end_s)
-        cut = problem.cut(end_s)
-        weight = np.concatenate([c.weight for c in cut])
-        columns = slope[:, _BASE : _BASE + 2] * weight[:, None]
-        sizes = (len(cut[0].time_s), len(cut[1].time_s))
-        return evidence(minimum, columns, plain.rounding(minimum, end_s, 40), sizes)
+        weight = np.concatenate([c.weight for c in problem.cut(end_s)])
+        return slope[:, _BASE : _BASE + 2] * weight[:, None]
 
     def open_friction(
         self, shape: Shape | None, minimum: Minimum, end_s: float, setting: Setting
@@ -262,10 +276,11 @@ class Release:
         for name, at in zip((ZERO_A, ZERO_B), (4, 5), strict=True):
             found[name] = minimum.covariance[list(wanted), at] / self._zero_std**2
         if self.run.phase_absolute:
+            there, theta = self.fixed(minimum.theta)
             free = len(self.speed.modes)
-            own, phase = np.split(minimum.theta, [len(minimum.theta) - free])
+            own, phase = np.split(theta, [len(theta) - free])
             cut = problem.cut(end_s)
-            turned, _ = self.angles(own, cut, np.r_[phase, _TURN_RAD], shape)
+            turned, _ = there.angles(own, cut, np.r_[phase, _TURN_RAD], shape)
             n = len(turned)
             measured, weight = (np.concatenate([getattr(c, of) for c in cut]) for of in ("value", "weight"))
             change = np.zeros(len(minimum.residual))
@@ -282,6 +297,26 @@ class Release:
         w2 = self.speed_rad_s**2
         none = (0.0, 0.0)
         return Friction(none, none, (first / w2, second / w2), (std[0] / w2, std[1] / w2), self.speed_rad_s)
+
+    @property
+    def opened(self) -> Release:
+        """The same with the pendulums' masses and lengths open as far as their uncertainties are stated.
+
+        Where the phase has no reference they stay: an unknown angle is searched for as the last of θ.
+        """
+        known = self.knowledge.number_std if self.run.phase_absolute else {}
+        return replace(self, number_std={name: known[name] for name in PENDULUMS if known.get(name)})
+
+    def fixed(self, theta: np.ndarray) -> tuple[Release, np.ndarray]:
+        """The release with the numbers that θ has found in place of open ones, and the rest of θ."""
+        if not self.number_std:
+            return self, theta
+        own, off = np.split(theta.copy(), [len(theta) - len(self.number_std)])
+        moved = self.knowledge
+        for (name, std), share in zip(self.number_std.items(), off.tolist(), strict=True):
+            moved = moved.moved(name, share * std)
+            own[SUSPENSION] += share * std * self.knowledge.by_number.get(name, np.zeros(5))
+        return replace(self, knowledge=moved, number_std={}), own
 
     def horizons(self, setting: Setting) -> list[float]:
         """Last instants: 0.5 s on, then 1.6 times as long each time, up to where both angles have come to rest."""

@@ -23,7 +23,7 @@ from identification.estimate import Estimate
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering, plausible_answers
 from identification.pendulums.friction import Evidence, Friction
-from identification.pendulums.known_numbers import knowing_zeros
+from identification.pendulums.known_numbers import knowing, zeros_std
 from identification.pendulums.open_friction import pooled
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
@@ -185,7 +185,7 @@ def damping_estimate(run: Run, fit: TransientFit, method: str, zero_std_rad: flo
     values = np.array(list(fit.values.values()))
     shared = clock_errors(run, {"angles": values})
     by_number = fit.slopes
-    own = knowing_zeros(fit.covariance, by_number, zero_std_rad)
+    own = knowing(fit.covariance, by_number, {**zeros_std(zero_std_rad), **fit.number_std})
     return Estimate(run.test, run.source, names, values, own, shared, method, by_number)
 
 

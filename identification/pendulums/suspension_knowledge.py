@@ -28,6 +28,7 @@ class Knowledge:
         numbers: physical numbers whose effect on an answer is wanted.
         by_number: number → derivative of the logarithms of k1, k2, ζ1, ζ2, S_P by it, shape (5,), as the tests so far
             have found them with that number.
+        number_std: number → its standard uncertainty, in its unit, of those that a release may leave open.
     """
 
     physics: RotorParameters
@@ -35,6 +36,7 @@ class Knowledge:
     friction: Friction | None = None
     numbers: tuple[str, ...] = ()
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    number_std: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @classmethod
     def nominal(cls, physics: RotorParameters) -> Knowledge:

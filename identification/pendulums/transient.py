@@ -54,6 +54,7 @@ class TransientFit:
             (identification.pendulums.open_friction). None where it was not asked for.
         undecided: a warning that friction too small to be found has widened the intervals; "" where it has not.
         by_number: known number → derivative of ln c3, ln c4 by it, shape (2,).
+        number_std: known number that the fit left open → its standard uncertainty; its part is in the covariance.
     """
 
     values: dict[str, float]
@@ -71,6 +72,7 @@ class TransientFit:
     open_friction: OpenFriction | None = None
     undecided: str = ""
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    number_std: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def std(self) -> dict[str, float]:

@@ -7,6 +7,7 @@ everything open, from what was identified on, so that the rows hold also where t
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -32,7 +33,7 @@ from identification.pendulums.unknown_phase import angles_to_try, race
 from identification.release_check.model import Condensed, Fitted, condensed, fitted_with_numbers, opened
 from identification.release_check.together import agreed, fitted_at
 from identification.threads import on_one_thread
-from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B
+from rig_configs.known import CONTACT_FRICTION, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -45,6 +46,8 @@ _NUMBER_SHARE = 1e-3  # of a number: an error worth seeing
 _EXACT = 1e-7  # std of a logarithm that was set
 _DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 _NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)), **dict.fromkeys(_DAMPING, 2.5)}
+_FLICK_RAD_S, _FRICTION_SHARES = 12.0, (0.003, 0.01, 0.03)  # friction to start from
+_FRICTION_RAD_S = 0.03  # times the damping: friction worth seeing
 _NO_MOTION = 1e3  # standard deviations of a release along which the model has no finite motion
 _NOT_FOLLOWED = "release"  # the one row of such a release
 _THREADS = 2
@@ -64,7 +67,8 @@ class ReleaseRows:
         own: covariance of these errors, shape (m, m).
         by_parameter: derivatives of the values by the identified parameters, shape (m, n).
         parameters: names of these, n of them.
-        by_number: number of the rig file → derivative of the values by it, shape (m,).
+        by_number: number of the rig file, or a pendulum's dry friction that was taken as 0 → derivative of the values
+            by it, shape (m,).
         shared: label → shift of the values for one standard deviation of an error that others share, shape (m,).
         used_for: parameters that this very release has helped to identify: their errors are not independent of its own.
         chi2_per_dof: of the readings with everything open.
@@ -126,7 +130,7 @@ def check_releases(
         fits = case.settled([each for each in first if isinstance(each, Fitted)], pool)
     followed = iter(fits)
     return [
-        each if isinstance(each, ReleaseRows) else case.named(point, run, next(followed))
+        each if isinstance(each, ReleaseRows) else case.named(point, run, next(followed), each.release.speed_rad_s)
         for each, (point, run) in zip(first, released, strict=True)
     ]
 
@@ -171,7 +175,8 @@ class _Case:
         found = [condensed(fitted, assumed, worth) for fitted in fits]
         before, there = dict[str, float](), found
         for _ in range(_PASSES):
-            place = {name: assumed.get(name, 0.0) + off for name, off in agreed(there, worth).items()}
+            shared = {name: size for name, size in worth.items() if name not in FRICTION}
+            place = {name: assumed.get(name, 0.0) + off for name, off in agreed(there, shared).items()}
             if before and all(abs(place[name] - before[name]) < _STANDS * worth[name] for name in place):
                 break
             moved = list(pool.map(fitted_at, fits, repeat(place), [each.misfit for each in found]))
@@ -185,7 +190,8 @@ class _Case:
     @property
     def _assumed(self) -> dict[str, float]:
         """Places of θ that the release is held against."""
-        return {name: math.log(value) for name, value in self.identified.values.items()} | {ZERO_A: 0.0, ZERO_B: 0.0}
+        found = {name: math.log(value) for name, value in self.identified.values.items()} | {ZERO_A: 0.0, ZERO_B: 0.0}
+        return found if self._known_friction else found | dict.fromkeys(FRICTION, 0.0)
 
     @property
     def _bow_errors(self) -> dict[str, Array]:
@@ -196,12 +202,15 @@ class _Case:
         errors = roll.errors(self.rig.roles.gain_stds, self.rig.known)
         return {label: shift[4:] for label, shift in errors.items()}
 
-    def named(self, point: str, run: Run, found: Condensed) -> ReleaseRows:
+    def named(self, point: str, run: Run, found: Condensed, speed_rad_s: float) -> ReleaseRows:
         """Rows of what one release says."""
         values = self.identified.values
         columns = [found.slopes[name] / value for name, value in values.items()]
         by = np.column_stack(columns) if columns else np.empty((len(found.values), 0))
-        by_number = {name: found.slopes[name] for name in PHYSICAL if name in found.slopes}
+        by_number = {name: found.slopes[name] for name in (*PHYSICAL, *FRICTION) if name in found.slopes}
+        for name, contact in zip(FRICTION, CONTACT_FRICTION, strict=True):
+            if name in by_number:
+                by_number[contact] = by_number[name] * speed_rad_s**2
         shared = {label: by @ shift for label, shift in self.identified.shared_with(self.rig.known).items()}
         for source in self.rig.known.sources:
             parts = [found.slopes[name] * step for name, step in source.effects.items() if name in found.slopes]
@@ -217,27 +226,51 @@ class _Case:
         return ReleaseRows(
             point, tuple(f"release {i + 1}" for i in range(count)), found.values, found.own, by, tuple(values),
             by_number, shared, _used_for(run, self.identified), found.misfit.chi2_per_dof,
-            f"followed; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
+            f"followed{_rubbing(found)}; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
             {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)},
         )  # fmt: skip
 
     def _fitted(self, release: Release) -> Fitted:
-        """The release with everything open: from near what was identified, from far, with other pendulums.
+        """The release with everything open: from near what was identified, from far, with what a rig may have beside.
+
+        That is other pendulums or dry friction, whichever leaves less.
 
         Raises:
             FitFailed: the model does not follow the angles.
         """
         last: FitFailed | None = None
-        for wide, numbers in ((_WIDE, False), (math.inf, False), (_WIDE, True)):
+        for wide in (_WIDE, math.inf):
             try:
-                return self._opened(release, self._std(wide), numbers)
+                return self._opened(release, self._std(wide), False)
             except FitFailed as error:
                 last = last or error
-        assert last is not None
-        raise last
+        found = self._beside(release)
+        if not found:
+            assert last is not None
+            raise last
+        return min(found, key=lambda fitted: fitted.minimum.cost)
 
-    def _opened(self, release: Release, std: Mapping[str, float], numbers: bool) -> Fitted:
-        shape, torque = self._friction(release)
+    def _beside(self, release: Release) -> list[Fitted]:
+        """A release that the identified model does not follow, with other pendulums and with dry friction."""
+        found = list[Fitted]()
+        with contextlib.suppress(FitFailed):
+            found.append(self._opened(release, self._std(_WIDE), True))
+        for share in () if self._known_friction else _FRICTION_SHARES:
+            with contextlib.suppress(FitFailed):
+                found.append(self._opened(release, self._std(_WIDE), False, share))
+                break
+        return found
+
+    def _opened(
+        self, release: Release, std: Mapping[str, float], numbers: bool, rubbing: float | None = None
+    ) -> Fitted:
+        """One attempt.
+
+        Args:
+            rubbing: share of the largest viscous torque of a flick that dry friction is to start from; None for what
+                was identified of it.
+        """
+        shape, torque = self._friction(release) if rubbing is None else ("torque", rubbing * self._flick_Nm)
         problem = opened(release.problem(shape), std)
         start = problem.prior.copy()
         if shape is not None:
@@ -280,19 +313,41 @@ class _Case:
             found[name] = _ZERO_WIDE * known.std(name)
         errors = np.array([*self._bow_errors.values()]).reshape(-1, 2)
         found |= dict(zip(BOW, (_ZERO_WIDE * np.sqrt(np.sum(errors**2, axis=0))).tolist(), strict=True))
+        for name, damping in zip(FRICTION, _DAMPING, strict=True):
+            found[name] = _FRICTION_RAD_S * self.identified.values.get(damping, 0.0)
         return found
+
+    @property
+    def _known_friction(self) -> Mapping[str, float]:
+        """What the identification found of dry friction; empty where it found none."""
+        kept: list[Any] = self.identified.provenance.get("tests", [])
+        found: list[Mapping[str, float]] = [test["friction"] for test in kept if test.get("friction")]
+        if whole := self.identified.provenance.get("friction"):
+            found.append(whole["values"])
+        return found[-1] if found else {}
+
+    @property
+    def _flick_Nm(self) -> Array:
+        """The largest viscous torques of a flick, shape (2,)."""
+        return _FLICK_RAD_S * np.array([self.identified.values.get(name, 0.0) for name in _DAMPING])
 
     def _friction(self, release: Release) -> tuple[Shape | None, Array]:
         """Dry friction to open, and its torque to start from, where the identification found some."""
-        kept: list[Any] = self.identified.provenance.get("tests", [])
-        found = [test for test in kept if test.get("friction")]
-        if not found:
+        values = self._known_friction
+        if not values:
             return None, np.zeros(2)
-        values: Mapping[str, float] = found[-1]["friction"]
         torque = (values.get("coulomb_a_Nm", 0.0), values.get("coulomb_b_Nm", 0.0))
         contact = (values.get("contact_a_kg_m2", 0.0), values.get("contact_b_kg_m2", 0.0))
         none = (0.0, 0.0)
         return "torque", Friction(torque, none, contact, none).torque_at(release.speed_rad_s)
+
+
+def _rubbing(found: Condensed) -> str:
+    """The dry friction without which a release is not followed, in words; empty where it is."""
+    if not found.rubs:
+        return ""
+    torque = [-found.values[-2 + i] / found.slopes[name][-2 + i] for i, name in enumerate(FRICTION)]
+    return f" only with dry friction, of {torque[0]:.2g} N m (A) and {torque[1]:.2g} N m (B)"
 
 
 def _used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:

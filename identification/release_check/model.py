@@ -20,7 +20,7 @@ from identification.pendulums.release_problem import Release, Shape
 from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
-from rig_configs.known import INDEX, ZERO_A, ZERO_B, physical_numbers
+from rig_configs.known import FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,9 @@ PLACES: Mapping[str, int] = {
 }  # fmt: skip
 """Of what tests share in a release's θ; parameters stand there by their logarithms."""
 
+TORQUES = (16, 17)
+"""Of dry friction in a release's θ, where it has one."""
+_LAW = 0.1  # of a friction's torque: how well any law of it holds
 _DRAWS = 60
 _LEAST = 1.0  # standard deviations of a row for sizes worth seeing
 _STEP, _TURN_RAD = 1e-4, 1e-5  # of a number; of the index angle
@@ -49,12 +52,14 @@ class Condensed:
         slopes: shared unknown → derivative of the values by what is assumed of it, shape (m,): by the logarithm of a
             parameter, by a number in its unit.
         misfit: of the readings with everything open.
+        rubs: whether only dry friction made the release followed; its torques are then the last two rows.
     """
 
     values: Array
     own: Array
     slopes: Mapping[str, Array]
     misfit: Misfit
+    rubs: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class Fitted:
         return sum(len(c.time_s) for c in self.problem.cut(self.end_s))
 
     def number_columns(self) -> dict[str, Array]:
-        """Derivatives of the weighted readings, (n,), by each known number, the index angle and a bow; θ as it is."""
+        """Derivatives of the weighted readings, (n,), by numbers, index angle, bow and dry friction; θ as it is."""
         n, minimum, knowledge = self.readings, self.minimum, self.release.knowledge
         values, found = physical_numbers(knowledge.physics), dict[str, Array]()
         weight = np.concatenate([c.weight for c in self.problem.cut(self.end_s)])
@@ -129,6 +134,8 @@ class Fitted:
             found[name] = change(self.release.laid_over(knowledge.moved(name, _BOW_STEP_M)), 0.0, _BOW_STEP_M)
         if self.release.run.phase_absolute:
             found[INDEX] = change(self.release, _TURN_RAD, _TURN_RAD)
+        if self.shape is None:  # an open torque is the release's own
+            found |= zip(FRICTION, self.release.torque_columns(minimum, self.end_s).T, strict=True)
         return {name: column for name, column in found.items() if np.all(np.isfinite(column))}
 
 
@@ -141,6 +148,7 @@ def condensed(fitted: Fitted, assumed: Mapping[str, float], worth: Mapping[str, 
         worth: size of an error of each shared unknown that is worth seeing, in the unit of its slope.
     """
     minimum, n = fitted.minimum, fitted.readings
+    rubs = fitted.shape is not None and FRICTION[0] in assumed
     places = {name: at for name, at in PLACES.items() if name in assumed}
     shared_at = list(places.values())
     prior_of = np.flatnonzero(np.isfinite(fitted.problem.prior_std))
@@ -164,7 +172,24 @@ def condensed(fitted: Fitted, assumed: Mapping[str, float], worth: Mapping[str, 
     rows = rows[:, sizes > _LEAST]
     slopes = -rows.T @ all_columns
     own, misfit = _own(fitted, rows)
-    return Condensed(-rows.T @ at_assumed, own, dict(zip(names, slopes.T, strict=True)), misfit)
+    found = Condensed(-rows.T @ at_assumed, own, dict(zip(names, slopes.T, strict=True)), misfit)
+    return _with_torque(found, fitted) if rubs else found
+
+
+def _with_torque(found: Condensed, fitted: Fitted) -> Condensed:
+    """Two rows more: the torques of A and B that the release was followed with, held against none.
+
+    A law of friction, M or F φ̇², is no better than a tenth; a release shows its torque to a thousandth of that. The
+    rows of everything else have the torque as the release's own.
+    """
+    at, count = list(TORQUES), len(found.values)
+    torque, std = fitted.minimum.theta[at], np.sqrt(np.diag(fitted.minimum.covariance)[at] * found.misfit.stretch)
+    std = np.hypot(std, _LAW * np.max(np.abs(torque)))
+    own = np.eye(count + 2)
+    own[:count, :count] = found.own
+    slopes = {name: np.r_[slope, 0.0, 0.0] for name, slope in found.slopes.items()}
+    slopes |= {name: np.r_[np.zeros(count), -np.eye(2)[i] / std] for i, name in enumerate(FRICTION)}
+    return Condensed(np.r_[found.values, torque / std], own, slopes, found.misfit, True)
 
 
 def _basis(columns: Array) -> Array:

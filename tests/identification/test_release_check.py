@@ -16,7 +16,7 @@ from dynamics.motions.integrate import locked_state
 from identification.pendulums.frictional_motion import frictional_motion
 from identification.release_check import ReleaseRows, check_releases
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
-from rig_configs.known import ZERO_A, ZERO_B, known_label
+from rig_configs.known import FRICTION, ZERO_A, ZERO_B, known_label
 
 SHARE = {
     "k1_N_per_m": 1e-4, "k2_N_per_m": 1e-4, "zeta1": 2e-3, "zeta2": 2e-3,
@@ -187,6 +187,9 @@ def test_dry_friction_that_an_identification_found_is_in_the_model() -> None:
     assert chi2 < 3 * len(rows.values)
     without = checked(run, campaign.rig, found)
     assert without.values @ np.linalg.solve(covariance(without, found), without.values) > 3 * chi2
+    assert "only with dry friction" in without.sentence
+    shown = -without.values[-2:] / [without.by_number[name][-2 + i] for i, name in enumerate(FRICTION)]
+    assert shown == pytest.approx([torque, torque], rel=0.15)
 
 
 def test_with_nothing_identified_everything_is_left_open(campaign: Campaign, release_d: Run) -> None:

@@ -1,0 +1,114 @@
+# pyright: strict
+"""Dry friction of the pendulums as an identification has found it, and what it leaves open of a steady state.
+
+With friction a pendulum rests anywhere in a band about its frictionless angle. A prediction states the frictionless
+angle; the band is a standard uncertainty of type B of its own, evenly spread over its edge, new at each point: nothing
+is common to where two points come to rest. Pendulums that wobble too much to be held are moved by the friction's mean
+torque instead, which the prediction follows. Source: docs/theory/validation.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import RotorParameters
+from dynamics.steady.held_band import HeldBand, held_band
+from dynamics.steady.sliding_shift import Motion, sliding_shift
+from rig_configs import IdentifiedParameters
+
+Array = NDArray[np.float64]
+
+FIRST_ORDER = 0.1
+"""Relative standard uncertainty of a shift that is worked out to first order in the friction."""
+NAMES = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_kg_m2")
+
+
+@dataclass(frozen=True)
+class DryFriction:
+    """Torque M + F ω² against a pendulum's motion.
+
+    Attributes:
+        values: M_A, M_B (N m), F_A, F_B (kg m²), shape (4,).
+        covariance: shape (4, 4).
+    """
+
+    values: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, identified: IdentifiedParameters) -> DryFriction | None:
+        """What parameters.toml keeps of it; None where no test has shown any."""
+        kept: Mapping[str, Any] | None = identified.provenance.get("friction")
+        if kept:
+            values = np.array([float(kept["values"][n]) for n in NAMES])
+            return cls(values, np.array(kept["covariance"], np.float64)) if np.any(values > 0) else None
+        tests: list[Mapping[str, Any]] = identified.provenance.get("tests", [])
+        found = [test for test in tests if test.get("friction")]
+        if not found:
+            return None
+        values, std = found[-1]["friction"], found[-1].get("friction_std", {})
+        return cls(
+            np.array([float(values.get(n, 0.0)) for n in NAMES]),
+            np.diag([float(std.get(n, 0.0)) ** 2 for n in NAMES]),
+        )
+
+    def torque_at(self, speed_rad_s: float) -> tuple[Array, Array]:
+        """M + F ω² of A and B and its standard uncertainty, N m, shape (2,) each."""
+        design = np.hstack([np.eye(2), speed_rad_s**2 * np.eye(2)])
+        return design @ self.values, np.sqrt(np.diag(design @ self.covariance @ design.T))
+
+    def band(self, physics: RotorParameters, speed_rad_s: float, theta_rad: tuple[float, float]) -> HeldBand:
+        """Where the pendulums may rest; a torque's own uncertainty is in its root mean square."""
+        value, std = self.torque_at(speed_rad_s)
+        return held_band(physics, speed_rad_s, theta_rad, np.hypot(np.maximum(value, 0.0), std))
+
+    def shift(
+        self, physics: RotorParameters, speed_rad_s: float, start: Array, motion: Motion
+    ) -> tuple[NDArray[np.complex128], float]:
+        """How a wobbling state moves: mean θ3, θ4, order-1 amplitudes of x and y; and its relative uncertainty.
+
+        Args:
+            start: of the frictionless state at ψ = 0, shape (8,).
+            motion: integrates.
+        """
+        value, std = self.torque_at(speed_rad_s)
+        torque = np.maximum(value, 0.0)
+        share = float(np.max(std) / np.max(torque)) if np.max(torque) > 0 else 0.0
+        return sliding_shift(physics, speed_rad_s, start, motion, torque), math.hypot(share, FIRST_ORDER)
+
+
+def seen_shift(shift: NDArray[np.complex128], orbit: NDArray[np.complex128], beta_rad: float) -> Array:
+    """A shift of mean angles and orbit as that of θ3, θ4, amplitudes in sensor axes and rms radius, shape (5,).
+
+    Args:
+        shift: θ3, θ4 (rad), X and Y in stiffness axes (m), shape (4,).
+        orbit: X, Y about which it holds, m.
+        beta_rad: from the stiffness to the sensor x axis.
+    """
+    turn = np.array([[math.cos(beta_rad), math.sin(beta_rad)], [-math.sin(beta_rad), math.cos(beta_rad)]])
+    before, after = np.abs(turn @ orbit), np.abs(turn @ (orbit + shift[2:]))
+    radius = math.sqrt(0.5) * (float(np.linalg.norm(after)) - float(np.linalg.norm(before)))
+    return np.r_[np.real(shift[:2]), after - before, radius]
+
+
+def seen_slopes(band: HeldBand, orbit: NDArray[np.complex128], beta_rad: float) -> Array:
+    """Derivatives of θ3, θ4, order-1 amplitudes in sensor axes and rms radius by resting angles, shape (5, 2).
+
+    Args:
+        orbit: X, Y in stiffness axes about which they hold, m; an amplitude that is 0 has none.
+        beta_rad: from the stiffness to the sensor x axis.
+    """
+    turn = np.array([[math.cos(beta_rad), math.sin(beta_rad)], [-math.sin(beta_rad), math.cos(beta_rad)]])
+    seen, by = turn @ orbit, turn @ band.orbit_slopes
+    size, out = np.abs(seen), np.zeros((5, 2))
+    out[:2] = np.eye(2)
+    along = np.real(np.conj(seen)[:, None] * by)
+    out[2:4] = along / np.maximum(size, 1e-300)[:, None]
+    out[4] = along.sum(axis=0) / (2 * max(math.sqrt(0.5 * float(size @ size)), 1e-300))
+    return out

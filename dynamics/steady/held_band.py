@@ -1,0 +1,125 @@
+# pyright: strict
+"""Where pendulums with dry friction come to rest for good, and how the disk's orbit goes with it.
+
+A pendulum at rest on the rotor needs the torque T = S Im(conj(p̈) e^{iφ}) to be held. With the disk's orbit
+q = F e^{iψ} + B e^{−iψ} it has a mean, −ω² S Im(conj(F + R_C) e^{iθ}), and pulsates twice a revolution by ω² S |B|.
+Friction holds for good where mean and pulsation together stay below it for both pendulums; elsewhere the pulsation
+shakes a pendulum loose and it creeps on. About frictionless angles both are linear in the angles. What can be held is
+then a region that lies inside the outer band of dynamics.steady.stick_band and vanishes where the pulsation alone
+exceeds the friction. Source: docs/theory/validation.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.equations.parameters import RotorParameters
+from dynamics.motions.locked_motion import locked_orbit
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_STEP_RAD = 1e-6
+_TURN = np.linspace(0, 2 * math.pi, 1440, endpoint=False)
+_DIRECTIONS: Array = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
+
+
+@dataclass(frozen=True)
+class HeldBand:
+    """Angles at which friction may hold both pendulums, about frictionless ones.
+
+    Attributes:
+        half_width_rad: of A and B, shape (2,): the farthest either may rest; π where nothing draws it back.
+        covariance: of both angles, evenly spread over the region's edge, where a creep ends, rad², shape (2, 2).
+        outer_rad: of A and B, shape (2,): how far the mean torque alone leaves either at rest (stick_band). From there
+            to the region a pendulum creeps, shaken loose twice a revolution.
+        orbit_slopes: ∂(X, Y)/∂(θ3, θ4) of the held orbit x = Re(X e^{iψ}), y = Re(Y e^{iψ}), m/rad, shape (2, 2).
+    """
+
+    half_width_rad: Array
+    covariance: Array
+    outer_rad: Array
+    orbit_slopes: Complex
+
+    @property
+    def whirl_variance_m2(self) -> Array:
+        """Variance of the real or the imaginary part of X and Y, shape (2,), phases taken as equally likely."""
+        spread = self.orbit_slopes @ self.covariance @ np.conj(self.orbit_slopes).T
+        return 0.5 * np.real(np.diag(spread))
+
+
+def held_band(p: RotorParameters, speed: float, theta: tuple[float, float], torque_Nm: Array) -> HeldBand:
+    """Where pendulums may rest about frictionless angles.
+
+    Args:
+        speed: rad/s.
+        theta: θ3, θ4 of a frictionless steady state, rad; means over a revolution where they wobble.
+        torque_Nm: dry friction of A and B at this speed, shape (2,), not negative.
+    Raises:
+        OutsideDomain: exactly in a resonance without damping.
+    """
+    moments = np.array([p.a.first_moment_kg_m, p.b.first_moment_kg_m]) * speed**2
+    here = np.array(theta)
+    ends = [[_orbit(p, speed, here + sign * step) for sign in (1, -1)] for step in _STEP_RAD * np.eye(2)]
+    slopes = np.stack([(up - down) / (2 * _STEP_RAD) for up, down in ends], axis=1)
+    orbit = _orbit(p, speed, here)
+    # conj(F) e^{iθ} by the angles: through F, and for a pendulum's own angle by turning
+    forward, forward_by = orbit[0] + 1j * orbit[1], slopes[0] + 1j * slopes[1]  # twice F
+    shift = 2 * p.pivot_shift_m
+    turn = np.exp(1j * here)
+    stiffness = (
+        -0.5
+        * moments[:, None]
+        * np.imag(np.conj(forward_by)[None, :] * turn[:, None] + np.diag(1j * np.conj(forward + shift) * turn))
+    )
+    backward, backward_by = np.conj(orbit[0] - 1j * orbit[1]) / 2, np.conj(slopes[0] - 1j * slopes[1]) / 2
+    outer = _outer(stiffness, torque_Nm)
+    reach = _reach(stiffness, np.concatenate([[backward], backward_by]), moments, torque_Nm)
+    ends_rad = _DIRECTIONS * reach[:, None]
+    area = float(np.sum(reach**2))
+    if not area > 0:
+        return HeldBand(np.zeros(2), np.zeros((2, 2)), outer, slopes)
+    # of an ellipse's edge twice that of what it holds, ∫ u uᵀ r³ dr dφ over ∫ r dr dφ
+    covariance = np.asarray((ends_rad * reach[:, None]).T @ (ends_rad * reach[:, None]) / area, np.float64)
+    return HeldBand(np.max(np.abs(ends_rad), axis=0), covariance, outer, slopes)
+
+
+def _outer(stiffness: Array, torque_Nm: Array) -> Array:
+    """|K⁻¹| M, at most π; π where nothing draws the pendulums back."""
+    try:
+        compliance = np.abs(np.asarray(np.linalg.inv(stiffness), np.float64))
+    except np.linalg.LinAlgError:
+        return np.full(2, math.pi)
+    return np.minimum(compliance @ torque_Nm, math.pi)
+
+
+def _reach(stiffness: Array, backward: Complex, moments: Array, torque_Nm: Array) -> Array:
+    """How far friction holds both pendulums along each direction of the angles, rad, shape (n,), at most π.
+
+    Along r u it holds while |K u| r + m |B0 + (B1·u) r| ≤ M: a quadratic in r for each pendulum.
+
+    Args:
+        backward: B0 and its derivatives by θ3, θ4, shape (3,).
+        moments: ω² S of A and B, shape (2,).
+    """
+    along, pull = _DIRECTIONS @ backward[1:], np.abs(_DIRECTIONS @ stiffness.T)
+    reach = np.full(len(_DIRECTIONS), math.pi)
+    for k, m, torque in zip(pull.T, moments.tolist(), torque_Nm.tolist(), strict=True):
+        least = abs(backward[0]) ** 2 - (torque / m) ** 2
+        if least >= 0:
+            return np.zeros(len(_DIRECTIONS))
+        square = np.abs(along) ** 2 - (k / m) ** 2
+        half = np.real(np.conj(backward[0]) * along) + k * torque / m**2
+        root = half + np.sqrt(np.maximum(half**2 - square * least, 0.0))
+        reach = np.minimum(reach, np.where(root > 0, -least / np.maximum(root, 1e-300), math.pi))
+    return reach
+
+
+def _orbit(p: RotorParameters, speed: float, theta: Array) -> Complex:
+    """X and Y of the orbit with both pendulums at rest on the rotor, x = Re(X e^{iψ}), y = Re(Y e^{iψ}), m, (2,)."""
+    x, y = locked_orbit(p, speed, float(theta[0]), float(theta[1]))
+    return np.array([x, -1j * y])
