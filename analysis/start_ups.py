@@ -109,7 +109,7 @@ class StartUps:
     """A series of start-ups at one speed.
 
     Attributes:
-        speed_rpm: that was asked for.
+        speed_rpm: that was asked for; 0 where no log states it.
         results: each one's comparison with the model.
         endings: where those ended that settled at a state of the model, the commonest first.
     """
@@ -132,7 +132,8 @@ class StartUps:
     def sentences(self) -> list[str]:
         """What the series came to, the verdict first."""
         counted = ", ".join(f"{number} {verdict}" for verdict, number in self.counts.items())
-        first = f"{len(self.results)} start-ups at {self.speed_rpm:.4g} rpm: {'pass' if self.passed else 'FAIL'}"
+        at = f"{self.speed_rpm:.4g} rpm" if self.speed_rpm else "a speed that no log states"
+        first = f"{len(self.results)} start-ups at {at}: {'pass' if self.passed else 'FAIL'}"
         found = [f"{first} ({counted})"]
         for ending in self.endings:
             found.append(f"{ending.count} ended at {_place(ending)}: {'; '.join(_scattered(ending))}")

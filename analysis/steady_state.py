@@ -154,7 +154,7 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
 
 def locked_radius_m(run: Run) -> float:
     """Rms radius of order 1 with locked pendulums in the seconds before the release; nan where the log has it not."""
-    if not run.releases:
+    if not run.releases or len(run.mark_time_s) < 2:
         return math.nan
     go = min(r.time_s for r in run.releases)
     start, end = go - _LOCKED_S, go - 0.02

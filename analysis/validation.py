@@ -132,17 +132,26 @@ def _start_ups(
     runs: Sequence[Run], rig: Rig, identified: IdentifiedParameters, axis_angle_deg: tuple[float, float] | None
 ) -> list[StartUps]:
     """Repeated start-ups by the speed that was asked for, slowest first."""
-    series: dict[str, list[Run]] = {}
+    series: dict[float, list[Run]] = {}
     for run in sorted((r for r in runs if r.test == START_UPS), key=lambda r: r.start_s):
-        series.setdefault(str(run.metadata.get("speed_rpm", "nan")), []).append(run)
+        series.setdefault(_asked_rpm(run), []).append(run)
     return [
         start_ups(
-            float(speed),
+            speed,
             [validate_point(run, rig, identified, axis_angle_deg) for run in alike],
             [locked_radius_m(run) for run in alike],
         )
-        for speed, alike in sorted(series.items(), key=lambda item: float(item[0]))
+        for speed, alike in sorted(series.items())
     ]
+
+
+def _asked_rpm(run: Run) -> float:
+    """The speed that a start-up's log says was asked for; 0 where it says none, as a recording made elsewhere."""
+    try:
+        speed = float(run.metadata.get("speed_rpm", 0.0))
+    except (TypeError, ValueError):
+        return 0.0
+    return speed if math.isfinite(speed) else 0.0
 
 
 def validate_point(

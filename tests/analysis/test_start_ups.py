@@ -94,3 +94,18 @@ def test_speeds_are_series_of_their_own(rig: Rig, drawn: Drawn, runs: list[Run])
     assert [len(series.results) for series in found.start_ups] == [1, 1]
     assert found.start_ups[0].speed_rpm == 100.0
     assert "one start-up has no scatter" in " ".join(found.start_ups[0].sentences)
+
+
+@pytest.mark.parametrize("stated", ["nan", "fast", None])
+def test_a_cut_log_that_states_no_speed_is_counted_and_ends_nothing(
+    rig: Rig, drawn: Drawn, runs: list[Run], stated: str | None
+) -> None:
+    facts = {"speed_rpm": stated} if stated else {}
+    none = np.empty(0)
+    cut = dataclasses.replace(runs[0], metadata=facts, mark_time_s=none, mark_phase_rad=none)
+    whole = dataclasses.replace(runs[1], metadata=facts)
+    found = validate([cut, whole], rig, drawn.identified, drawn.axis_angle_deg)
+    series = series_of(found)
+    assert series.counts == {"not enough data": 1, "pass": 1}
+    assert "a speed that no log states" in series.sentences[0]
+    assert json.dumps(found.to_json(), allow_nan=False)
