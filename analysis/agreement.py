@@ -54,7 +54,8 @@ class Agreement:
         together: of all rows of all points that could be compared.
         points: of each point's rows: "A" of its steady state, "A release" of what happened right after its release.
         point_limit: the p below which a point fails.
-        cause_z: cause → its best size in standard deviations of what the points would show of it.
+        cause_z: cause → its best size in standard deviations of what the points would show of it; 0 for a cause that
+            cannot be below 0 and would have to be.
         words: cause → what it is, for a reader.
         cause_limit: the largest |cause_z| of all causes that chance reaches in CAUSES_LEVEL of campaigns.
     """
@@ -117,7 +118,9 @@ def agreement(differences: Differences, causes: Sequence[Cause]) -> Agreement:
     points = {name: Statistic.of(differences.of(at)) for name, at in differences.groups.items()}
     z, correlation = cause_statistics(differences, {cause.name: cause.direction for cause in causes})
     words = {cause.name: cause.words for cause in causes}
-    limit = largest_by_chance(correlation)
+    positive = {cause.name for cause in causes if cause.one_sided}
+    limit = largest_by_chance(correlation, [name in positive for name in z])
+    z = {name: max(0.0, value) if name in positive else value for name, value in z.items()}
     return Agreement(Statistic.of(differences), points, POINTS_LEVEL / max(1, len(points)), z, words, limit)
 
 
@@ -136,15 +139,18 @@ def cause_statistics(differences: Differences, directions: Mapping[str, Array]) 
     return dict(zip(shown, z.tolist(), strict=True)), units @ units.T
 
 
-def largest_by_chance(correlation: Array, level: float = CAUSES_LEVEL) -> float:
+def largest_by_chance(correlation: Array, one_sided: Sequence[bool] = (), level: float = CAUSES_LEVEL) -> float:
     """The largest |z| of all causes that chance exceeds with a probability, from draws; inf without causes.
 
     Args:
         correlation: of the statistics, shape (k, k).
+        one_sided: for each, whether only sizes above 0 count; none where empty.
+        level: the probability.
     """
     if not len(correlation):
         return math.inf
     sizes, turn = np.linalg.eigh(correlation)
     root = turn * np.sqrt(np.maximum(sizes, 0.0))
     drawn = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(root))) @ root.T
-    return float(np.quantile(np.max(np.abs(drawn), axis=1), 1 - level))
+    seen = np.where(np.asarray(one_sided, bool), drawn, np.abs(drawn)) if len(one_sided) else np.abs(drawn)
+    return float(np.quantile(np.max(seen, axis=1), 1 - level))

@@ -11,7 +11,8 @@ import pytest
 from analysis_runs import Drawn, draw, point_run
 
 from analysis import validate
-from analysis.agreement import CAUSES_LEVEL, largest_by_chance
+from analysis.agreement import CAUSES_LEVEL, agreement, largest_by_chance
+from analysis.causes import Cause
 from analysis.differences import Differences
 from analysis.validation import Validation
 from daq.signals.run import Run
@@ -101,6 +102,23 @@ def test_chance_reaches_the_limit_of_causes_as_often_as_it_says() -> None:
         above = np.mean(np.max(np.abs(rng.standard_normal((100_000, k))), axis=1) > limit)
         assert above == pytest.approx(CAUSES_LEVEL, abs=0.004)
     assert largest_by_chance(np.ones((5, 5))) == pytest.approx(largest_by_chance(np.eye(1)), abs=0.03)
+
+
+def test_a_cause_that_cannot_be_below_zero_counts_on_its_own_side_only() -> None:
+    """Friction that would have to be negative explains nothing; its share of chance goes to the other side."""
+    rows = tuple(("A release", f"{k}") for k in range(4))
+    push = np.array([1.0, 2.0, -1.0, 0.5])
+    friction = Cause("friction.a_Nm", "dry friction of pendulum A", 0.0, 1.0, push, "%", 1.0, "", one_sided=True)
+    for side, significant in ((5.0, ("friction.a_Nm",)), (-5.0, ())):
+        none = np.empty((4, 0))
+        values = side * push / np.linalg.norm(push)
+        found = agreement(Differences(rows, values, np.eye(4), none, (), np.empty((0, 0)), none, {}, {}), (friction,))
+        assert found.significant_causes == significant
+        assert found.cause_z["friction.a_Nm"] == pytest.approx(max(side, 0.0))
+    rng = np.random.default_rng(5)
+    limit = largest_by_chance(np.eye(2), (True, False))
+    drawn = rng.standard_normal((100_000, 2))
+    assert np.mean(np.maximum(drawn[:, 0], abs(drawn[:, 1])) > limit) == pytest.approx(CAUSES_LEVEL, abs=0.004)
 
 
 def test_an_error_that_both_sides_share_counts_once() -> None:
