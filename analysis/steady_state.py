@@ -11,6 +11,7 @@ from analysis.errors import NotEnoughData
 from analysis.laser_remarks import laser_remarks
 from analysis.order_tracking import order_track
 from analysis.to_come import ToCome, to_come
+from daq.signals.phase_noise import phase_remarks
 from daq.signals.run import Run
 from daq.signals.settling import Settling, settled
 from daq.signals.state_type import state_type
@@ -58,7 +59,7 @@ class SteadyMeasurement:
             what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
         creeps: whether it is compared although it was not settled: dry friction lets it creep.
         release_s, from_s, to_s: last release, start and end of the last seconds' mean, s since the run's start.
-        remarks: what the lasers show beside the rotor's motion, sentences.
+        remarks: what lasers and rotor phase show beside the rotor's motion, sentences.
     """
 
     state: str
@@ -147,7 +148,7 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
         release_s=release,
         from_s=start,
         to_s=end,
-        remarks=remarks.sentences,
+        remarks=(*remarks.sentences, *phase_remarks(run, turns=True)),
         creeps=creeps,
     )
 

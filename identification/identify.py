@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from daq.signals.completeness import missing_warnings
+from daq.signals.phase_noise import phase_remarks
 from daq.signals.run import Run
 from daq.signals.witnesses import Agreement
 from identification.errors import IdentificationError, NotIdentifiable
@@ -177,6 +178,9 @@ def identify(
         f"{Path(r.source).name}: {a.text}"
         for r, a in compared
         if any(r is run for run in runs) and a.verdict == "disagree"
+    ]
+    work.warnings += [
+        f"{Path(run.source).name}: {said}" for run in runs for said in phase_remarks(run, turns(run.test))
     ]
     work.warnings += passed_over(runs)
     ring_downs, told_of = fit_ring_downs(runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.tell)

@@ -24,6 +24,7 @@ _RING_S, _SPIN_S, _RAMP_S, _TOP_RPM, _WAIT_S, _LOCKED_S = 13.0, 8.0, 40.0, 900.0
 _NODE = 4  # grid steps between the node's samples: 1 kHz
 _BLOCK = 8  # samples of one radio message
 _MARK_JITTER_S, _RELEASE_S = 1e-6, 1e-4
+_FINE_PHASE_RAD = 2 * math.pi / 2**16  # of an encoder that reads a rotor that should rest
 _WANDER_FROM_Hz = 0.02
 _MAINS_Hz, _HARMONICS = 50.0, (1.0, 0.4, 0.2)
 
@@ -226,7 +227,9 @@ def _marks(
     node = time[::_NODE]
     phase, speed = recorded.turning.phase(node)
     if speed.max() <= 0.2:  # at rest, or creeping by less than a turn
-        return none, none, (none, none)
+        if not speed.any():
+            return none, none, (none, none)
+        return none, none, (node, np.round(phase / _FINE_PHASE_RAD) * _FINE_PHASE_RAD)
     if _integrated(world, recorded.test):
         read = speed + effects.speed_noise_rpm * math.pi / 30 * rng.standard_normal(len(node))
         shown = np.r_[0.0, np.cumsum(0.5 * (read[1:] + read[:-1]) * np.diff(node))]

@@ -77,7 +77,7 @@ class Effects:
         bow_m: a bent shaft; runout_m: the same on the sensors alone.
         hum_m: mains on the lasers, 50 Hz, with 0.4 and 0.2 of it at 100 and 150 Hz.
         wander_m: rms of 1/f noise on the lasers.
-        creep_rpm: speed of the rotor in the spin-down.
+        creep_rpm: speed of the rotor in the spin-down, where an encoder then reads its phase.
         phase_step_deg: an encoder of so coarse steps, read at 1 kHz, in place of the index mark.
         speed_noise_rpm: at the points a noisy speed, read at 1 kHz and integrated, in place of the index mark.
         turned_deg: by how much the sensors stand turned.

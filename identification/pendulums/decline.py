@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import median_filter
 
+from daq.signals.phase_noise import encoder_step
 from identification.errors import NotIdentifiable
 from identification.pendulums.run_down import RunDown
 from identification.samples import encoder_noise, white_noise
@@ -17,7 +18,6 @@ _FEWEST = 40  # samples of a decline
 _DIFFERENCE = 1.5  # noise of two readings' difference, in a reading's; a little above √2
 _RISE = 0.1  # of the fastest speed: less is no push
 _LEAST_TRAVEL = 60  # in noise standard deviations
-_FILE_ROUNDING = 20.0  # an encoder's step is at least so many times what a file's digits leave open
 
 
 def decline_of(time_s: np.ndarray, angle_rad: np.ndarray) -> RunDown:
@@ -62,29 +62,6 @@ def _valid(time_s: np.ndarray, angle_rad: np.ndarray) -> tuple[np.ndarray, np.nd
     if np.ptp(angle) <= 2 * np.pi and np.any(np.abs(np.diff(angle)) > np.pi):
         angle = np.unwrap(angle)
     return t, angle
-
-
-def encoder_step(angle_rad: np.ndarray) -> float:
-    """The step of a quantised angle, rad; 0 when its values lie on no grid.
-
-    First and second differences are whole steps; among thousands of them some are a single one.
-    """
-    differences = np.sort(np.concatenate([np.abs(np.diff(angle_rad, order)) for order in (1, 2)]))
-    moving = differences[differences > 1e-9]
-    if len(moving) == 0:
-        return 0.0
-    leaps = moving[1:] / moving[:-1]
-    widest = int(np.argmax(leaps)) if len(leaps) else 0
-    if widest < 0.5 * len(leaps) and leaps[widest] > _FILE_ROUNDING:
-        moving = moving[widest + 1 :]  # below are the digits that a file kept, not the encoder
-    smallest = float(np.min(moving))
-    small = moving[moving < 20.5 * smallest]
-    counts = np.round(small / smallest)
-    step = float(small @ counts / (counts @ counts))  # a file's rounding averages out
-    off = np.abs(small / step - counts)
-    if len(small) < 0.2 * len(moving) or np.mean(off < 0.1) < 0.98:
-        return 0.0
-    return step
 
 
 def _on_track(angle: np.ndarray, limit: float) -> np.ndarray:

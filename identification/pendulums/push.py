@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.signals.phase_noise import encoder_step
 from identification.errors import NotIdentifiable
-from identification.pendulums.decline import decline_of, encoder_step
+from identification.pendulums.decline import decline_of
 from identification.pendulums.run_down import RunDown, stop_time
 from identification.pendulums.spin_down import first_fit
 from identification.pendulums.transient import Readings

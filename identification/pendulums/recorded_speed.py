@@ -21,18 +21,16 @@ import numpy as np
 from scipy.interpolate import BSpline, PPoly, make_lsq_spline
 from scipy.special import fdtri
 
+from daq.signals.phase_noise import encoder_step, white_and_walk
 from daq.signals.run import Run
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
-from identification.pendulums.decline import encoder_step
 from identification.samples import correlation_inflation
 
 _FEWEST = 8
 _MARKS_PER_PIECE = 2.0
 _CHANCE = 1e-3  # of a step to more pieces on a steady rotor
 _SAMPLES, _MOST_BLOCKS, _SAMPLES_PER_BLOCK = 400, 300, 8
-_STRIDE = 32
-_THIRD, _THIRD_WALK, _THIRD_WORST = 20.0, 6.0, 64.0  # variance of a third difference: white, a walk, a rounding's most
 _MODES, _LEAST_RAD = 4, 5e-5
 _OFFSETS = 8
 
@@ -122,7 +120,7 @@ def speed_of_samples(time_s: np.ndarray, phase_rad: np.ndarray) -> RecordedSpeed
     middle = np.add.reduceat(time_s, first) / count
     value = np.add.reduceat(rest, first) / count
     step = encoder_step(np.diff(phase_rad))  # a rotor goes many steps from row to row, its speed changes by few
-    white, walk = _noise(rest, step, apart)
+    white, walk = white_and_walk(rest, step, apart)
     variance = white / count
     if step:
         variance = variance + _beats(phase_rad, rest, step, first, count)
@@ -132,27 +130,6 @@ def speed_of_samples(time_s: np.ndarray, phase_rad: np.ndarray) -> RecordedSpeed
         cov = cov + walk * np.minimum.outer(middle - time_s[0], middle - time_s[0])
     cov = cov + np.eye(len(count)) * (4 * np.finfo(float).eps * float(np.max(np.abs(phase_rad)))) ** 2
     return _fewest_pieces(middle, value, np.linalg.cholesky(cov), line)
-
-
-def _noise(rest: np.ndarray, step: float, apart_s: float) -> tuple[float, float]:
-    """Variance of one reading's white noise beyond its steps (rad²), and density of a walk (rad²/s), 0 where none is.
-
-    A third difference over k samples has twenty times the white variance whatever k, and six k times a walk's.
-    """
-    near, far = (_third(rest, k) for k in (1, _STRIDE))
-    most = (_THIRD_WORST if step else 2 * _THIRD) * (step**2 / 12 if step else near / _THIRD)
-    if far > most:
-        walk = max(0.0, far - near) / (_THIRD_WALK * (_STRIDE - 1))
-        return max(0.0, near - _THIRD_WALK * walk) / _THIRD, walk / apart_s
-    return max(0.0, near / _THIRD - step**2 / 12), 0.0
-
-
-def _third(value: np.ndarray, stride: int) -> float:
-    third = (
-        value[3 * stride :] - 3 * value[2 * stride : -stride] + 3 * value[stride : -2 * stride] - value[: -3 * stride]
-    )
-    robust = float(np.median(np.abs(third))) / 0.6745
-    return float(np.mean(np.clip(np.abs(third), 0, 6 * robust if robust else np.inf) ** 2))
 
 
 def _beats(phase: np.ndarray, rest: np.ndarray, step: float, first: np.ndarray, count: np.ndarray) -> float:

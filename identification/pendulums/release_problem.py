@@ -14,11 +14,11 @@ from typing import Literal
 
 import numpy as np
 
+from daq.signals.phase_noise import encoder_step
 from daq.signals.run import Run
 from dynamics.errors import OutsideDomain
 from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
-from identification.pendulums.decline import encoder_step
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, Friction, evidence
 from identification.pendulums.known_numbers import answer_to, by_physical_numbers

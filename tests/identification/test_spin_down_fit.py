@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daq.signals.phase_noise import encoder_step
 from identification.errors import FitFailed, NotIdentifiable
-from identification.pendulums.decline import decline_of, encoder_step
+from identification.pendulums.decline import decline_of
 from identification.pendulums.quantiser import quantised_posterior
 from identification.pendulums.run_down import RunDown, fit_run_down, run_down_angle
 from identification.pendulums.spin_down import fit_spin_down
