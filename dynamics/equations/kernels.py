@@ -4,14 +4,16 @@ State y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4): disk centre in the space-fix
 rotor. The rotor's phase ψ and its rates ω, α are given functions of time.
 
 With e_i = (cos φ_i, sin φ_i), n_i = (sin φ_i, −cos φ_i), φ_i = ψ + θ_i, a free pendulum or ball obeys
-    J_i θ̈_i = S_i n_i·(p̈ + g ŷ) − D_i α − c_i θ̇_i − F_i φ̇_i²,
+    J_i θ̈_i = S_i n_i·(p̈ + g ŷ) − D_i α − c_i θ̇_i − d_i |θ̇_i| θ̇_i − F_i φ̇_i²,
     p̈ = q̈ + R_C (α (−sin ψ, cos ψ) − ω² (cos ψ, sin ψ)),
 and pushes the rotor with S_i (φ̇_i² e_i + φ̈_i n_i). D_i is J_i for a pendulum; F_i is the signed coefficient of dry
-friction while it slides forward (an integrator that follows friction turns its sign or locks the pendulum). Putting
+friction while it slides forward (an integrator that follows friction turns its sign or locks the pendulum), d_i the
+drag of air that turns with the rotor. Putting
 the first into the second leaves two equations
     (M_S 1 − Σ_free S_i²/J_i n_i n_iᵀ) q̈ = forces without q̈,
 whose matrix is positive definite because S_i²/J_i ≤ M_i < M_S. A locked pendulum has θ̇ = 0, θ̈ = 0.
-The springs of a bent shaft rest at b e^{iψ}, b = B_X + i B_Y.
+The springs of a bent shaft rest at b e^{iψ}, b = B_X + i B_Y. A spring stretched by u pulls with k u (1 + H u²), and a
+damper at the speed v resists with c v (1 + Q |v|); each direction has its own H and Q.
 The rates may be complex: a complex step gives exact derivatives of everything built on this function.
 """
 
@@ -25,16 +27,24 @@ from numba import njit
 
 # Order of the packed parameters (RotorParameters.packed)
 MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC, DA, DB, FA, FB, GRAVITY, BX, BY = range(20)
+HX, HY, QX, QY, AA, AB = range(20, 26)
+PACKED = 26
 DIMENSION = 8
 
 
+@njit(cache=True, error_model="numpy")
+def size_of(x):
+    """|x| of a float; of a complex number what continues it beside the real axis."""
+    return x if x.real >= 0.0 else -x
+
+
 @njit(cache=True, error_model="numpy", inline="always")
-def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f):
+def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f, air):
     """Direction n, reduced mass, the push on the rotor and θ̈, both without what p̈ and gravity add."""
     phi = psi + theta
     cos_phi, sin_phi = np.cos(phi), np.sin(phi)
     speed = omega + rate * free
-    bare = -free * (d * alpha + c * rate + f * speed * speed) / j
+    bare = -free * (d * alpha + (c + air * size_of(rate)) * rate + f * speed * speed) / j
     turn = alpha + bare
     fx = s * (speed * speed * cos_phi + turn * sin_phi)
     fy = s * (speed * speed * sin_phi - turn * cos_phi)
@@ -48,21 +58,27 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     Args:
         y, out: shape (8,), float or complex.
         psi, omega, alpha: rotor phase (rad), speed (rad/s), acceleration (rad/s²).
-        p: packed parameters, shape (20,), float or complex.
+        p: packed parameters, shape (26,), float or complex.
         free_a, free_b: 1.0 for a released pendulum, 0.0 for a locked one.
     """
-    nax, nay, ma, fax, fay, bare_a = _pendulum(y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA], p[DA], p[FA])
-    nbx, nby, mb, fbx, fby, bare_b = _pendulum(y[3], y[7], psi, omega, alpha, free_b, p[SB], p[JB], p[CB], p[DB], p[FB])
+    nax, nay, ma, fax, fay, bare_a = _pendulum(
+        y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA], p[DA], p[FA], p[AA]
+    )
+    nbx, nby, mb, fbx, fby, bare_b = _pendulum(
+        y[3], y[7], psi, omega, alpha, free_b, p[SB], p[JB], p[CB], p[DB], p[FB], p[AB]
+    )
     cos_psi, sin_psi = np.cos(psi), np.sin(psi)
     w2 = omega * omega
     # acceleration of the pivot relative to the disk centre, gravity as an upward acceleration
     rx = -p[RC] * (alpha * sin_psi + w2 * cos_psi)
     ry = p[RC] * (alpha * cos_psi - w2 * sin_psi) + p[GRAVITY]
+    # the springs' stretch, from where they rest
+    ux, uy = y[0] - (p[BX] * cos_psi - p[BY] * sin_psi), y[1] - (p[BX] * sin_psi + p[BY] * cos_psi)
     dot_a = nax * rx + nay * ry
     dot_b = nbx * rx + nby * ry
     fx = (
-        -p[C1] * y[4]
-        - p[K1] * (y[0] - (p[BX] * cos_psi - p[BY] * sin_psi))
+        -p[C1] * y[4] * (1.0 + p[QX] * size_of(y[4]))
+        - p[K1] * ux * (1.0 + p[HX] * ux * ux)
         + fax
         + fbx
         + p[SP] * (w2 * cos_psi + alpha * sin_psi)
@@ -70,8 +86,8 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
         + mb * dot_b * nbx
     )
     fy = (
-        -p[C2] * y[5]
-        - p[K2] * (y[1] - (p[BX] * sin_psi + p[BY] * cos_psi))
+        -p[C2] * y[5] * (1.0 + p[QY] * size_of(y[5]))
+        - p[K2] * uy * (1.0 + p[HY] * uy * uy)
         + fay
         + fby
         + p[SP] * (w2 * sin_psi - alpha * cos_psi)

@@ -26,6 +26,7 @@ class Pendulum:
         mass_kg: mass, kg; 0 for a pendulum that is not there.
         length_m: distance of the mass from its pivot, for a ball of its centre from the channel's, m.
         damping_Nms_per_rad: viscous torque per speed relative to the rotor (c3 or c4), N m s/rad.
+        drag_Nms2_per_rad2: torque of the air, which turns with the rotor, over the square of the speed relative to it.
         friction_arm_m: dry friction torque per contact force M R φ̇², m: μ times the pivot pin's radius, or a ball's
             coefficient of rolling resistance (a length) times R/r.
         ball_radius_m: radius r of a rolling ball; 0 for a pendulum.
@@ -38,6 +39,7 @@ class Pendulum:
     friction_arm_m: float = 0.0
     ball_radius_m: float = 0.0
     ball_inertia_ratio: float = 0.4
+    drag_Nms2_per_rad2: float = 0.0
 
     @classmethod
     def absent(cls) -> Pendulum:
@@ -82,6 +84,8 @@ class RotorParameters:
         gravity_m_per_s2: gravity within the disk plane, along −y (a horizontal shaft); 0 for a vertical one.
         bow_x_m, bow_y_m: of a bent shaft: where the springs rest in the rotor's frame, x along the imbalance; 0 for a
             straight one.
+        hardening_per_m2: H along x and y: stretched by u a spring pulls with k u (1 + H u²); below 0 it softens.
+        damping_growth_s_per_m: Q along x and y: at the speed v a damper takes c v (1 + Q |v|).
     Raises:
         OutsideDomain: a value that is not finite, a length or stiffness or the rotor's mass not positive, or a
             mass, damping or friction that is negative.
@@ -101,6 +105,8 @@ class RotorParameters:
     gravity_m_per_s2: float = 0.0
     bow_x_m: float = 0.0
     bow_y_m: float = 0.0
+    hardening_per_m2: tuple[float, float] = (0.0, 0.0)
+    damping_growth_s_per_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         positive = {
@@ -127,6 +133,8 @@ class RotorParameters:
             "a.damping_Nms_per_rad": self.a.damping_Nms_per_rad,
             "b.damping_Nms_per_rad": self.b.damping_Nms_per_rad,
             "pivot_shift_m": self.pivot_shift_m,
+            "a.drag_Nms2_per_rad2": self.a.drag_Nms2_per_rad2,
+            "b.drag_Nms2_per_rad2": self.b.drag_Nms2_per_rad2,
         }
         masses = {"a.mass_kg": self.a.mass_kg, "b.mass_kg": self.b.mass_kg}
         for name, value in (positive | not_negative | {"gravity_m_per_s2": self.gravity_m_per_s2}).items():
@@ -138,7 +146,7 @@ class RotorParameters:
             if not _SMALLEST <= value <= _LARGEST:  # beyond, squares and quotients leave the range of a double
                 raise OutsideDomain(f"{name} must lie in {_SMALLEST:g} … {_LARGEST:g}, got {value!r}")
         self._need_a_rotor()
-        self._need_a_bow()
+        self._need_bow_and_terms()
         for name, value in masses.items():
             if 0 < value < _SMALLEST:
                 raise OutsideDomain(f"{name} must be 0 (no pendulum) or at least {_SMALLEST:g}, got {value!r}")
@@ -154,8 +162,10 @@ class RotorParameters:
             if value > _LARGEST:
                 raise OutsideDomain(f"{name} must be at most {_LARGEST:g}, got {value!r}")
 
-    def _need_a_bow(self) -> None:
-        for name, value in (("bow_x_m", self.bow_x_m), ("bow_y_m", self.bow_y_m)):
+    def _need_bow_and_terms(self) -> None:
+        terms = {"hardening_per_m2": self.hardening_per_m2, "damping_growth_s_per_m": self.damping_growth_s_per_m}
+        named = [("bow_x_m", self.bow_x_m), ("bow_y_m", self.bow_y_m)]
+        for name, value in named + [(name, value) for name, pair in terms.items() for value in pair]:
             if not (math.isfinite(value) and abs(value) <= _LARGEST):
                 raise OutsideDomain(f"{name} must be finite and at most {_LARGEST:g}, got {value!r}")
 
@@ -203,8 +213,13 @@ class RotorParameters:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether both directions have the same stiffness and damping."""
-        return self.k1_N_per_m == self.k2_N_per_m and self.zeta1 == self.zeta2
+        """Whether all directions have the same stiffness and damping, at any amplitude."""
+        return self.k1_N_per_m == self.k2_N_per_m and self.zeta1 == self.zeta2 and self.suspension_is_linear
+
+    @property
+    def suspension_is_linear(self) -> bool:
+        """Whether stiffness and damping of the suspension are the same at any amplitude."""
+        return not any((*self.hardening_per_m2, *self.damping_growth_s_per_m))
 
     def speed_rad_s(self, speed_ratio: float) -> float:
         """Running speed at a speed ratio Ω = ω/ω_n1, rad/s."""
@@ -251,7 +266,7 @@ class RotorParameters:
         return self.imbalance_moment_kg_m + shift
 
     def packed(self) -> np.ndarray:
-        """The numbers in the order of the compiled kernels (see dynamics.equations.kernels), shape (20,)."""
+        """The numbers in the order of the compiled kernels (see dynamics.equations.kernels), shape (26,)."""
         a, b = self.a, self.b
         return np.array(
             [
@@ -274,6 +289,10 @@ class RotorParameters:
                 self.gravity_m_per_s2,
                 self.bow_x_m,
                 self.bow_y_m,
+                *self.hardening_per_m2,
+                *self.damping_growth_s_per_m,
+                a.drag_Nms2_per_rad2,
+                b.drag_Nms2_per_rad2,
             ]
         )
 

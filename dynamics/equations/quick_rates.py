@@ -14,6 +14,8 @@ from numba import njit, types
 from numba.extending import overload
 
 from dynamics.equations.kernels import (
+    AA,
+    AB,
     BX,
     BY,
     C1,
@@ -25,15 +27,20 @@ from dynamics.equations.kernels import (
     FA,
     FB,
     GRAVITY,
+    HX,
+    HY,
     JA,
     JB,
     K1,
     K2,
     MASS,
+    QX,
+    QY,
     RC,
     SA,
     SB,
     SP,
+    size_of,
 )
 
 # π/2 in two parts, the first with 33 bits so that its product with a count of quarter turns below 2²⁰ is exact
@@ -82,8 +89,8 @@ def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
     rx = -p[RC] * (alpha * sin_r + w2 * cos_r)
     ry = p[RC] * (alpha * cos_r - w2 * sin_r) + p[GRAVITY]
     share_a, share_b = free_a / p[JA], free_b / p[JB]
-    own_a = -share_a * (p[DA] * alpha + p[CA] * y[6] + p[FA] * wa * wa)
-    own_b = -share_b * (p[DB] * alpha + p[CB] * y[7] + p[FB] * wb * wb)
+    own_a = -share_a * (p[DA] * alpha + (p[CA] + p[AA] * size_of(y[6])) * y[6] + p[FA] * wa * wa)
+    own_b = -share_b * (p[DB] * alpha + (p[CB] + p[AB] * size_of(y[7])) * y[7] + p[FB] * wb * wb)
     mass_a, mass_b = share_a * p[SA] * p[SA], share_b * p[SB] * p[SB]
     # push of each pendulum along its arm and along n = (sin φ, −cos φ)
     along_a, along_b = p[SA] * wa * wa, p[SB] * wb * wb
@@ -91,8 +98,10 @@ def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
     across_b = p[SB] * (alpha + own_b) + mass_b * (sin_b * rx - cos_b * ry)
     # the springs' stretch, from where they rest
     ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
-    fx = p[SP] * (w2 * cos_r + alpha * sin_r) - p[C1] * y[4] - p[K1] * ux
-    fy = p[SP] * (w2 * sin_r - alpha * cos_r) - p[C2] * y[5] - p[K2] * uy - p[MASS] * p[GRAVITY]
+    fx = p[SP] * (w2 * cos_r + alpha * sin_r)
+    fx -= p[C1] * y[4] * (1.0 + p[QX] * size_of(y[4])) + p[K1] * ux * (1.0 + p[HX] * ux * ux)
+    fy = p[SP] * (w2 * sin_r - alpha * cos_r) - p[MASS] * p[GRAVITY]
+    fy -= p[C2] * y[5] * (1.0 + p[QY] * size_of(y[5])) + p[K2] * uy * (1.0 + p[HY] * uy * uy)
     fx += along_a * cos_a + across_a * sin_a + along_b * cos_b + across_b * sin_b
     fy += along_a * sin_a - across_a * cos_a + along_b * sin_b - across_b * cos_b
     mxx = p[MASS] - mass_a * sin_a * sin_a - mass_b * sin_b * sin_b

@@ -228,7 +228,7 @@ def differentiate_stages(stages, t, h, first, last, system, packed, dy, dz):
 
     Args:
         stages: y + Z, shape (5, 8).
-        packed: directions δp of the packed parameters, shape (n, 20).
+        packed: directions δp of the packed parameters, shape (n, 26).
         dy: derivatives of y, shape (n, 8).
         dz: derivatives of Z, shape (n, 5, 8), written.
     """

@@ -35,7 +35,7 @@ class Piece:
 
     Attributes:
         first, last: steps first … last − 1 of a motion.
-        packed: shape (20,).
+        packed: shape (26,).
         free_a, free_b: 1.0 or 0.0.
     """
 

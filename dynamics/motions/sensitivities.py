@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numba import njit
 
-from dynamics.equations.kernels import BY, C1, C2, CA, CB, FA, FB, K1, K2, MASS, SP, rates
+from dynamics.equations.kernels import C1, C2, CA, CB, FA, FB, K1, K2, MASS, PACKED, SP, rates
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments, phase_within, segment_of
 from dynamics.equations.scene import Scene
@@ -31,7 +31,6 @@ from dynamics.motions.motion import Motion, Piece, Polynomials
 from dynamics.motions.motion_problem import instants
 
 _EPSILON = 1e-30
-_PACKED = BY + 1  # packed parameters
 
 
 def sensitivities(
@@ -81,7 +80,7 @@ def sensitivities(
 
 
 def packed_derivatives(parameters: RotorParameters) -> dict[str, np.ndarray]:
-    """∂(RotorParameters.packed)/∂(identified parameter), each of shape (20,): c = 2 ζ sqrt(k M_S) by the chain rule."""
+    """∂(RotorParameters.packed)/∂(identified parameter), each of shape (26,): c = 2 ζ sqrt(k M_S) by the chain rule."""
     p = parameters.packed()
     unit = np.eye(len(p))
     return {
@@ -98,7 +97,7 @@ def packed_derivatives(parameters: RotorParameters) -> dict[str, np.ndarray]:
 def _directions(
     physics: RotorParameters, scene: Scene, begin: float, names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What each name moves: packed parameters, shape (n, 20), and start state, shape (n, 8)."""
+    """What each name moves: packed parameters, shape (n, 26), and start state, shape (n, 8)."""
     packed, starts = packed_derivatives(physics), {}
     if scene.start is None:
         psi, speed, _ = PhaseSegments.of(scene.history).phase(begin)
@@ -108,7 +107,7 @@ def _directions(
     if unknown:
         raise OutsideDomain(f"no sensitivity to {unknown}; known are {[*packed, *components]}")
     return (
-        np.array([packed.get(n, np.zeros(_PACKED)) for n in names]).reshape(len(names), _PACKED),
+        np.array([packed.get(n, np.zeros(PACKED)) for n in names]).reshape(len(names), PACKED),
         np.array([components.get(n, starts.get(n, np.zeros(8))) for n in names]).reshape(len(names), 8),
     )
 

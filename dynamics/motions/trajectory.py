@@ -39,7 +39,7 @@ class Problem:
     Attributes:
         start: shape (8,).
         times: instants wanted, shape (n,), ascending; the run goes from the first to the last.
-        packed: parameters (RotorParameters.packed), shape (20,).
+        packed: parameters (RotorParameters.packed), shape (26,).
         segments: the rotor's phase.
         free_from: instants from which A and B are free; inf for a locked one.
         weights: what the components' errors count in, shape (8,) (one for angles).

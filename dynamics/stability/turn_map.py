@@ -16,7 +16,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.kernels import BX, BY, C1, C2, CA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.kernels import (
+    AA,
+    BX,
+    BY,
+    C1,
+    C2,
+    CA,
+    GRAVITY,
+    HX,
+    HY,
+    JA,
+    K1,
+    K2,
+    MASS,
+    QX,
+    QY,
+    RC,
+    SA,
+    SP,
+)
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments, phase_within
 from dynamics.equations.quick_rates import quick_rates, real_sine_cosine
@@ -43,14 +62,18 @@ def _rate_derivatives(y, psi, omega, p, free_a, free_b, out):
     w2 = omega * omega
     rx, ry = -p[RC] * w2 * cos_r, -p[RC] * w2 * sin_r + p[GRAVITY]
     ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
-    fx = p[SP] * w2 * cos_r - p[C1] * y[4] - p[K1] * ux
-    fy = p[SP] * w2 * sin_r - p[C2] * y[5] - p[K2] * uy - p[MASS] * p[GRAVITY]
+    hx, hy, qx, qy = p[HX] * ux * ux, p[HY] * uy * uy, p[QX] * abs(y[4]), p[QY] * abs(y[5])
+    fx = p[SP] * w2 * cos_r - p[C1] * y[4] * (1.0 + qx) - p[K1] * ux * (1.0 + hx)
+    fy = p[SP] * w2 * sin_r - p[C2] * y[5] * (1.0 + qy) - p[K2] * uy * (1.0 + hy) - p[MASS] * p[GRAVITY]
+    k1, k2 = p[K1] * (1.0 + 3.0 * hx), p[K2] * (1.0 + 3.0 * hy)
+    c1, c2 = p[C1] * (1.0 + 2.0 * qx), p[C2] * (1.0 + 2.0 * qy)
     mxx, myy, mxy = p[MASS], p[MASS], 0.0
     for i in range(2):
         free, s, sin, cos = (free_a if i == 0 else free_b), p[SA + i], sines[i], cosines[i]
         mass, speed = free * s * s / p[JA + i], omega + y[6 + i] * free
         along = s * speed * speed
-        across = -s * free / p[JA + i] * p[CA + i] * y[6 + i] + mass * (sin * rx - cos * ry)
+        loss = p[CA + i] + p[AA + i] * abs(y[6 + i])
+        across = -s * free / p[JA + i] * loss * y[6 + i] + mass * (sin * rx - cos * ry)
         fx += along * cos + across * sin
         fy += along * sin - across * cos
         mxx -= mass * sin * sin
@@ -59,15 +82,17 @@ def _rate_derivatives(y, psi, omega, p, free_a, free_b, out):
     whole = 1.0 / (mxx * myy - mxy * mxy)
     wxx, wxy, wyy = myy * whole, -mxy * whole, mxx * whole
     ax, ay = wxx * fx + wxy * fy, wxy * fx + wyy * fy
-    out[0, 0], out[1, 0] = -wxx * p[K1], -wxy * p[K1]
-    out[0, 1], out[1, 1] = -wxy * p[K2], -wyy * p[K2]
-    out[0, 4], out[1, 4] = -wxx * p[C1], -wxy * p[C1]
-    out[0, 5], out[1, 5] = -wxy * p[C2], -wyy * p[C2]
+    out[0, 0], out[1, 0] = -wxx * k1, -wxy * k1
+    out[0, 1], out[1, 1] = -wxy * k2, -wyy * k2
+    out[0, 4], out[1, 4] = -wxx * c1, -wxy * c1
+    out[0, 5], out[1, 5] = -wxy * c2, -wyy * c2
     for i in range(2):
         free, s, sin, cos = (free_a if i == 0 else free_b), p[SA + i], sines[i], cosines[i]
         share, speed = free / p[JA + i], omega + y[6 + i] * free
-        mass, drag = share * s * s, -share * p[CA + i]
-        along, across = s * speed * speed, s * drag * y[6 + i] + mass * (sin * rx - cos * ry)
+        air = p[AA + i] * abs(y[6 + i])
+        mass, drag = share * s * s, -share * (p[CA + i] + 2.0 * air)
+        along = s * speed * speed
+        across = -s * share * (p[CA + i] + air) * y[6 + i] + mass * (sin * rx - cos * ry)
         bent = mass * (cos * rx + sin * ry)
         gx = (bent - along) * sin + across * cos + mass * (2.0 * sin * cos * ax - (cos * cos - sin * sin) * ay)
         gy = along * cos + across * sin - bent * cos - mass * (2.0 * sin * cos * ay + (cos * cos - sin * sin) * ax)
@@ -80,7 +105,8 @@ def _rate_derivatives(y, psi, omega, p, free_a, free_b, out):
         for j in range(8):
             out[2 + i, j] = share * (sines[i] * out[0, j] - cosines[i] * out[1, j])
         out[2 + i, 2 + i] += share * (cosines[i] * (ax + rx) + sines[i] * (ay + ry))
-        out[2 + i, 6 + i] -= (free_a if i == 0 else free_b) / p[JA + i] * p[CA + i]
+        loss = p[CA + i] + 2.0 * p[AA + i] * abs(y[6 + i])
+        out[2 + i, 6 + i] -= (free_a if i == 0 else free_b) / p[JA + i] * loss
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})

@@ -18,10 +18,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dynamics.equations.kernels import BX, BY, C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.kernels import AA, C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
-from identification.pendulums.variational import follow
+from identification.pendulums.variational import WHOLE, follow, suspension
 
 COLUMNS = 19
 """Columns of the derivatives: those of identification.pendulums.variational, then M_A, M_B, F_A, F_B."""
@@ -33,10 +33,10 @@ _MOST_SWITCHES = 40_000
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _rates(y, phase, p, torque, mode, f, own, whole):
-    """Rates into f (8,); what `_linearised` reads into own (2, 8) and whole (7,).
+    """Rates into f (8,); what `_linearised` reads into own (2, 8) and whole (13,).
 
     own, by pendulum: cos φ, sin φ, S²/J, bare acceleration, turning rate, the bare one's derivative by the rate, e·p̈,
-    the torque that holds it. whole: the inverse of 𝐌 (xx, yy, xy) and the imbalance's force over S_P.
+    the torque that holds it. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P, and `suspension`.
     """
     psi, omega, alpha = phase[0], phase[1], phase[2]
     sin_r, cos_r = real_sine_cosine(psi)
@@ -44,9 +44,9 @@ def _rates(y, phase, p, torque, mode, f, own, whole):
     rx = -p[RC] * (alpha * sin_r + w2 * cos_r)
     ry = p[RC] * (alpha * cos_r - w2 * sin_r) + p[GRAVITY]
     whole[3], whole[4] = w2 * cos_r + alpha * sin_r, w2 * sin_r - alpha * cos_r
-    whole[5], whole[6] = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
-    fx = p[SP] * whole[3] - p[C1] * y[4] - p[K1] * whole[5]
-    fy = p[SP] * whole[4] - p[C2] * y[5] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
+    suspension(y, cos_r, sin_r, p, whole)
+    fx = p[SP] * whole[3] - p[C1] * whole[7] - p[K1] * whole[5]
+    fy = p[SP] * whole[4] - p[C2] * whole[8] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
     mxx, myy, mxy = p[MASS], p[MASS], 0.0
     for i in range(2):
         inertia, free = p[JA + i], 1.0 if mode[i] != 0 else 0.0
@@ -54,7 +54,8 @@ def _rates(y, phase, p, torque, mode, f, own, whole):
         rate = y[6 + i] * free
         speed = omega + rate
         dry = mode[i] * (torque[i] + p[FA + i] * speed * speed)
-        bare = -free * (p[DA + i] * alpha + p[CA + i] * rate + dry) / inertia
+        air = p[AA + i] * abs(rate)
+        bare = -free * (p[DA + i] * alpha + (p[CA + i] + air) * rate + dry) / inertia
         m = free * p[SA + i] * p[SA + i] / inertia
         across = p[SA + i] * (alpha + bare) + m * (sine * rx - cosine * ry)
         fx += p[SA + i] * speed * speed * cosine + across * sine
@@ -63,7 +64,7 @@ def _rates(y, phase, p, torque, mode, f, own, whole):
         myy -= m * cosine * cosine
         mxy += m * sine * cosine
         own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4] = cosine, sine, m, bare, speed
-        own[i, 5] = -free * (p[CA + i] + 2.0 * mode[i] * p[FA + i] * speed) / inertia
+        own[i, 5] = -free * (p[CA + i] + 2.0 * air + 2.0 * mode[i] * p[FA + i] * speed) / inertia
     share = 1.0 / (mxx * myy - mxy * mxy)
     whole[0], whole[1], whole[2] = myy * share, mxx * share, -mxy * share
     f[4], f[5] = whole[0] * fx + whole[2] * fy, whole[2] * fx + whole[1] * fy
@@ -81,8 +82,10 @@ def _linearised(y, phase, p, mode, own, whole, g, d):
     """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters, friction) into d (4, 19), from what `_rates` left; g (2, 19) is scratch."""
     alpha = phase[2]
     g[:] = 0.0
-    g[0, 0], g[1, 1], g[0, 4], g[1, 5] = -p[K1], -p[K2], -p[C1], -p[C2]
-    g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -y[4], -y[5]
+    g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (
+        -p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12]
+    )  # fmt: skip
+    g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -whole[7], -whole[8]
     g[0, 14], g[1, 14] = whole[3], whole[4]
     for i in range(2):
         cosine, sine, m, bare, speed, slope = own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4], own[i, 5]
@@ -187,7 +190,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
     for i in range(4):
         u[i, i], v[i, 4 + i] = 1.0, 1.0
     k, wy, phase, at, out = np.empty((4, 8)), np.empty(8), np.empty((3, 3)), np.empty(3), np.empty(8)
-    own, whole, g, d = np.empty((2, 8)), np.empty(7), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
+    own, whole, g, d = np.empty((2, 8)), np.empty(WHOLE), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
     bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
     f, before, jump = np.empty(8), np.empty(8), np.empty(COLUMNS)
     last_y, last_f, waiting = np.empty(8), np.empty(8), 0.0  # the step that the derivatives have still to take, s

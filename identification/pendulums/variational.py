@@ -17,36 +17,70 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dynamics.equations.kernels import BX, BY, C1, C2, CA, CB, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.kernels import (
+    AA,
+    BX,
+    BY,
+    C1,
+    C2,
+    CA,
+    CB,
+    DA,
+    FA,
+    GRAVITY,
+    HX,
+    HY,
+    JA,
+    K1,
+    K2,
+    MASS,
+    QX,
+    QY,
+    RC,
+    SA,
+    SP,
+)
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 
 COLUMNS = 15
+WHOLE = 13
 PARAMETER_COLUMNS = (K1, K2, C1, C2, CA, CB, SP)
 """Packed parameters (dynamics.equations.kernels) of columns 8 … 14; columns 0 … 7 are the start state's."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def suspension(y, cos_r, sin_r, p, whole):
+    """What k1, k2, c1, c2 are multiplied with, and its derivatives by stretch and speed, into whole[5:13]."""
+    ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
+    hx, hy, qx, qy = p[HX] * ux * ux, p[HY] * uy * uy, p[QX] * abs(y[4]), p[QY] * abs(y[5])
+    whole[5], whole[6], whole[7], whole[8] = ux * (1.0 + hx), uy * (1.0 + hy), y[4] * (1.0 + qx), y[5] * (1.0 + qy)
+    whole[9], whole[10], whole[11], whole[12] = 1.0 + 3.0 * hx, 1.0 + 3.0 * hy, 1.0 + 2.0 * qx, 1.0 + 2.0 * qy
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _accelerations(y, psi, omega, alpha, p, f, own, whole):
-    """Rates into f (8,); what their derivatives need into own (2, 8) and whole (7,).
+    """Rates into f (8,); what their derivatives need into own (2, 8) and whole (13,).
 
     own, by pendulum: cos φ, sin φ (e = (cos, sin), n = (sin, −cos)), S, S²/J, bare acceleration, its derivative by the
-    rate, n·p̈, e·p̈. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P and the springs' stretch.
+    rate, n·p̈, e·p̈. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P, what
+    k1, k2, c1, c2 are multiplied with, and the derivatives of these by the stretch and by the speed.
     """
     sin_r, cos_r = real_sine_cosine(psi)
     w2 = omega * omega
     rx = -p[RC] * (alpha * sin_r + w2 * cos_r)
     ry = p[RC] * (alpha * cos_r - w2 * sin_r) + p[GRAVITY]
     whole[3], whole[4] = w2 * cos_r + alpha * sin_r, w2 * sin_r - alpha * cos_r
-    whole[5], whole[6] = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
-    fx = p[SP] * whole[3] - p[C1] * y[4] - p[K1] * whole[5]
-    fy = p[SP] * whole[4] - p[C2] * y[5] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
+    suspension(y, cos_r, sin_r, p, whole)
+    fx = p[SP] * whole[3] - p[C1] * whole[7] - p[K1] * whole[5]
+    fy = p[SP] * whole[4] - p[C2] * whole[8] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
     mxx, myy, mxy = p[MASS], p[MASS], 0.0
     for i in range(2):
         s, j = p[SA + i], p[JA + i]
         sine, cosine = real_sine_cosine(psi + y[2 + i])
         rate, speed = y[6 + i], omega + y[6 + i]
-        bare = -(p[DA + i] * alpha + p[CA + i] * rate + p[FA + i] * speed * speed) / j
+        air = p[AA + i] * abs(rate)
+        bare = -(p[DA + i] * alpha + (p[CA + i] + air) * rate + p[FA + i] * speed * speed) / j
         m = s * s / j
         across = s * (alpha + bare) + m * (sine * rx - cosine * ry)
         fx += s * speed * speed * cosine + across * sine
@@ -55,7 +89,7 @@ def _accelerations(y, psi, omega, alpha, p, f, own, whole):
         myy -= m * cosine * cosine
         mxy += m * sine * cosine
         own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4] = cosine, sine, s, m, bare
-        own[i, 5] = -(p[CA + i] + 2.0 * p[FA + i] * speed) / j
+        own[i, 5] = -(p[CA + i] + 2.0 * air + 2.0 * p[FA + i] * speed) / j
     share = 1.0 / (mxx * myy - mxy * mxy)
     whole[0], whole[1], whole[2] = myy * share, mxx * share, -mxy * share
     f[4], f[5] = whole[0] * fx + whole[2] * fy, whole[2] * fx + whole[1] * fy
@@ -70,8 +104,10 @@ def _accelerations(y, psi, omega, alpha, p, f, own, whole):
 def _linearised(y, omega, alpha, p, own, whole, g, d):
     """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters) into d (4, 15), from what `_accelerations` left; g (2, 15) is scratch."""
     g[:] = 0.0
-    g[0, 0], g[1, 1], g[0, 4], g[1, 5] = -p[K1], -p[K2], -p[C1], -p[C2]
-    g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -y[4], -y[5]
+    g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (
+        -p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12]
+    )  # fmt: skip
+    g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -whole[7], -whole[8]
     g[0, 14], g[1, 14] = whole[3], whole[4]
     for i in range(2):
         cosine, sine, s, m, bare, slope = own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4], own[i, 5]
@@ -158,7 +194,7 @@ def free_motion(start, start_s, times, step, knots, coefficients, p):
     for i in range(4):
         u[i, i], v[i, 4 + i] = 1.0, 1.0
     k, wy, phase = np.empty((4, 8)), np.empty(8), np.empty((3, 3))
-    own, whole, g, d = np.empty((2, 8)), np.empty(7), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
+    own, whole, g, d = np.empty((2, 8)), np.empty(WHOLE), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
     bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
     segment, t = phase_at(start_s, 0, knots, coefficients, phase[0]), start_s
     _accelerations(y, phase[0, 0], phase[0, 1], phase[0, 2], p, k[0], own, whole)

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dynamics.equations.kernels import rates
+from dynamics.equations.kernels import PACKED, rates
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments
 from dynamics.equations.quick_rates import quick_rates, real_sine_cosine
@@ -102,8 +102,9 @@ def test_quick_rates_equal_the_kernels(seed: int, free_a: bool, free_b: bool) ->
     rng = np.random.default_rng(seed)
     y = rng.normal(size=8) * [0.01, 0.01, 30, 3, 0.5, 0.5, 20, 20]
     psi, speed, acceleration = rng.normal(size=3) * [1e3, 60, 20]
-    packed = rig().packed() * rng.uniform(0.5, 2, 20)
-    packed[12:] = rng.uniform(0, [3e-3, 1e-3, 1e-3, 1e-6, 1e-6, 9.81, 1e-3, 1e-3])
+    packed = rig().packed() * rng.uniform(0.5, 2, PACKED)
+    packed[12:20] = rng.uniform(0, [3e-3, 1e-3, 1e-3, 1e-6, 1e-6, 9.81, 1e-3, 1e-3])
+    packed[20:] = rng.uniform(0, [1e4, 1e4, 1.0, 1.0, 1e-4, 1e-4])
     arguments = psi, speed, acceleration, packed, float(free_a), float(free_b)
     for kind in (float, complex):
         state = y + (1e-30j * rng.normal(size=8) if kind is complex else 0.0)
