@@ -223,6 +223,8 @@ def test_against_heyoka() -> None:
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-2, 1e-4, 1e-6, 1e-9]))
 @example(299, 1e-2)  # 14 and 28 steps agree by chance
+@example(482065, 1e-4)  # 12 and 24 steps do, at 1.9 rad a step
+@example(2910, 1e-6)  # and at 0.6 rad a step, beside modes that die within one
 def test_the_bound_holds_in_random_draws(seed: int, accuracy: float) -> None:
     random = np.random.default_rng(seed)
     c = 10 ** random.uniform(-8, 1.7) * random.integers(0, 2)

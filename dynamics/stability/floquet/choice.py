@@ -48,6 +48,7 @@ class _Cost:
         longest: largest rate × step at which the method works at all.
         fewest: steps to begin with.
         step_roundings, rate_roundings: rounding errors gathered per step, and per unit of fastest rate × span.
+        three: whether two resolutions may agree by chance, so that a third, coarser one is held against them.
     """
 
     step_us: float
@@ -57,6 +58,7 @@ class _Cost:
     fewest: int = 4
     step_roundings: float = 1.0
     rate_roundings: float = 0.0
+    three: bool = False
 
 
 # One core of an AMD EPYC (Zen 4), November 2026: time of monodromy() over 10³ … 10⁵ steps; error constants from
@@ -66,7 +68,7 @@ _COSTS = {
     explicit.NAME: _Cost(4.5, 0.7, 1.6e-8, 2.5, 4, 0.1, 0.02),
     magnus.NAME: _Cost(3.4, 0.2, 1.0, 6.0, 12, 0.25, 0.25),
     implicit.NAME: _Cost(15.0, 0.3, 7e-7, 4.0, 4, 1.5, 0.0),
-    commutator_free.NAME: _Cost(6.0, 0.12, 1e-6, math.inf, 12, 1.0, 10.0),
+    commutator_free.NAME: _Cost(6.0, 0.12, 1e-6, math.inf, 12, 1.0, 10.0, True),
     chebyshev.NAME: _Cost(300.0, step_roundings=30.0),
     hill.NAME: _Cost(2000.0, step_roundings=10.0, rate_roundings=1.0),
     single_pass.NAME: _Cost(300.0, step_roundings=10.0, rate_roundings=10.0),
@@ -88,6 +90,7 @@ class Plan:
     Attributes:
         step_us: expected time of a step, µs.
         step_roundings, rate_roundings, fastest: rounding error in units of eps: steps and fastest rate × span.
+        three: whether a third resolution, of half as many steps, is held against the first two.
     """
 
     method: MonodromyMethod
@@ -97,11 +100,12 @@ class Plan:
     step_roundings: float
     rate_roundings: float
     fastest: float
+    three: bool
 
     @property
     def cost_us(self) -> float:
-        """Expected time of the first two resolutions, µs."""
-        return 3 * self.steps * self.step_us
+        """Expected time of the first resolutions, µs."""
+        return (3.5 if self.three else 3.0) * self.steps * self.step_us
 
 
 def _rates(matrix: PeriodicMatrix) -> NDArray[np.complexfloating]:
@@ -152,7 +156,9 @@ def plans(matrix: PeriodicMatrix, accuracy: float, name: str | None = None) -> l
         if candidate == commutator_free.NAME:  # each doubling of rate × step is one more squaring
             step_us += 0.4 * max(0.0, math.log2(max(1.0, fastest / steps)))
         why = f"fastest rate × span {fastest:.2g}, swing {swing:.2g} rad" if name is None else "as asked"
-        plan = Plan(METHODS[candidate], steps, why, step_us, cost.step_roundings, cost.rate_roundings, fastest)
+        plan = Plan(
+            METHODS[candidate], steps, why, step_us, cost.step_roundings, cost.rate_roundings, fastest, cost.three
+        )
         rounding = _EPS * (2 * steps * cost.step_roundings + fastest * cost.rate_roundings)
         if plan.cost_us <= BUDGET_US and rounding <= accuracy:
             found.append(plan)

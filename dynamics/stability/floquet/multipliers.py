@@ -166,19 +166,32 @@ def _converged(matrix: PeriodicMatrix, accuracy: float, chosen: Plan, budget_us:
     stuck, spent = 0, steps * chosen.step_us
     with np.errstate(all="ignore"):
         coarse = method.monodromy(matrix, steps)
+        earlier = coarse - method.monodromy(matrix, max(1, steps // 2)) if chosen.three else np.zeros_like(coarse)
         while stuck < 2 and (steps == chosen.steps or spent + 2 * steps * chosen.step_us <= budget_us):
             steps *= 2
             spent += steps * chosen.step_us
             fine = method.monodromy(matrix, steps)
             if np.all(np.isfinite(fine)) and np.all(np.isfinite(coarse)):
-                before, found = found, _bounded(matrix, fine, fine - coarse, steps, chosen)
+                change = _no_better_than_its_order(fine - coarse, earlier, method.ORDER)
+                before, found = found, _bounded(matrix, fine, change, steps, chosen)
                 if _met(found, accuracy):
                     return found, spent
                 stuck = stuck + 1 if before and found.error_estimate > 0.5 * before.error_estimate else 0
-            coarse = fine
+            earlier, coarse = (fine - coarse if chosen.three else earlier), fine
     if found is None:
         raise _overflow(f"{method.NAME} method, {steps} steps")
     return found, spent
+
+
+def _no_better_than_its_order(
+    change: NDArray[np.floating], earlier: NDArray[np.floating], order: int
+) -> NDArray[np.floating]:
+    """A change between two resolutions, no smaller than the method's order makes it of the change before.
+
+    A change that fell by more is one that passes through zero: the two agree by chance.
+    """
+    expected = earlier / 2**order
+    return np.where(np.abs(change) >= np.abs(expected), change, expected)
 
 
 def _bounded(
