@@ -6,11 +6,14 @@ On a machine whose processors are busy, a fit of 30 ms took over a second with O
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
+THREADS = max(1, min(4, os.cpu_count() or 1))
+"""Motions that are integrated side by side."""
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 

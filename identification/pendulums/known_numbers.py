@@ -9,6 +9,7 @@ docs/theory/uncertainty.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from identification.least_squares import Minimum
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientProblem
+from identification.threads import THREADS
 from rig_configs.known import ZERO_A, ZERO_B, physical_numbers
 
 Array = NDArray[np.float64]
@@ -41,18 +43,21 @@ def by_physical_numbers(
     Returns:
         Number → derivative, shape (m,), per unit of the number.
     """
-    base, found = made(knowledge), dict[str, Array]()
-    values = physical_numbers(knowledge.physics)
-    for name in knowledge.numbers:
-        if name == "imbalance.mass_kg" and "rotor.mass_kg" in found:
-            found[name] = found["rotor.mass_kg"]  # S_P is found by itself: both act through the total mass
-            continue
+    base, values = made(knowledge), physical_numbers(knowledge.physics)
+
+    def answer(name: str) -> Array | None:
         step = _STEP * values[name] or _STEP_SI
         other = made(knowledge.moved(name, step))
         moved = replace(other, prior=problem.prior + other.prior - base.prior, prior_std=problem.prior_std)
         change = moved.residual(minimum.theta, end_s) - minimum.residual
-        if np.all(np.isfinite(change)):
-            found[name] = answer_to(minimum, change / step, wanted)
+        return answer_to(minimum, change / step, wanted) if np.all(np.isfinite(change)) else None
+
+    names = list(knowledge.numbers)
+    once = [n for n in names if not (n == "imbalance.mass_kg" and "rotor.mass_kg" in names)]
+    with ThreadPoolExecutor(THREADS) as pool:
+        found = {name: by for name, by in zip(once, pool.map(answer, once), strict=True) if by is not None}
+    if "rotor.mass_kg" in found and "imbalance.mass_kg" in names:
+        found["imbalance.mass_kg"] = found["rotor.mass_kg"]  # S_P is found by itself: both act through the total mass
     return found
 
 

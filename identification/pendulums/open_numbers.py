@@ -11,6 +11,7 @@ suspension is that for the numbers as the rig file has them. Source: docs/theory
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 from identification.pendulums.transient import TransientProblem
+from identification.threads import THREADS
 
 Array = NDArray[np.float64]
 
@@ -58,8 +60,12 @@ def with_open_numbers(
             count = sum(len(c.time_s) for c in problem.cut(end_s))
             return np.full(count, np.nan), np.zeros((count, len(theta)))
         angle, slope = angles(own, off, end_s)
-        steps = _STEP * np.eye(len(names))
-        columns = [(angles(own, off + step, end_s)[0] - angle) / _STEP for step in steps]
+
+        def column(k: int) -> Array:
+            return (angles(own, off + _STEP * np.eye(len(names))[k], end_s)[0] - angle) / _STEP
+
+        with ThreadPoolExecutor(THREADS) as pool:  # the motions leave the interpreter to others
+            columns = list(pool.map(column, range(len(names))))
         return angle, np.column_stack([slope, *columns])
 
     none, one = np.zeros(len(names)), np.ones(len(names))
