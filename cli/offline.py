@@ -10,12 +10,13 @@ from cyclopts import Parameter
 
 from cli.console import STDERR, print_json, say, show
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
-from cli.setting_costs import SETTING_HELP
+from cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 if TYPE_CHECKING:
     from identification.release_check import ReleaseRows
+    from identification.rungs import Rung
 
 _NOTHING_KNOWN_DEG = 90.0  # of an axis
 
@@ -28,6 +29,7 @@ def identify(
         Literal["fast", "balanced", "reference"],
         Parameter(help=SETTING_HELP),
     ] = "balanced",
+    without: Annotated[list[str] | None, Parameter(help=WITHOUT_HELP, negative="")] = None,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -40,9 +42,10 @@ def identify(
 
     _need(logs, "rig identify LOG…")
     need_place("rig identify: -o", output)
+    held = _held_back(without or [])
     loaded = load_rig(rig, settings=settings or [])
     runs = load_runs(logs)
-    found = find(runs, loaded, STDERR.print, setting=setting)
+    found = find(runs, loaded, STDERR.print, setting=setting, without=held)
     parameters = results.with_version(found.parameters, settings or [])
     parameters.save(output)
     limited = limits(found) or []
@@ -58,6 +61,20 @@ def identify(
         say(f"warning: {warning}")
     say(f"written to {output}")
     return 0
+
+
+def _held_back(names: list[str]) -> frozenset[Rung]:
+    """The rungs that --without names.
+
+    Raises:
+        RigFileError: there is no such rung.
+    """
+    from identification.rungs import held_back  # noqa: PLC0415 (scipy and numba take seconds to import)
+
+    try:
+        return held_back(names)
+    except ValueError as error:
+        raise RigFileError(f"rig identify: --without: {error}") from error
 
 
 def validate(

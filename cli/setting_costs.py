@@ -92,3 +92,10 @@ TRACKING_HELP = (
     f"{TRACKING.damping:.2g} (ln c) of the filter's (docs/benchmarks.md)"
 )
 """Of `rig track --setting`."""
+
+WITHOUT_HELP = (
+    "a rung of the model ladders that is not taken, however much the data ask for it; repeat for more: lines, "
+    "spectrum, wander, amplitude, second-mode, slow-roll, ripple, clocks, friction, drag, open-masses "
+    "(docs/how-to/experimenter.md)"
+)
+"""Of `rig identify --without`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ from identification.ring_down.fit import RingDownFit
 from identification.ring_down.together import fit_ring_downs
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.run_up.slow_roll_vector import slow_roll_of, slow_roll_of_all
+from identification.rungs import Rung, held_back
 from identification.setting import Setting
 from identification.threads import on_one_thread
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
@@ -83,6 +84,7 @@ class _Work:
     rig: Rig
     tell: Callable[[str], None]
     setting: Setting
+    without: frozenset[Rung]
     estimates: list[Estimate]
     fits: list[NamedFit]
     warnings: list[str]
@@ -109,7 +111,8 @@ class _Work:
 
     def knowledge(self) -> Knowledge:
         """The rig file with what the tests so far have found laid over it."""
-        stated = {n: std for n in PENDULUMS if (std := self.rig.known.std(n)) > 0}
+        open_masses = () if "open-masses" in self.without else PENDULUMS
+        stated = {n: std for n in open_masses if (std := self.rig.known.std(n)) > 0}
         known = replace(Knowledge.nominal(self.rig.physics), friction=self.friction(), number_std=stated)
         if (roll := self.slow_roll()[0]) is not None and roll.bow_m:
             known = replace(known, physics=replace(known.physics, bow_x_m=roll.bow_m.real, bow_y_m=roll.bow_m.imag))
@@ -156,6 +159,7 @@ def identify(
     progress: Callable[[str], None] | None = None,
     earlier: Identification | None = None,
     setting: Setting = "balanced",
+    without: Collection[str] = (),
 ) -> Identification:
     """Find k1, k2, ζ1, ζ2, c3, c4, S_P from whatever runs there are.
 
@@ -165,11 +169,13 @@ def identify(
         progress: told one line before each fit.
         earlier: an identification of some of these runs with the same rig; their fits are taken from it.
         setting: of every fit.
+        without: rungs of the model ladders that are not taken (identification.rungs.RUNGS).
     Raises:
+        ValueError: no such rung.
         NotIdentifiable: no run gave any parameter; the message lists why.
     Source: docs/theory/identification.md.
     """
-    work = _Work(rig, progress or (lambda _: None), setting, [], [], [])
+    work = _Work(rig, progress or (lambda _: None), setting, held_back(without), [], [], [])
     runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += missing_warnings(runs)
@@ -183,7 +189,9 @@ def identify(
         f"{Path(run.source).name}: {said}" for run in runs for said in phase_remarks(run, turns(run.test))
     ]
     work.warnings += passed_over(runs)
-    ring_downs, told_of = fit_ring_downs(runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.tell)
+    ring_downs, told_of = fit_ring_downs(
+        runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.tell, work.without
+    )
     work.warnings += told_of
     for found in ring_downs:
         work.add(found.run, found.fit, found.estimate, found.tests)
@@ -249,7 +257,7 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
         run = replace(run, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
     if not len(run.angle_rad):
         work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
-    fit = as_mounted(fit_run_up_run(run, setting=work.setting), run.turn_deg)
+    fit = as_mounted(fit_run_up_run(run, setting=work.setting, without=work.without), run.turn_deg)
     gains = work.rig.roles.gain_stds
     estimate = run_up_estimate(run, fit, work.rig.physics, gains)
     estimate, told = run_up_sides(run, fit, estimate, work.rig, gains)
@@ -349,6 +357,8 @@ def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) ->
         {"parameter": r.parameter, "test": r.test, "z": r.z, "chi2": r.chi2, "dof": r.dof, "p": r.p} for r in rows
     ]
     facts: dict[str, Any] = {"method": "generalised least squares over per-test fits", "tests": tests}
+    if work.without:
+        facts["without"] = sorted(work.without)
     return {**facts, "consistency": consistency, **_kept_friction(work)}
 
 

@@ -39,6 +39,7 @@ from identification.ring_down.residuals import gain_of
 from identification.ring_down.rungs import bent_leader, beside_leader, climbed, explains, is_misfit
 from identification.ring_down.scores import known_columns, stretches
 from identification.ring_down.start import pair_starts
+from identification.rungs import Rung
 from identification.samples import Averages
 from identification.setting import Setting
 
@@ -65,12 +66,14 @@ class Plan:
         setting: speed against accuracy.
         priors: of a turned pair.
         valid: per record and channel the samples that may be used at all.
+        without: rungs that are not taken.
     """
 
     turned: bool
     setting: Setting
     priors: Priors
     valid: tuple[tuple[np.ndarray, ...], ...]
+    without: frozenset[Rung] = frozenset()
 
     def __call__(self, decay: Decay, near: Fitted | None = None) -> Fitted:
         """Fit without any start value, or with a turned pair's fit on another span for a further one.
@@ -92,7 +95,7 @@ class Plan:
         Args:
             first: before lines and coloured noise are looked for: only what explains most of a misfit.
         """
-        if self.setting == "fast":
+        if self.setting == "fast" or "amplitude" in self.without:
             return fitted
         climb = climbed(fitted, self.priors, first)
         if first and self.turned and climb is fitted and is_misfit(fitted):
@@ -126,7 +129,7 @@ class Plan:
 
     def without_lines(self, fitted: Fitted, near: Fitted | None = None) -> Fitted:
         """The fit with lines that it shows beside its modes, until it shows none."""
-        for _ in range(_LINES):
+        for _ in range(0 if "lines" in self.without else _LINES):
             mode = steady_mode(fitted)
             mode = foreign_mode(fitted) if mode is None else mode
             if mode is not None:
@@ -181,7 +184,7 @@ class Plan:
 
     def with_known_noise(self, fitted: Fitted) -> Fitted:
         """The fit weighted by its noise's spectrum where that is not white."""
-        for _ in range(_COLOURS):
+        for _ in range(0 if "spectrum" in self.without else _COLOURS):
             decay = coloured(fitted)
             if decay is None:
                 break
@@ -227,13 +230,14 @@ class Plan:
     def with_drift(self, fitted: Fitted) -> Fitted:
         """The smallest drift that the data do not contradict, by BIC."""
         choices = drift_criteria(fitted)
-        order = min(choices, key=lambda k: choices[k])
+        highest = 1 if "wander" in self.without else 3
+        order = min((k for k in choices if k <= highest), key=lambda k: choices[k])
         return fitted if order == fitted.model.drift else self.again(fitted, drift=order)
 
     def with_second_mode(self, fitted: Fitted) -> Fitted:
         """Two modes in one sensor where residuals ask for it; the stronger comes first."""
         dof = fitted.count - fitted.model.linear - fitted.model.size
-        if fitted.solution.chi2_per_dof < 1 + 4 * np.sqrt(2 / dof):
+        if "second-mode" in self.without or fitted.solution.chi2_per_dof < 1 + 4 * np.sqrt(2 / dof):
             return fitted
         second = damped_periodogram(rests(fitted))
         theta = np.r_[fitted.theta[:2], theta_of([second])]
@@ -291,6 +295,8 @@ class Plan:
 
     def shortened(self, fitted: Fitted) -> Fitted:
         """Where wander widens the intervals: the record cut at 8 decay times and cubic drift, if that narrows them."""
+        if "wander" in self.without:
+            return fitted
         stretch = stretches(fitted)
         slowest = float(np.min(fitted.zetas * fitted.omegas))
         if float(np.max(stretch[: 2 * fitted.model.modes])) < _COLOURED or slowest <= 0:

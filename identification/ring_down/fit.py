@@ -6,7 +6,7 @@ Model: identification.ring_down.model. Estimator, criteria and intervals: docs/t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,6 +42,7 @@ from identification.ring_down.resolution import (
     stronger_sensor,
 )
 from identification.ring_down.result import Findings, RingDownFit, result
+from identification.rungs import held_back
 from identification.setting import Setting, check_setting
 from identification.threads import on_one_thread
 
@@ -60,6 +61,7 @@ def fit_ring_down(
     *,
     setting: Setting = "balanced",
     axis_prior_deg: float = 30.0,
+    without: Collection[str] = (),
 ) -> RingDownFit:
     """Fit a free decay.
 
@@ -72,7 +74,9 @@ def fit_ring_down(
         setting: fast, balanced or reference.
         axis_prior_deg: how far the sensors may be turned against the stiffness axes, one standard deviation. The
             default is so wide that the data decide.
+        without: rungs of the ladder that are not taken (identification.rungs.RUNGS).
     Raises:
+        ValueError: no such rung.
         NotIdentifiable: nothing rings down, or too fast, or the record is too short, or damping drowns in noise.
         FitFailed: no convergence, or the model leaves a good part of the signal.
     Source: docs/theory/ring_down.md.
@@ -82,7 +86,7 @@ def fit_ring_down(
         raise NotIdentifiable(f"expected displacements of shape (n,) or (n, 2), got {signals.shape}")
     columns = [signals] if signals.ndim == 1 else list(signals.T)
     priors = Priors(_axis_prior(axis_prior_deg))
-    return _fit([[(np.asarray(time_s, float), column) for column in columns]], mass_kg, setting, priors)
+    return _fit([[(np.asarray(time_s, float), column) for column in columns]], mass_kg, setting, priors, without)
 
 
 @on_one_thread
@@ -92,18 +96,19 @@ def fit_ring_down_runs(
     *,
     setting: Setting = "balanced",
     axis_prior_deg: float = 30.0,
+    without: Collection[str] = (),
 ) -> RingDownFit:
     """One joint fit of several ring-down runs: modes and axis angle shared, amplitudes and laser delay each run's own.
 
     Args:
         runs: "ring-down-x" and "ring-down-y" runs in any number.
         mass_kg: total moving mass.
-        setting, axis_prior_deg: as fit_ring_down.
+        setting, axis_prior_deg, without: as fit_ring_down.
     Raises:
         NotIdentifiable, FitFailed: as fit_ring_down.
     """
     pairs = [[(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)] for run in runs]
-    return _fit(pairs, mass_kg, setting, Priors(_axis_prior(axis_prior_deg), delay_s=DELAY_STD_S))
+    return _fit(pairs, mass_kg, setting, Priors(_axis_prior(axis_prior_deg), delay_s=DELAY_STD_S), without)
 
 
 def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float) -> Estimate:
@@ -136,16 +141,20 @@ def _axis_prior(degrees: float) -> float:
 
 
 def _fit(
-    records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], mass: float | None, setting: Setting, priors: Priors
-) -> RingDownFit:
+    records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], mass: float | None, setting: Setting, priors: Priors,
+    without: Collection[str],
+) -> RingDownFit:  # fmt: skip
     check_setting(setting)
     if mass is not None and not 0 < mass < np.inf:
         raise NotIdentifiable(f"ring-down: a mass above 0 kg is needed, got {mass:g}; leave it out")
     channels, warnings = _read(records)
     refuse_too_fast(channels)
     valid = tuple(tuple(c.keep for c in own) for own in channels)
-    start = proposed(tuple(tuple(without_lines(without_spikes(c)[0]) for c in own) for own in channels))
-    findings = Findings(setting, priors, mass, warnings)
+    findings = Findings(setting, priors, mass, warnings, held_back(without))
+    smooth = tuple(tuple(without_spikes(c)[0] for c in own) for own in channels)
+    if "lines" not in findings.without:
+        smooth = tuple(tuple(without_lines(c) for c in own) for own in smooth)
+    start = proposed(smooth)
     if len(records[0]) == 1:
         return _one_direction(start, valid, findings, 0)
     lone = lone_direction(start)
@@ -171,7 +180,7 @@ def _lone(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Fin
 def _both_directions(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings) -> RingDownFit:
     warnings, priors = findings.warnings, findings.priors
     said = list(warnings)
-    plan = Plan(True, findings.setting, priors, valid)
+    plan = Plan(True, findings.setting, priors, valid, findings.without)
     fitted, count = plan.without_outliers(settled(start, plan))
     findings.tell_left_out(count)
     pull = abs(float(fitted.theta[RATIO])) / priors.ratio
@@ -222,7 +231,7 @@ def _read(
 def _one_direction(
     start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings, axis: int
 ) -> RingDownFit:
-    plan = Plan(False, findings.setting, findings.priors, valid)
+    plan = Plan(False, findings.setting, findings.priors, valid, findings.without)
     fitted, count = plan.without_outliers(settled(start, plan))
     findings.tell_left_out(count)
     fitted = plan.with_fewest_modes(plan.shortened(fitted))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,7 +30,7 @@ def living_lasers(run: Run) -> tuple[Run, list[str]]:
     return replace(run, **gone), [f"{Path(run.source).name}: laser {axis} {what}; check its cable and its range"]
 
 
-def fit_one_laser(run: Run, mass: float, setting: Setting) -> RingDownFit:
+def fit_one_laser(run: Run, mass: float, setting: Setting, without: Collection[str] = ()) -> RingDownFit:
     """The direction along which the column was pulled, from the laser there.
 
     Raises:
@@ -45,8 +46,8 @@ def fit_one_laser(run: Run, mass: float, setting: Setting) -> RingDownFit:
     if pulled is not None and pulled != seen:  # what laser x sees of a pull along y may be either direction
         raise NotIdentifiable(f"{run.source}: pulled along {pulled}, but only laser {seen} works in it")
     if len(run.x_time_s):
-        return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting)
-    fit = fit_ring_down(run.y_time_s, run.y_m, mass, setting=setting)
+        return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting, without=without)
+    fit = fit_ring_down(run.y_time_s, run.y_m, mass, setting=setting, without=without)
     values = {name.replace("1", "2", 1): value for name, value in fit.values.items()}
     intervals = {name.replace("1", "2", 1): value for name, value in fit.intervals.items()}
     curves = [replace(curve, label=f"{curve.label.removesuffix('x')}y") for curve in fit.curves]

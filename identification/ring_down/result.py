@@ -27,6 +27,7 @@ from identification.ring_down.reported_values import (
 from identification.ring_down.residuals import Whiteness, whiteness
 from identification.ring_down.resolution import RESOLVED_GAIN, RESOLVED_SPLIT, WALD_STD, Resolution, resolution
 from identification.ring_down.scores import stretches
+from identification.rungs import Rung
 from identification.setting import ModelChoice, Setting
 
 _LEFT_OVER, _WRONG_CHI2 = 0.1, 10.0  # share of the signal and χ²/dof that mark a model that is none
@@ -93,6 +94,7 @@ class Findings:
     priors: Priors
     mass_kg: float | None
     warnings: list[str]
+    without: frozenset[Rung] = frozenset()
 
     def tell_left_out(self, count: int) -> None:
         """Note outliers."""

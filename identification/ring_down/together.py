@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,7 +41,7 @@ class FoundRingDown:
 
 
 def fit_ring_downs(
-    runs: Sequence[Run], mass_kg: float, setting: Setting, tell: Callable[[str], None]
+    runs: Sequence[Run], mass_kg: float, setting: Setting, tell: Callable[[str], None], without: Collection[str] = ()
 ) -> tuple[list[FoundRingDown], list[str]]:
     """Fit ring-downs.
 
@@ -50,6 +50,7 @@ def fit_ring_downs(
     Args:
         mass_kg: total moving mass.
         tell: told one line before each fit.
+        without: rungs of the ladder that are not taken.
     Returns:
         What was found, and a sentence for each run or sensor that was left out.
     """
@@ -64,10 +65,10 @@ def fit_ring_downs(
         has_both = bool(len(run.x_time_s) and len(run.y_time_s))
         try:
             if has_both:
-                fit = as_mounted(fit_ring_down_runs([run], mass_kg, setting=setting), run.turn_deg)
+                fit = as_mounted(fit_ring_down_runs([run], mass_kg, setting=setting, without=without), run.turn_deg)
                 alone.append(FoundRingDown(run, fit, (run.test,), mass_kg))
             else:
-                found.append(FoundRingDown(run, fit_one_laser(run, mass_kg, setting), (run.test,), mass_kg))
+                found.append(FoundRingDown(run, fit_one_laser(run, mass_kg, setting, without), (run.test,), mass_kg))
         except IdentificationError as error:
             sentence = f"{run.test} left out: {error}"
             warnings.append(sentence)
@@ -76,7 +77,7 @@ def fit_ring_downs(
     pairs = [one.run for one in alone] + list(failed.values())
     if len(pairs) > 1 and (failed or any(not _tells_directions_apart(one.fit) for one in alone)):
         try:
-            fit = as_mounted(fit_ring_down_runs(pairs, mass_kg, setting=setting), pairs[0].turn_deg)
+            fit = as_mounted(fit_ring_down_runs(pairs, mass_kg, setting=setting, without=without), pairs[0].turn_deg)
         except IdentificationError as error:
             warnings.append(f"joint fit of the ring-downs failed: {error}")
         else:

@@ -8,6 +8,7 @@ first costs nothing, the second's interval has to hold.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,11 +25,13 @@ from identification.run_up.model import (
     Structure,
     run_up_blocks,
 )
+from identification.rungs import Rung
 from identification.setting import ModelChoice, Setting
 
 _CLEAR = 200.0  # a Wald χ² beyond which refitting the narrower model tells nothing more
 _CLOCK_STD = (10e-3, 10e-3, 1e-4, 1e-4)  # s, s, relative rates
 _RIPPLE_STD = (0.01,) * 4
+_RUNG_OF: Mapping[Rung, str] = {"wander": "cubic", "ripple": "ripple", "clocks": "clocks"}
 
 
 @dataclass(frozen=True)
@@ -60,13 +63,17 @@ class _Other:
     how: str
 
 
-def compare(record: RunUpRecord, design: Design, clocks_apart: bool, marks_only: bool, setting: Setting) -> Comparison:
+def compare(
+    record: RunUpRecord, design: Design, clocks_apart: bool, marks_only: bool, setting: Setting,
+    without: frozenset[Rung] = frozenset(),
+) -> Comparison:  # fmt: skip
     """Compare the fitted model with its neighbours.
 
     Args:
         clocks_apart: whether delays are in the model already, or cannot be told from a wandering phase.
         marks_only: whether the phase is known once a turn, so that it may hold ripple unseen.
         setting: fast judges by the linearisation alone.
+        without: rungs that are not taken; the table has them all the same.
     """
     n, per_unknown = len(design.residual), float(np.log(len(design.residual)))
     noise = max(1.0, design.chi2 / max(1, n - design.unknowns))
@@ -83,6 +90,9 @@ def compare(record: RunUpRecord, design: Design, clocks_apart: bool, marks_only:
     if marks_only:
         others["ripple"] = _wider(record, design, RIPPLE, "speed ripple between the marks")
     gain = {key: -(o.chi2 / noise + o.unknowns * per_unknown) for key, o in others.items()}
+    for rung, key in _RUNG_OF.items():
+        if rung in without and key in gain:
+            gain[key] = min(gain[key], 0.0)
     structure, warnings = design.structure, []
     if gain["single"] > 0:
         structure = structure.without(ANGLE)

@@ -6,7 +6,7 @@ beside it for comparison. Model and estimator: docs/theory/run_up.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,6 +49,7 @@ from identification.run_up.sensors import sensor_averages
 from identification.run_up.slow_roll_choice import Doubt
 from identification.run_up.smallest_model import smallest_adequate
 from identification.run_up.start import RunUpStart, run_up_starts
+from identification.rungs import Rung, held_back
 from identification.samples import correlation_inflation
 from identification.setting import Setting, check_setting
 from identification.threads import on_one_thread
@@ -88,6 +89,7 @@ def fit_run_up(
     *,
     delay_std_s: float = 0.0,
     setting: Setting = "balanced",
+    without: Collection[str] = (),
 ) -> RunUpFit:
     """Fit a run-up or run-down sampled on one time base.
 
@@ -100,7 +102,9 @@ def fit_run_up(
             none unless the data show it.
         setting: fast skips narrower models and profiles, reference averages least and gives every interval from the
             likelihood's profile.
+        without: rungs of the ladder that are not taken (identification.rungs.RUNGS).
     Raises:
+        ValueError: no such rung.
         NotIdentifiable: the speed passes no resonance, or too few samples.
         FitFailed: no convergence, or a model that leaves much of the signal.
     Source: docs/theory/run_up.md.
@@ -112,11 +116,17 @@ def fit_run_up(
             f"{np.shape(phase_rad)}"
         )
     phase = RotorPhase.from_samples(time, np.asarray(phase_rad, float))
-    return _fit([(time, signals[:, 0]), (time, signals[:, 1])], phase, _Clocks(delay_std_s, (0.0, 0.0)), setting)
+    return _fit(
+        [(time, signals[:, 0]), (time, signals[:, 1])],
+        phase,
+        _Clocks(delay_std_s, (0.0, 0.0)),
+        setting,
+        held_back(without),
+    )
 
 
 @on_one_thread
-def fit_run_up_run(run: Run, *, setting: Setting = "balanced") -> RunUpFit:
+def fit_run_up_run(run: Run, *, setting: Setting = "balanced", without: Collection[str] = ()) -> RunUpFit:
     """The same on a recorded run: both sensors on their own clocks, the phase as recorded or from tachometer marks.
 
     Raises:
@@ -133,12 +143,13 @@ def fit_run_up_run(run: Run, *, setting: Setting = "balanced") -> RunUpFit:
     x, y = (rate_std_between(run, axis, "phase") for axis in ("x", "y"))
     # a recording made elsewhere has one clock for all, however well its rate is known
     clocks = _Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
-    return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting)
+    return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting, held_back(without))
 
 
 def _fit(
-    sensors: list[tuple[np.ndarray, np.ndarray]], phase: RotorPhase, clocks: _Clocks, setting: Setting
-) -> RunUpFit:
+    sensors: list[tuple[np.ndarray, np.ndarray]], phase: RotorPhase, clocks: _Clocks, setting: Setting,
+    without: frozenset[Rung],
+) -> RunUpFit:  # fmt: skip
     check_setting(setting)
     start = max(phase.start_s, *(float(t[0]) for t, _ in sensors))
     end = min(phase.end_s, *(float(t[-1]) for t, _ in sensors))
@@ -154,7 +165,8 @@ def _fit(
         channels.append(found)
         warnings += told
     record = RunUpRecord(channels[0], channels[1], drive)
-    structure, solution = _from_starts(record, _structure(drive, clocks))
+    slow_roll = "slow-roll" not in without
+    structure, solution = _from_starts(record, _structure(drive, clocks), slow_roll)
     record, solution, told = _without_wild_blocks(record, structure, solution)
     warnings += told
     quieter, told = _noise_of_residuals(record, solution)
@@ -165,10 +177,10 @@ def _fit(
     lags_known = clocks.apart or phase.wander_density * (end - start) > _WANDER
 
     def compared(at: Design) -> Comparison:
-        return compare(record, at, lags_known, bool(np.isfinite(phase.mark_rad)), setting)
+        return compare(record, at, lags_known, bool(np.isfinite(phase.mark_rad)), setting, without)
 
     solution, design, comparison, doubt = smallest_adequate(
-        record, solution, design, compared, lambda wanted, phi: _solve(record, wanted, phi)
+        record, solution, design, compared, lambda wanted, phi: _solve(record, wanted, phi), slow_roll
     )
     return _result(record, phase, solution, design, comparison, doubt, warnings, setting)
 
@@ -191,7 +203,7 @@ def _solve(record: RunUpRecord, structure: Structure, phi: np.ndarray, iteration
     )  # fmt: skip
 
 
-def _from_starts(record: RunUpRecord, structure: Structure) -> tuple[Structure, Solution]:
+def _from_starts(record: RunUpRecord, structure: Structure, slow_roll: bool) -> tuple[Structure, Solution]:
     """The best solution; further starts are tried as long as residuals exceed the noise.
 
     Directions that are alike have no axes: there the angle is left out, as it would wander along a valley.
@@ -207,7 +219,7 @@ def _from_starts(record: RunUpRecord, structure: Structure) -> tuple[Structure, 
     best: Solution | None = None
     for start in _apart(record, starts):
         solution = _solve(record, structure, structure.project(_theta(start)))
-        if solution.chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed may hide it
+        if slow_roll and solution.chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed may hide it
             wider = replace(structure, run_out=True, bow=True)
             other = _solve(record, wider, solution.minimum.theta)
             if other.chi2_per_dof < _EXCESS and other.minimum.converged:

@@ -14,13 +14,23 @@ from identification.run_up.slow_roll_choice import Doubt, Solve, slow_roll_choic
 
 
 def smallest_adequate(
-    record: RunUpRecord, solution: Solution, design: Design, compared: Callable[[Design], Comparison], solve: Solve
-) -> tuple[Solution, Design, Comparison, Doubt | None]:
+    record: RunUpRecord, solution: Solution, design: Design, compared: Callable[[Design], Comparison], solve: Solve,
+    slow_roll: bool = True,
+) -> tuple[Solution, Design, Comparison, Doubt | None]:  # fmt: skip
     """The smallest adequate model's solution, and what may hold in its place.
 
     Of a slow roll and the other rungs the one that gains more is first.
+
+    Args:
+        slow_roll: whether there may be one.
     """
     comparison = compared(design)
+    if not slow_roll:
+        if comparison.structure is not design.structure:
+            phi = comparison.structure.project(design.structure.theta(solution.minimum.theta))
+            solution = solve(comparison.structure, phi)
+            design = design_at(record, comparison.structure, solution.minimum.theta)
+        return solution, design, comparison, None
     found = slow_roll_choice(record, design, solution, solve, comparison.gained)
     if found.structure is not design.structure:
         solution, design = found.solution, design_at(record, found.structure, found.solution.minimum.theta)

@@ -1,0 +1,61 @@
+"""Rungs of the model ladders that are held back: what the data ask for is then not taken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import get_args
+
+import pytest
+
+from benchmarks.worlds import Effects, Spread, draw_world, record
+from identification import Identification, identify
+from identification.rungs import RUNGS, Rung, held_back
+
+SEED = 1000
+
+
+def identified(test: str, effects: Effects, without: tuple[str, ...]) -> Identification:
+    world = draw_world(SEED, Spread.exact(), effects)
+    return identify([record(world, SEED, test)], world.rig, without=without)
+
+
+def says(found: Identification, words: str) -> bool:
+    return any(words in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("rung", "test", "effects", "words"),
+    [
+        ("lines", "ring-down-x", Effects(hum_m=2e-5), "50.00 Hz"),
+        ("amplitude", "ring-down-x", Effects(cubic=0.01), "at zero amplitude"),
+        ("slow-roll", "run-up", Effects(runout_m=1e-4), "run-out"),
+    ],
+)
+def test_a_rung_that_is_held_back_is_not_taken(rung: str, test: str, effects: Effects, words: str) -> None:
+    free, held = identified(test, effects, ()), identified(test, effects, (rung,))
+    assert says(free, words)
+    assert not says(held, words)
+    assert "without" not in free.parameters.provenance
+    assert held.parameters.provenance["without"] == [rung]
+    shared = set(free.parameters.values) & set(held.parameters.values)
+    assert any(free.parameters.values[n] != held.parameters.values[n] for n in shared)
+
+
+def test_wander_held_back_leaves_a_straight_line() -> None:
+    effects = Effects(wander_m=2e-5)
+    free, held = identified("ring-down-x", effects, ()), identified("ring-down-x", effects, ("wander",))
+    assert "cubic" in free.fits[0].fit.model
+    assert "cubic" not in held.fits[0].fit.model
+
+
+def test_noise_is_white_where_its_spectrum_is_held_back() -> None:
+    """Intervals still take the residuals' spectrum in, so they grow."""
+    effects = replace(Effects(), wander_m=3e-5)
+    free, held = identified("ring-down-x", effects, ()), identified("ring-down-x", effects, ("spectrum", "wander"))
+    assert held.fits[0].fit.chi2_per_dof > 1.5 * free.fits[0].fit.chi2_per_dof
+
+
+def test_there_are_no_other_rungs() -> None:
+    assert set(RUNGS) == set(get_args(Rung))
+    with pytest.raises(ValueError, match=r"expected some of lines.*got colour"):
+        held_back(["lines", "colour"])
