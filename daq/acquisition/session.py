@@ -39,7 +39,7 @@ from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
 from daq.transports.host_clock import Repeated
 from daq.version import software_version
-from rig_configs.errors import RigFileError
+from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 
 _ALIVE_S = 3.0  # wall seconds
@@ -78,7 +78,7 @@ class Session:
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())
         self._known = devices_of(rig.devices)
-        _refuse_shared_ports(rig)
+        refuse_shared_ports(rig.devices)  # a rig that no file was read for, as a log's
         self._say = say
         self._core = Core(rig, clock.patience, driving=True)
         self._links: Links | None = None
@@ -585,23 +585,6 @@ class Session:
         if self._command is None or self._command.locks is None or self.rig.roles.locks is None:
             raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
         self._command.locks.command(action, self.check)
-
-
-def _refuse_shared_ports(rig: Rig) -> None:
-    """Two devices on one line: a bus alone can have several.
-
-    Raises:
-        RigFileError: naming both.
-    """
-    first: dict[str, str] = {}
-    for name, device in rig.devices.items():
-        if device.port.startswith("can:") or " " in device.port:  # a bus, or no port yet
-            continue
-        if (other := first.setdefault(device.port, name)) != name:
-            raise RigFileError(
-                f"devices.{other}.port and devices.{name}.port are both {device.port!r}: a line has one device. "
-                "`rig check` tells what answers where"
-            )
 
 
 def _keep(recorder: Recorder, order: Keep) -> None:
