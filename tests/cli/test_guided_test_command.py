@@ -28,7 +28,7 @@ from daq.guided_tests.start_ups import summed
 from daq.log import open_log
 from daq.log.outcome import ending, not_reached_of
 from daq.transports import HostClock
-from rig_configs import load_rig
+from rig_configs import RigFileError, load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE
 
@@ -78,11 +78,34 @@ def test_a_plan_gives_what_this_rig_s_sensors_can_show(capsys: pytest.CaptureFix
     }  # fmt: skip
 
 
-def test_two_devices_on_one_port_are_both_named(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.usefixtures("no_device")
+@pytest.mark.parametrize(
+    "words", ["check virtual", "test virtual ring-down-x --plan", "test virtual", "predict virtual --point B"]
+)
+def test_two_devices_on_one_port_are_both_named(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     ports = [f"--set=devices.{name}.port=/dev/one" for name in ("laser_x", "laser_y")]
-    code, _, err = said(capsys, "check", "virtual", *ports)
+    code, _, err = said(capsys, *words.split(), *ports)
     assert code == 2
     assert "devices.laser_x.port and devices.laser_y.port are both '/dev/one'" in err
+
+
+@pytest.mark.usefixtures("no_device")
+def test_a_rig_that_no_file_was_read_for_is_refused_by_its_session() -> None:
+    rig = load_rig("virtual")
+    devices = {name: device.model_copy(update={"port": "/dev/one"}) for name, device in rig.devices.items()}
+    with pytest.raises(RigFileError, match=r"laser_x\.port and devices\.laser_y\.port are both '/dev/one'"):
+        Session(rig.model_copy(update={"devices": devices}), HostClock())
+
+
+@pytest.mark.parametrize(("words", "code"), [("check virtual", 3), ("test virtual ring-down-x --plan", 0)])
+def test_a_slip_of_a_unit_warns_before_a_device_is_opened(
+    words: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slips = ["--set", "pendulums.a.mass_kg=75", "--set", "devices.laser_x.port=/dev/ttyUSB?"]
+    found, _, err = said(capsys, *words.split(), *slips)
+    assert found == code
+    assert "warning: pendulums.a.mass_kg is 75 kg: grams?" in err
+    assert "warning: devices.laser_x.port is '/dev/ttyUSB?': a placeholder?" in err
 
 
 @pytest.mark.parametrize(

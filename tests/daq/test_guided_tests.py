@@ -105,9 +105,10 @@ def test_check_gives_a_verdict_per_device_and_exits_1_when_one_fails(
 ) -> None:
     ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
     command = ["check", "virtual", "--seconds", "0.4", "--time-scale", f"{TIME_SCALE}", *ports]
-    assert run([*command, "--json"]) == 0
+    assert run([*command, "--json", "--set", "suspension.zeta1=2.0"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found) >= {"rig", "devices", "identities", "rates_Hz", "losses"}
+    assert found["warnings"] == ["suspension.zeta1 is 2: per cent? Usual is 0 to 0.5"]
     assert {name: device["verdict"] for name, device in found["devices"].items()} == dict.fromkeys(
         ("laser_x", "laser_y", "encoder", "drive"), "pass"
     )
