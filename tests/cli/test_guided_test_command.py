@@ -113,6 +113,11 @@ def test_a_slip_of_a_unit_warns_before_a_device_is_opened(
     [
         ("check no.toml", 2, "no such rig file"),
         ("check virtual --set devices.laser_x.port=/dev/nope", 3, "/dev/nope"),
+        ("predict virtual --pont A", 2, "--pont"),
+        ("predikt virtual", 2, "predikt"),
+        ("predict", 2, "requires an argument"),
+        ("test virtual run-up --top-rpm fast", 2, "fast"),
+        ("driver chek cia402", 2, "chek"),
     ],
 )
 def test_an_error_is_one_json_object_too(words: str, code: int, why: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -121,6 +126,18 @@ def test_an_error_is_one_json_object_too(words: str, code: int, why: str, capsys
     assert found == told["exit_code"] == code
     assert why in told["error"]
     assert why in err
+
+
+def test_an_interrupted_command_is_one_json_object_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> Rig:
+        raise KeyboardInterrupt("SIGTERM")
+
+    monkeypatch.setattr("cli.guided_test.load_rig", interrupted)
+    code, out, _ = said(capsys, "test", "virtual", "--json")
+    assert (code, json.loads(out)) == (130, {"error": "interrupted by SIGTERM", "exit_code": 130})
+    assert said(capsys, "test", "virtual")[:2] == (130, "")
 
 
 def test_a_bar_ends_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
