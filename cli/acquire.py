@@ -46,6 +46,9 @@ def check(
         look = look_at(session, seconds)
         devices = device_checks(loaded, look)
         rates = plain_rates(session, started)
+    if session.left:
+        warnings.append(session.left)
+        say(f"warning: {session.left}")
     factor = common_factor(look)
     if factor is not None:
         warnings.append(f"all clocks run {factor:.3g} times as fast as ours: is --time-scale {time_scale:g} right?")
@@ -64,7 +67,7 @@ def check(
                     "losses": look.losses, "warnings": warnings})  # fmt: skip
     else:
         print_checks(devices, session.identities, look.seconds)
-    return 0 if good else 1
+    return 3 if session.left else 0 if good else 1
 
 
 def record(
