@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from cli.check_page import look_at, plain_rates, print_checks
 from cli.console import print_json, say
 from cli.numbers import LookSeconds, PositiveSeconds, TimeScale
-from cli.options import Json, Settings, rig_or_log
+from cli.options import Json, Settings, rig_or_log, warn_of_slips
 from cli.recording import RecordingStatus
 from daq.acquisition.device_check import common_factor, device_checks, passed
 from daq.acquisition.session import Session
@@ -36,6 +36,7 @@ def check(
 ) -> int:
     """Validate a rig file, open its devices, hold what they do against it; exit 1 when a device fails a check."""
     loaded = load_rig(rig, settings=settings or [])
+    warnings = warn_of_slips(loaded)
     session = Session(loaded, HostClock(time_scale))
     session.lenient = True  # a device that is not what the rig file says is a verdict here
     with session:
@@ -45,9 +46,13 @@ def check(
         look = look_at(session, seconds)
         devices = device_checks(loaded, look)
         rates = plain_rates(session, started)
+    if session.left:
+        warnings.append(session.left)
+        say(f"warning: {session.left}")
     factor = common_factor(look)
     if factor is not None:
-        say(f"warning: all clocks run {factor:.3g} times as fast as ours: is --time-scale {time_scale:g} right?")
+        warnings.append(f"all clocks run {factor:.3g} times as fast as ours: is --time-scale {time_scale:g} right?")
+        say(f"warning: {warnings[-1]}")
     good = all(map(passed, devices.values()))
     if json:
         verdicts = {
@@ -59,10 +64,10 @@ def check(
         }
         print_json({"rig": loaded.name, "verdict": "pass" if good else "fail", "seconds": look.seconds,
                     "devices": verdicts, "identities": session.identities, "rates_Hz": rates,
-                    "losses": look.losses})  # fmt: skip
+                    "losses": look.losses, "warnings": warnings})  # fmt: skip
     else:
         print_checks(devices, session.identities, look.seconds)
-    return 0 if good else 1
+    return 3 if session.left else 0 if good else 1
 
 
 def record(
@@ -83,6 +88,7 @@ def record(
 ) -> int:
     """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
     loaded, identities = rig_or_log(rig, settings or [])
+    warn_of_slips(loaded)
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
     with ReservedName(output) as name:  # before any device is disturbed: another recording may be using them

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -15,6 +14,8 @@ from unicodedata import category
 from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from cli import answer
 
 _OBEYED = frozenset(("Cc", "Cf", "Cs", "Cn", "Zl", "Zp"))  # control, format, half characters, none, line ends
 
@@ -44,7 +45,7 @@ STDERR = _Stderr()
 
 def print_json(result: Mapping[str, Any]) -> None:
     """One JSON object; numbers that are not finite become null."""
-    print(json.dumps(plain(result)), flush=True)
+    answer.give(plain(result))
 
 
 def plain(value: Any) -> Any:

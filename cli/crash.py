@@ -16,14 +16,14 @@ from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
+from cli import answer
+
 UNFORESEEN = 70
 """EX_SOFTWARE of sysexits.h: the program is at fault, not the input, the rig or the verdict."""
 
 _PACKAGES = ("pendulum-balancer-rig", "numpy", "scipy", "numba", "pydantic", "cyclopts", "mcap", "h5py", "pyarrow")
 _SECRET = re.compile(r"(?i)((?:token|password|passwd|secret|api[-_]?key)[=: ]+)\S+|(?<=://)[^/@\s]+@")
 _LONGEST_ARGUMENT = 500
-crashed: list[BaseException] = []
-"""Errors that ended a thread of this process."""
 
 
 def report(error: BaseException, arguments: Sequence[str]) -> int:
@@ -38,13 +38,15 @@ def report(error: BaseException, arguments: Sequence[str]) -> int:
     with contextlib.suppress(Exception):
         text = _page(error, arguments)
         path = _write(text)
-        what = _one_line(error)
+        what = f"unforeseen error: {_one_line(error)}"
+        sent = f"{what}; this is a fault of the program. Please send {path}"
         if path is None:
-            print(f"rig: unforeseen error: {what}; nowhere to write a report to, please send this:\n{text}",
-                  file=sys.stderr, flush=True)  # fmt: skip
+            print(f"rig: {what}; nowhere to write a report to, please send this:\n{text}", file=sys.stderr, flush=True)
+            sent = f"{what}; this is a fault of the program. Please send what stands on standard error"
         else:
-            print(f"rig: unforeseen error: {what}; this is a fault of the program. Please send {path}",
-                  file=sys.stderr, flush=True)  # fmt: skip
+            print(f"rig: {sent}", file=sys.stderr, flush=True)
+        answer.note_fault(sent, UNFORESEEN)
+    answer.note_fault(f"unforeseen error: {type(error).__name__}", UNFORESEEN)
     return UNFORESEEN
 
 
@@ -55,7 +57,6 @@ def watch_threads(arguments: Sequence[str]) -> None:
         error = what.exc_value
         if error is None or isinstance(error, SystemExit):
             return
-        crashed.append(error)
         name = what.thread.name if what.thread is not None else "a thread"
         error.add_note(f"in the thread {name!r}")
         report(error, arguments)

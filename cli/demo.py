@@ -179,6 +179,7 @@ def _campaign(
     result["logs"] = [str(path) for path in logs]
     result["not_reached"] = {done.test: done.missed for done in tests_done if done.missed}
     result["warnings"] += [f"{done.test}: {warning}" for done in tests_done for warning in done.warnings]
+    result["warnings"] += [session.left] if session.left else []
     result["report"] = str(report)
     return result
 

@@ -12,9 +12,15 @@ def main() -> None:
 
         carry_out()
     except KeyboardInterrupt:
+        from cli import answer  # noqa: PLC0415 (needed by no command that works)
+
         print("rig: interrupted", file=sys.stderr)
+        answer.begin(sys.argv[1:])
+        answer.give_error("interrupted", 130)
         sys.exit(130)
     except Exception as error:
-        from cli.crash import report  # noqa: PLC0415 (needed by no command that works)
+        from cli import answer, crash  # noqa: PLC0415 (needed by no command that works)
 
-        sys.exit(report(error, sys.argv[1:]))
+        answer.begin(sys.argv[1:])
+        crash.report(error, sys.argv[1:])
+        sys.exit(answer.ended(0))

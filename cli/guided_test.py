@@ -13,7 +13,7 @@ from cli.guided_plan_page import campaign, print_campaign, print_plan
 from cli.guided_test_page import TestPage
 from cli.keyboard import Keyboard, Keys, TerminalOperator
 from cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
-from cli.options import Json, ParametersPath, Settings, what_if_words
+from cli.options import Json, ParametersPath, Settings, warn_of_slips, what_if_words
 from daq.acquisition.session import Session
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.kinds import Asked, Refused
@@ -63,6 +63,7 @@ def test(
         found = campaign(loaded, out)
         print_json(found) if json else print_campaign(found)
         return 0
+    warn_of_slips(loaded)
     named = {"top_rpm": top_rpm, "duration_s": duration, "speed_rpm": speed_rpm, "count": count}
     given = {key: float(value) for key, value in (named | {"pre_trigger_s": pre_trigger}).items() if value is not None}
     wanted = _asked(loaded, name, given | _numbers(number or []), point or "")

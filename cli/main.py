@@ -18,8 +18,8 @@ from keyword import iskeyword
 from cyclopts import App, CycloptsError
 
 from analysis.errors import AnalysisError
-from cli import crash
-from cli.console import print_json, say, wait_for_compilation
+from cli import answer, crash
+from cli.console import say, wait_for_compilation
 from cli.numbers import NUMBERS_ARE_FINITE
 from daq.errors import LogError, RigError
 from daq.version import software_version
@@ -114,9 +114,8 @@ def commands(told: Collection[str] = ()) -> App:
 
 def run(arguments: list[str]) -> int:
     """Carry out one command; returns the exit code."""
-    crash.crashed.clear()
-    code = _carried_out(arguments)
-    return crash.UNFORESEEN if crash.crashed and code == 0 else code
+    answer.begin(arguments)
+    return answer.ended(_carried_out(arguments))
 
 
 def _carried_out(arguments: list[str]) -> int:
@@ -124,21 +123,24 @@ def _carried_out(arguments: list[str]) -> int:
         with wait_for_compilation("log") if set(arguments[:1]) & _USE_COMPILED else nullcontext():
             result = commands(arguments)(arguments, exit_on_error=False, print_error=True, result_action="return_value")
         return result if isinstance(result, int) else 0
-    except CycloptsError:
-        return 2  # cyclopts has said what is wrong
+    except CycloptsError as error:
+        answer.give_error(" ".join(str(error).split()), 2)  # on standard error cyclopts has said what is wrong
+        return 2
     except BrokenPipeError:  # whoever read our output, `head` perhaps, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except KeyboardInterrupt as stop:
-        say(f"rig: interrupted{f' by {stop}' if str(stop) else ''}")
+        text = f"interrupted{f' by {stop}' if str(stop) else ''}"
+        say(f"rig: {text}")
+        answer.give_error(text, 130)
         return 130
     except Exception as error:
         code = _exit_code(error)
         if code is None:
-            return crash.report(error, arguments)
+            crash.report(error, arguments)
+            return answer.ended(0)
         say(f"rig: {_words(error)}")
-        if "--json" in arguments:
-            print_json({"error": _words(error), "exit_code": code})
+        answer.give_error(_words(error), code)
         return code
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from cli.console import say
 from rig_configs import RigFileError, load_rig
 from rig_configs.load import apply_setting, parse_setting, validate
 from rig_configs.schema import Rig
@@ -39,6 +40,16 @@ def rig_or_log(source: str, settings: Sequence[str]) -> tuple[Rig, dict[str, Any
     rig = validate(raw, source)
     pipelines_with(rig, identities, source)  # says what cannot be, before a file is made
     return rig, identities
+
+
+def warn_of_slips(rig: Rig) -> list[str]:
+    """Say which numbers and ports of a rig file are likely slips, before a device is opened by them."""
+    from rig_configs.usual_numbers import doubts  # noqa: PLC0415 (only where devices are opened)
+
+    found = doubts(rig)
+    for text in found:
+        say(f"warning: {text}")
+    return found
 
 
 def what_if_words(settings: Sequence[str] | None, before: str = "") -> str:

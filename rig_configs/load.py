@@ -19,6 +19,7 @@ from dynamics.errors import OutsideDomain
 from rig_configs.drivers import settings_of
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
+from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 from rig_configs.toml_text import parse_toml, read_text
 
@@ -51,7 +52,9 @@ def load_rig(
     pairs = settings.items() if isinstance(settings, Mapping) else [parse_setting(s) for s in settings]
     for key, value in pairs:
         apply_setting(raw, key, value, source)
-    return validate(raw, source)
+    rig = validate(raw, source)
+    refuse_shared_ports(rig.devices, source)  # here, not in the schema: a log's rig opens no port
+    return rig
 
 
 def with_parameters(rig: Rig, known: IdentifiedParameters) -> Rig:

@@ -18,7 +18,7 @@ _LATE_S = 1.0
 
 
 def check_speed_source(subject: Subject) -> str:
-    """Enabled, led up a ramp, followed, stopped quickly; nothing that is not permitted."""
+    """Enabled, led up a ramp, followed, stopped quickly; nothing not permitted; not taken for off when silent."""
     _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
     bench = Bench(subject.driver)
     with bench.running():
@@ -53,6 +53,7 @@ def check_speed_source(subject: Subject) -> str:
         control.quick_stop()
         stopped_s = _time_to_rest(bench)
         need(not control.enabled, "enabled is True after quick_stop()")
+        _is_not_believed_when_silent(bench, control)
         control.enable()
         control.set_speed(0.75 * SPEED_RPM)
         bench.time.pass_time(1.0)
@@ -86,6 +87,23 @@ def _refuses(bench: Bench, control: SpeedSource) -> None:
     bench.time.pass_time(0.2)
     need(not control.enabled, "enabled is True though that was not permitted")
     bench.refuse = None
+
+
+def _is_not_believed_when_silent(bench: Bench, control: SpeedSource) -> None:
+    """A device that says nothing may still hold the rotor: whoever tells it to let go must learn that."""
+    control.enable()
+    step, receive = bench.far.step, bench.far.receive
+    bench.far.step = lambda now_s: step(now_s)[:0]
+    bench.far.receive = lambda data, now_s: receive(data, now_s)[:0]
+    try:
+        control.disable()
+    except (DeviceError, LinkLost):
+        pass
+    else:
+        raise Failed("disable: the device says nothing, expected DeviceError, it raised nothing")
+    finally:
+        bench.far.step, bench.far.receive = step, receive
+    bench.time.pass_time(_LATE_S)
 
 
 def _time_to_rest(bench: Bench, longest_s: float = 5.0) -> float:

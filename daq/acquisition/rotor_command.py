@@ -98,7 +98,7 @@ class RotorCommand:
                 self.drive.quick_stop()
 
     def bring_to_rest(self, say: Callable[[str], None], opened: bool, reach: Callable[[], bool]) -> bool:
-        """At the end of a session: stop the rotor and let go of the drive; whether it is known to stand.
+        """At the end of a session: stop the rotor and let go of the drive; whether both are known to have happened.
 
         Args:
             say: is told what is being waited for.

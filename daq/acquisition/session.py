@@ -39,7 +39,7 @@ from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
 from daq.transports.host_clock import Repeated
 from daq.version import software_version
-from rig_configs.errors import RigFileError
+from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 
 _ALIVE_S = 3.0  # wall seconds
@@ -75,10 +75,11 @@ class Session:
         self.rig, self.clock = rig, clock
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
         self.observers: list[Callable[[Event], None]] = []  # told of every event
+        self.left = ""  # at its end: of a rotor that may turn, or a drive that may hold it; empty when neither
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())
         self._known = devices_of(rig.devices)
-        _refuse_shared_ports(rig)
+        refuse_shared_ports(rig.devices)  # a rig that no file was read for, as a log's
         self._say = say
         self._core = Core(rig, clock.patience, driving=True)
         self._links: Links | None = None
@@ -164,22 +165,23 @@ class Session:
         if self._core.closing:
             return
         self._core.guarding = False  # what ends now ends because we say so
-        rest = "the wait for the rotor to stop was interrupted"
+        self.left = "the wait for the rotor to stop was interrupted"
+        stands: bool | None = False
         try:
-            rest = self._stop_devices()
+            stands, self.left = self._stop_devices()
         finally:
             try:
                 if self._recorder is not None:
                     ended = self._ended(because) or "session closed"
-                    self.stop_recording({"ended": f"{ended}; {rest}" if rest else ended})
+                    self.stop_recording({"ended": f"{ended}; {self.left}" if self.left else ended})
             finally:
                 self._core.closing = True
                 if self._ticking is not None:
                     self._ticking.stop()
                 if self._links is not None:
                     self._links.close()
-        if rest and because is None:
-            raise DeviceError(rest)
+        if not stands and because is None:
+            raise DeviceError(self.left)
 
     def _ended(self, because: BaseException | None) -> str:
         """What ended the session or a log, in words; empty when nothing did."""
@@ -201,22 +203,30 @@ class Session:
         self._carry_out(links.reopened(name, command))
         return name not in self._core.gone
 
-    def _stop_devices(self) -> str:
+    def _stop_devices(self) -> tuple[bool, str]:
         """Rotor to rest, streams off; a device that is gone does not keep the others from being stopped.
 
         Returns:
-            What there is to say of a rotor that is not known to stand; empty when it stands.
+            Whether the rotor stands, as far as it is ours to stop; what there is to say of one that is not known to, or
+            of a drive that is not known to have let go of it: empty when both are.
         """
         if self._command is None or self._links is None:
-            return ""
-        rest = self._command.bring_to_rest(self._say, self._opened, self._reach_drive)
+            return True, ""
+        drive = self._command.drive_name
+        released = self._command.bring_to_rest(self._say, self._opened, self._reach_drive)
         self._links.stop_streams()
-        if rest or not self._opened or self.rotor_at_rest():
-            return ""
-        still = "nobody can tell whether the rotor stands" if self.rotor_at_rest() is None else "the rotor still turns"
-        text = f"{still} ({self.rotor_words()}); keep away from it"
+        stands = self.rotor_at_rest()
+        if released or not self._opened or (stands and not drive):
+            return True, ""
+        if stands:
+            text = (
+                f"{drive}: nobody can tell whether it has let go of the rotor, which stands; look at its power and line"
+            )
+        else:
+            still = "nobody can tell whether the rotor stands" if stands is None else "the rotor still turns"
+            text = f"{still} ({self.rotor_words()}); keep away from it"
         self._carry_out(self._core.warn(text))
-        return text
+        return bool(stands), text
 
     def _wait_alive(self, what: str) -> None:
         """Wait for samples of every device; of those that give none, say what came instead."""
@@ -585,23 +595,6 @@ class Session:
         if self._command is None or self._command.locks is None or self.rig.roles.locks is None:
             raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
         self._command.locks.command(action, self.check)
-
-
-def _refuse_shared_ports(rig: Rig) -> None:
-    """Two devices on one line: a bus alone can have several.
-
-    Raises:
-        RigFileError: naming both.
-    """
-    first: dict[str, str] = {}
-    for name, device in rig.devices.items():
-        if device.port.startswith("can:") or " " in device.port:  # a bus, or no port yet
-            continue
-        if (other := first.setdefault(device.port, name)) != name:
-            raise RigFileError(
-                f"devices.{other}.port and devices.{name}.port are both {device.port!r}: a line has one device. "
-                "`rig check` tells what answers where"
-            )
 
 
 def _keep(recorder: Recorder, order: Keep) -> None:

@@ -366,7 +366,12 @@ class SpeedSource(Protocol):
         ...
 
     def disable(self) -> None:
-        """Let go of the rotor, which stands."""
+        """Let go of the rotor, which stands.
+
+        Raises:
+            DeviceError: it keeps hold of it, or does not answer whether it does.
+            LinkLost: it is gone.
+        """
         ...
 
     def quick_stop(self) -> None:
@@ -374,7 +379,13 @@ class SpeedSource(Protocol):
         ...
 
     def stop(self, told: Callable[[str], None] = ...) -> bool:
-        """Stop the rotor, then let go of the device; whether the rotor is known to stand."""
+        """Stop the rotor, then let go of it; whether it is known to stand, and the device to have let go of it.
+
+        A device that does not answer is told all the same; `told` learns in words what could not be confirmed.
+
+        Raises:
+            LinkLost, DeviceError: it is gone.
+        """
         ...
 
 

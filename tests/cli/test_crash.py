@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from cli import crash, main
+from cli.console import print_json
 
 
 def fails(*_: object, **__: object) -> None:
@@ -96,13 +98,56 @@ def test_a_thread_that_dies_is_reported_and_changes_the_code(
     assert str(report) in capsys.readouterr().err
 
 
+def test_an_unforeseen_error_is_one_json_object_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, temporary: Path
+) -> None:
+    monkeypatch.setattr("cli.model.load_rig", fails)
+    assert main.run(["predict", "virtual?token=abc123", "--json"]) == 70
+    told = json.loads(capsys.readouterr().out)
+    (report,) = temporary.iterdir()
+    assert told["exit_code"] == 70
+    assert "ZeroDivisionError: float division by zero" in told["error"]
+    assert str(report) in told["error"]
+    monkeypatch.setattr(crash, "_page", fails)
+    assert main.run(["predict", "virtual", "--json"]) == 70
+    assert json.loads(capsys.readouterr().out) == {"error": "unforeseen error: ZeroDivisionError", "exit_code": 70}
+
+
+@pytest.mark.parametrize("when", ["before the result", "after the result", "without a result"])
+def test_a_thread_that_dies_leaves_one_json_object(
+    when: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, temporary: Path
+) -> None:
+    monkeypatch.setattr(threading, "excepthook", threading.excepthook)
+    crash.watch_threads(["check", "virtual", "--json"])
+
+    def starts_a_thread(_: object) -> int:
+        if when == "after the result":
+            print_json({"verdict": "fail"})
+        thread = threading.Thread(target=fails, name="heartbeat")
+        thread.start()
+        thread.join()
+        if when == "before the result":
+            print_json({"verdict": "fail"})
+        return 0 if when == "without a result" else 1
+
+    monkeypatch.setattr(main, "_carried_out", starts_a_thread)
+    code = main.run(["--json"])
+    told = json.loads(capsys.readouterr().out)
+    if when == "after the result":
+        assert (code, told) == (1, {"verdict": "fail"})
+    else:
+        assert code == told["exit_code"] == 70
+        assert "ZeroDivisionError" in told["error"]
+
+
 def test_the_command_itself_exits_70(tmp_path: Path) -> None:
     broken = tmp_path / "cli_broken.py"
     broken.write_text("import sys\nimport cli.model\ncli.model.need_place = 1\nfrom cli.entry import main\nmain()\n")
     done = subprocess.run(
-        [sys.executable, str(broken), "predict", "virtual"], capture_output=True, text=True, check=False,
+        [sys.executable, str(broken), "predict", "virtual", "--json"], capture_output=True, text=True, check=False,
         env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])},
     )  # fmt: skip
     assert done.returncode == 70
     assert "Traceback" not in done.stderr
+    assert json.loads(done.stdout)["exit_code"] == 70
     assert len(list(tmp_path.glob("rig-error-*"))) == 1

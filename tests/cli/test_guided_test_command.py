@@ -28,7 +28,7 @@ from daq.guided_tests.start_ups import summed
 from daq.log import open_log
 from daq.log.outcome import ending, not_reached_of
 from daq.transports import HostClock
-from rig_configs import load_rig
+from rig_configs import RigFileError, load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE
 
@@ -78,11 +78,34 @@ def test_a_plan_gives_what_this_rig_s_sensors_can_show(capsys: pytest.CaptureFix
     }  # fmt: skip
 
 
-def test_two_devices_on_one_port_are_both_named(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.usefixtures("no_device")
+@pytest.mark.parametrize(
+    "words", ["check virtual", "test virtual ring-down-x --plan", "test virtual", "predict virtual --point B"]
+)
+def test_two_devices_on_one_port_are_both_named(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     ports = [f"--set=devices.{name}.port=/dev/one" for name in ("laser_x", "laser_y")]
-    code, _, err = said(capsys, "check", "virtual", *ports)
+    code, _, err = said(capsys, *words.split(), *ports)
     assert code == 2
     assert "devices.laser_x.port and devices.laser_y.port are both '/dev/one'" in err
+
+
+@pytest.mark.usefixtures("no_device")
+def test_a_rig_that_no_file_was_read_for_is_refused_by_its_session() -> None:
+    rig = load_rig("virtual")
+    devices = {name: device.model_copy(update={"port": "/dev/one"}) for name, device in rig.devices.items()}
+    with pytest.raises(RigFileError, match=r"laser_x\.port and devices\.laser_y\.port are both '/dev/one'"):
+        Session(rig.model_copy(update={"devices": devices}), HostClock())
+
+
+@pytest.mark.parametrize(("words", "code"), [("check virtual", 3), ("test virtual ring-down-x --plan", 0)])
+def test_a_slip_of_a_unit_warns_before_a_device_is_opened(
+    words: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slips = ["--set", "pendulums.a.mass_kg=75", "--set", "devices.laser_x.port=/dev/ttyUSB?"]
+    found, _, err = said(capsys, *words.split(), *slips)
+    assert found == code
+    assert "warning: pendulums.a.mass_kg is 75 kg: grams?" in err
+    assert "warning: devices.laser_x.port is '/dev/ttyUSB?': a placeholder?" in err
 
 
 @pytest.mark.parametrize(
@@ -90,6 +113,11 @@ def test_two_devices_on_one_port_are_both_named(capsys: pytest.CaptureFixture[st
     [
         ("check no.toml", 2, "no such rig file"),
         ("check virtual --set devices.laser_x.port=/dev/nope", 3, "/dev/nope"),
+        ("predict virtual --pont A", 2, "--pont"),
+        ("predikt virtual", 2, "predikt"),
+        ("predict", 2, "requires an argument"),
+        ("test virtual run-up --top-rpm fast", 2, "fast"),
+        ("driver chek cia402", 2, "chek"),
     ],
 )
 def test_an_error_is_one_json_object_too(words: str, code: int, why: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,6 +126,18 @@ def test_an_error_is_one_json_object_too(words: str, code: int, why: str, capsys
     assert found == told["exit_code"] == code
     assert why in told["error"]
     assert why in err
+
+
+def test_an_interrupted_command_is_one_json_object_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> Rig:
+        raise KeyboardInterrupt("SIGTERM")
+
+    monkeypatch.setattr("cli.guided_test.load_rig", interrupted)
+    code, out, _ = said(capsys, "test", "virtual", "--json")
+    assert (code, json.loads(out)) == (130, {"error": "interrupted by SIGTERM", "exit_code": 130})
+    assert said(capsys, "test", "virtual")[:2] == (130, "")
 
 
 def test_a_bar_ends_its_line(monkeypatch: pytest.MonkeyPatch) -> None:

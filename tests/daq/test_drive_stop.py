@@ -39,6 +39,8 @@ class FarEnd:
         self._lines, self._answers = slcan.LineDecoder(), slcan.LineDecoder()
         self.unheeded = False  # process data reaches it no more
         self.missed = 0  # frames of process data that the adapter does not take
+        self.mute_reports = False  # its objects answer
+        self.silent = False  # nothing comes from it any more
         self.answers_reset = 0  # error code of another fault that answers a reset
         measured = {
             (cia402.STATUSWORD, 0): lambda: struct.pack("<H", cia402.STATES[self.state][1]),
@@ -112,9 +114,13 @@ class FarEnd:
                 self.speak()
 
     def report(self, identifier: int, data: bytes) -> None:
+        if self.silent:
+            return
         self.control.heed(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
 
     def speak(self) -> None:
+        if self.mute_reports:
+            return
         _, word = cia402.STATES[self.state]
         self.report(cia402.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(word, self.rpm))
 
@@ -294,6 +300,25 @@ def test_torque_is_taken_away_until_the_drives_own_word_says_so() -> None:
     far.control.disable()
     assert far.control.state == cia402.READY
     assert far.control.stop() is True
+
+
+def test_a_silent_drive_is_told_and_not_believed_to_be_off() -> None:
+    for answers in ("nothing", "its objects"):
+        far = FarEnd()
+        far.runs(0)
+        far.silent, far.mute_reports = answers == "nothing", True
+        if answers == "its objects":
+            far.control.disable()
+            assert far.control.stop() is True
+            continue
+        with pytest.raises(DeviceError, match="it does not answer: nobody can tell whether it has"):
+            far.control.disable()
+        assert far.controlwords()[-1] == cia402.SHUTDOWN
+        told: list[str] = []
+        assert far.control.stop(told.append) is False
+        assert any("nobody can tell whether it has" in text for text in told)
+        assert far.controlwords()[-1] == cia402.DISABLE_VOLTAGE
+        assert far.control._beat is None
 
 
 def test_a_heartbeat_that_did_not_go_out_once_goes_on() -> None:
@@ -491,7 +516,7 @@ def test_a_drive_whose_answers_do_not_come_keeps_its_watch() -> None:
     far.runs(0)
     far.report = lambda identifier, data: None  # type: ignore[method-assign]
     far.control._word_ns = 1  # its last report is long ago
-    assert far.control.stop() is True
+    assert far.control.stop() is False
     assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms]
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from cli.main import run
 from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import SdoServer, drive_objects
@@ -100,14 +101,28 @@ def test_an_end_that_is_not_reached_is_said_kept_and_exits_1(
     assert "not reached  the top speed" in capsys.readouterr().out
 
 
+def test_check_exits_3_where_the_drive_is_not_known_to_have_let_go(
+    virtual_rig: VirtualRigProcess, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rest = RotorCommand.bring_to_rest
+    monkeypatch.setattr(RotorCommand, "bring_to_rest", lambda *given: rest(*given) and False)
+    ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
+    assert run(["check", "virtual", "--seconds", "0.4", "--time-scale", f"{TIME_SCALE}", *ports, "--json"]) == 3
+    captured = capsys.readouterr()
+    left = "drive: nobody can tell whether it has let go of the rotor, which stands"
+    assert left in json.loads(captured.out)["warnings"][0]
+    assert f"warning: {left}" in captured.err
+
+
 def test_check_gives_a_verdict_per_device_and_exits_1_when_one_fails(
     plugged: Rig, virtual_rig: VirtualRigProcess, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
     command = ["check", "virtual", "--seconds", "0.4", "--time-scale", f"{TIME_SCALE}", *ports]
-    assert run([*command, "--json"]) == 0
+    assert run([*command, "--json", "--set", "suspension.zeta1=2.0"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found) >= {"rig", "devices", "identities", "rates_Hz", "losses"}
+    assert found["warnings"] == ["suspension.zeta1 is 2: per cent? Usual is 0 to 0.5"]
     assert {name: device["verdict"] for name, device in found["devices"].items()} == dict.fromkeys(
         ("laser_x", "laser_y", "encoder", "drive"), "pass"
     )

@@ -341,6 +341,27 @@ def test_a_turning_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_i
     assert sim.far.motion.target_rad_s == 0.0
 
 
+@pytest.mark.parametrize(("rig", "drive"), [("virtual", "drive"), ("other_devices", "motor")])
+def test_a_drive_that_falls_silent_at_rest_is_said_not_to_have_let_go_and_the_others_are_stopped(
+    rig: str, drive: str, tmp_path: Path
+) -> None:
+    sim, session = opened(rig)
+    stopped: list[str] = []
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        session.drive.enable()
+        sim.ask("fail", device=drive, what="mute", value=1)
+        stop_streams = session._open.stop_streams
+        session._open.stop_streams = lambda: (stopped.append("streams"), stop_streams())  # type: ignore[method-assign]
+    assert stopped == ["streams"]
+    assert session.left == (
+        f"{drive}: nobody can tell whether it has let go of the rotor, which stands; look at its power and line"
+    )
+    assert session.left in session.notices
+    with open_log(tmp_path / "a.mcap") as log:
+        assert "nobody can tell whether it has let go" in json.dumps(log.metadata)
+
+
 # --- randomised faults ---------------------------------------------------------------------------------------------
 
 

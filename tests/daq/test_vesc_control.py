@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -318,6 +319,40 @@ def test_a_rotor_that_does_not_stop_is_not_let_go_of(bench: Bench) -> None:
     assert bench.control.stop(told.append) is False
     assert bench.told[-1][1].what == wire.SET_BRAKE
     assert told[0] == "waiting for the rotor to stop, 299 rpm"
+
+
+def test_a_silent_one_is_told_and_not_believed_to_have_let_go(bench: Bench) -> None:
+    bench.runs(300.0)
+    bench.control._guarded = replace(bench.control._guarded, at_rest=lambda: abs(bench.rpm) < 1)  # by the index marks
+    bench.far.fail("silent reports", 1)
+    bench.told.clear()
+    with pytest.raises(DeviceError, match="it does not answer: nobody can tell whether it has"):
+        bench.control.disable()
+    assert {command.what for _, command in bench.told} == {wire.SET_CURRENT}
+    told: list[str] = []
+    assert bench.control.stop(told.append) is False
+    assert abs(bench.rpm) < 1
+    assert bench.told[-1][1] == wire.Command(wire.SET_CURRENT, 0)
+    assert "nobody can tell whether it has" in told[-1]
+
+
+def test_an_answer_to_an_earlier_question_shows_nothing(bench: Bench) -> None:
+    bench.runs(0.0)
+    bench.control._guarded = replace(bench.control._guarded, at_rest=lambda: True)
+    answers = [payload for direction, payload, _ in bench.log if direction == RX]
+    bench.far.fail("silent reports", 1)
+    bench.pass_time(0.05)  # a question is under way; its answer comes after the command, and is all that comes
+    heard, send = [answers[-1]], bench.send
+
+    def late(data: bytes) -> None:
+        send(data)
+        if heard and data == wire.let_go() + wire.get_values():
+            bench._feed(RX, heard.pop())
+            bench.control.notice(bench.pipeline)
+
+    bench.control._send = late
+    with pytest.raises(DeviceError, match="nobody can tell"):
+        bench.control.disable()
 
 
 def test_nothing_told_is_nothing_to_stop(bench: Bench) -> None:

@@ -126,6 +126,15 @@ class StopOfALostLinkRaises(OptoNcdt):
             raise OSError("write failed") from error
 
 
+class TakesSilenceForOff(VescDriver):
+    """Told to let go, it does not look whether the controller answers."""
+
+    def speed_source(self, settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
+        control = super().speed_source(settings, send, clock, guard)
+        control._lets_go = lambda: True
+        return control
+
+
 class AsksNobody(Cia402):
     def speed_source(self, settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
         return super().speed_source(settings, send, clock, replace(guard, permit=lambda rpm: None))
@@ -286,6 +295,7 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
     "a stop after which nothing opens": ("stop", CannotBeOpenedAgain, "LinkLost"),
     "another error than the contract's": ("link lost", StopOfALostLinkRaises, "got OSError"),
     "permission not asked for": ("speed source", AsksNobody, "permit raises, it raised nothing"),
+    "silence taken for off": ("speed source", TakesSilenceForOff, "disable: the device says nothing"),
     "no time-out of its own": ("stops by itself", NoTimeout, "turns at"),
     "locks that do nothing": ("locks", LocksOnlySayThatTheyDid, "the flags say"),
     "a stand-in without a word": ("played", StandInSaysNothing, "no answer"),

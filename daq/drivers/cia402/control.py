@@ -28,6 +28,10 @@ _OTHER_FAULTS = 0x6E  # bits of 1001h: current, voltage, temperature, profile, r
 _TORQUE = (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE, cia402.FAULT_REACTION)
 _EMERGENCIES = 30  # that are kept for a message
 _LOOK = "Look into its manual, mend the cause and reset it there"
+_UNCONFIRMED = (
+    "it does not answer: nobody can tell whether it has. It still watches our heartbeat. Look at its power and its "
+    "line before anyone touches the rotor"
+)
 _HEED_S = 0.3  # wall seconds that a drive has to heed a quick stop
 _WORD_S = 0.5  # wall seconds after which the drive's word is too old
 
@@ -299,11 +303,13 @@ class DriveControl:
         """Take the torque away; the rotor must be at rest.
 
         Raises:
-            DeviceError: the drive stays in operation.
+            DeviceError: the drive stays in operation, or does not answer whether it does.
         """
         self._armed = False
         if not self._leaves_operation(cia402.SHUTDOWN):
             raise DeviceError(f"drive: told to take the torque away, it stays in {self.state}. {_LOOK}")
+        if self._fresh_state == cia402.UNKNOWN and not self._off_by_its_objects:
+            raise DeviceError(f"drive: told to take the torque away, {_UNCONFIRMED}")
 
     def _leaves_operation(self, word: int) -> bool:
         """Send a controlword until the drive's own reports show that it has no torque; whether they do.
@@ -404,7 +410,7 @@ class DriveControl:
         self._beat = self._clock.every(self._config.heartbeat_ms * 1e-3, beat, "heartbeat", lambda error: None)
 
     def stop(self, told: Callable[[str], None] = lambda text: None) -> bool:
-        """Stop the rotor, then let go of the drive; whether the rotor is known to stand.
+        """Stop the rotor, then let go of the drive; whether the rotor is known to stand and it to be off.
 
         Torque is taken away only at rest: a rotor left to run down would pass its resonances slowly. The drive's
         watch over our heartbeat is ended only then too: as long as rest is not confirmed it stays, and stops the
@@ -413,17 +419,18 @@ class DriveControl:
         Args:
             told: called with what is being waited for.
         """
-        rest = self._beat is None
+        rest, confirmed = self._beat is None, True
         try:
             rest = rest or self._rest(told)
             if rest and self._watched:
-                rest = self._disarms(told)
+                disarmed = self._disarms(told)
+                rest, confirmed = disarmed is not False, disarmed is True
         finally:
             self._let_go(rest)
-        return rest
+        return rest and confirmed
 
-    def _disarms(self, told: Callable[[str], None]) -> bool:
-        """Take torque and watch away, in this order; whether nothing is left armed.
+    def _disarms(self, told: Callable[[str], None]) -> bool | None:
+        """Take torque and watch away, in this order; whether nothing is left armed, None when nobody can tell.
 
         A drive that keeps its torque keeps its watch too, and stops by itself when the heartbeat ends.
         """
@@ -435,7 +442,8 @@ class DriveControl:
             told(f"the drive was told to take the torque away and stays in {self.state}. {_LOOK}")
             return False
         if self._fresh_state == cia402.UNKNOWN and not confirmed and not self._off_by_its_objects:
-            return True  # nobody knows what it heard: its watch stays
+            told(f"the drive was told to take the torque away, {_UNCONFIRMED}")
+            return None  # its watch stays
         with contextlib.suppress(DeviceError):  # a drive that is off needs no watch ended
             self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
         self._watched = False

@@ -64,8 +64,10 @@ class Cia402:
     ) -> Checks:
         """See Driver: the drive's state, and what it told in emergencies."""
         from daq.drivers.cia402.looked_at import drive_checks  # noqa: PLC0415
+        from daq.drivers.cia402.stream import DrivePipeline  # noqa: PLC0415
 
-        return drive_checks(control, events)
+        assert isinstance(pipeline, DrivePipeline)
+        return drive_checks(control, events, pipeline.host_beats.foreign)
 
     def far_end(self, device: str, settings: Drive, world: Any) -> FarEnd:
         """See Driver."""

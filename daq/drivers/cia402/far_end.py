@@ -52,6 +52,7 @@ class SimulatedDrive(FarEnd):
             "it is in another network state", 4, end=5, meaning="4 stopped, 5 operational", limits=(4, 5)
         ),
         "silent reports": FaultKind("it reports neither state nor speed; its heartbeat goes on"),
+        "second host": FaultKind("another node on the bus sends the host's heartbeat"),
         "reported share": FaultKind(
             "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
         ),
@@ -70,6 +71,7 @@ class SimulatedDrive(FarEnd):
         self.emergencies: list[int] = []
         self._reports = True
         self._reported_share = 1.0
+        self._second_host, self._second_due_s = False, 0.0
         self._adapter = Adapter()
         self._nmt = NmtState(self._node)
         self.state = cia402.SWITCH_ON_DISABLED
@@ -115,6 +117,8 @@ class SimulatedDrive(FarEnd):
                 self._nmt.state = cia402.Heartbeat(int(value))
             case "silent reports":
                 self._reports = not value
+            case "second host":
+                self._second_host = bool(value)
             case "reported share":
                 self._reported_share = float(value)
             case "speed":  # it runs away
@@ -227,6 +231,7 @@ class SimulatedDrive(FarEnd):
             self._motion.target_rad_s, self._motion.ramp_rad_s2 = 0.0, _COAST_RPM_S * _RAD_S
             self._motion.braking = False
             return b""
+        self._hear_second_host(now_s)
         self._watch(now_s)
         enabled = self.state == cia402.OPERATION_ENABLED
         in_mode = self._objects[0x6060, 0][0] == cia402.MODE_VELOCITY
@@ -242,6 +247,15 @@ class SimulatedDrive(FarEnd):
             self.state = cia402.SWITCH_ON_DISABLED
         self._cyclic(now_s)
         return self._take()
+
+    def _hear_second_host(self, now_s: float) -> None:
+        """A node that bears the host's number: the drive cannot tell it from the host."""
+        if not self._second_host or now_s < self._second_due_s:
+            return
+        self._second_due_s = now_s + 0.97e-3 * self._config.heartbeat_ms  # a clock of its own
+        beat = slcan.CanFrame(cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL]))
+        self._out.append(beat)
+        self._frame(beat, now_s)
 
     def _watch(self, now_s: float) -> None:
         limit_ms = self.watchdog_ms

@@ -7,16 +7,18 @@ from collections.abc import Sequence
 
 from daq.drivers.checks import Check, Checks
 from daq.drivers.cia402 import wire
+from daq.drivers.cia402.host_beats import IN_A_ROW
 from daq.drivers.contract import SpeedSource
 from daq.drivers.items import Event
 
 _FAULTY = (wire.FAULT, wire.FAULT_REACTION, wire.UNKNOWN)
 
 
-def drive_checks(control: SpeedSource | None, events: Sequence[Event]) -> Checks:
+def drive_checks(control: SpeedSource | None, events: Sequence[Event], foreign_beats: int = 0) -> Checks:
     """Checks of an open drive.
 
     Args:
+        foreign_beats: heartbeats under the host's number that the host did not send.
         control: who holds it; None where it is only listened to.
         events: of the drive, while it was looked at.
     """
@@ -25,6 +27,8 @@ def drive_checks(control: SpeedSource | None, events: Sequence[Event]) -> Checks
     bad = [code for code in codes if code not in (0, wire.HEARTBEAT_ERROR)]
     words = ", ".join(f"0x{code:04X}" for code in codes) or "none"
     out["emergencies"] = Check(words, "none", not bad, "" if not bad else "look them up in the drive's manual")
+    note = "" if foreign_beats < IN_A_ROW else "another node bears the host's number (host_node_id): find it"
+    out["foreign_heartbeats"] = Check(foreign_beats, 0, foreign_beats < IN_A_ROW, note)
     return out
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from daq import channels
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.host_beats import HostBeats
 from daq.drivers.cia402.settings import Drive
 from daq.drivers.items import TX, Batch, Event
 from daq.transports import slcan
+
+_AGAIN_NS = 1_000_000_000
 
 
 class DrivePipeline:
@@ -21,6 +25,7 @@ class DrivePipeline:
 
     Attributes:
         frames: what the last feed found, for the host's own CANopen client.
+        host_beats: heartbeats under the host's number.
         told, complaint: see TellsItself; a drive says by its reports how it is set up.
     """
 
@@ -30,7 +35,9 @@ class DrivePipeline:
         self.losses = {"damaged_lines": 0, "refused_lines": 0}
         self.frames: list[slcan.CanFrame] = []
         self.complaint = ""
-        self._device, self._node = device, config.node_id
+        self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
+        self.host_beats = HostBeats(config.node_id, config.host_node_id)
+        self._said_ns = -_AGAIN_NS
         self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder(of_host=True)
         self._joined = False
         self._target_rpm = 0.0
@@ -43,13 +50,15 @@ class DrivePipeline:
         if direction == TX:
             sent = self._tx.feed(data)
             self._may_refuse += len(sent.other_lines)
-            for frame in cia402.own_frames(sent.frames):
+            frames = cia402.own_frames(sent.frames)
+            self.host_beats.sent(frames, host_ns)
+            for frame in frames:
                 self._heed_target(frame)
             self.frames = []
             return []
         found = self._rx.feed(data) if self._joined else self._join(data)
         self.frames = cia402.own_frames(found.frames)
-        out: list[Batch | Event] = []
+        out: list[Batch | Event] = [*self._second_host(host_ns)]
         damaged = found.damaged
         if found.other_lines or self._may_refuse:
             out += self._answered(found)
@@ -77,6 +86,17 @@ class DrivePipeline:
         if rows:
             out += self._speed(rows, host_ns)
         return out
+
+    def _second_host(self, host_ns: int) -> Iterator[Event]:
+        """Another node keeps the drive's watch content; told again each second, as long as it does."""
+        if not self.host_beats.came(self.frames, host_ns) or host_ns - self._said_ns < _AGAIN_NS:
+            return
+        self._said_ns = host_ns
+        text = (
+            f"another node sends this host's heartbeat (node {self._host_node}): the drive would go on turning without "
+            "its host. Find the node that bears this number, or give the host another one (host_node_id)"
+        )
+        yield Event("fault", self._device, text, {"foreign_heartbeats": self.host_beats.foreign})
 
     def _short(self, frame: slcan.CanFrame) -> Event:
         """A report that cannot hold statusword and speed; told once."""

@@ -25,6 +25,11 @@ from daq.transports.host_clock import HostClock, Repeated
 _WORD_S = 0.5  # wall seconds after which the controller's word is too old
 _ANSWER_S = 0.1  # wall seconds after which a poll counts as unanswered and the next one goes out
 _ENABLE_S = 3.0  # wall seconds for the controller to obey
+_LEAVE_S = 0.5  # wall seconds for the controller to answer behind the command to let go
+_UNCONFIRMED = (
+    "it does not answer: nobody can tell whether it has. Without commands it does what is set for its own time-out. "
+    "Look at its power and its line before anyone touches the rotor"
+)
 _BEAT_S = 0.002  # wall seconds, the shortest beat: where rig time runs fast
 _STEP_S = 0.25  # wall seconds, the longest step of the ramp
 
@@ -73,7 +78,7 @@ class VescControl:
         self._armed = self._ordered = False
         self._stops = 0  # how often it was told to stop: who began before the last one has to begin anew
         self._word: wire.Values | None = None
-        self._word_ns = 0
+        self._word_ns = self._answers = 0
         self._ordered_ns = 0  # when the newest mode was first sent
         self._polled_ns: int | None = None  # of the poll under way
         self._poll_due_ns = self._command_due_ns = 0
@@ -92,6 +97,7 @@ class VescControl:
     def _heed(self, values: wire.Values) -> None:
         with self._deciding:
             before, self._word, self._word_ns = self._word, values, self._clock.now_ns()
+            self._answers += 1
             self._polled_ns = None
             if values.fault and values.fault not in self.faults:
                 self.faults.append(values.fault)
@@ -290,11 +296,38 @@ class VescControl:
         self.beat()
 
     def disable(self) -> None:
-        """See SpeedSource."""
+        """See SpeedSource.
+
+        Raises:
+            DeviceError: it does not answer, so that nobody can tell whether it has let go.
+        """
         with self._deciding:
             self._armed = False
             self._begin(Mode.FREE)
         self.beat()
+        if not self._lets_go():
+            raise DeviceError(f"drive: told to let go of the rotor, {_UNCONFIRMED}")
+
+    def _lets_go(self) -> bool:
+        """Tell it to let go until it has answered behind that; whether it has.
+
+        It has no word for having let go: its line keeps the order, so that an answer to a question behind the command
+        shows that the command has arrived.
+        """
+        deadline = self._clock.wall_s() + _LEAVE_S
+        while True:
+            with self._sending:
+                with self._deciding:
+                    due = self._answers + (2 if self._polled_ns is not None else 1)  # one may be under way still
+                    self._polled_ns = self._clock.now_ns()
+                self._send(wire.let_go() + wire.get_values())
+            again = self._clock.wall_s() + _ANSWER_S
+            while self._answers < due and self._clock.wall_s() < again:
+                self._clock.wait(0.002)
+            if self._answers >= due:
+                return True
+            if self._clock.wall_s() > deadline:
+                return False
 
     def quick_stop(self) -> None:
         """Brake at once, and go on braking."""
@@ -305,7 +338,7 @@ class VescControl:
         self.beat()
 
     def stop(self, told: Callable[[str], None] = lambda text: None) -> bool:
-        """Brake until the rotor stands, then let go of it; whether it is known to stand.
+        """Brake until the rotor stands, then let go of it; whether both are known to have happened.
 
         A rotor that is not known to stand is not let go of: the commands end with a brake, and what the controller
         does at its own time-out is left to it.
@@ -318,8 +351,9 @@ class VescControl:
             rest = rest or self._rest(told)
         finally:
             self._end()
-        if rest and self._ordered:
-            self._send(wire.let_go())
+        if rest and self._ordered and not self._lets_go():
+            told(f"the drive was told to let go of the rotor, {_UNCONFIRMED}")
+            return False
         return rest
 
     def _end(self) -> None:
