@@ -3,7 +3,8 @@
 
 A source acts through the parameters and, where it is a number of the rig file, directly: an error of a mass moves what
 was identified and the prediction together. Both effects are added before they are squared, so a source has one row.
-The speed is the nominal one of the point and exact. Source: docs/theory/uncertainty.md.
+What a run-up found of run-out and bow has rows of its own; a gain or an index angle acts through it too. Dry friction
+is new at each point. The speed is the nominal one of the point and exact. Source: docs/theory/uncertainty.md.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.dry_friction import LeftOpen
 from analysis.prediction import AXIS_ANGLE, QUANTITIES, Prediction
 from rig_configs import Rig
 from rig_configs.known import Known
-from rig_configs.shared_errors import EXACT_STEP, known_source
-from uncertainty import Budgets, Source
+from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
+from rig_configs.slow_roll import SlowRoll
+from uncertainty import Budgets, Group, Source
 from uncertainty.group import Input
 
 Array = NDArray[np.float64]
@@ -59,6 +62,8 @@ class PredictedBudgets:
         parameter_sensitivities: of the parameters by the budgets' columns, shape (n, columns).
         axis_angle_rad: angle from the stiffness x axis to the sensor x axis.
         known: what the rig file takes as known.
+        slow_roll: run-out and bow that the predictions were made with.
+        slow_roll_sensitivities: of SlowRoll.values by the budgets' columns, shape (6, columns).
     """
 
     quantities: tuple[Quantity, ...]
@@ -68,6 +73,8 @@ class PredictedBudgets:
     parameter_sensitivities: Array
     axis_angle_rad: float
     known: Known
+    slow_roll: SlowRoll | None
+    slow_roll_sensitivities: Array
 
     @cached_property
     def columns(self) -> dict[str, int]:
@@ -98,7 +105,7 @@ class PredictedBudgets:
 
 def predicted_budgets(
     predictions: Mapping[str, Prediction], names: Sequence[str], parameters: Budgets, rig: Rig,
-    axis_angle_deg: tuple[float, float], *, axis_identified: bool = True,
+    axis_angle_deg: tuple[float, float], *, axis_identified: bool = True, slow_roll: SlowRoll | None = None,
 ) -> PredictedBudgets:  # fmt: skip
     """Budgets of angles and amplitudes at the points.
 
@@ -111,6 +118,7 @@ def predicted_budgets(
         rig: what is taken as known.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis with its standard uncertainty.
         axis_identified: whether a test found the angle.
+        slow_roll: run-out and bow that the predictions were made with.
     """
     quantities = tuple(q for point, found in predictions.items() for q in _quantities(point, found))
     at = [parameters.names.index(name) for name in names]
@@ -121,20 +129,75 @@ def predicted_budgets(
         extra.append(Source(AXIS_ANGLE, math.radians(axis_angle_deg[1]), "rad", kind))
     there = {source.name for source in parameters.sources}
     moved = {number for found in predictions.values() for number in found.by_number}
+    rolled = _slow_roll_errors(slow_roll, rig, there)
     extra += [
-        known_source(source) for source in known.sources if source.label not in there and moved & set(source.effects)
+        known_source(source)
+        for source in known.sources
+        if source.label not in there and (moved & set(source.effects) or source.label in rolled)
     ]
-    sources: tuple[Input, ...] = (*parameters.sources, *extra)
-    through = np.concatenate([parameters.sensitivities[at], np.zeros((len(at), len(extra)))], axis=1)
-    table = np.array([q.scale * predictions[q.point].by_parameter[q.index] @ through for q in quantities])
-    table = table.reshape(len(quantities), through.shape[1])
+    extra += [source for label, (source, _) in rolled.items() if source.name not in there and not is_known(label)]
+    frictions = {point: _friction_source(point, found.friction) for point, found in predictions.items()}
+    sources: tuple[Input, ...] = (*parameters.sources, *extra, *(f for f in frictions.values() if f is not None))
+    columns = columns_of(sources)
+    width = sum(source.width for source in sources)
+    through, roll = np.zeros((len(at), width)), np.zeros((6, width))
+    through[:, : parameters.sensitivities.shape[1]] = parameters.sensitivities[at]
+    for source, shift in rolled.values():
+        roll[:, columns[source.name]] += shift / float(_unit_of(sources, source.name))
+    table = np.zeros((len(quantities), width))
+    for row, q in enumerate(quantities):
+        found = predictions[q.point]
+        table[row] = q.scale * (found.by_parameter[q.index] @ through + found.by_run_out_and_bow[q.index] @ roll)
+        own = frictions[q.point]
+        if own is not None:
+            table[row, columns[own.name] :][: own.width] = q.scale * found.friction.slopes[q.index]
     table += _direct(quantities, predictions, sources, known)
     values = [q.scale * float(predictions[q.point].values[q.index]) for q in quantities]
     budgets = Budgets(
         tuple(q.name for q in quantities), np.array(values), tuple(q.unit for q in quantities), sources, table
     )
     angle = math.radians(axis_angle_deg[0])
-    return PredictedBudgets(quantities, predictions, tuple(names), budgets, through, angle, known)
+    return PredictedBudgets(quantities, predictions, tuple(names), budgets, through, angle, known, slow_roll, roll)
+
+
+def friction_label(point: str) -> str:
+    """Name of the source that dry friction is at a point."""
+    return f"dry friction at {point}"
+
+
+def _friction_source(point: str, friction: LeftOpen) -> Input | None:
+    """What is not known of dry friction at a point: where it holds the pendulums, or how far it moves them."""
+    name = friction_label(point)
+    match len(friction.covariance):
+        case 0:
+            return None
+        case 1:
+            return Source(name, math.sqrt(float(friction.covariance[0, 0])), "1")
+        case _:
+            return Group(name, ("θ3", "θ4"), ("rad", "rad"), friction.covariance)
+
+
+def _slow_roll_errors(slow_roll: SlowRoll | None, rig: Rig, there: set[str]) -> dict[str, tuple[Source, Array]]:
+    """Label → source and shift of SlowRoll.values for one standard deviation of it, shape (6,).
+
+    Args:
+        there: names of the parameters' sources, which may share an error.
+    """
+    if slow_roll is None:
+        return {}
+    found: dict[str, tuple[Source, Array]] = {}
+    for error in slow_roll.own_errors:
+        name = error.label if error.label in there else f"{error.label}: {error.words}"
+        found[error.label] = Source(name, error.std_m, "m", "A"), error.std_m * error.direction
+    for label, shift in slow_roll.errors(rig.roles.gain_stds, rig.known).items():
+        if label not in found and np.any(shift):
+            found[label] = (shared_source(label, rig), shift)
+    return found
+
+
+def _unit_of(sources: Sequence[Input], name: str) -> float:
+    """Standard uncertainty of a source."""
+    return next(float(source.factor[0, 0]) for source in sources if source.name == name)
 
 
 def quantity_names(point: str) -> list[str]:

@@ -1,7 +1,8 @@
 # pyright: strict
 """Monte Carlo of predicted quantities: every source drawn, the steady state followed through the nonlinear model.
 
-A draw changes parameters, masses, lengths and the axis angle. Its steady state is found from the nominal one by Newton
+A draw changes parameters, masses, lengths, run-out, bow and the axis angle; of dry friction the straight line is taken,
+as the prediction does. Its steady state is found from the nominal one by Newton
 steps on the half-revolution map with the nominal inverse, y ← y + (1 − ∂H/∂y)⁻¹ (H(y) − y): each step takes half a
 revolution of integration and shrinks the error by the relative change of the map's slope. Source: JCGM 101, 7;
 docs/theory/uncertainty.md.
@@ -10,12 +11,13 @@ docs/theory/uncertainty.md.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.budget import PredictedBudgets
+from analysis.budget import PredictedBudgets, friction_label
+from analysis.dry_friction import Sensors
 from analysis.errors import NoStableState
 from analysis.prediction import AXIS_ANGLE, fixed_point_inverse, half_turn, observed
 from dynamics import RotorParameters
@@ -35,7 +37,7 @@ class NonlinearModel:
 
     Attributes:
         of: the budgets, with their predictions.
-        physics: the rig with the identified values.
+        physics: the rig with the identified values; the bow is that of the budgets.
         told: called with the share of the trials done, 0 … 1.
         trials: how many are to come, for `told`.
     """
@@ -47,6 +49,8 @@ class NonlinearModel:
     _done: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
+        none: Array = np.zeros_like(self.of.slow_roll_sensitivities[0])
+        self.physics = self._bent(self.physics, none)[0]
         self._inverses = {
             point: fixed_point_inverse(self.physics, found.speed_rad_s, found.state.start)
             for point, found in self.of.predictions.items()
@@ -74,7 +78,8 @@ class NonlinearModel:
         beta = self.of.axis_angle_rad
         if AXIS_ANGLE in self.of.columns:
             beta += float(error[self.of.columns[AXIS_ANGLE]])
-        seen = {point: self._at(point, physics, beta) for point in self.of.predictions}
+        physics, run_out = self._bent(physics, error)
+        seen = {point: self._at(point, physics, (beta, run_out), error) for point in self.of.predictions}
         return np.array([q.scale * seen[q.point][q.index] for q in self.of.quantities])
 
     def _drawn(self, error: Array) -> RotorParameters:
@@ -94,7 +99,21 @@ class NonlinearModel:
         drawn = {n: found[n] + float(s) for n, s in zip(self.of.parameters, shifts, strict=True)}
         return physics.with_values(**drawn)
 
-    def _at(self, point: str, physics: RotorParameters, beta: float) -> Array:
+    def _bent(self, physics: RotorParameters, error: Array) -> tuple[RotorParameters, tuple[complex, complex]]:
+        """The rig with the bow of one draw, and what run-out adds to the complex amplitudes of x and y."""
+        roll = self.of.slow_roll
+        if roll is None:
+            return physics, (0j, 0j)
+        parts = (roll.values + self.of.slow_roll_sensitivities @ error).reshape(3, 2)
+        x, y, bow = (complex(*part) for part in parts.tolist())
+        return replace(physics, bow_x_m=bow.real, bow_y_m=bow.imag), (x, -1j * y)
+
+    def _friction(self, point: str, error: Array) -> Array:
+        """What dry friction adds to the values at a point, shape (5,)."""
+        friction, at = self.of.predictions[point].friction, self.of.columns.get(friction_label(point), 0)
+        return friction.shift + friction.slopes @ error[at : at + friction.slopes.shape[1]]
+
+    def _at(self, point: str, physics: RotorParameters, sensors: Sensors, error: Array) -> Array:
         """What is observed at a point, shape (5,); angles within half a turn of the nominal ones."""
         nominal = self.of.predictions[point]
         speed, inverse = nominal.speed_rad_s, self._inverses[point]
@@ -109,7 +128,7 @@ class NonlinearModel:
                 f"Monte Carlo: point {point}: the steady state of a draw was not found from the nominal one in "
                 f"{_MOST_STEPS} steps; the linear budget stands alone"
             )
-        values = observed(physics, speed, start, beta)
+        values = observed(physics, speed, start, sensors) + self._friction(point, error)
         apart = (values[:2] - nominal.values[:2] + np.pi) % (2 * np.pi) - np.pi
         if float(np.max(np.abs(apart))) > _SAME_STATE_RAD:
             raise NoStableState(

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import RotorParameters
+from dynamics import RotorParameters, SteadyState
 from dynamics.steady.held_band import HeldBand, held_band
 from dynamics.steady.sliding_shift import Motion, sliding_shift
 from rig_configs import IdentifiedParameters
@@ -83,29 +83,81 @@ class DryFriction:
         return sliding_shift(physics, speed_rad_s, start, motion, torque), math.hypot(share, FIRST_ORDER)
 
 
-def seen_shift(shift: NDArray[np.complex128], orbit: NDArray[np.complex128], beta_rad: float) -> Array:
+@dataclass(frozen=True)
+class LeftOpen:
+    """What dry friction leaves open of a prediction: θ3, θ4, order-1 amplitudes in sensor axes, rms radius.
+
+    Attributes:
+        held: where it may hold the pendulums about the state's angles; None where no friction is known.
+        shift: how far it moves the values, shape (5,).
+        slopes: derivatives of the values by what is not known of it, shape (5, k): by both angles at which it holds
+            the pendulums (rad), by the relative error of the shift, or by nothing.
+        covariance: of that, shape (k, k).
+    """
+
+    held: HeldBand | None = None
+    shift: Array = field(default_factory=lambda: np.zeros(5))
+    slopes: Array = field(default_factory=lambda: np.zeros((5, 0)))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def of_values(self) -> Array:
+        """Covariance of the values, shape (5, 5)."""
+        return self.slopes @ self.covariance @ self.slopes.T
+
+
+Sensors = tuple[float, tuple[complex, complex]]
+"""Angle from the stiffness to the sensor x axis, rad, and what run-out adds to the complex amplitudes of x and y, m."""
+
+
+def left_open(
+    friction: DryFriction | None, physics: RotorParameters, speed: float, state: SteadyState, motion: Motion,
+    sensors: Sensors,
+) -> LeftOpen:  # fmt: skip
+    """What dry friction leaves open of a steady state.
+
+    Args:
+        friction: None where none is known.
+        state: the frictionless one.
+        motion: integrates.
+    """
+    if friction is None:
+        return LeftOpen()
+    held = friction.band(physics, speed, (float(state.theta_rad[0]), float(state.theta_rad[1])))
+    orbit = np.array([state.x_m, -1j * state.y_m])
+    if np.any(held.half_width_rad > 0):
+        return LeftOpen(held, slopes=seen_slopes(held, orbit, sensors), covariance=held.covariance)
+    moved, share = friction.shift(physics, speed, np.asarray(state.start, np.float64), motion)
+    shift = seen_shift(moved, orbit, sensors)
+    return LeftOpen(held, shift, shift[:, None], np.array([[share**2]]))
+
+
+def _turn(beta_rad: float) -> Array:
+    """Stiffness axes to sensor axes."""
+    return np.array([[math.cos(beta_rad), math.sin(beta_rad)], [-math.sin(beta_rad), math.cos(beta_rad)]])
+
+
+def seen_shift(shift: NDArray[np.complex128], orbit: NDArray[np.complex128], sensors: Sensors) -> Array:
     """A shift of mean angles and orbit as that of θ3, θ4, amplitudes in sensor axes and rms radius, shape (5,).
 
     Args:
         shift: θ3, θ4 (rad), X and Y in stiffness axes (m), shape (4,).
         orbit: X, Y about which it holds, m.
-        beta_rad: from the stiffness to the sensor x axis.
     """
-    turn = np.array([[math.cos(beta_rad), math.sin(beta_rad)], [-math.sin(beta_rad), math.cos(beta_rad)]])
-    before, after = np.abs(turn @ orbit), np.abs(turn @ (orbit + shift[2:]))
+    turn, run_out = _turn(sensors[0]), np.array(sensors[1])
+    before, after = np.abs(turn @ orbit + run_out), np.abs(turn @ (orbit + shift[2:]) + run_out)
     radius = math.sqrt(0.5) * (float(np.linalg.norm(after)) - float(np.linalg.norm(before)))
     return np.r_[np.real(shift[:2]), after - before, radius]
 
 
-def seen_slopes(band: HeldBand, orbit: NDArray[np.complex128], beta_rad: float) -> Array:
+def seen_slopes(band: HeldBand, orbit: NDArray[np.complex128], sensors: Sensors) -> Array:
     """Derivatives of θ3, θ4, order-1 amplitudes in sensor axes and rms radius by resting angles, shape (5, 2).
 
     Args:
         orbit: X, Y in stiffness axes about which they hold, m; an amplitude that is 0 has none.
-        beta_rad: from the stiffness to the sensor x axis.
     """
-    turn = np.array([[math.cos(beta_rad), math.sin(beta_rad)], [-math.sin(beta_rad), math.cos(beta_rad)]])
-    seen, by = turn @ orbit, turn @ band.orbit_slopes
+    turn = _turn(sensors[0])
+    seen, by = turn @ orbit + np.array(sensors[1]), turn @ band.orbit_slopes
     size, out = np.abs(seen), np.zeros((5, 2))
     out[:2] = np.eye(2)
     along = np.real(np.conj(seen)[:, None] * by)

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.dry_friction import DryFriction, seen_shift, seen_slopes
+from analysis.dry_friction import DryFriction, LeftOpen, Sensors, left_open
 from analysis.errors import NoStableState
-from analysis.run_out import shown_run_out, slow_roll_errors, with_run_out
+from analysis.run_out import by_shown_run_out, shown_run_out, with_run_out
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
@@ -62,8 +62,8 @@ class Prediction:
         by_bow: derivatives of `values` by real and imaginary part of a bow, shape (5, 2), and those of the real and
             imaginary parts of the complex order-1 amplitudes of x and y, shape (4, 2).
         orbit: complex order-1 amplitudes that x and y show, x = Re(x e^{iψ}), y the same; run-out included.
-        held: where dry friction may hold the pendulums about the state's angles; None where none is known of.
-        by_friction: covariance of `values` from that, or from how far friction has moved them, part of `own`, (5, 5).
+        by_run_out_and_bow: derivatives of `values` by run-out and bow, in the order of SlowRoll.values, shape (5, 6).
+        friction: what dry friction leaves open, part of `own`.
     """
 
     state: SteadyState
@@ -77,8 +77,13 @@ class Prediction:
     numerical: Array
     by_bow: tuple[Array, Array]
     orbit: tuple[complex, complex]
-    held: HeldBand | None = None
-    by_friction: Array = field(default_factory=lambda: np.zeros((5, 5)))
+    by_run_out_and_bow: Array
+    friction: LeftOpen = field(default_factory=LeftOpen)
+
+    @property
+    def held(self) -> HeldBand | None:
+        """Where dry friction may hold the pendulums about the state's angles; None where none is known of."""
+        return self.friction.held
 
     @property
     def at_rest(self) -> bool:
@@ -126,41 +131,24 @@ def predict_point(
     values = shown[:5]
     by_parameter = np.stack([slopes.pop(name) for name in identified.values] or [np.empty((5, 0))], axis=-1)
     bow = np.stack([slopes.pop(name) for name in BOW], axis=-1)
-    by_bow = bow[:5]
+    by_run_out_and_bow = np.hstack([by_shown_run_out(shown), bow[:5]])
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
-    held, shift, by_friction = _dry(identified, physics, state, speed_rad_s, beta)
-    values = values + shift
-    own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + by_friction
+    friction = left_open(
+        DryFriction.of(identified), physics, speed_rad_s, state,
+        lambda start, times: _motion(physics, speed_rad_s, start, times), (beta, run_out),
+    )  # fmt: skip
+    values = values + friction.shift
+    own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + friction.of_values
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
-    for label, shift in slow_roll_errors(rig, identified.slow_roll, shown, by_bow).items():
-        shared[label] = shared.get(label, np.zeros(5)) + shift
+    if identified.slow_roll is not None:
+        for label, error in identified.slow_roll.errors(rig.roles.gain_stds, rig.known).items():
+            shared[label] = shared.get(label, np.zeros(5)) + by_run_out_and_bow @ error
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
     return Prediction(
-        state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical, (by_bow, bow[5:]),
-        (complex(*shown[5:7]), complex(*shown[7:])), held, by_friction,
+        state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical,
+        (bow[:5], bow[5:]), (complex(*shown[5:7]), complex(*shown[7:])), by_run_out_and_bow, friction,
     )  # fmt: skip
-
-
-def _dry(
-    identified: IdentifiedParameters, physics: RotorParameters, state: SteadyState, speed: float, beta: float
-) -> tuple[HeldBand | None, Array, Array]:
-    """Where dry friction may hold the pendulums, how it moves the values (5,), and the covariance of both (5, 5)."""
-    friction = DryFriction.of(identified)
-    if friction is None:
-        return None, np.zeros(5), np.zeros((5, 5))
-    held = friction.band(physics, speed, (float(state.theta_rad[0]), float(state.theta_rad[1])))
-    orbit = np.array([state.x_m, -1j * state.y_m])
-    if np.any(held.half_width_rad > 0):
-        by = seen_slopes(held, orbit, beta)
-        return held, np.zeros(5), by @ held.covariance @ by.T
-
-    def motion(start: Array, times: Array) -> Array:
-        return _motion(physics, speed, start, times)
-
-    moved, share = friction.shift(physics, speed, np.asarray(state.start, np.float64), motion)
-    shift = seen_shift(moved, orbit, beta)
-    return held, shift, share**2 * np.outer(shift, shift)
 
 
 def _shared(
@@ -218,13 +206,9 @@ def fixed_point_inverse(physics: RotorParameters, speed: float, start: Start) ->
     return np.asarray(np.linalg.inv(np.eye(8) - slope), dtype=np.float64)
 
 
-def observed(physics: RotorParameters, speed: float, start: Start, beta: float, finer: float = 1.0) -> Array:
-    """θ3, θ4, order-1 amplitudes in sensor axes, rms radius; means over one revolution, shape (5,)."""
-    return _shown(physics, speed, start, (beta, (0j, 0j)), finer)[:5]
-
-
-Sensors = tuple[float, tuple[complex, complex]]
-"""Angle from the stiffness to the sensor x axis, rad, and what run-out adds to the complex amplitudes of x and y, m."""
+def observed(physics: RotorParameters, speed: float, start: Start, sensors: Sensors) -> Array:
+    """θ3, θ4, order-1 amplitudes in sensor axes, rms radius, with run-out; means over one revolution, shape (5,)."""
+    return _shown(physics, speed, start, sensors)[:5]
 
 
 def _shown(physics: RotorParameters, speed: float, start: Start, sensors: Sensors, finer: float = 1.0) -> Array:

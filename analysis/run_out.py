@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rig_configs import Rig
 from rig_configs.slow_roll import SlowRoll
 
 if TYPE_CHECKING:
@@ -60,19 +59,15 @@ def by_orbit(values: Array) -> Array:
     return slope
 
 
-def slow_roll_errors(rig: Rig, slow_roll: SlowRoll | None, shown: Array, by_bow: Array) -> dict[str, Array]:
-    """How errors of run-out and bow shift what is predicted: label → shift for one standard deviation, shape (5,).
+def by_shown_run_out(shown: Array) -> Array:
+    """Derivatives of θ3, θ4, both amplitudes and rms radius by (Re r_x, Im r_x, Re r_y, Im r_y), shape (5, 4).
 
     Args:
         shown: as with_run_out has it.
-        by_bow: derivatives of what is predicted by a bow, shape (5, 2).
     """
-    if slow_roll is None:
-        return {}
     turn = np.zeros((4, 4))
     turn[:2, :2], turn[2:, 2:] = np.eye(2), [[0.0, 1.0], [-1.0, 0.0]]  # y shows −i r_y
-    slope = np.hstack([by_orbit(shown) @ turn, by_bow])
-    return {label: slope @ shift for label, shift in slow_roll.errors(rig.roles.gain_stds, rig.known).items()}
+    return by_orbit(shown) @ turn
 
 
 def by_slow_roll(measured: SteadyMeasurement, predicted: Prediction) -> dict[str, Array]:

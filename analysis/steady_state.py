@@ -59,7 +59,8 @@ class SteadyMeasurement:
             what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
         creeps: whether it is compared although it was not settled: dry friction lets it creep.
         release_s, from_s, to_s: last release, start and end of the last seconds' mean, s since the run's start.
-        remarks: what lasers and rotor phase show beside the rotor's motion, sentences.
+        remarks: what lasers and rotor phase show beside the rotor's motion, sentences; of a pendulum that slips the
+            rotor's motion has lines of its own, and the lasers have no say.
     """
 
     state: str
@@ -148,7 +149,7 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
         release_s=release,
         from_s=start,
         to_s=end,
-        remarks=(*remarks.sentences, *phase_remarks(run, turns=True)),
+        remarks=(*(() if settling.slipping else remarks.sentences), *phase_remarks(run, turns=True)),
         creeps=creeps,
     )
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from analysis.agreement import Agreement
+from analysis.bent_shaft import blamed_on_bow
 from analysis.differences import RELEASE, Compared, Rows
 from analysis.errors import NoStableState, NotEnoughData
 from analysis.explanations import Explanations
@@ -121,11 +122,8 @@ def validate(
             why = f"{which}: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
             results[name] = replace(results[name], verdict="fail", why=why)
     validation = Validation(results, found.agreement, found.explanations, found.noticed, repeated)
-    return (
-        validation
-        if found.explanations is not None or validation.passed
-        else replace(validation, explanations=found.explain())
-    )
+    off = any(p.verdict == "fail" and p.scores for p in results.values())  # a state that is missing has no differences
+    return validation if validation.explanations or not off else replace(validation, explanations=found.explain())
 
 
 def _start_ups(
@@ -170,7 +168,15 @@ def validate_point(
         measured = _held(run, rig, identified, measured, prediction)
     scores = scores_of(measured, prediction, rig) if prediction and measured.state in ("I", "II", "III") else {}
     verdict, why = _judge(measured, prediction, trouble, expected, scores)
+    if verdict == "not settled" or (verdict == "fail" and not _same_as(expected, measured, prediction)):
+        state = prediction.state if prediction else None
+        why += blamed_on_bow(identified.applied_to(rig.physics), measured.speed_rad_s.value, state)
     return PointResult(name, expected, measured.state, measured, prediction, scores, verdict, why, run.source)
+
+
+def _same_as(expected: str | None, measured: SteadyMeasurement, prediction: Prediction | None) -> bool:
+    """Whether the state that was measured is the predicted and the expected one."""
+    return prediction is not None and measured.state == prediction.state.type and expected in (None, measured.state)
 
 
 def _bow_m(identified: IdentifiedParameters) -> complex:

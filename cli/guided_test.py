@@ -108,7 +108,7 @@ def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None
 
         tracking.compile_tracker(wanted.rig.physics)
     std = tracking.imbalance_std(parameters, settings or [])
-    return lambda session: tracking.LiveTracking(session, std)
+    return lambda session: tracking.LiveTracking(session, std, parameters)
 
 
 def _run(wanted: Asked, out: Path, note: str, label: str, time_scale: float, track: Any, as_json: bool) -> int:

@@ -13,7 +13,8 @@ from cyclopts import Parameter
 from cli.console import print_json, say, share_progress, wait_for_compilation
 from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
-from rig_configs import Rig, RigFileError, load_rig
+from cli.slow_roll_page import forced_region, shown_json, shown_line
+from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
     from dynamics.equations.parameters import RotorParameters
@@ -40,19 +41,21 @@ def predict(
     plot: Plot = None,
     json: Json = False,
 ) -> int:
-    """Steady states, stability and amplitudes at a point or a speed, and where a release ends."""
+    """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
+
+    With --parameters a bow that was identified acts in all of it, and run-out is in what the sensors show.
+    """
     need_place("rig predict: --plot", plot)
-    loaded = load_rig(rig, parameters, settings or [])
+    known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
+    loaded = load_rig(rig, known, settings or [])
     speed = _speed(loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("dynamics"):
-        from dynamics import balancing_region, choose_model, steady_states  # noqa: PLC0415
+        from dynamics import choose_model, steady_states  # noqa: PLC0415
 
-        physics = loaded.physics
+        physics = known.bent(loaded.physics)
         found = steady_states(physics, speed, accuracy, at_least=at_least)
         outcomes = _released(physics, speed, found) if release else []
     outcome = outcomes[0] if outcomes else None
-    a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
-    region = balancing_region(a, b, physics.imbalance_moment_kg_m)
     model = found[0].model if found else choose_model(physics, at_least=at_least)
     if plot is not None:
         from analysis.plots.steady_states import draw_steady_states  # noqa: PLC0415
@@ -68,8 +71,9 @@ def predict(
         "why": model.why,
         "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
         "speed_rpm": speed * 30 / math.pi,
-        "balancing_region": region,
-        "steady_states": [_state_json(s, physics) for s in found],
+        "balancing_region": forced_region(physics, speed),
+        "slow_roll": known.slow_roll.table() if known.slow_roll else None,
+        "steady_states": [_state_json(s, physics) | _shown(s, known, loaded) for s in found],
         "unresolved": list(found.unresolved),
         "release": None if outcome is None else _outcome_json(outcome, physics),
         "releases_within_play": [_outcome_json(o, physics) for o in outcomes],
@@ -80,9 +84,17 @@ def predict(
         print_json(result)
         return 0
     _print(result, found)
+    for line in known.slow_roll.sentences if known.slow_roll else []:
+        print(line)
     if settings:
         print(what_if_words(settings))
     return 0
+
+
+def _shown(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> dict[str, Any]:
+    """What the sensors show beside the motion, where there is run-out."""
+    roll = known.slow_roll
+    return {"sensors": shown_json(state, known, rig)} if roll and (roll.run_out_x_m or roll.run_out_y_m) else {}
 
 
 def _speed(rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None) -> float:
@@ -175,6 +187,8 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
         if "stick_half_width_deg" in s:
             bands = ("anywhere" if w >= 180 else f"within ± {w:.3g}°" for w in s["stick_half_width_deg"])
             print("       so without dry friction, which can hold A and B " + ", ".join(bands))
+        if "sensors" in s:
+            print(shown_line(s["sensors"]))
     if not found:
         lost = "" if result["unresolved"] else ": the singular points are lost at this speed"
         print(f"  no steady motion found{lost}")
@@ -254,7 +268,10 @@ def map(
         raise RigFileError(f"rig map: -o expected a name ending in .npz, got {output}")
     omega = _axis("--speed-ratio", speed_ratio)
     stiffness = _axis("--stiffness-ratio", stiffness_ratio)
-    loaded = load_rig(rig, parameters, settings or [])
+    known = IdentifiedParameters.load(parameters) if parameters else None
+    loaded = load_rig(rig, known, settings or [])
+    if known and known.slow_roll and known.slow_roll.bow_m:
+        say("the map leaves the bow out: a bent shaft has no state at rest")
     if loaded.physics.a.friction_arm_m or loaded.physics.b.friction_arm_m:
         say("the map leaves dry friction out")
     with wait_for_compilation("stability map"):

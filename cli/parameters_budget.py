@@ -196,8 +196,9 @@ def _predicted(
     angle = known_axis_angle(identified, turn_deg=rig.roles.turn_deg)
     there = identified.axis_angle_deg is not None
     budgets = predicted_budgets(
-        found, list(identified.values), of_parameters.budgets, rig, angle, axis_identified=there
-    )
+        found, list(identified.values), of_parameters.budgets, rig, angle, axis_identified=there,
+        slow_roll=identified.slow_roll,
+    )  # fmt: skip
     for name in (n for point in found for n in quantity_names(point) if asked.shows(n)):
         if name not in budgets.budgets.names:
             skipped[name] = "it is 0 whatever the parameters are"

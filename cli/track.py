@@ -40,7 +40,8 @@ def track(
     """States and pendulum damping of a logged run over time, with uncertainty.
 
     Spin-downs and points show the damping; rows are x, y, θ3, θ4, their rates, c3, c4 with standard deviations. The
-    start values of c3 and c4 are those of --parameters, or of the rig file, and may be ten times wrong.
+    start values of c3 and c4 are those of --parameters, or of the rig file, and may be ten times wrong. A bow that
+    --parameters holds acts on the motion.
     """
     from cli.track_page import print_tracking, tracking_json  # noqa: PLC0415 (numba takes seconds to import)
 
@@ -134,12 +135,13 @@ def _tracked(
 
     run = load_run(log)
     warnings = trackable(run)
+    against = None if parameters is None else IdentifiedParameters.load(parameters)
+    physics = rig.physics if against is None else against.bent(rig.physics)
     with share_progress(f"{setting} tracking of {log.name}") as tell:
         found = follow(
-            run, rig.physics, imbalance_std=imbalance_std(parameters, settings), batch_s=1e-3 * every_ms,
+            run, physics, imbalance_std=imbalance_std(parameters, settings), batch_s=1e-3 * every_ms,
             setting=setting, tell=tell,
         )  # fmt: skip
-    against = None if parameters is None else IdentifiedParameters.load(parameters)
     result = Tracking(run, rig, found, setting, against, parameters, warnings)
     for text in result.warnings:
         say(f"warning: {text}")

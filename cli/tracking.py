@@ -41,13 +41,19 @@ class LiveTracking:
     Args:
         session: its rig's parameters are what the tracker starts from.
         imbalance_std: relative standard deviation of its S_P.
+        parameters: a parameters file whose bow acts on the motion; None without one.
     """
 
-    def __init__(self, session: Session, imbalance_std: float = Tracker.imbalance_std) -> None:
+    def __init__(
+        self, session: Session, imbalance_std: float = Tracker.imbalance_std, parameters: Path | None = None
+    ) -> None:
+        physics = session.rig.physics
+        if parameters is not None:
+            physics = IdentifiedParameters.load(parameters).bent(physics)
         roles = session.rig.roles
         self._session = session
         self._tracker = Tracker(
-            session.rig.physics, Sensors(encoder_step_rad=roles.angles.step_rad) if roles.angles else Sensors(),
+            physics, Sensors(encoder_step_rad=roles.angles.step_rad) if roles.angles else Sensors(),
             released=(False, False), imbalance_std=imbalance_std,
         )  # fmt: skip
         self._index_rad = math.radians(roles.phase.index_angle_deg if roles.phase else 0.0)

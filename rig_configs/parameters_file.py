@@ -105,9 +105,12 @@ class IdentifiedParameters:
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the identified ones in place of the file's."""
-        found = physics.with_values(**self.values)
+        return self.bent(physics.with_values(**self.values))
+
+    def bent(self, physics: RotorParameters) -> RotorParameters:
+        """The rig's numbers with the bow that was identified, if any."""
         bow = self.slow_roll.bow_m if self.slow_roll else 0j
-        return replace(found, bow_x_m=bow.real, bow_y_m=bow.imag) if bow else found
+        return replace(physics, bow_x_m=bow.real, bow_y_m=bow.imag) if bow else physics
 
     def without(self, names: Collection[str]) -> IdentifiedParameters:
         """Without some of the values: the others keep their own covariance."""

@@ -22,6 +22,37 @@ LABEL = "slow roll"
 
 
 @dataclass(frozen=True)
+class SlowRollError:
+    """One independent error of what a run-up found.
+
+    Attributes:
+        label: under which it is kept.
+        words: which vector it is in, and along which angle.
+        std_m: standard uncertainty.
+        direction: unit vector in the order of SlowRoll.values, shape (6,).
+    """
+
+    label: str
+    words: str
+    std_m: float
+    direction: Array
+
+
+_NAMES = ("run-out of x", "run-out of y", "bow")
+_MOST, _LEAST = 0.99, 0.01  # of a direction's square: in one vector alone, in a vector at all
+
+
+def _words(direction: Array) -> str:
+    """Which vectors a direction lies in."""
+    pairs = direction.reshape(3, 2)
+    shares = np.sum(pairs**2, axis=1)
+    if shares.max() > _MOST:
+        k = int(shares.argmax())
+        return f"{_NAMES[k]} along {math.degrees(math.atan2(pairs[k, 1], pairs[k, 0])) % 180:.0f}°"
+    return " with ".join(name for name, share in zip(_NAMES, shares.tolist(), strict=True) if share > _LEAST)
+
+
+@dataclass(frozen=True)
 class SlowRoll:
     """Run-out and bow against the rotor's phase ψ.
 
@@ -58,11 +89,19 @@ class SlowRoll:
         return np.array([value for one in parts for value in (one.real, one.imag)])
 
     @property
-    def shifts(self) -> dict[str, Array]:
-        """Independent errors: label → shift of `values` for one standard deviation of it, shape (6,)."""
+    def own_errors(self) -> tuple[SlowRollError, ...]:
+        """Independent errors, along the covariance's axes."""
         sizes, turn = np.linalg.eigh(0.5 * (self.covariance + self.covariance.T))
         kept = [j for j, size in enumerate(sizes.tolist()) if size > 1e-12 * max(float(sizes[-1]), 1e-300)]
-        return {f"{LABEL} {k + 1}": turn[:, j] * math.sqrt(float(sizes[j])) for k, j in enumerate(kept)}
+        return tuple(
+            SlowRollError(f"{LABEL} {k + 1}", _words(turn[:, j]), math.sqrt(float(sizes[j])), turn[:, j])
+            for k, j in enumerate(kept)
+        )
+
+    @property
+    def shifts(self) -> dict[str, Array]:
+        """Independent errors: label → shift of `values` for one standard deviation of it, shape (6,)."""
+        return {error.label: error.std_m * error.direction for error in self.own_errors}
 
     def errors(self, gain_stds: tuple[float, float], known: Known) -> dict[str, Array]:
         """All errors that other quantities may share: label → shift of `values` for one standard deviation, shape (6,).

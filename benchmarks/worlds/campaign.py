@@ -15,7 +15,7 @@ from typing import Any
 
 from analysis.explanations import Explanations
 from analysis.validation import Validation, validate
-from benchmarks.worlds.recording import BEFORE_POINTS, campaign_tests, record
+from benchmarks.worlds.recording import BEFORE_POINTS, LONGEST_S, campaign_tests, record
 from benchmarks.worlds.world import WRONG, Effects, Spread, World, draw_world
 from daq.signals.run import Run
 from identification import Identification, identify
@@ -83,16 +83,22 @@ def campaign(seed: int, plan: Plan) -> dict[str, Any]:
         if plan.wrong and (name := WRONG[plan.wrong]):
             later = world.changed(plan.wrong, plan.by * found.parameters.std[name])
         started = time.perf_counter()
-        points = [record(later, seed, test) for test in campaign_tests(world)[len(BEFORE_POINTS) :]]
+        points = {test.removeprefix("point-"): record(later, seed, test) for test in campaign_tests(world)
+                  if test not in BEFORE_POINTS}  # fmt: skip
         seconds["data"] += time.perf_counter() - started
         started = time.perf_counter()
-        judged = validated(points, world.rig, found)
+        judged = validated([*points.values()], world.rig, found)
+        late = [name for name, point in judged.points.items() if point.verdict == "not settled"]
+        if late:  # a guided test records on
+            points |= {name: record(later, seed, f"point-{name}", LONGEST_S) for name in late}
+            started = time.perf_counter()
+            judged = validated([*points.values()], world.rig, found)
         row |= _judged(judged)
         row["warnings"] = [*row["warnings"], *judged.warnings]
         seconds["validation"] = time.perf_counter() - started
         if plan.joint:
             started = time.perf_counter()
-            row["joint"] = _estimates(identified([*before, *points], world.rig, found), world)
+            row["joint"] = _estimates(identified([*before, *points.values()], world.rig, found), world)
             seconds["joint"] = time.perf_counter() - started
     except Exception as error:  # whatever it is, the series goes on and the summary shows it
         row["error"] = f"{type(error).__name__}: {error}"

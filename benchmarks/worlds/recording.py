@@ -20,6 +20,8 @@ from daq.signals.run import Release, Run
 BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
 SETTLE_S = {"A": 45.0, "B": 45.0, "C": 60.0, "D": 45.0, "E": 55.0}
 """Seconds recorded after the release; C comes to rest slowest."""
+LONGEST_S = 90.0
+"""Seconds after which a guided test ends, settled or not."""
 _RING_S, _SPIN_S, _RAMP_S, _TOP_RPM, _WAIT_S, _LOCKED_S = 13.0, 8.0, 40.0, 900.0, 8.0, 4.0
 _NODE = 4  # grid steps between the node's samples: 1 kHz
 _BLOCK = 8  # samples of one radio message
@@ -45,12 +47,13 @@ def campaign_tests(world: World) -> list[str]:
     return [*BEFORE_POINTS, *(f"point-{name}" for name in world.rig.points)]
 
 
-def record(world: World, seed: int, test: str) -> Run:
+def record(world: World, seed: int, test: str, settle_s: float | None = None) -> Run:
     """One test of a campaign.
 
     Args:
         seed: of noise, lock play, phases and what the operator does; not of the world.
         test: "ring-down-x", "ring-down-y", "spin-down", "run-up" or "point-NAME" with a point of the rig file.
+        settle_s: how long a point is recorded after the release; None: SETTLE_S.
     Raises:
         ValueError: no such test.
     """
@@ -62,7 +65,7 @@ def record(world: World, seed: int, test: str) -> Run:
     if test == "run-up":
         return _read(world, seed, _run_up(world, rng))
     if test.removeprefix("point-") in world.rig.points and test.startswith("point-"):
-        return _read(world, seed, _point(world, test, rng))
+        return _read(world, seed, _point(world, test, rng, settle_s))
     raise ValueError(f"expected one of {', '.join(campaign_tests(world))}, got {test!r}")
 
 
@@ -122,13 +125,13 @@ def _run_up(world: World, rng: np.random.Generator) -> _Recorded:
     return _Recorded("run-up", time, moved(world.mechanics, turning, time, start, False), turning)
 
 
-def _point(world: World, test: str, rng: np.random.Generator) -> _Recorded:
+def _point(world: World, test: str, rng: np.random.Generator, settle_s: float | None) -> _Recorded:
     """Four seconds of the locked orbit, then both pendulums let go."""
     name = test.removeprefix("point-")
     ratio, physics = world.rig.points[name].speed_ratio, world.rig.physics
     speed = ratio * math.sqrt(physics.k1_N_per_m / physics.total_mass_kg) * (1 + 0.002 * float(rng.standard_normal()))
     turning, lock, locked = Turning.steady(_phase(rng), speed), _locks(world, rng), _WAIT_S + _LOCKED_S
-    time = _grid(locked + SETTLE_S.get(name, 60.0))
+    time = _grid(locked + (settle_s or SETTLE_S.get(name, 60.0)))
     go = round((locked + 0.1 * float(rng.random())) / STEP_S)
     x, y = (a * np.exp(1j * turning.rows[0, 1]) for a in world.mechanics.locked_orbit(speed, lock))
     start = np.r_[x.real, y.real, lock, (1j * speed * x).real, (1j * speed * y).real, 0.0, 0.0]

@@ -39,6 +39,11 @@ class PhaseClock:
             self._phase_rad.append(phase)
         del self._time_s[:-_KEPT], self._phase_rad[:-_KEPT]
 
+    @property
+    def known(self) -> bool:
+        """Whether there are marks to tell a phase by."""
+        return len(self._time_s) >= 2
+
     def _follows(self, t: float, phase: float) -> bool:
         if not self._time_s:
             return True
@@ -48,7 +53,7 @@ class PhaseClock:
     def at(self, time_s: np.ndarray) -> np.ndarray:
         """ψ, ω, α at the times, shape (n, 3); zeros for a rotor without marks."""
         out = np.zeros((len(time_s), 3))
-        if len(self._time_s) < 2:
+        if not self.known:
             return out
         t, phase = np.array(self._time_s), np.array(self._phase_rad)
         speed = np.diff(phase) / np.diff(t)

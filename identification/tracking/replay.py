@@ -79,6 +79,7 @@ def track(
     imbalance_std: float = 0.05,
     batch_s: float = 0.05,
     lasers: bool = False,
+    run_out_m: tuple[complex, complex] = (0j, 0j),
     setting: TrackingSetting = "fast",
     tell: Callable[[float], None] | None = None,
 ) -> TrackedRun:
@@ -86,12 +87,13 @@ def track(
 
     Args:
         run: angles are needed, marks are used where there are any.
-        physics: the rig; its c3, c4 are the start values.
+        physics: the rig with its bow; its c3, c4 are the start values.
         damping_std: standard deviation of ln c3, ln c4 at the start.
         imbalance_std: relative standard deviation of S_P.
         batch_s: readings handed over at once.
         lasers: use them too. Only for signals without offset, along the stiffness axes and on the encoders' clock to
             a fraction of a millisecond: a delay of two turns the disk's orbit by six degrees, and damping with it.
+        run_out_m: of the surfaces that the lasers read, as Tracker takes it.
         setting: "reference" gives the same rows by filterpy, and smoothed ones beside them.
         tell: told the share done, 0 … 1.
     Raises:
@@ -112,6 +114,7 @@ def track(
         damping_std,
         (0 not in let_go, 1 not in let_go),
         imbalance_std=imbalance_std,
+        run_out_m=run_out_m,
         filtering=reference or filter_readings,
     )
     begin, end = float(run.angle_time_s[0]), float(run.angle_time_s[-1])

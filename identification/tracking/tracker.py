@@ -15,6 +15,8 @@ import numpy as np
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.integrate import fastest_rate
 from identification.tracking.phase_clock import PhaseClock
+from identification.tracking.process_noise import AT_REST_RAD_S, process_noise
+from identification.tracking.run_out import without_run_out
 from identification.tracking.unscented import STATES, TALLY, filter_readings
 
 STATE_NAMES = ("x_m", "y_m", "theta3_rad", "theta4_rad", "x_rate_m_per_s", "y_rate_m_per_s", "theta3_rate_rad_per_s",
@@ -23,12 +25,8 @@ CAUTION = 2.5
 """Stretch of the standard deviations of ln c: see docs/theory/tracking.md for the coverage it was chosen for."""
 _GATE, _LOST_REFUSALS, _MANY_REFUSED = 6.0, 60, 0.25  # standard deviations, in a row, of the last two thousand
 _STEP_SHARE = 0.25  # of the fastest rate's inverse
-_MODEL_SHARE, _IMBALANCE_SHARE = 0.004, 0.25  # of the imbalance's force: what the model lacks, and of S_P's own error
-_WANDER = 3e-3  # of ln c per square root of a second
 _FLICK_RAD_S = 20.0  # a hand gives a pendulum such speeds
-_AT_REST_RAD_S = 0.5
 _STILL_RAD_S, _STILL_AT_REST_RAD_S = 0.003, 0.03  # of a pendulum, while the rotor turns and while it stands
-_SWING_SHARE = 0.1  # of a pendulum's speed that bearings and a hand's last touch change in a second
 _GAP_S, _BACK_S, _SHORTEST_STEP_S = 1.0, 1.0, 5e-5
 _MOST_KEPT = 400_000  # readings that wait; more are dropped, oldest first
 
@@ -82,6 +80,8 @@ class Tracker:
         lag_s: readings wait so long for earlier ones, and what comes later than that is dropped.
         tick_s: readings within one tick are taken together; at most one prediction each, which bounds the cost.
         imbalance_std: relative standard deviation of the rig's S_P: 0.05 of a rig file's, 0.001 after a run-up.
+        run_out_m: complex r_x, r_y of the surfaces that lasers read: they show Re(r_x e^{iψ}) and Im(r_y e^{iψ}) beside
+            the disk's motion.
         filtering: what runs through readings, with the arguments of `filter_readings`.
     """
 
@@ -92,6 +92,7 @@ class Tracker:
     lag_s: float = 0.05
     tick_s: float = 1e-3
     imbalance_std: float = 0.05
+    run_out_m: tuple[complex, complex] = (0j, 0j)
     filtering: Callable[..., None] = filter_readings
 
     def __post_init__(self) -> None:
@@ -215,17 +216,20 @@ class Tracker:
                 self._filter(part)
 
     def _filter(self, rows: np.ndarray) -> None:
+        if any(self.run_out_m):
+            rows = without_run_out(rows, self._phase, self.run_out_m)
         if not self._tally[0] > rows[0, 0] - _GAP_S:
             self._begin(rows)
         ticks = np.maximum(np.round(rows[:, 0] / self.tick_s) * self.tick_s, self._tally[0])
         previous = np.r_[self._tally[0], ticks[:-1]]
         z, before = np.empty(len(rows)), self._tally.copy()
         speed = abs(float(self._phase.at(ticks[-1:])[0, 1]))
+        noise = process_noise(self.physics, speed, self._mean[6:8], self.imbalance_std)
         longest = float(np.clip(_STEP_SHARE / fastest_rate(self.physics, speed), _SHORTEST_STEP_S, 1e-3))
         self.filtering(
             self._mean, self._cov, ticks, rows[:, 0] - ticks, rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3],
-            self._phase.at(previous), self._free(ticks), self._packed, self._noise(speed), longest, _GATE,
-            _STILL_AT_REST_RAD_S if speed < _AT_REST_RAD_S else _STILL_RAD_S, self._tally, z,
+            self._phase.at(previous), self._free(ticks), self._packed, noise, longest, _GATE,
+            _STILL_AT_REST_RAD_S if speed < AT_REST_RAD_S else _STILL_RAD_S, self._tally, z,
         )  # fmt: skip
         refused, repairs = (self._tally - before)[[1, 2]]
         self._counts["refused"] += int(refused)
@@ -282,19 +286,3 @@ class Tracker:
         for at, pendulum, state in self._switches:
             free[time_s > at, pendulum] = float(state)
         return free
-
-    def _noise(self, speed_rad_s: float) -> np.ndarray:
-        """Growth of variances per second: what the model leaves out pushes disk and pendulums a little.
-
-        The imbalance is taken for wrong by a few per cent; its force turns with the rotor, which over ten milliseconds
-        looks like a push, over longer like noise.
-        """
-        p = self.physics
-        if abs(speed_rad_s) < _AT_REST_RAD_S:  # no imbalance pushes; that nothing moves must not be taken for damping
-            swing = (_SWING_SHARE * self._mean[6:8]) ** 2 + 1e-8
-            return np.r_[np.zeros(4), 1e-10, 1e-10, swing, _WANDER**2, _WANDER**2]
-        force = max(abs(speed_rad_s), *p.natural_frequencies_rad_s) ** 2 * p.imbalance_moment_kg_m / p.total_mass_kg
-        share = _MODEL_SHARE + _IMBALANCE_SHARE * self.imbalance_std
-        disk = (share * force) ** 2 * 0.01
-        pendulum = (share * force / min(p.a.length_m, p.b.length_m)) ** 2 * 0.01
-        return np.r_[np.zeros(4), disk, disk, pendulum, pendulum, _WANDER**2, _WANDER**2]

@@ -1,0 +1,54 @@
+# pyright: strict
+"""What run-out and a bow of a parameters file do to predicted steady states, in numbers and words."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from rig_configs import IdentifiedParameters, Rig
+
+if TYPE_CHECKING:
+    from dynamics import RotorParameters, SteadyState
+
+Entries = dict[str, Any]
+
+
+def shown_json(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> Entries:
+    """What the sensors show of a steady state: order-1 amplitudes with run-out, and the motion's without it, mm.
+
+    Args:
+        known: with run-out and axis angle; where no test has shown that, the sensors stand as mounted.
+        rig: how the sensors are mounted.
+    """
+    from analysis.prediction import known_axis_angle  # noqa: PLC0415 (numba takes seconds to import)
+    from analysis.run_out import shown_run_out  # noqa: PLC0415
+
+    beta = math.radians(known_axis_angle(known, turn_deg=rig.roles.turn_deg)[0])
+    x, y = state.x_m, -1j * state.y_m
+    motion = (x * math.cos(beta) + y * math.sin(beta), -x * math.sin(beta) + y * math.cos(beta))
+    shown = tuple(z + r for z, r in zip(motion, shown_run_out(known.slow_roll), strict=True))
+    more = 0.5 * sum(abs(s) ** 2 - abs(m) ** 2 for s, m in zip(shown, motion, strict=True))
+    whole = math.sqrt(max(state.amplitude_m**2 + more, 0.0))
+    return {
+        "amplitude_mm": 1e3 * whole,
+        "amplitude_x_mm": 1e3 * abs(shown[0]), "amplitude_y_mm": 1e3 * abs(shown[1]),
+        "of_motion_x_mm": 1e3 * abs(motion[0]), "of_motion_y_mm": 1e3 * abs(motion[1]),
+    }  # fmt: skip
+
+
+def shown_line(shown: Entries) -> str:
+    """One state's amplitudes as the sensors show them."""
+    return (
+        f"       with run-out the sensors show x {shown['amplitude_x_mm']:.4f} mm, y {shown['amplitude_y_mm']:.4f} mm "
+        f"(the motion alone x {shown['of_motion_x_mm']:.4f} mm, y {shown['of_motion_y_mm']:.4f} mm)"
+    )
+
+
+def forced_region(physics: RotorParameters, speed_rad_s: float) -> str:
+    """Whether the pendulums can balance the imbalance and the bow together at a speed."""
+    from dynamics import balancing_region  # noqa: PLC0415
+    from dynamics.steady.singular_points import bow_moment  # noqa: PLC0415
+
+    whole = abs(physics.imbalance_moment_kg_m + bow_moment(physics, speed_rad_s))
+    return balancing_region(physics.a.first_moment_kg_m, physics.b.first_moment_kg_m, whole)
