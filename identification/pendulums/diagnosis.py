@@ -59,7 +59,7 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
     sizes = (len(cut[0].time_s), len(cut[1].time_s))
     n = sum(sizes)
     weight = np.concatenate([c.weight for c in cut])
-    base, _ = problem.predict(minimum.theta, end_s)
+    base = problem.angles(minimum.theta, end_s)
     causes: list[Cause] = []
 
     def judge(column: np.ndarray, text: str, value: float | None, unit: str, most: float = 1.0) -> None:
@@ -77,7 +77,7 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
             value = float(getattr(own, field))
             moved = _moved(release, minimum.theta, at, field)
             if moved is not None:
-                angle, _ = moved[0].problem().predict(moved[1], end_s)
+                angle = moved[0].problem().angles(moved[1], end_s)
                 judge((angle - base) / _MOVED, f"pendulum {name}'s {what}", value, unit)
         scale, most = np.zeros(n), _LOCK_RAD / max(abs(float(release.locked_rad[at])), _LOCK_RAD)
         rows = slice(0, sizes[0]) if at == 0 else slice(sizes[0], n)

@@ -28,7 +28,7 @@ class FreeMotion:
         time_s: shape (n,).
         states: shape (n, 8).
         derivatives: by the start state (8) and by ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P (7), (n, 8, 15);
-            with dry friction also by its torques M_A, M_B and contact parts F_A, F_B, (n, 8, 19).
+            with dry friction also by its torques M_A, M_B and contact parts F_A, F_B, (n, 8, 19); (n, 8, 0) without.
         start_rates: ẏ at the start, shape (8,).
     """
 
@@ -73,13 +73,14 @@ def log_suspension(physics: RotorParameters) -> np.ndarray:
 
 def swing(
     physics: RotorParameters, history: SpeedHistory, start: np.ndarray, start_s: float, first_s: float, last_s: float,
-    dry: np.ndarray | None = None,
+    dry: np.ndarray | None = None, slopes: bool = True,
 ) -> FreeMotion | None:  # fmt: skip
     """Both pendulums free from a state (8,) at start_s; output from first_s (not before it) to past last_s.
 
     Args:
         dry: friction torques M_A, M_B (N m) and contact parts F_A, F_B (kg m²: torque per φ̇²); None for what the
             parameters hold, without derivatives where they hold none.
+        slopes: whether derivatives are wanted.
 
     None where the motion cannot be integrated: a trial far outside, which a minimiser refuses.
     """
@@ -93,17 +94,19 @@ def swing(
     if dry is None and np.any(packed[[FA, FB]]):
         dry = np.r_[0.0, 0.0, packed[[FA, FB]]]
     if dry is None:
-        states, raw = free_motion(start, start_s, times, step, history.knots_s, history.coefficients, packed)
+        states, raw = free_motion(start, start_s, times, step, history.knots_s, history.coefficients, packed, slopes)
     else:
         packed[[FA, FB]] = dry[2:]
         states, raw = frictional_motion(
-            start, start_s, times, step, history.knots_s, history.coefficients, packed, dry[:2]
+            start, start_s, times, step, history.knots_s, history.coefficients, packed, dry[:2], slopes
         )
     if not np.all(np.isfinite(states)):
         return None
     rate = np.empty(8)
     psi, omega, alpha = history.phase(start_s)[0]
     rates(start, psi, omega, alpha, packed, 1.0, 1.0, rate)
+    if not slopes:
+        return FreeMotion(times, states, np.zeros((len(times), 8, 0)), rate)
     derivatives = raw.copy()
     derivatives[:, :, 8:15] = raw[:, :, 8:15] @ _chain(physics)
     return FreeMotion(times, states, derivatives, rate)
@@ -121,16 +124,18 @@ def both_angles(
     motion: FreeMotion, blocks: tuple[Averages, Averages], start_by: np.ndarray, log_by: np.ndarray,
     dry_by: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Both encoders' block means (n,) and derivatives (n, p) by a fit's own parameters.
+    """Both encoders' block means (n,) and derivatives (n, p) by a fit's own parameters, 0 of a motion without any.
 
     Args:
         start_by: derivative of the start state by them, shape (8, p).
         log_by: derivative of (ln c3, ln c4, ln k1 …) by them, shape (7, p).
         dry_by: derivative of (M_A, M_B, F_A, F_B) by them, shape (4, p), of a motion with dry friction; None for 0.
     """
-    chain = np.zeros((motion.derivatives.shape[2], start_by.shape[1]))
-    chain[:8], chain[8:15] = start_by, log_by
-    if dry_by is not None:
+    columns = motion.derivatives.shape[2]
+    chain = np.zeros((columns, start_by.shape[1]))
+    if columns:
+        chain[:8], chain[8:15] = start_by, log_by
+    if columns and dry_by is not None:
         chain[15:] = dry_by
     pairs = [motion.angle(i, channel) for i, channel in enumerate(blocks)]
     return np.concatenate([a for a, _ in pairs]), np.concatenate([d @ chain for _, d in pairs])

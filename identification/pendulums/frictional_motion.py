@@ -157,9 +157,30 @@ def _ending(y, out, mode, i, acceleration, h):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _half(
-    y, slope, end, end_slope, t, h, segment, knots, coefficients, p, torque, mode, wy, phase, f, own, whole, g, d
+    y,
+    slope,
+    end,
+    end_slope,
+    t,
+    h,
+    segment,
+    knots,
+    coefficients,
+    p,
+    torque,
+    mode,
+    wy,
+    phase,
+    f,
+    own,
+    whole,
+    g,
+    d,
+    wanted,
 ):
     """∂f/∂(y, p) half way along one step into d[1], by the cubic through its ends; d[2] has been its end's."""
+    if not wanted:
+        return segment
     segment = phase_at(t + 0.5 * h, segment, knots, coefficients, phase)
     for r in range(8):
         wy[r] = 0.5 * (y[r] + end[r]) + 0.125 * h * (slope[r] - end_slope[r])
@@ -170,7 +191,7 @@ def _half(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides and sticks follow each other
-    start, start_s, times, step, knots, coefficients, p, torque
+    start, start_s, times, step, knots, coefficients, p, torque, slopes=True
 ):
     """Both pendulums free from a state on, with dry friction.
 
@@ -181,11 +202,13 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
         start, start_s, times, step, knots, coefficients, p: as for identification.pendulums.variational.free_motion;
             p's friction counts, F_i of any sign (a fit's trial may pass below zero).
         torque: M_A, M_B, N m, shape (2,).
+        slopes: whether derivatives are wanted.
     Returns:
-        States (n, 8) and derivatives (n, 8, 19); NaN from where switches became too many to follow.
+        States (n, 8) and derivatives (n, 8, 19), (0, 8, 19) where not wanted; NaN from where switches became too many
+        to follow.
     """
     n = len(times)
-    states, derivatives = np.full((n, 8), np.nan), np.full((n, 8, COLUMNS), np.nan)
+    states, derivatives = np.full((n, 8), np.nan), np.full((n if slopes else 0, 8, COLUMNS), np.nan)
     y, u, v = start.copy(), np.zeros((4, COLUMNS)), np.zeros((4, COLUMNS))
     for i in range(4):
         u[i, i], v[i, 4 + i] = 1.0, 1.0
@@ -239,26 +262,30 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
             if waiting > 0.0 and (switching or abs(waiting - h) > 1e-6 * h):  # the step before, by itself
                 segment = _half(
                     last_y, last_f, y, k[0], t - waiting, waiting, segment, knots, coefficients, p, torque, mode,
-                    wy, at, f, own, whole, g, d,
+                    wy, at, f, own, whole, g, d, slopes,
                 )  # fmt: skip
-                follow(u, v, 0.5 * waiting, d, bent, rates, moved)
+                if slopes:
+                    follow(u, v, 0.5 * waiting, d, bent, rates, moved)
                 d[0], waiting = d[2], 0.0
             t += share * h
             segment = phase_at(t, segment, knots, coefficients, at)
             _rates(out, at, p, torque, mode, f, own, whole)
-            _linearised(out, at, p, mode, own, whole, g, d[2])
+            if slopes:
+                _linearised(out, at, p, mode, own, whole, g, d[2])
             if switching:
                 before[:] = f
                 segment = _half(
                     y, k[0], out, before, t - share * h, share * h, segment, knots, coefficients, p, torque, mode,
-                    wy, at, f, own, whole, g, d,
+                    wy, at, f, own, whole, g, d, slopes,
                 )  # fmt: skip
-                follow(u, v, 0.5 * share * h, d, bent, rates, moved)
+                if slopes:
+                    follow(u, v, 0.5 * share * h, d, bent, rates, moved)
                 segment = phase_at(t, segment, knots, coefficients, at)
                 f[:] = before
                 d[0] = d[2]
             elif waiting > 0.0:
-                follow(u, v, h, d, bent, rates, moved)
+                if slopes:
+                    follow(u, v, h, d, bent, rates, moved)
                 d[0], waiting = d[2], 0.0
             else:
                 d[1], waiting = d[2], h
@@ -298,9 +325,10 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                         if waiting > 0.0:  # the derivatives come up to here in the old mode first
                             segment = _half(
                                 last_y, last_f, y, k[0], t - waiting, waiting, segment, knots, coefficients, p, torque,
-                                mode, wy, phase[1], f, own, whole, g, d,
+                                mode, wy, phase[1], f, own, whole, g, d, slopes,
                             )  # fmt: skip
-                            follow(u, v, 0.5 * waiting, d, bent, rates, moved)
+                            if slopes:
+                                follow(u, v, 0.5 * waiting, d, bent, rates, moved)
                             waiting = 0.0
                         mode[i], slides = 1 if needed > 0 else -1, True
                         y[6 + i] = mode[i] * 2.0 * _ENOUGH
@@ -310,11 +338,13 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
         if waiting > 0.0:
             segment = _half(
                 last_y, last_f, y, k[0], t - waiting, waiting, segment, knots, coefficients, p, torque, mode,
-                wy, at, f, own, whole, g, d,
+                wy, at, f, own, whole, g, d, slopes,
             )  # fmt: skip
-            follow(u, v, 0.5 * waiting, d, bent, rates, moved)
+            if slopes:
+                follow(u, v, 0.5 * waiting, d, bent, rates, moved)
             segment = phase_at(t, segment, knots, coefficients, at)
             d[0], waiting = d[2], 0.0
         states[row] = y
-        derivatives[row, :4], derivatives[row, 4:] = u, v
+        if slopes:
+            derivatives[row, :4], derivatives[row, 4:] = u, v
     return states, derivatives

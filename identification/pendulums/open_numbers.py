@@ -47,22 +47,24 @@ def with_open_numbers(
     names, unit, p = tuple(std), np.array(list(std.values())), len(problem.prior)
     along = np.stack([knowledge.by_number.get(name, np.zeros(len(NAMES))) * std[name] for name in names])
 
-    def angles(theta: Array, off: Array, end_s: float) -> tuple[Array, Array]:
+    def angles(theta: Array, off: Array, end_s: float, slopes: bool) -> tuple[Array, Array]:
         moved, own = knowledge, theta.copy()
         for name, step in zip(names, (off * unit).tolist(), strict=True):
             moved = moved.moved(name, step)
         own[suspension] += off @ along
-        return made(moved).predict(own, end_s)
+        return made(moved).predict(own, end_s, slopes)
 
-    def predict(theta: Array, end_s: float) -> tuple[Array, Array]:
+    def predict(theta: Array, end_s: float, slopes: bool = True, /) -> tuple[Array, Array]:
         own, off = theta[:p], theta[p:]
         if not np.max(np.abs(off)) < _FURTHEST:
             count = sum(len(c.time_s) for c in problem.cut(end_s))
             return np.full(count, np.nan), np.zeros((count, len(theta)))
-        angle, slope = angles(own, off, end_s)
+        angle, slope = angles(own, off, end_s, slopes)
+        if not slopes:
+            return angle, slope
 
         def column(k: int) -> Array:
-            return (angles(own, off + _STEP * np.eye(len(names))[k], end_s)[0] - angle) / _STEP
+            return (angles(own, off + _STEP * np.eye(len(names))[k], end_s, False)[0] - angle) / _STEP
 
         with ThreadPoolExecutor(THREADS) as pool:  # the motions leave the interpreter to others
             columns = list(pool.map(column, range(len(names))))

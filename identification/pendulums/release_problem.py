@@ -134,8 +134,8 @@ class Release:
         prior = np.r_[start, np.zeros(dry + modes + int(turn))]
         std = np.r_[std, np.full(dry, np.inf), np.ones(modes), np.full(int(turn), TURN_STD_RAD)]
 
-        def predict(theta: np.ndarray, end_s: float, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return self.angles(theta, problem.cut(end_s), phase, shape)
+        def predict(theta: np.ndarray, end_s: float, phase: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
+            return self.angles(theta, problem.cut(end_s), phase, shape, slopes)
 
         problem = TransientProblem(self.readings, with_phase(predict, start[:2], modes, turn), prior, std)
         if not self.number_std:
@@ -147,7 +147,12 @@ class Release:
         return with_open_numbers(problem, self.knowledge, self.number_std, SUSPENSION, made)
 
     def angles(
-        self, theta: np.ndarray, cut: tuple[Averages, Averages], phase: np.ndarray, shape: Shape | None
+        self,
+        theta: np.ndarray,
+        cut: tuple[Averages, Averages],
+        phase: np.ndarray,
+        shape: Shape | None,
+        slopes: bool = True,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Readings of both encoders and derivatives: θ's start angles are readings, the true ones less by the zeros."""
         count, size = sum(len(c.time_s) for c in cut), len(theta)
@@ -164,7 +169,7 @@ class Release:
         state[[0, 1, 4, 5]] += theta[_DISK]
         last = max(float(c.time_s[-1]) for c in cut)
         dry, dry_by = self._dry(theta, shape)
-        motion = swing(now, rest.history, state, rest.release_s + at, self.begin_s, last, dry)
+        motion = swing(now, rest.history, state, rest.release_s + at, self.begin_s, last, dry, slopes)
         if motion is None:
             return bad
         start_by, log_by = np.zeros((8, size)), np.zeros((7, size))
@@ -280,7 +285,7 @@ class Release:
             free = len(self.speed.modes)
             own, phase = np.split(theta, [len(theta) - free])
             cut = problem.cut(end_s)
-            turned, _ = there.angles(own, cut, np.r_[phase, _TURN_RAD], shape)
+            turned, _ = there.angles(own, cut, np.r_[phase, _TURN_RAD], shape, False)
             n = len(turned)
             measured, weight = (np.concatenate([getattr(c, of) for c in cut]) for of in ("value", "weight"))
             change = np.zeros(len(minimum.residual))

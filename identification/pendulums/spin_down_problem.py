@@ -83,8 +83,8 @@ class SpinDown:
         prior_std[_SUSPENSION] = self.knowledge.log_std[:4]
         prior = self.start(kinds, 0.0)
 
-        def predict(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
-            return self._angles(theta, problem.cut(end_s), kinds)
+        def predict(theta: np.ndarray, end_s: float, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
+            return self._angles(theta, problem.cut(end_s), kinds, slopes)
 
         problem = TransientProblem(self.readings, predict, prior, prior_std)
         return problem
@@ -169,7 +169,9 @@ class SpinDown:
         std = np.sqrt(np.diag(minimum.covariance))
         return bool(np.all(minimum.theta[COUNT:] > -_SURELY * std[COUNT:])) if kinds else True
 
-    def _angles(self, theta: np.ndarray, cut: tuple[Averages, Averages], kinds: Kinds) -> tuple[np.ndarray, np.ndarray]:
+    def _angles(
+        self, theta: np.ndarray, cut: tuple[Averages, Averages], kinds: Kinds, slopes: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Both encoders' angles and derivatives on a rotor that stands at ψ."""
         count, size = sum(len(c.time_s) for c in cut), len(theta)
         bad = np.full(count, np.nan), np.zeros((count, size))
@@ -182,7 +184,9 @@ class SpinDown:
         state = np.r_[theta[7:9], theta[_ANGLES], theta[9:11], theta[_SPEEDS]]
         still = SpeedHistory.constant(0.0, float(theta[PSI]), self.begin_s)
         dry, dry_by = self._dry(theta, kinds)
-        motion = swing(now, still, state, self.begin_s, self.begin_s, max(float(c.time_s[-1]) for c in cut), dry)
+        motion = swing(
+            now, still, state, self.begin_s, self.begin_s, max(float(c.time_s[-1]) for c in cut), dry, slopes
+        )
         if motion is None:
             return bad
         start_by, log_by = np.zeros((8, size)), np.zeros((7, size))

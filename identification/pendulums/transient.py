@@ -8,8 +8,9 @@ hardly moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -22,7 +23,23 @@ from identification.pendulums.quantiser import rounding_errors
 from identification.samples import Averages, correlation_inflation
 from identification.setting import ModelChoice, Setting
 
-Predict = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+
+class Predict(Protocol):
+    """(θ, last instant, whether derivatives are wanted) ↦ both angles at every block up to it, and derivatives."""
+
+    def __call__(self, theta: np.ndarray, end_s: float, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
+        """Shapes (n,), one encoder after the other, and (n, p); the second is of no use where it is not wanted."""
+        ...
+
+
+class _Evaluation(Protocol):
+    """(θ, whether the Jacobian is wanted) ↦ residual and Jacobian."""
+
+    def __call__(self, theta: np.ndarray, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
+        """Shapes (n,) and (n, p)."""
+        ...
+
+
 UNTOLD = "{}: the {} does not tell viscous damping from dry friction: with both the fit does not settle; {}"
 """Refusal: log, test, what to do."""
 _DRAWS = {"fast": 0, "balanced": 100, "reference": 400}
@@ -190,7 +207,7 @@ class TransientProblem:
         minimum = self.solve(theta, end_s, _OPENED)
         return minimum if minimum.converged or minimum.cost < there @ there + _NEAR * unit else None
 
-    def _evaluation(self, end_s: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    def _evaluation(self, end_s: float) -> _Evaluation:
         """θ to residual and Jacobian, knowledge last; infinite where the motion cannot be followed."""
         data = self.cut(end_s)
         measured = np.concatenate([d.value for d in data])
@@ -198,18 +215,22 @@ class TransientProblem:
         known = np.isfinite(self.prior_std)
         rows = np.eye(len(self.prior))[known] / self.prior_std[known, None]
 
-        def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            angle, jacobian = self.predict(theta, end_s)
+        def evaluate(theta: np.ndarray, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
+            angle, jacobian = self.predict(theta, end_s, slopes)
             residual = np.r_[(angle - measured) * weight, rows @ (theta - np.where(known, self.prior, 0.0))]
             if not (np.all(np.isfinite(angle)) and np.all(np.isfinite(jacobian))):
                 return np.full(len(residual), np.inf), np.zeros((len(residual), len(theta)))
-            return residual, np.concatenate([jacobian * weight[:, None], rows])
+            return residual, np.concatenate([jacobian * weight[:, None], rows]) if slopes else jacobian
 
         return evaluate
 
     def residual(self, theta: np.ndarray, end_s: float) -> np.ndarray:
         """Residuals at θ in standard deviations, knowledge last; infinite where the motion cannot be followed."""
-        return self._evaluation(end_s)(theta)[0]
+        return self._evaluation(end_s)(theta, False)[0]
+
+    def angles(self, theta: np.ndarray, end_s: float) -> np.ndarray:
+        """Both angles at every block up to an instant, shape (n,)."""
+        return self.predict(theta, end_s, False)[0]
 
     def chi2_per_dof(self, minimum: Minimum, end_s: float) -> float:
         """Reduced χ² of the data alone."""

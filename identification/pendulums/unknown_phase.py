@@ -33,7 +33,7 @@ _SEEN_DEG = 30.0
 _ALIKE = 1.0  # squared standard deviations between runners that are one
 
 Hold = Callable[[TransientProblem, np.ndarray], TransientProblem]
-Phased = Callable[[np.ndarray, float, np.ndarray], tuple[np.ndarray, np.ndarray]]
+Phased = Callable[[np.ndarray, float, np.ndarray, bool], tuple[np.ndarray, np.ndarray]]
 
 
 def angles_to_try(physics: RotorParameters) -> np.ndarray:
@@ -46,24 +46,26 @@ def with_phase(predict: Phased, damping: np.ndarray, modes: int, turn: bool) -> 
     """Readings and derivatives with the phase's errors as last parameters.
 
     Args:
-        predict: (other parameters, last instant, standard deviations of each mode and a last angle) ↦ readings (n,) and
-            derivatives (n, p), NaN for infinite ones.
+        predict: (other parameters, last instant, standard deviations of each mode and a last angle, whether derivatives
+            are wanted) ↦ readings (n,) and derivatives (n, p), NaN for infinite ones.
         damping: ln c3, ln c4 as given. From a wrong angle trials run off to dampings that take seconds to follow; they
             are refused.
         modes, turn: how many modes there are, and whether the angle is unknown.
     """
     count, free = modes + 1, modes + int(turn)
 
-    def phased(theta: np.ndarray, end_s: float) -> tuple[np.ndarray, np.ndarray]:
+    def phased(theta: np.ndarray, end_s: float, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
         own, by = theta[: len(theta) - free], np.zeros(count)
         by[:free] = theta[len(theta) - free :]
         if turn and np.max(np.abs(theta[:2] - damping)) >= _FURTHEST:
             own = np.full(len(own), np.inf)
-        angle, slope = predict(own, end_s, by)
+        angle, slope = predict(own, end_s, by, slopes)
+        if not slopes:
+            return angle, slope
         columns = [slope]
         for j in range(free):
             step = _DIFFERENCE if j == modes else _MODE_DIFFERENCE
-            moved, _ = predict(own, end_s, by + step * np.eye(count)[j])
+            moved, _ = predict(own, end_s, by + step * np.eye(count)[j], False)
             columns.append((moved - angle)[:, None] / step)
         return angle, np.column_stack(columns)
 

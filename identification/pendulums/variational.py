@@ -174,7 +174,7 @@ def follow(u, v, h, d, bent, rates, moved):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def free_motion(start, start_s, times, step, knots, coefficients, p):
+def free_motion(start, start_s, times, step, knots, coefficients, p, slopes=True):
     """Both pendulums free from a state on, with derivatives, by classical Runge–Kutta steps.
 
     The derivatives obey a linear equation whose coefficients the motion gives, so each of their steps spans two of the
@@ -186,10 +186,11 @@ def free_motion(start, start_s, times, step, knots, coefficients, p):
         step: longest step of the motion, s.
         knots, coefficients: SpeedHistory.
         p: packed parameters, without dry friction that could stick.
+        slopes: whether derivatives are wanted; without them the motion, the same to the last bit, costs half.
     Returns:
-        States (n, 8) and derivatives (n, 8, 15) by the start state and PARAMETER_COLUMNS.
+        States (n, 8) and derivatives (n, 8, 15) by the start state and PARAMETER_COLUMNS; (0, 8, 15) where not wanted.
     """
-    states, derivatives = np.empty((len(times), 8)), np.empty((len(times), 8, COLUMNS))
+    states, derivatives = np.empty((len(times), 8)), np.empty((len(times) if slopes else 0, 8, COLUMNS))
     y, u, v = start.copy(), np.zeros((4, COLUMNS)), np.zeros((4, COLUMNS))
     for i in range(4):
         u[i, i], v[i, 4 + i] = 1.0, 1.0
@@ -216,10 +217,13 @@ def free_motion(start, start_s, times, step, knots, coefficients, p):
                     y[r] += h / 6.0 * (k[0, r] + 2.0 * k[1, r] + 2.0 * k[2, r] + k[3, r])
                 phase[0] = phase[2]
                 _accelerations(y, phase[0, 0], phase[0, 1], phase[0, 2], p, k[0], own, whole)
-                _linearised(y, phase[0, 1], phase[0, 2], p, own, whole, g, d[1 + half])
-            follow(u, v, h, d, bent, rates, moved)
-            d[0] = d[2]
+                if slopes:
+                    _linearised(y, phase[0, 1], phase[0, 2], p, own, whole, g, d[1 + half])
+            if slopes:
+                follow(u, v, h, d, bent, rates, moved)
+                d[0] = d[2]
         t = times[i]
         states[i] = y
-        derivatives[i, :4], derivatives[i, 4:] = u, v
+        if slopes:
+            derivatives[i, :4], derivatives[i, 4:] = u, v
     return states, derivatives

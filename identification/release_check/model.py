@@ -242,14 +242,16 @@ def fitted_with_numbers(
             moved = moved.moved(name, share * values[name])
         return release.laid_over(moved)
 
-    def predict(theta: Array, last_s: float) -> tuple[Array, Array]:
+    def predict(theta: Array, last_s: float, slopes: bool = True, /) -> tuple[Array, Array]:
         own, shares = theta[:p], theta[p:]
         if np.max(np.abs(shares)) > _FURTHEST:
             return np.full(sum(len(c.time_s) for c in problem.cut(last_s)), np.nan), np.zeros((0, len(theta)))
-        angle, slope = at(shares).problem(shape).predict(own, last_s)
+        angle, slope = at(shares).problem(shape).predict(own, last_s, slopes)
+        if not slopes:
+            return angle, slope
         columns = [slope]
         for j in range(len(shares)):
-            changed, _ = at(shares + _STEP * np.eye(len(shares))[j]).problem(shape).predict(own, last_s)
+            changed = at(shares + _STEP * np.eye(len(shares))[j]).problem(shape).angles(own, last_s)
             columns.append((changed - angle)[:, None] / _STEP)
         return angle, np.column_stack(columns)
 

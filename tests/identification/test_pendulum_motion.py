@@ -62,3 +62,13 @@ def test_locked_start_s_derivatives_are_its_own() -> None:
     for column, (moved, step) in enumerate(moves):
         numeric = (moved - state) / step
         assert by[:, column] == pytest.approx(numeric, rel=4e-3, abs=4e-3 * np.abs(numeric).max() + 1e-9)
+
+
+@pytest.mark.parametrize("dry", [None, np.array([2e-5, 1e-5, 1e-9, 0.0])])
+def test_without_derivatives_it_is_the_same_motion(dry: np.ndarray | None) -> None:
+    """To the last bit: differences of such motions are derivatives."""
+    whole, bare = (swing(RIG, RAMP, START, 0.0, 0.01, 2.0, dry, slopes) for slopes in (True, False))
+    assert whole is not None
+    assert bare is not None
+    assert np.array_equal(whole.states, bare.states)
+    assert bare.derivatives.shape == (len(bare.time_s), 8, 0)
