@@ -17,7 +17,7 @@ _SLOWER = 0.7  # of a straight shaft's rate of approach: above, the bow does not
 
 
 def blamed_on_bow(physics: RotorParameters, speed_rad_s: float, state: SteadyState | None) -> str:
-    """What a straight shaft would do otherwise, as the end of a verdict's sentence; empty where it would do the same.
+    """What a straight shaft would do otherwise, a sentence; empty where it would do the same.
 
     Args:
         physics: with the bow.
@@ -29,13 +29,13 @@ def blamed_on_bow(physics: RotorParameters, speed_rad_s: float, state: SteadySta
         return ""
     bow = f"the bow of {1e6 * abs(physics.bow_m):.3g} µm at {math.degrees(cmath.phase(physics.bow_m)):.0f}°"
     if state is None:
-        return f"; {bow} is the reason: with a straight shaft state {stable.type} is stable here"
+        return f"{bow} is the reason: with a straight shaft state {stable.type} is stable here"
     if stable.type != state.type:
-        return f"; {bow} is the reason: with a straight shaft the stable state is {stable.type}"
+        return f"{bow} is the reason: with a straight shaft the stable state is {stable.type}"
     own, other = _rate(state, speed_rad_s), _rate(stable, speed_rad_s)
     if not 0 < own < _SLOWER * other:
         return ""
-    return f"; {bow} makes the approach slow: {own:.2g} /s by the model, with a straight shaft {other:.2g} /s"
+    return f"{bow} makes the approach slow: {own:.2g} /s by the model, with a straight shaft {other:.2g} /s"
 
 
 def _straight(physics: RotorParameters, speed_rad_s: float) -> SteadyState | None:

@@ -24,6 +24,7 @@ class PointResult:
         verdict: "pass", "fail", "not settled", "not locked" or "not enough data".
         why: the verdict's reason in one sentence.
         source: the run's log.
+        because: what is known to be the reason, part of `why`; "" for nothing.
     """
 
     name: str
@@ -35,6 +36,7 @@ class PointResult:
     verdict: str
     why: str
     source: str
+    because: str = ""
 
     @property
     def z_scores(self) -> dict[str, float]:

@@ -52,6 +52,11 @@ class Validation:
     start_ups: Sequence[StartUps] = ()
 
     @property
+    def reasons(self) -> list[str]:
+        """What is known to be the reason that points do not pass, a sentence for each."""
+        return [f"{name}: {point.because}" for name, point in self.points.items() if point.because]
+
+    @property
     def warnings(self) -> list[str]:
         """What the lasers show beside the rotor's motion, a sentence each, under the log's name."""
         return [
@@ -72,6 +77,7 @@ class Validation:
         return {
             "points": {name: point.to_json() for name, point in self.points.items()},
             "agreement": None if self.agreement is None else self.agreement.to_json(),
+            "reasons": self.reasons,
             "explanations": None if self.explanations is None else self.explanations.to_json(),
             "noticed": [one.to_json() for one in self.noticed],
             "start_ups": [series.to_json() for series in self.start_ups],
@@ -168,10 +174,12 @@ def validate_point(
         measured = _held(run, rig, identified, measured, prediction)
     scores = scores_of(measured, prediction, rig) if prediction and measured.state in ("I", "II", "III") else {}
     verdict, why = _judge(measured, prediction, trouble, expected, scores)
+    because = ""
     if verdict == "not settled" or (verdict == "fail" and not _same_as(expected, measured, prediction)):
         state = prediction.state if prediction else None
-        why += blamed_on_bow(identified.applied_to(rig.physics), measured.speed_rad_s.value, state)
-    return PointResult(name, expected, measured.state, measured, prediction, scores, verdict, why, run.source)
+        because = blamed_on_bow(identified.applied_to(rig.physics), measured.speed_rad_s.value, state)
+        why = f"{why}; {because}" if because else why
+    return PointResult(name, expected, measured.state, measured, prediction, scores, verdict, why, run.source, because)
 
 
 def _same_as(expected: str | None, measured: SteadyMeasurement, prediction: Prediction | None) -> bool:

@@ -8,13 +8,14 @@ from typing import Any
 
 
 def whole_lines(result: Mapping[str, Any]) -> list[str]:
-    """What all points say together, and what would explain a failure.
+    """What all points say together, and what is or would be the reason for a failure.
 
     Args:
         result: as `Validation.to_json` gives it.
     """
     agreement, explained = result.get("agreement"), result.get("explanations")
-    lines = [] if explained is None else list(explained["sentences"])
+    lines: list[str] = list(result.get("reasons", ()))
+    lines += [] if explained is None else explained["sentences"]
     if agreement is not None:
         lines.append(f"together: {'pass' if agreement['passed'] else 'FAIL'}: {agreement['why']}")
     return lines + [sentence for series in result.get("start_ups", ()) for sentence in series["sentences"]]

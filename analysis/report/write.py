@@ -83,9 +83,11 @@ def _counts(points: dict[str, PointResult]) -> dict[str, int]:
 
 
 def _explained(campaign: Campaign) -> list[str]:
-    """What would explain a failure, the likeliest first."""
-    found = campaign.validation.explanations if campaign.validation else None
-    return [] if found is None else found.sentences
+    """What is known to be the reason for a failure, then what would explain it, the likeliest first."""
+    if campaign.validation is None:
+        return []
+    found = campaign.validation.explanations
+    return [*campaign.validation.reasons, *([] if found is None else found.sentences)]
 
 
 def _fit(curve: FitCurve, index: int) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from analysis import validate
 from analysis.bent_shaft import blamed_on_bow
 from analysis.validation import Validation
 from benchmarks.worlds import Effects, World, draw_world, record
+from cli.validation_page import whole_lines
 from dynamics import steady_states
 from rig_configs import IdentifiedParameters
 from rig_configs.slow_roll import SlowRoll
@@ -59,6 +60,12 @@ def test_the_other_points_are_judged_and_nothing_else_is_blamed(found: Validatio
     assert found.agreement.passed
     assert found.explanations is None
     assert not found.passed
+
+
+def test_the_answer_begins_with_the_bow(found: Validation) -> None:
+    first, second, *_ = whole_lines(found.to_json())
+    assert first.startswith("A: the bow of 100 µm at -179° makes the approach slow")
+    assert second == "D: the bow of 100 µm at -179° is the reason: with a straight shaft state III is stable here"
 
 
 def test_a_slipping_rotor_s_own_motion_is_no_line_of_the_lasers(found: Validation) -> None:
