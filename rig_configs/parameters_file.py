@@ -13,6 +13,7 @@ import numpy as np
 import tomlkit
 
 from dynamics.equations.parameters import RotorParameters
+from rig_configs.drag import Drag
 from rig_configs.errors import ParametersFileError, RigFileError
 from rig_configs.known import LABEL, Known, KnownSource
 from rig_configs.slow_roll import SlowRoll
@@ -106,6 +107,8 @@ class IdentifiedParameters:
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the identified ones in place of the file's."""
         found = physics.with_values(**self.values)
+        if drag := Drag.of(self.provenance):
+            found = drag.on(found)
         bow = self.slow_roll.bow_m if self.slow_roll else 0j
         return replace(found, bow_x_m=bow.real, bow_y_m=bow.imag) if bow else found
 
