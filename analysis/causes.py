@@ -19,7 +19,7 @@ from analysis.differences import Differences
 from analysis.prediction import AXIS_ANGLE
 from analysis.run_out import SLOW_ROLL
 from rig_configs import IdentifiedParameters, Rig
-from rig_configs.known import CONTACT_FRICTION, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
+from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
 
 Array = NDArray[np.float64]
 
@@ -48,10 +48,13 @@ _SETTLES = {
     "pendulums": "weigh and measure the pendulum", "encoders": "set the zero again at the lock",
     "phase": "set the index angle again by a slow roll", "gain": "calibrate the laser and its lever",
     AXIS_ANGLE: "another ring-down in both directions", "friction": "another spin-down, and clean bearings",
+    "drag": "another spin-down from a faster flick",
 }  # fmt: skip
 
 
-BOTH: Mapping[tuple[str, str], str] = {FRICTION: "friction.both_Nm", CONTACT_FRICTION: "friction.both_kg_m2"}
+BOTH: Mapping[tuple[str, str], str] = {
+    FRICTION: "friction.both_Nm", CONTACT_FRICTION: "friction.both_kg_m2", DRAG: "drag.both_Nms2_per_rad2",
+}  # fmt: skip
 _USUAL_SPEED2 = 1e4  # (rad/s)²
 _FLICK_RAD_S, _USUAL_SHARE = 12.0, 1e-2
 """Speed of a flicked pendulum: friction is shown as a share of the largest viscous torque, and is usually so much."""
@@ -113,7 +116,7 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
             moved = differences.by_number[name] + own @ identified.by_number.get(name, np.zeros(len(identified.values)))
             deviation = known.std(name) or NOMINAL_SHARE * value
             found.append(_share(name, _NUMBER_WORDS[name], value, deviation, -moved))
-    found += _frictions(differences, identified)
+    found += _torques(differences, identified)
     for name in (ZERO_A, ZERO_B, INDEX):
         shift, deviation = differences.shared.get(known_label(name)), known.std(name)
         if shift is not None and deviation > 0:
@@ -134,28 +137,32 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
     return tuple(found)
 
 
-def _frictions(differences: Differences, identified: IdentifiedParameters) -> list[Cause]:
-    """Dry friction of A, of B and of both alike, the same at any speed or with the contact force, taken as 0."""
+def _torques(differences: Differences, identified: IdentifiedParameters) -> list[Cause]:
+    """Torques taken as 0, on A, on B and on both alike: friction of both kinds and the air's drag."""
     viscous = [_FLICK_RAD_S * identified.values.get(name, 0.0) for name in ("c3_Nms_per_rad", "c4_Nms_per_rad")]
     found, by = list[Cause](), differences.by_number
-    if not all(name in by for name in (*FRICTION, *CONTACT_FRICTION)) or min(viscous) <= 0:
+    if min(viscous) <= 0:
         return found
     usual = _USUAL_SHARE * 0.5 * sum(viscous)
     for names, unit, factor, words, std in (
-        (FRICTION, f"% of c3 · {_FLICK_RAD_S:g} rad/s", 100 / viscous[0], "dry friction", usual),
-        (CONTACT_FRICTION, "g mm²", 1e9, "dry friction with the contact force", usual / _USUAL_SPEED2),
-    ):
+        (FRICTION, f"% of c3 · {_FLICK_RAD_S:g} rad/s", 100 / viscous[0], "dry friction of", usual),
+        (CONTACT_FRICTION, "g mm²", 1e9, "dry friction with the contact force of", usual / _USUAL_SPEED2),
+        (DRAG, f"% of the viscous torque at {_FLICK_RAD_S:g} rad/s", 100 * _FLICK_RAD_S**2 / viscous[0],
+         "the air's drag on", usual / _FLICK_RAD_S**2),
+    ):  # fmt: skip
+        if not all(name in by for name in names):
+            continue
         whose = {names[0]: "pendulum A", names[1]: "pendulum B", BOTH[names]: "both pendulums alike"}
         for name, of in whose.items():
             direction = -(by[name] if name in by else by[names[0]] + by[names[1]])
             found.append(Cause(
-                name, f"{words} of {of}", 0.0, std, direction, unit, factor, _settles(name), one_sided=True
+                name, f"{words} {of}", 0.0, std, direction, unit, factor, _settles(name), one_sided=True
             ))  # fmt: skip
     return found
 
 
-def friction_of(name: str, size: float) -> dict[str, float]:
-    """The frictions that a cause stands for, by their names in FRICTION and CONTACT_FRICTION; empty for another."""
+def torques_of(name: str, size: float) -> dict[str, float]:
+    """The torques that a cause stands for, by their names in FRICTION, CONTACT_FRICTION and DRAG; empty for another."""
     for names, both in BOTH.items():
         if name == both:
             return dict.fromkeys(names, size)

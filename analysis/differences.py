@@ -23,6 +23,7 @@ from analysis.prediction import Prediction
 from analysis.run_out import SLOW_ROLL, by_slow_roll
 from analysis.steady_state import SteadyMeasurement
 from rig_configs import IdentifiedParameters, Rig
+from rig_configs.drag import Reading
 from rig_configs.known import ZERO_A, ZERO_B, gain_label, known_label
 
 Array = NDArray[np.float64]
@@ -85,6 +86,11 @@ class Rows(Protocol):
     @property
     def used_for(self) -> tuple[str, ...]:
         """Parameters that this very release has helped to identify."""
+        ...
+
+    @property
+    def reading(self) -> Reading:
+        """What an undecided torque with the square of the speed was taken for."""
         ...
 
 

@@ -21,12 +21,13 @@ from dynamics import RotorParameters, SteadyState
 from dynamics.steady.held_band import HeldBand, held_band
 from dynamics.steady.sliding_shift import Motion, sliding_shift
 from rig_configs import IdentifiedParameters
+from rig_configs.drag import spread_between
+from rig_configs.known import KEPT_FRICTION
 
 Array = NDArray[np.float64]
 
 FIRST_ORDER = 0.1
 """Relative standard uncertainty of a shift that is worked out to first order in the friction."""
-NAMES = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_kg_m2")
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,9 @@ class DryFriction:
     @classmethod
     def of(cls, identified: IdentifiedParameters) -> DryFriction | None:
         """What parameters.toml keeps of it; None where no test has shown any."""
-        kept: Mapping[str, Any] | None = identified.provenance.get("friction")
+        kept: Mapping[str, Any] | None = spread_between(identified.provenance).get("friction")
         if kept:
-            values = np.array([float(kept["values"][n]) for n in NAMES])
+            values = np.array([float(kept["values"][n]) for n in KEPT_FRICTION])
             return cls(values, np.array(kept["covariance"], np.float64)) if np.any(values > 0) else None
         tests: list[Mapping[str, Any]] = identified.provenance.get("tests", [])
         found = [test for test in tests if test.get("friction")]
@@ -54,8 +55,8 @@ class DryFriction:
             return None
         values, std = found[-1]["friction"], found[-1].get("friction_std", {})
         return cls(
-            np.array([float(values.get(n, 0.0)) for n in NAMES]),
-            np.diag([float(std.get(n, 0.0)) ** 2 for n in NAMES]),
+            np.array([float(values.get(n, 0.0)) for n in KEPT_FRICTION]),
+            np.diag([float(std.get(n, 0.0)) ** 2 for n in KEPT_FRICTION]),
         )
 
     def torque_at(self, speed_rad_s: float) -> tuple[Array, Array]:

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 
 from analysis.agreement import Agreement, agreement
-from analysis.causes import Cause, causes, friction_of
+from analysis.causes import Cause, causes, torques_of
 from analysis.differences import Compared, Differences, Rows, differences
-from analysis.dry_friction import NAMES
 from analysis.errors import NoStableState
 from analysis.explanations import Explanations, explanations
 from analysis.noticed import Noticed, noticed
 from analysis.prediction import predict_point
 from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters, Rig
+from rig_configs.drag import Drag
 from rig_configs.errors import RigConfigError
-from rig_configs.known import CONTACT_FRICTION, FRICTION, PHYSICAL
+from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, KEPT_FRICTION, PHYSICAL
 from rig_configs.slow_roll import SlowRoll
 
 
@@ -67,10 +67,13 @@ def overall(
     return Overall(whole, None if whole.passed else case.explained(), noticed(found, suspects), case)
 
 
-def _as_kept(friction: Mapping[str, float]) -> dict[str, Any]:
-    """Friction that is tried, as an identification keeps what it has found."""
-    values = [max(0.0, friction.get(name, 0.0)) for name in (*FRICTION, *CONTACT_FRICTION)]
-    return {"values": dict(zip(NAMES, values, strict=True)), "covariance": np.zeros((4, 4)).tolist()}
+def _as_kept(torques: Mapping[str, float]) -> dict[str, Any]:
+    """Friction or drag that is tried, by its key as an identification keeps what it has found."""
+    if not set(torques).isdisjoint(DRAG):
+        return Drag(np.array([max(0.0, torques.get(name, 0.0)) for name in DRAG]), np.zeros((2, 2))).table
+    values = [max(0.0, torques.get(name, 0.0)) for name in (*FRICTION, *CONTACT_FRICTION)]
+    named = dict(zip(KEPT_FRICTION, values, strict=True))
+    return {"friction": {"values": named, "covariance": np.zeros((4, 4)).tolist()}}
 
 
 @dataclass(frozen=True)
@@ -97,9 +100,9 @@ class _Case:
             provenance = self.identified.provenance
             if name in values:
                 values[name] = value
-            elif friction := friction_of(name, value):
-                changed |= friction
-                provenance = {**provenance, "friction": _as_kept(friction)}
+            elif torques := torques_of(name, value):
+                changed |= torques
+                provenance = {**provenance, **_as_kept(torques)}
             elif name in PHYSICAL:
                 change = value - rig.known.values[name]
                 changed[name] = change

@@ -31,6 +31,13 @@ from analysis.start_ups import START_UPS, StartUps, start_ups
 from analysis.steady_state import SteadyMeasurement, locked_radius_m, measure
 from daq.signals.run import Run, point_of
 from rig_configs import IdentifiedParameters, Rig
+from rig_configs.drag import Reading, read_as
+
+_READINGS: Mapping[Reading, str] = {
+    "drag": "by the releases, what a spin-down shows to grow with the square of the speed is the drag of the air",
+    "contact": "by the releases, what a spin-down shows to grow with the square of the speed is dry friction with the "
+    "contact force",
+}
 
 
 @dataclass(frozen=True)
@@ -43,6 +50,7 @@ class Validation:
         explanations: what would explain the differences; None where they agree.
         noticed: cause, in words → the smallest size that the most sensitive point alone would notice, and that point.
         start_ups: repeated start-ups, by the speed that was asked for.
+        reading: what releases took a torque for that grows with the square of the speed; "" where that was settled.
     """
 
     points: Mapping[str, PointResult] = field(default_factory=dict)
@@ -50,6 +58,7 @@ class Validation:
     explanations: Explanations | None = None
     noticed: Sequence[Noticed] = ()
     start_ups: Sequence[StartUps] = ()
+    reading: Reading = ""
 
     @property
     def reasons(self) -> list[str]:
@@ -58,7 +67,11 @@ class Validation:
 
     @property
     def warnings(self) -> list[str]:
-        """What the lasers show beside the rotor's motion, a sentence each, under the log's name."""
+        """What the lasers show beside the rotor's motion under the log's name, and what releases tell of a drag."""
+        return [*([_READINGS[self.reading]] if self.reading else []), *self._remarks]
+
+    @property
+    def _remarks(self) -> list[str]:
         return [
             f"{Path(point.source).name}: {remark}"
             for point in self.points.values()
@@ -103,6 +116,9 @@ def validate(
     Source: docs/theory/validation.md.
     """
     identified = identified.completed(rig.physics)  # what was not identified, or set, may be wrong as well
+    readings: list[Reading] = [each.reading for each in releases if each.reading]
+    reading: Reading = readings[0] if readings else ""
+    identified = replace(identified, provenance=read_as(identified.provenance, reading))
     results: dict[str, PointResult] = {}
     for run in sorted((r for r in runs if point_of(r.test)), key=lambda r: (r.test, r.start_s)):
         name = point_of(run.test)
@@ -119,7 +135,7 @@ def validate(
     )  # fmt: skip
     repeated = _start_ups(runs, rig, identified, axis_angle_deg)
     if found is None:
-        return Validation(results, start_ups=repeated)
+        return Validation(results, start_ups=repeated, reading=reading)
     for group in found.agreement.failing_points:
         name = group.removesuffix(f" {RELEASE}")
         if results[name].verdict == "pass":
@@ -127,7 +143,7 @@ def validate(
             which = "its quantities together" if name == group else "what happened right after the release"
             why = f"{which}: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
             results[name] = replace(results[name], verdict="fail", why=why)
-    validation = Validation(results, found.agreement, found.explanations, found.noticed, repeated)
+    validation = Validation(results, found.agreement, found.explanations, found.noticed, repeated, reading)
     off = any(p.verdict == "fail" and p.scores for p in results.values())  # a state that is missing has no differences
     return validation if validation.explanations or not off else replace(validation, explanations=found.explain())
 

@@ -21,8 +21,9 @@ from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import told, with_shared_friction, without_known
 from identification.methods import advice, passed_over, runs_for, taken, turns
 from identification.mounting import as_mounted
-from identification.pendulums.friction import FRICTION_NAMES, Friction
-from identification.pendulums.open_friction import FRICTION, OpenFriction, pooled
+from identification.pendulums.drag import found_drag
+from identification.pendulums.friction import Friction, kept_friction
+from identification.pendulums.open_friction import OpenFriction, pooled
 from identification.pendulums.open_numbers import PENDULUMS
 from identification.pendulums.release import ReleaseLeftOut, fit_release
 from identification.pendulums.release_search import Effort
@@ -301,7 +302,12 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
     if missing:
         warnings.append(f"not identified: {', '.join(missing)}; {advice(missing, runs, work.rig.roles)}")
-    facts = _provenance(runs, work, rows)
+    transients = [f.fit for f in work.fits if isinstance(f.fit, TransientFit)]
+    drag = found_drag(transients)
+    torques = {**kept_friction(work.friction(), work.open_friction()), **(drag.drag.table if drag else {})}
+    facts = _provenance(runs, work, rows, torques)
+    if drag is not None:
+        parameters = replace(parameters, shared={**parameters.shared, **drag.shifts(parameters.values, parameters.std)})
     angle, std = _axis_angle(work.fits)
     digests = {r.source: str(r.metadata.get("digest", "")) for r in runs}
     slow_roll, told = work.slow_roll(digests)
@@ -334,7 +340,9 @@ def _left_out(releases: list[tuple[str, ReleaseLeftOut]]) -> list[str]:
     return told
 
 
-def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) -> dict[str, Any]:
+def _provenance(
+    runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow], torques: Mapping[str, Any]
+) -> dict[str, Any]:
     digests = _digests(runs, work.estimates)
     friction = {f.source: f.fit.friction for f in work.fits if isinstance(f.fit, TransientFit) and f.fit.friction}
     tests = [
@@ -359,28 +367,7 @@ def _provenance(runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow]) ->
     facts: dict[str, Any] = {"method": "generalised least squares over per-test fits", "tests": tests}
     if work.without:
         facts["without"] = sorted(work.without)
-    return {**facts, "consistency": consistency, **_kept_friction(work)}
-
-
-def _kept_friction(work: _Work) -> dict[str, Any]:
-    """Dry friction for parameters.toml; nothing where none is found."""
-    found = work.friction()
-    if found is None:
-        return {}
-    whole = work.open_friction()
-    if whole is not None and Friction.sure(whole) is not None:
-        values, covariance = whole.values[FRICTION], whole.covariance[FRICTION, FRICTION]
-    else:
-        # on a rotor at rest the air's drag looks like contact friction, and says nothing of a turning one
-        turned = 1.0 if found.speed_rad_s > 0 else 0.0
-        values = np.r_[found.torque_Nm, turned * np.array(found.contact_kg_m2)]
-        covariance = np.diag(np.square(np.r_[found.torque_std_Nm, turned * np.array(found.contact_std_kg_m2)]))
-    return {
-        "friction": {
-            "values": dict(zip(FRICTION_NAMES, values.tolist(), strict=True)),
-            "covariance": covariance.tolist(),
-        }
-    }
+    return {**facts, "consistency": consistency, **torques}
 
 
 def _digests(runs: Sequence[Run], estimates: Sequence[Estimate]) -> dict[str, str]:

@@ -41,6 +41,10 @@ FRICTION = ("friction.a_Nm", "friction.b_Nm")
 """Dry friction of A and B at the speed of a release, N m: no number of the rig file, taken as 0 where none is found."""
 CONTACT_FRICTION = ("friction.a_kg_m2", "friction.b_kg_m2")
 """The same as one that goes with the contact force: torque per square of the speed."""
+KEPT_FRICTION = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_kg_m2")
+"""Dry friction as parameters.toml keeps it: a torque of A and B at any speed, and one per square of the speed."""
+DRAG = ("drag.a_Nms2_per_rad2", "drag.b_Nms2_per_rad2")
+"""The air's torque on A and B over the square of the speed relative to the rotor; 0 where none is found."""
 LABEL = "known"
 """Begin of the labels under which a source's errors are kept in estimates."""
 

@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 
 from dynamics.equations.parameters import imbalance_radius
 from dynamics.errors import OutsideDomain
+from rig_configs.drag import Drag
 from rig_configs.drivers import settings_of
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
@@ -239,6 +240,9 @@ def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters, source: st
             apply_setting(raw, _PLACES[name], value, source)
         elif name == "SP_kg_m":
             _lay_imbalance(raw, value, source)
+    if drag := Drag.of(known.provenance):
+        for part, value in zip("ab", np.maximum(drag.values, 0.0).tolist(), strict=True):
+            apply_setting(raw, f"pendulums.{part}.drag_Nms2_per_rad2", value, source)
 
 
 def _sentence(error: ErrorDetails, raw: Mapping[str, Any]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import tomlkit
 
 from dynamics.equations.parameters import RotorParameters
+from rig_configs.drag import Drag
 from rig_configs.errors import ParametersFileError, RigFileError
 from rig_configs.known import LABEL, Known, KnownSource
 from rig_configs.slow_roll import SlowRoll
@@ -105,7 +106,10 @@ class IdentifiedParameters:
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the identified ones in place of the file's."""
-        return self.bent(physics.with_values(**self.values))
+        found = physics.with_values(**self.values)
+        if drag := Drag.of(self.provenance):
+            found = drag.on(found)
+        return self.bent(found)
 
     def bent(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the bow that was identified, if any."""

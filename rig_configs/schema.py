@@ -51,13 +51,15 @@ class Imbalance(Table):
 class PendulumTable(Table):
     """One pendulum with its magnet pack, or a ball in a channel; mass 0 for none.
 
-    friction_arm_m is the dry friction torque per contact force; ball_radius_m > 0 makes it a ball whose centre runs
+    drag_Nms2_per_rad2 is the air's torque over the square of the speed relative to the rotor, friction_arm_m the dry
+    friction torque per contact force; ball_radius_m > 0 makes it a ball whose centre runs
     at length_m, with ball_inertia_ratio = I/(m r²) (0.4 for a sphere).
     """
 
     mass_kg: Annotated[float, Field(ge=0, le=100)]
     length_m: Annotated[float, Field(gt=0, le=1)]
     damping_Nms_per_rad: Annotated[float, Field(ge=0, le=50)]
+    drag_Nms2_per_rad2: Annotated[float, Field(ge=0, le=1)] = 0.0
     friction_arm_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     ball_radius_m: Annotated[float, Field(ge=0, le=1)] = 0.0
     ball_inertia_ratio: Annotated[float, Field(ge=0, le=1)] = 0.4

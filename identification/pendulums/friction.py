@@ -8,16 +8,17 @@ rotor that turns φ̇ ≈ ω, and M + F ω² is what a release shows. Source: do
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
 from identification.least_squares import Minimum
-from identification.pendulums.open_friction import OpenFriction
+from identification.pendulums.open_friction import FRICTION, OpenFriction
 from identification.samples import correlation_inflation
+from rig_configs.known import KEPT_FRICTION
 
 CHANCE = 5e-4  # of friction being taken for real where there is none
-FRICTION_NAMES = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_kg_m2")
 _FEW_DRAWS = 40
 _BEYOND_DOUBT = 3.5  # standard deviations
 
@@ -63,7 +64,7 @@ class Friction:
 
     def _rows(self) -> list[tuple[str, float, float]]:
         values, std = self.torque_Nm + self.contact_kg_m2, self.torque_std_Nm + self.contact_std_kg_m2
-        return list(zip(FRICTION_NAMES, values, std, strict=True))
+        return list(zip(KEPT_FRICTION, values, std, strict=True))
 
     def torque_at(self, speed_rad_s: float) -> np.ndarray:
         """M + F ω² of A and B on a rotor that turns at a speed, N m, shape (2,), not below 0."""
@@ -86,6 +87,27 @@ class Friction:
                 each = " and ".join(f"{v:.3g} ± {1.96 * s:.2g}" for _, v, s in rows)
                 parts.append(f"{name} of {each} {unit} (A and B, 95 %)")
         return f"{label}: {' and '.join(parts)} acts beside the viscous damping and is in the fit"
+
+
+def kept_friction(found: Friction | None, whole: OpenFriction | None) -> dict[str, Any]:
+    """Dry friction for parameters.toml, by its key; nothing where none is found, 0 where that is no dry friction.
+
+    On a rotor at rest the air's drag looks like contact friction, which then says nothing of a turning one.
+
+    Args:
+        found: what tests show of it.
+        whole: all tests together, with the known numbers' uncertainty; None with fewer than two.
+    """
+    if found is None:
+        return {}
+    if whole is not None and Friction.sure(whole) is not None:
+        values, covariance = whole.values[FRICTION], whole.covariance[FRICTION, FRICTION]
+    else:
+        turned = 1.0 if found.speed_rad_s > 0 else 0.0
+        values = np.r_[found.torque_Nm, turned * np.array(found.contact_kg_m2)]
+        covariance = np.diag(np.square(np.r_[found.torque_std_Nm, turned * np.array(found.contact_std_kg_m2)]))
+    named = dict(zip(KEPT_FRICTION, values.tolist(), strict=True))
+    return {"friction": {"values": named, "covariance": covariance.tolist()}}
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,7 @@ def alone(one: OpenFriction) -> Alone:
     for k in range(2):
         at = [k, 2, 3, 4, 5]
         unit = _UNIT[at]
-        best[k], low, high = _profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 0)
+        best[k], low, high = profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 0)
         if not _excluded(one):
             reach = 1.96 * np.sqrt(known[k, k])
             low, high = min(low, none[k] - reach), max(high, none[k] + reach)
@@ -196,7 +196,7 @@ def alone(one: OpenFriction) -> Alone:
     for k in range(4):
         at = [2 + (k + j) % 4 for j in range(4)]
         unit = _UNIT[at]
-        _, _, limits[k] = _profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 1)
+        _, _, limits[k] = profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 1)
     limits = np.maximum(limits, 0.0) * _UNIT[FRICTION]
     return Alone(best, below, above, correlation * np.outer(std, std), np.sqrt(np.diag(known)), limits[:2], limits[2:])
 
@@ -209,7 +209,7 @@ def _excluded(one: OpenFriction) -> bool:
     return bool(friction @ inverse(inner) @ friction > _SURELY)
 
 
-def _profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, float]:
+def profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, float]:
     """Most likely value of the first unknown and its 95 % interval, the others not below zero.
 
     Args:

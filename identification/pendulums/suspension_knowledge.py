@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.parameters import Pendulum, RotorParameters
 from identification.pendulums.friction import Friction
-from rig_configs.known import physical_numbers, with_number
+from rig_configs.known import DRAG, physical_numbers, with_number
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
 BOW = ("bow_x_m", "bow_y_m")
@@ -48,11 +48,16 @@ class Knowledge:
         """The same with one physical number larger by a step, and with it what the tests have found.
 
         Args:
-            number: or a component of BOW.
+            number: or a component of BOW, or one of DRAG.
             step: in the number's unit.
         """
         if number in BOW:
             return replace(self, physics=replace(self.physics, **{number: getattr(self.physics, number) + step}))
+        if number in DRAG:
+            part = "ab"[DRAG.index(number)]
+            own: Pendulum = getattr(self.physics, part)
+            own = replace(own, drag_Nms2_per_rad2=own.drag_Nms2_per_rad2 + step)
+            return replace(self, physics=replace(self.physics, **{part: own}))
         physics = with_number(self.physics, number, physical_numbers(self.physics)[number] + step)
         found = physics.identified()
         shift = np.exp(self.by_number.get(number, np.zeros(len(NAMES))) * step)

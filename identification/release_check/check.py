@@ -33,7 +33,8 @@ from identification.pendulums.unknown_phase import angles_to_try, race
 from identification.release_check.model import Condensed, Fitted, condensed, fitted_with_numbers, opened
 from identification.release_check.together import agreed, fitted_at
 from identification.threads import on_one_thread
-from rig_configs.known import CONTACT_FRICTION, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
+from rig_configs.drag import LABELS, Drag, Reading, read_as
+from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -67,13 +68,15 @@ class ReleaseRows:
         own: covariance of these errors, shape (m, m).
         by_parameter: derivatives of the values by the identified parameters, shape (m, n).
         parameters: names of these, n of them.
-        by_number: number of the rig file, or a pendulum's dry friction that was taken as 0 → derivative of the values
-            by it, shape (m,).
+        by_number: number of the rig file, or a pendulum's dry friction or drag that was taken as 0 → derivative of the
+            values by it, shape (m,).
         shared: label → shift of the values for one standard deviation of an error that others share, shape (m,).
         used_for: parameters that this very release has helped to identify: their errors are not independent of its own.
         chi2_per_dof: of the readings with everything open.
         sentence: in words; why there are no rows, or that the motion is not followed.
         by_slow_roll: of BOW_CAUSES → change of the values per metre of a bow beyond what was taken, shape (m,).
+        reading: what a torque that grows with the square of the speed was taken for, where a spin-down has found one
+            and no release has told before: the air's "drag" or friction with the "contact" force; "" elsewhere.
     """
 
     point: str
@@ -88,6 +91,7 @@ class ReleaseRows:
     chi2_per_dof: float = math.nan
     sentence: str = ""
     by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    reading: Reading = ""
 
     @property
     def followed(self) -> bool:
@@ -117,22 +121,47 @@ def check_releases(
         name = point_of(run.test)
         taken[name] = taken.get(name, 0) + 1
         named.append((f"{name} ({taken[name]})" if taken[name] > 1 else name, run))
-    case = _Case(rig, identified, frozenset(exact))
+    released = [each for each in named if each[1].releases]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        drag = Drag.of(identified.provenance)
+        reading: Reading = "drag" if drag is not None and drag.undecided else ""
+        case, first = _first(_Case(rig, identified, frozenset(exact), reading), released, pool, progress)
+        if reading and any(_needs_friction(each) for each in first):
+            rubs = replace(identified, provenance=read_as(identified.provenance, "contact"))
+            other = _first(replace(case, identified=rubs, reading="contact"), released, pool, progress)
+            case, first = min((case, first), other, key=lambda tried: _left(tried[1]))
+        fits = case.settled([each for each in first if isinstance(each, Fitted)], pool)
+    followed = iter(fits)
+    return [
+        replace(each, reading=case.reading)
+        if isinstance(each, ReleaseRows)
+        else case.named(point, run, next(followed), each.release.speed_rad_s)
+        for each, (point, run) in zip(first, released, strict=True)
+    ]
+
+
+def _first(
+    case: _Case, released: Sequence[tuple[str, Run]], pool: ThreadPoolExecutor, progress: Callable[[str], None] | None
+) -> tuple[_Case, list[ReleaseRows | Fitted]]:
+    """Each release's fit with everything open, and what it was held against."""
 
     def opened(each: tuple[str, Run]) -> ReleaseRows | Fitted:
         if progress is not None:
             progress(f"{each[1].test}: the release against the model")
         return case.opened(*each)
 
-    released = [each for each in named if each[1].releases]
-    with ThreadPoolExecutor(_THREADS) as pool:
-        first = list(pool.map(opened, released))
-        fits = case.settled([each for each in first if isinstance(each, Fitted)], pool)
-    followed = iter(fits)
-    return [
-        each if isinstance(each, ReleaseRows) else case.named(point, run, next(followed), each.release.speed_rad_s)
-        for each, (point, run) in zip(first, released, strict=True)
-    ]
+    return case, list(pool.map(opened, released))
+
+
+def _needs_friction(each: ReleaseRows | Fitted) -> bool:
+    """Whether a release is followed with dry friction only, or not at all."""
+    return each.shape is not None if isinstance(each, Fitted) else bool(each.rows)
+
+
+def _left(first: Sequence[ReleaseRows | Fitted]) -> tuple[int, float]:
+    """How many releases are not followed, and what the others leave."""
+    fits = [each for each in first if isinstance(each, Fitted)]
+    return len(first) - len(fits), sum(each.minimum.cost for each in fits)
 
 
 @dataclass(frozen=True)
@@ -142,6 +171,7 @@ class _Case:
     rig: Rig
     identified: IdentifiedParameters
     exact: frozenset[str]
+    reading: Reading = ""
 
     def opened(self, point: str, run: Run) -> ReleaseRows | Fitted:
         """One release's fit with everything open; rows that say why where there is none."""
@@ -175,7 +205,7 @@ class _Case:
         found = [condensed(fitted, assumed, worth) for fitted in fits]
         before, there = dict[str, float](), found
         for _ in range(_PASSES):
-            shared = {name: size for name, size in worth.items() if name not in FRICTION}
+            shared = {name: size for name, size in worth.items() if name not in (*FRICTION, *DRAG)}
             place = {name: assumed.get(name, 0.0) + off for name, off in agreed(there, shared).items()}
             if before and all(abs(place[name] - before[name]) < _STANDS * worth[name] for name in place):
                 break
@@ -207,7 +237,9 @@ class _Case:
         values = self.identified.values
         columns = [found.slopes[name] / value for name, value in values.items()]
         by = np.column_stack(columns) if columns else np.empty((len(found.values), 0))
-        by_number = {name: found.slopes[name] for name in (*PHYSICAL, *FRICTION) if name in found.slopes}
+        drag = Drag.of(self.identified.provenance)
+        numbers = (*PHYSICAL, *FRICTION, *(() if drag else DRAG))
+        by_number = {name: found.slopes[name] for name in numbers if name in found.slopes}
         for name, contact in zip(FRICTION, CONTACT_FRICTION, strict=True):
             if name in by_number:
                 by_number[contact] = by_number[name] * speed_rad_s**2
@@ -215,6 +247,9 @@ class _Case:
         for source in self.rig.known.sources:
             parts = [found.slopes[name] * step for name, step in source.effects.items() if name in found.slopes]
             shared[source.label] = np.sum([shared.get(source.label, np.zeros(len(by))), *parts], axis=0)
+        for label, shift in zip(LABELS, drag.root.T, strict=True) if drag else ():
+            parts = np.sum([found.slopes[name] * float(s) for name, s in zip(DRAG, shift, strict=True)], axis=0)
+            shared[label] = shared.get(label, np.zeros(len(by))) + parts
         for label, shift in self._bow_errors.items():
             parts = found.slopes[BOW[0]] * shift[0] + found.slopes[BOW[1]] * shift[1]
             shared[label] = shared.get(label, np.zeros(len(by))) + parts
@@ -227,7 +262,7 @@ class _Case:
             point, tuple(f"release {i + 1}" for i in range(count)), found.values, found.own, by, tuple(values),
             by_number, shared, _used_for(run, self.identified), found.misfit.chi2_per_dof,
             f"followed{_rubbing(found)}; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
-            {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)},
+            {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)}, self.reading,
         )  # fmt: skip
 
     def _fitted(self, release: Release) -> Fitted:
@@ -315,6 +350,8 @@ class _Case:
         found |= dict(zip(BOW, (_ZERO_WIDE * np.sqrt(np.sum(errors**2, axis=0))).tolist(), strict=True))
         for name, damping in zip(FRICTION, _DAMPING, strict=True):
             found[name] = _FRICTION_RAD_S * self.identified.values.get(damping, 0.0)
+        for name, damping in zip(DRAG, _DAMPING, strict=True):
+            found[name] = _FRICTION_RAD_S * self.identified.values.get(damping, 0.0) / _FLICK_RAD_S**2
         return found
 
     @property
@@ -324,7 +361,7 @@ class _Case:
         found: list[Mapping[str, float]] = [test["friction"] for test in kept if test.get("friction")]
         if whole := self.identified.provenance.get("friction"):
             found.append(whole["values"])
-        return found[-1] if found else {}
+        return found[-1] if found and max(found[-1].values()) > 0 else {}
 
     @property
     def _flick_Nm(self) -> Array:

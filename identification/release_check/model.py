@@ -20,7 +20,7 @@ from identification.pendulums.release_problem import Release, Shape
 from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
-from rig_configs.known import FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
+from rig_configs.known import DRAG, FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
 
 Array = NDArray[np.float64]
 
@@ -35,9 +35,9 @@ TORQUES = (16, 17)
 _LAW = 0.1  # of a friction's torque: how well any law of it holds
 _DRAWS = 60
 _LEAST = 1.0  # standard deviations of a row for sizes worth seeing
-# Steps of a number, of the index angle, of a bow: forward differences of motions that leave an unstable rest, where
+# Steps of a number, of the index angle, of a bow, of the drag over the damping (s): forward differences of motions that leave an unstable rest, where
 # 0.1 µm of bow is 800 standard deviations at A and its square 4 % of a derivative. Rounding is 1e-9 of one.
-_STEP, _TURN_RAD, _BOW_STEP_M = 1e-6, 1e-6, 1e-10
+_STEP, _TURN_RAD, _BOW_STEP_M, _DRAG_STEP_S = 1e-6, 1e-6, 1e-10, 1e-6
 _OPEN_NUMBERS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
 _NUMBER_STD, _FURTHEST = 0.02, 0.5  # shares of these numbers
 _INDEPENDENT = 1e-9  # of the largest scaled column
@@ -107,7 +107,7 @@ class Fitted:
         return sum(len(c.time_s) for c in self.problem.cut(self.end_s))
 
     def number_columns(self) -> dict[str, Array]:
-        """Derivatives of the weighted readings, (n,), by numbers, index angle, bow and dry friction; θ as it is."""
+        """Derivatives of the weighted readings, (n,), by numbers, index angle, bow, drag and friction; θ as it is."""
         n, minimum, knowledge = self.readings, self.minimum, self.release.knowledge
         values, found = physical_numbers(knowledge.physics), dict[str, Array]()
         weight = np.concatenate([c.weight for c in self.problem.cut(self.end_s)])
@@ -135,6 +135,9 @@ class Fitted:
             found[name] = change(self.release.laid_over(knowledge.moved(name, _BOW_STEP_M)), 0.0, _BOW_STEP_M)
         if self.release.run.phase_absolute:
             found[INDEX] = change(self.release, _TURN_RAD, _TURN_RAD)
+        for name, pendulum in zip(DRAG, (knowledge.physics.a, knowledge.physics.b), strict=True):
+            step = _DRAG_STEP_S * pendulum.damping_Nms_per_rad
+            found[name] = change(self.release.laid_over(knowledge.moved(name, step)), 0.0, step)
         if self.shape is None:  # an open torque is the release's own
             found |= zip(FRICTION, self.release.torque_columns(minimum, self.end_s).T, strict=True)
         return {name: column for name, column in found.items() if np.all(np.isfinite(column))}

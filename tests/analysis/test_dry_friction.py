@@ -11,12 +11,13 @@ import pytest
 from analysis import predict_point
 from analysis.causes import Cause
 from analysis.differences import Differences
-from analysis.dry_friction import NAMES, DryFriction
+from analysis.dry_friction import DryFriction
 from analysis.explanations import explanations
 from analysis.validation import PointResult, validate_point
 from benchmarks.worlds import Spread, World, draw_world, record, with_effect
 from daq.signals.run import Run
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters
+from rig_configs.known import KEPT_FRICTION
 
 SHARE = 0.005
 
@@ -36,7 +37,7 @@ def identified(world: World, known: bool) -> IdentifiedParameters:
     values = {name: world.truth[name] for name in PARAMETER_UNITS}
     std = np.array([1e-4 * abs(v) for v in values.values()])
     a, b = world.mechanics.a.dry_Nm, world.mechanics.b.dry_Nm
-    friction = {"values": dict(zip(NAMES, (a, b, 0.0, 0.0), strict=True)),
+    friction = {"values": dict(zip(KEPT_FRICTION, (a, b, 0.0, 0.0), strict=True)),
                 "covariance": np.diag([(0.01 * a) ** 2, (0.01 * b) ** 2, 0.0, 0.0]).tolist()}  # fmt: skip
     axis = (math.degrees(world.axis_rad), 0.01)
     return IdentifiedParameters(values, np.diag(std**2), {"friction": friction} if known else {}, axis)

@@ -14,6 +14,7 @@ from analysis import validate
 from analysis.differences import Rows, differences
 from daq.signals.run import Run
 from rig_configs import Rig, load_rig
+from rig_configs.drag import Reading
 
 C3 = "c3_Nms_per_rad"
 
@@ -32,6 +33,7 @@ class Made:
     shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     used_for: tuple[str, ...] = ()
     by_slow_roll: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    reading: Reading = ""
 
 
 @pytest.fixture(scope="module")

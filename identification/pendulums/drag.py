@@ -1,0 +1,79 @@
+# pyright: strict
+"""A torque that grows with the square of the speed, as transients have found it beside the viscous one.
+
+A spin-down alone does not tell whether it is the air's drag or friction with the contact force (rig_configs.drag), so
+what it finds is kept as one thing. Source: docs/theory/pendulum_damping.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.pendulums.open_friction import DAMPING, OpenFriction, profile
+from identification.pendulums.transient import TransientFit
+from rig_configs.drag import LABELS, Drag
+
+Array = NDArray[np.float64]
+
+_DAMPING_NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
+_UNIT = np.array([1e-6, 1e-6, 1e-9, 1e-9])
+
+
+@dataclass(frozen=True)
+class FoundDrag:
+    """A drag and what its error does to the damping.
+
+    Attributes:
+        drag: of A and B.
+        correlation: of ln c3 and ln c4 with each independent part of the drag's error, shape (2, 2).
+    """
+
+    drag: Drag
+    correlation: Array
+
+    def shifts(self, values: Mapping[str, float], std: Mapping[str, float]) -> dict[str, Array]:
+        """Shift of the values for one standard deviation of each part of the drag's error, by label, shape (n,)."""
+        names = list(values)
+        out = {label: np.zeros(len(names)) for label in LABELS}
+        for name, row in zip(_DAMPING_NAMES, self.correlation, strict=True):
+            if name in names:
+                for label, share in zip(LABELS, row.tolist(), strict=True):
+                    out[label][names.index(name)] = share * std[name]
+        return out
+
+
+def drag_by_spin_down(found: OpenFriction) -> FoundDrag:
+    """The most likely F ≥ 0 beside M ≥ 0 on a rotor at rest, as half of its 95 % interval's longer side reaches.
+
+    Args:
+        found: by the spin-down, with all friction open.
+    """
+    values, std = np.zeros(2), np.zeros(2)
+    for i in range(2):
+        at = [4 + i, 2, 3, 5 - i]
+        unit = np.r_[_UNIT[2], _UNIT[:2], _UNIT[2]]
+        best, low, high = profile(found.values[at] / unit, found.covariance[np.ix_(at, at)] / np.outer(unit, unit), 0)
+        values[i], std[i] = best * _UNIT[2], max(high - best, best - low) * _UNIT[2] / 1.96
+    at = [*range(*DAMPING.indices(6)), 4, 5]
+    spread = np.sqrt(np.diag(found.covariance)[at])
+    together = found.covariance[np.ix_(at, at)] / np.outer(spread, spread)
+    drag = Drag(values, together[2:, 2:] * np.outer(std, std), True)
+    # with LLᵀ the drag's covariance its independent errors are e = L⁻¹ δ, and corr(ln c, e) = corr(ln c, δ/s) (L/s)⁻ᵀ
+    return FoundDrag(drag, together[:2, 2:] @ np.linalg.inv(drag.root / std[:, None]).T)
+
+
+def found_drag(fits: Sequence[TransientFit]) -> FoundDrag | None:
+    """What spin-downs find with the square of the speed; None where none finds any.
+
+    Args:
+        fits: of all transients.
+    """
+    for fit in fits:
+        rubs, opened = fit.friction, fit.open_friction
+        if rubs is not None and opened is not None and rubs.speed_rad_s == 0 and max(rubs.contact_std_kg_m2) > 0:
+            return drag_by_spin_down(opened)
+    return None

@@ -1,0 +1,122 @@
+# pyright: strict
+"""What a spin-down finds of a pendulum's torque that grows with the square of the speed, as parameters.toml keeps it.
+
+On a rotor at rest the air, which turns with the disk, drags with d |θ̇| θ̇ and a contact force rubs with F φ̇² sign θ̇:
+the same, because φ̇ = θ̇ there. On a rotor that turns φ̇ ≈ ω, and F ω² is many times the drag. A release at speed tells
+them apart. Source: docs/theory/pendulum_damping.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.equations.parameters import RotorParameters
+from rig_configs.known import KEPT_FRICTION
+
+Array = NDArray[np.float64]
+Reading = Literal["", "drag", "contact"]
+"""What a torque that grows with the square of the speed is taken for; "" where that is settled, or there is none."""
+
+KEY = "drag"
+"""Where provenance keeps it, and begin of the labels under which its errors are shared."""
+NAMES = ("drag_a_Nms2_per_rad2", "drag_b_Nms2_per_rad2")
+LABELS = ("friction drag 1", "friction drag 2")
+"""Under which the two independent parts of its error are shared by parameters and predictions."""
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Torque over the square of the speed relative to the rotor, of A and B.
+
+    Attributes:
+        values: N m s²/rad², shape (2,).
+        covariance: shape (2, 2).
+        undecided: whether no release has told yet that it is the air's drag and no friction with the contact force.
+    Raises:
+        ValueError: numbers that are not finite, or a covariance of the wrong shape or with a negative variance.
+    """
+
+    values: Array
+    covariance: Array
+    undecided: bool = False
+
+    def __post_init__(self) -> None:
+        if self.values.shape != (2,) or self.covariance.shape != (2, 2):
+            raise ValueError(f"drag: expected 2 values and a 2 × 2 covariance, got {self.values}, {self.covariance}")
+        if not (np.all(np.isfinite(self.values)) and np.all(np.isfinite(self.covariance))):
+            raise ValueError("drag: expected finite numbers")
+        if np.any(np.diag(self.covariance) < 0):
+            raise ValueError("drag: expected no negative variance")
+
+    @classmethod
+    def of(cls, provenance: Mapping[str, Any]) -> Drag | None:
+        """What parameters.toml keeps of it; None where no test has shown any."""
+        kept: Mapping[str, Any] | None = provenance.get(KEY)
+        if not kept:
+            return None
+        values = np.array([float(kept["values"][name]) for name in NAMES])
+        return cls(values, np.array(kept["covariance"], np.float64), bool(kept.get("undecided", False)))
+
+    @property
+    def table(self) -> dict[str, Any]:
+        """For provenance, by its key."""
+        return {
+            KEY: {
+                "values": dict(zip(NAMES, self.values.tolist(), strict=True)),
+                "covariance": self.covariance.tolist(),
+                "undecided": self.undecided,
+            }
+        }
+
+    @property
+    def root(self) -> Array:
+        """L with LLᵀ the covariance: column k is the shift of both for one standard deviation of LABELS[k]."""
+        first = math.sqrt(self.covariance[0, 0])
+        across = float(self.covariance[0, 1]) / first if first > 0 else 0.0
+        return np.array([[first, 0.0], [across, math.sqrt(max(self.covariance[1, 1] - across**2, 0.0))]])
+
+    def on(self, physics: RotorParameters) -> RotorParameters:
+        """The rig with this drag; none below 0."""
+        a, b = np.maximum(self.values, 0.0).tolist()
+        return replace(physics, a=replace(physics.a, drag_Nms2_per_rad2=a), b=replace(physics.b, drag_Nms2_per_rad2=b))
+
+
+def read_as(provenance: Mapping[str, Any], reading: Reading) -> dict[str, Any]:
+    """Provenance in which an undecided drag has been decided on.
+
+    Args:
+        reading: "drag", "contact" for dry friction that goes with the contact force, "" to leave it open.
+    """
+    drag = Drag.of(provenance)
+    if drag is None or not drag.undecided or not reading:
+        return dict(provenance)
+    if reading == "drag":
+        return {**provenance, **replace(drag, undecided=False).table}
+    none = Drag(np.zeros(2), np.zeros((2, 2)))
+    return {**provenance, **none.table, **_rubbing(provenance, drag)}
+
+
+def spread_between(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Provenance whose dry friction reaches from none to all of an undecided drag, which then counts as half of it."""
+    drag = Drag.of(provenance)
+    if drag is None or not drag.undecided:
+        return dict(provenance)
+    half = 0.5 * np.maximum(drag.values, 0.0)
+    return {**provenance, **_rubbing(provenance, replace(drag, values=half, covariance=np.diag(half**2)))}
+
+
+def _rubbing(provenance: Mapping[str, Any], drag: Drag) -> dict[str, Any]:
+    """The dry friction of provenance, by its key, with a drag added to what goes with the contact force."""
+    kept: Mapping[str, Any] = provenance.get("friction", {})
+    values = np.array([float(kept.get("values", {}).get(name, 0.0)) for name in KEPT_FRICTION])
+    covariance = np.array(kept.get("covariance", np.zeros((4, 4))), np.float64)
+    values[2:] += drag.values
+    covariance[2:, 2:] += drag.covariance
+    named = dict(zip(KEPT_FRICTION, values.tolist(), strict=True))
+    return {"friction": {"values": named, "covariance": covariance.tolist()}}

@@ -1,0 +1,91 @@
+"""A torque that grows with the square of the speed: by a spin-down either drag or contact friction, by a release one.
+
+The recordings are of benchmarks.worlds, whose equations are not the suite's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.worlds.recording import record
+from benchmarks.worlds.world import Spread, World, draw_world, with_effect
+from identification import identify
+from identification.release_check import ReleaseRows, check_releases
+from rig_configs import IdentifiedParameters
+from rig_configs.drag import LABELS, Drag
+from rig_configs.known import DRAG
+
+SEED = 1003
+SHARE = {
+    "k1_N_per_m": 1e-4, "k2_N_per_m": 1e-4, "zeta1": 1e-3, "zeta2": 1e-3,
+    "c3_Nms_per_rad": 1e-3, "c4_Nms_per_rad": 1e-3, "SP_kg_m": 1e-3,
+}  # fmt: skip
+
+
+def identified(world: World, drag: Drag | None) -> IdentifiedParameters:
+    """What an identification would have found, with its errors drawn."""
+    true = world.truth
+    std = np.array([SHARE[name] * true[name] for name in true])
+    drawn = std * np.random.default_rng(1).standard_normal(len(std))
+    values = {name: true[name] + float(error) for name, error in zip(true, drawn, strict=True)}
+    return IdentifiedParameters(values, np.diag(std**2), drag.table if drag else {})
+
+
+def chi2_each(rows: ReleaseRows, found: IdentifiedParameters) -> float:
+    """Of the rows, with everything that is uncertain, over their number."""
+    total = rows.own + rows.by_parameter @ found.own_covariance @ rows.by_parameter.T
+    total = total + sum(np.outer(shift, shift) for shift in rows.shared.values())
+    return float(rows.values @ np.linalg.solve(total, rows.values)) / len(rows.values)
+
+
+@pytest.fixture(scope="module")
+def dragged() -> World:
+    return draw_world(SEED, Spread(), with_effect("drag"))
+
+
+@pytest.fixture(scope="module")
+def drag(dragged: World) -> Drag:
+    true = np.array([dragged.mechanics.a.drag_Nms2_per_rad2, dragged.mechanics.b.drag_Nms2_per_rad2])
+    return Drag(true * np.array([1.08, 0.95]), np.diag((0.08 * true) ** 2), undecided=True)
+
+
+def test_a_release_with_drag_follows_it_and_decides_for_it(dragged: World, drag: Drag) -> None:
+    run = record(dragged, SEED, "point-E")
+    found = identified(dragged, drag)
+    (rows,) = check_releases([run], dragged.rig, found)
+    assert rows.followed
+    assert rows.reading == "drag"
+    assert chi2_each(rows, found) < 2
+    assert all(np.linalg.norm(rows.shared[label]) > 1 for label in LABELS)
+    without = identified(dragged, None)
+    (bare,) = check_releases([run], dragged.rig, without)
+    assert chi2_each(bare, without) > 10
+    assert bare.reading == ""
+    if bare.followed:
+        assert set(DRAG) <= set(bare.by_number)
+
+
+def test_a_release_with_contact_friction_decides_for_that() -> None:
+    world = draw_world(SEED, Spread(), with_effect("contact=0.05"))
+    true = np.array([world.mechanics.a.contact_kg_m2, world.mechanics.b.contact_kg_m2])
+    found = identified(world, Drag(true * 1.05, np.diag((0.1 * true) ** 2), undecided=True))
+    (rows,) = check_releases([record(world, SEED, "point-E")], world.rig, found)
+    assert rows.followed
+    assert rows.reading == "contact"
+
+
+def test_a_spin_down_keeps_what_it_finds_as_one_thing(dragged: World, drag: Drag) -> None:
+    tests = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
+    found = identify([record(dragged, SEED, test) for test in tests], dragged.rig).parameters
+    kept = Drag.of(found.provenance)
+    assert kept is not None
+    assert kept.undecided
+    true = drag.values / np.array([1.08, 0.95])
+    std = np.sqrt(np.diag(kept.covariance))
+    assert np.all(np.abs(kept.values - true) < 3 * std)
+    assert np.all(std < 0.3 * true)
+    c3 = list(found.values).index("c3_Nms_per_rad")
+    part = np.array([found.shared[label][c3] for label in LABELS])
+    assert 0.3 < np.linalg.norm(part) / found.std["c3_Nms_per_rad"] < 1  # c3 hangs on the drag, and not on it alone
+    assert np.linalg.eigvalsh(found.own_covariance)[0] >= 0

@@ -1,0 +1,73 @@
+"""The air's drag beside identified parameters: kept, laid over a rig, and read one way or the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig_configs import IdentifiedParameters, load_rig
+from rig_configs.drag import Drag, read_as, spread_between
+from rig_configs.known import KEPT_FRICTION
+
+FOUND = Drag(np.array([1.6e-6, 1.8e-6]), np.array([[4e-14, 1e-14], [1e-14, 9e-14]]), undecided=True)
+
+
+def kept(drag: Drag = FOUND) -> IdentifiedParameters:
+    return IdentifiedParameters({"k1_N_per_m": 2500.0}, np.array([[1.0]]), provenance=drag.table)
+
+
+def friction(provenance: dict[str, object]) -> list[float]:
+    table = provenance["friction"]
+    assert isinstance(table, dict)
+    return [table["values"][name] for name in KEPT_FRICTION]
+
+
+def test_a_parameters_file_keeps_it(tmp_path: Path) -> None:
+    kept().save(tmp_path / "parameters.toml")
+    found = Drag.of(IdentifiedParameters.load(tmp_path / "parameters.toml").provenance)
+    assert found is not None
+    assert found.undecided
+    assert np.array_equal(found.values, FOUND.values)
+    assert np.array_equal(found.covariance, FOUND.covariance)
+    assert Drag.of({}) is None
+
+
+def test_it_acts_on_the_rig_and_a_value_below_zero_does_not() -> None:
+    rig = load_rig("virtual", kept())
+    assert (rig.physics.a.drag_Nms2_per_rad2, rig.physics.b.drag_Nms2_per_rad2) == (1.6e-6, 1.8e-6)
+    applied = kept(replace(FOUND, values=np.array([-1e-7, 1.8e-6]))).applied_to(load_rig("virtual").physics)
+    assert (applied.a.drag_Nms2_per_rad2, applied.b.drag_Nms2_per_rad2) == (0.0, 1.8e-6)
+
+
+def test_its_root_is_that_of_its_covariance() -> None:
+    assert FOUND.root @ FOUND.root.T == pytest.approx(FOUND.covariance)
+    assert replace(FOUND, covariance=np.zeros((2, 2))).root == pytest.approx(np.zeros((2, 2)))
+
+
+def test_read_as_drag_it_is_settled() -> None:
+    settled = Drag.of(read_as(FOUND.table, "drag"))
+    assert settled is not None
+    assert not settled.undecided
+    assert "friction" not in spread_between(read_as(FOUND.table, "drag"))
+
+
+def test_read_as_contact_friction_it_adds_to_what_was_found_of_that_and_drags_no_more() -> None:
+    other = {"friction": {"values": dict(zip(KEPT_FRICTION, [1e-6, 0.0, 1e-7, 0.0], strict=True)),
+                          "covariance": np.zeros((4, 4)).tolist()}}  # fmt: skip
+    provenance = read_as({**FOUND.table, **other}, "contact")
+    assert friction(provenance) == pytest.approx([1e-6, 0.0, 1.7e-6, 1.8e-6])
+    assert np.array(provenance["friction"]["covariance"])[2:, 2:] == pytest.approx(FOUND.covariance)
+    drag = Drag.of(provenance)
+    assert drag is not None
+    assert not np.any(drag.values)
+    assert not drag.undecided
+
+
+def test_undecided_the_contact_force_may_have_all_of_it_or_none() -> None:
+    provenance = spread_between(FOUND.table)
+    half = 0.5 * FOUND.values
+    assert friction(provenance)[2:] == pytest.approx(half.tolist())
+    assert np.sqrt(np.diag(provenance["friction"]["covariance"]))[2:] == pytest.approx(half)
