@@ -83,13 +83,13 @@ def _balanced(
     h, g = share * own.hardening, share * own.growth
     # columns: 1, cos kψ, sin kψ; the highest order is left at 0
     value: Array = np.column_stack([np.ones(n), np.cos(np.outer(phase, orders)), np.sin(np.outer(phase, orders))])
-    degree: Array = np.concatenate([np.zeros(1), orders, orders])
+    degree: Array = np.concatenate([np.zeros(1), orders, orders]).astype(np.float64)
     m = len(orders)
     slope: Array = np.column_stack([np.zeros(n), -orders * value[:, 1 + m :], orders * value[:, 1 : 1 + m]]) * speed
-    transform = value.T / np.sum(value**2, axis=0)[:, None]
+    transform: Array = value.T / np.sum(value**2, axis=0)[:, None]
     turn = np.exp(1j * phase)
-    pushed = transform @ ((force * turn).real + constant)
-    resting = (rest * turn).real
+    pushed: Array = transform @ ((force * turn).real + constant)
+    resting: Array = (rest * turn).real
     c: Array = np.concatenate([start[:-1].real, -start[1:-1].imag])
     inertia = -own.mass * (speed * degree) ** 2
     for _ in range(_ITERATIONS):
@@ -97,7 +97,7 @@ def _balanced(
         pull = own.k * u * (1 + h * u * u) + own.c * v * (1 + g * np.abs(v))
         residual = inertia * c + transform @ pull - pushed
         by = own.k * (1 + 3 * h * u * u)[:, None] * value + own.c * (1 + 2 * g * np.abs(v))[:, None] * slope
-        step: Array = np.linalg.solve(np.diag(inertia) + transform @ by, residual)
+        step = np.asarray(np.linalg.solve(np.diag(inertia) + transform @ by, residual), np.float64)
         c -= step
         if not np.all(np.isfinite(c)):
             break

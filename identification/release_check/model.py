@@ -21,6 +21,7 @@ from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
 from rig_configs.known import FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
+from rig_configs.suspension_terms import TERMS
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ _DRAWS = 60
 _LEAST = 1.0  # standard deviations of a row for sizes worth seeing
 _STEP, _TURN_RAD = 1e-4, 1e-5  # of a number; of the index angle
 _BOW_STEP_M = 1e-7
+_TERM_STEPS: Mapping[str, float] = dict(zip(TERMS, (10.0, 10.0, 3e-3, 3e-3), strict=True))
 _OPEN_NUMBERS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
 _NUMBER_STD, _FURTHEST = 0.02, 0.5  # shares of these numbers
 _INDEPENDENT = 1e-9  # of the largest scaled column
@@ -132,6 +134,9 @@ class Fitted:
             found[name] = change(self.release.laid_over(knowledge.moved(name, step)), 0.0, step)
         for name in BOW:
             found[name] = change(self.release.laid_over(knowledge.moved(name, _BOW_STEP_M)), 0.0, _BOW_STEP_M)
+        for name in knowledge.terms:
+            step = _TERM_STEPS[name]
+            found[name] = change(self.release.laid_over(knowledge.moved(name, step)), 0.0, step)
         if self.release.run.phase_absolute:
             found[INDEX] = change(self.release, _TURN_RAD, _TURN_RAD)
         if self.shape is None:  # an open torque is the release's own
