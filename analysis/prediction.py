@@ -26,6 +26,7 @@ from dynamics.motions.integrate import fastest_rate, integrate
 from dynamics.steady.held_band import HeldBand
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import Known, physical_numbers, with_number
+from rig_configs.suspension_terms import TERMS, moved_term
 
 Array = NDArray[np.float64]
 Start = NDArray[np.floating[Any]]
@@ -35,6 +36,7 @@ AXIS_ANGLE = "axis angle"
 _SPEED = "speed"
 BOW = ("bow_x_m", "bow_y_m")
 _BOW_STEP_M = 1e-7
+_TERM_STEPS: Mapping[str, float] = dict(zip(TERMS, (10.0, 10.0, 3e-3, 3e-3), strict=True))
 _AT_REST_M = 1e-9  # an orbit below is none
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
@@ -64,6 +66,7 @@ class Prediction:
         orbit: complex order-1 amplitudes that x and y show, x = Re(x e^{iψ}), y the same; run-out included.
         by_run_out_and_bow: derivatives of `values` by run-out and bow, in the order of SlowRoll.values, shape (5, 6).
         friction: what dry friction leaves open, part of `own`.
+        by_term: term of the suspension that is found or likely → derivative of `values` by it, shape (5,).
     """
 
     state: SteadyState
@@ -79,6 +82,7 @@ class Prediction:
     orbit: tuple[complex, complex]
     by_run_out_and_bow: Array
     friction: LeftOpen = field(default_factory=LeftOpen)
+    by_term: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @property
     def held(self) -> HeldBand | None:
@@ -127,9 +131,12 @@ def predict_point(
     state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
     beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, axis_angle_deg, rig.roles.turn_deg))
     run_out = shown_run_out(identified.slow_roll)
-    shown, slopes, numerical = _slopes(physics, list(identified.values), state, speed_rad_s, (beta, run_out))
+    terms = uncertain_terms(identified)
+    names = [*identified.values, *terms]
+    shown, slopes, numerical = _slopes(physics, names, state, speed_rad_s, (beta, run_out))
     values = shown[:5]
     by_parameter = np.stack([slopes.pop(name) for name in identified.values] or [np.empty((5, 0))], axis=-1)
+    by_term = {name: slopes.pop(name) for name in terms}
     bow = np.stack([slopes.pop(name) for name in BOW], axis=-1)
     by_run_out_and_bow = np.hstack([by_shown_run_out(shown), bow[:5]])
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
@@ -143,12 +150,35 @@ def predict_point(
     if identified.slow_roll is not None:
         for label, error in identified.slow_roll.errors(rig.roles.gain_stds, rig.known).items():
             shared[label] = shared.get(label, np.zeros(5)) + by_run_out_and_bow @ error
+    for label, shift in term_errors(rig, identified, by_term).items():
+        shared[label] = shared.get(label, np.zeros(5)) + shift
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
     return Prediction(
         state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical,
-        (bow[:5], bow[5:]), (complex(*shown[5:7]), complex(*shown[7:])), by_run_out_and_bow, friction,
+        (bow[:5], bow[5:]), (complex(*shown[5:7]), complex(*shown[7:])), by_run_out_and_bow, friction, by_term,
     )  # fmt: skip
+
+
+def uncertain_terms(identified: IdentifiedParameters) -> list[str]:
+    """Terms of the suspension that are found or likely."""
+    terms = identified.terms
+    return [] if terms is None else [n for n, std in zip(TERMS, terms.std.tolist(), strict=True) if std > 0]
+
+
+def term_errors(rig: Rig, identified: IdentifiedParameters, by_term: Mapping[str, Array]) -> dict[str, Array]:
+    """How errors of the suspension's terms shift what goes with them: label → shift for one standard deviation.
+
+    Args:
+        by_term: derivative of any quantities by each term.
+    """
+    if identified.terms is None or not by_term:
+        return {}
+    errors = identified.terms.errors(rig.roles.gain_stds)
+    at = {name: TERMS.index(name) for name in by_term}
+    return {
+        label: np.sum([by * shift[at[name]] for name, by in by_term.items()], axis=0) for label, shift in errors.items()
+    }
 
 
 def _shared(
@@ -244,8 +274,12 @@ def _slopes(
     slopes: dict[str, Array] = {}
     same, (beta, run_out) = (sensors, sensors), sensors
     for name in names:
-        h = 1e-4 * abs(found[name]) or 1e-9
-        pair = [physics.with_values(**{name: found[name] + sign * h}) for sign in (1, -1)]
+        if name in TERMS:
+            h = _TERM_STEPS[name]
+            pair = [moved_term(physics, name, sign * h) for sign in (1, -1)]
+        else:
+            h = 1e-4 * abs(found[name]) or 1e-9
+            pair = [physics.with_values(**{name: found[name] + sign * h}) for sign in (1, -1)]
         slopes[name] = _along(pair, (speed, speed), same, start, inverse, h)[:5]
     for name, value in known.items():
         if value:

@@ -33,6 +33,7 @@ def identification_json(found: Identification) -> dict[str, Any]:
         "correlation": {"order": list(found.parameters.values), "matrix": found.parameters.correlation.tolist()},
         "axis_angle_deg": {"value": found.axis_angle_deg, "std": found.axis_angle_std_deg},
         "slow_roll": found.parameters.slow_roll.table() if found.parameters.slow_roll else None,
+        "suspension_terms": found.parameters.terms.table() if found.parameters.terms else None,
         "tests": [
             {
                 "test": e.test,
@@ -58,4 +59,5 @@ def parameter_lines(parameters: IdentifiedParameters, truth: Mapping[str, float]
         if truth is not None and name in truth:
             line += f"   truth {truth[name]:.7g}, off by {(value - truth[name]) / std:+.2f} sd"
         lines.append(line)
+    lines += parameters.terms.sentences if parameters.terms else []
     return lines + (parameters.slow_roll.sentences if parameters.slow_roll else [])

@@ -37,6 +37,7 @@ from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.run_up.slow_roll_vector import slow_roll_of, slow_roll_of_all
 from identification.rungs import Rung, held_back
 from identification.setting import Setting
+from identification.suspension_terms import ChosenTerms, sharing_terms, terms_of_all
 from identification.threads import on_one_thread
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
@@ -117,6 +118,7 @@ class _Work:
         known = replace(Knowledge.nominal(self.rig.physics), friction=self.friction(), number_std=stated)
         if (roll := self.slow_roll()[0]) is not None and roll.bow_m:
             known = replace(known, physics=replace(known.physics, bow_x_m=roll.bow_m.real, bow_y_m=roll.bow_m.imag))
+        known = replace(known, physics=self.suspension_terms().terms.applied_to(known.physics))
         if not self.estimates:
             return known
         joint = joint_estimate(self.estimates)
@@ -134,6 +136,11 @@ class _Work:
             if isinstance(f.fit, RunUpFit) and f.fit.settled
         ]
         return slow_roll_of_all([one for one in found if one is not None])
+
+    def suspension_terms(self, digests: Mapping[str, str] | None = None) -> ChosenTerms:
+        """How the suspension changes with the motion, by the ring-downs so far; digests: of logs, by source."""
+        ring_downs = [(f.source, f.fit) for f in self.fits if isinstance(f.fit, RingDownFit)]
+        return terms_of_all(ring_downs, digests)
 
     def open_friction(self) -> OpenFriction | None:
         """By all transients so far, with the known numbers' uncertainty in it; None with fewer than two."""
@@ -196,6 +203,7 @@ def identify(
     work.warnings += told_of
     for found in ring_downs:
         work.add(found.run, found.fit, found.estimate, found.tests)
+    work.estimates = sharing_terms(work.estimates, work.suspension_terms())
     for run in runs_for("passage", runs):
         _one(run, work, _run_up)
     for run in runs_for("spin-down", runs):
@@ -312,8 +320,10 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     digests = {r.source: str(r.metadata.get("digest", "")) for r in runs}
     slow_roll, told = work.slow_roll(digests)
     warnings += told
+    terms = work.suspension_terms(digests).terms
     found = Identification(
-        replace(parameters, provenance=facts, axis_angle_deg=_known(angle, std), slow_roll=slow_roll), angle, std,
+        replace(parameters, provenance=facts, axis_angle_deg=_known(angle, std), slow_roll=slow_roll,
+                terms=terms if np.any(terms.covariance) else None), angle, std,
         work.estimates, work.fits, rows, work.warnings + warnings,
     )  # fmt: skip
     return replace(found, parameters=with_tests(found, runs))

@@ -17,6 +17,7 @@ from rig_configs.drag import Drag
 from rig_configs.errors import ParametersFileError, RigFileError
 from rig_configs.known import LABEL, Known, KnownSource
 from rig_configs.slow_roll import SlowRoll
+from rig_configs.suspension_terms import SuspensionTerms
 from rig_configs.toml_text import parse_toml, read_text
 
 PARAMETER_UNITS: Mapping[str, str] = {
@@ -47,6 +48,7 @@ class IdentifiedParameters:
             shape (n,), part of the covariance. "gain x" and "known rotor.mass_kg" are such labels.
         by_number: number of the rig file that was taken as known → derivative of the values by it, shape (n,).
         slow_roll: run-out and bow as a run-up found them; None where none showed any.
+        terms: how the suspension changes with the motion, as ring-downs found it; None where none showed it.
     Raises:
         ParametersFileError: unknown names, a covariance of the wrong shape, not symmetric or not positive, or an axis
             angle that is no finite number with a standard uncertainty.
@@ -59,6 +61,7 @@ class IdentifiedParameters:
     shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     slow_roll: SlowRoll | None = None
+    terms: SuspensionTerms | None = None
 
     def __post_init__(self) -> None:
         n = len(self.values)
@@ -107,6 +110,8 @@ class IdentifiedParameters:
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the identified ones in place of the file's."""
         found = physics.with_values(**self.values)
+        if self.terms is not None:
+            found = self.terms.applied_to(found)
         if drag := Drag.of(self.provenance):
             found = drag.on(found)
         return self.bent(found)
@@ -176,6 +181,8 @@ class IdentifiedParameters:
             document["axis_angle"] = dict(zip(("value_deg", "std_deg"), self.axis_angle_deg, strict=True))
         if self.slow_roll is not None:
             document["slow_roll"] = self.slow_roll.table()
+        if self.terms is not None:
+            document["suspension_terms"] = self.terms.table()
         document["provenance"] = self.provenance
         Path(path).write_text(tomlkit.dumps(document), encoding="utf-8")
 
@@ -207,7 +214,8 @@ class IdentifiedParameters:
             axis = None if angle is None else (_number(angle["value_deg"]), _number(angle["std_deg"]))
             shared, by_number = (_vectors(raw.get(key, {})) for key in ("shared", "by_number"))
             slow_roll = SlowRoll.of_table(raw["slow_roll"]) if "slow_roll" in raw else None
-            return cls(values, matrix, dict(raw.get("provenance", {})), axis, shared, by_number, slow_roll)
+            terms = SuspensionTerms.of_table(raw["suspension_terms"]) if "suspension_terms" in raw else None
+            return cls(values, matrix, dict(raw.get("provenance", {})), axis, shared, by_number, slow_roll, terms)
         except ParametersFileError as error:
             raise ParametersFileError(f"{path}: {error}") from error
         except (KeyError, TypeError, ValueError) as error:

@@ -7,6 +7,7 @@ import re
 
 from rig_configs.known import LABEL, KnownSource, gain_label
 from rig_configs.schema import Rig
+from rig_configs.suspension_terms import LABEL as TERMS_LABEL
 from uncertainty import Source
 
 STANDARD = "u"
@@ -36,7 +37,7 @@ def shared_source(label: str, rig: Rig | None = None) -> Source:
         for known in rig.known.sources:
             if label == known.label:
                 return known_source(known)
-    kind = "A" if label.startswith(FRICTION_LABEL) or _READ.match(label) else "B"
+    kind = "A" if label.startswith((FRICTION_LABEL, f"{TERMS_LABEL} ")) or _READ.match(label) else "B"
     return Source(label, 1.0, STANDARD, kind)
 
 

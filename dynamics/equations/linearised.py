@@ -164,16 +164,20 @@ def along(
     states: NDArray[np.floating],
     speed_rad_s: float,
     released: tuple[bool, bool] = (True, True),
+    most_harmonics: int | None = None,
 ) -> PeriodicMatrix:
     """Small motions about a periodic motion, from the kernel's exact Jacobian at phases of a whole revolution.
 
     The states' trigonometric interpolant is sampled more densely until the matrix's own Fourier series has died
-    away, so that products of many harmonics do not fold back. Dry friction is left out.
+    away, so that products of many harmonics do not fold back. Dry friction is left out. Damping that grows with the
+    speed has a kink where a speed vanishes: its series falls like 1/k² and is cut off at `most_harmonics`.
 
     Args:
         states: shape (N, 8), at ψ_j = 2πj/N, N even; space-fixed x, y.
         speed_rad_s: running speed ω, rad/s.
         released: which pendulums are free.
+        most_harmonics: where the series does not die away before, it ends here; the caller compares two such. None:
+            it has to die away.
     Raises:
         OutsideDomain: states of another shape.
         NotConverged: the Fourier series does not die away (a motion too rough for the phases it is given at).
@@ -199,6 +203,8 @@ def along(
             orders = np.arange(len(spectrum))
             spectrum[(orders[:, None, None] % 2 == 1) != odd[None]] = 0.0
         last = _last_heard(spectrum, np.max(np.abs(matrices[:, kept][:, :, kept]), axis=0))
+        if most_harmonics is not None and phases >= 8 * most_harmonics:
+            last = min(last, most_harmonics)
         if last < 3 * phases // 8:
             return PeriodicMatrix(np.ascontiguousarray(spectrum[: last + 1]), speed_rad_s, turn)
         phases *= 2

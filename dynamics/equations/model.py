@@ -12,6 +12,7 @@ AUTONOMOUS = "rotating frame, autonomous"
 HALF_REVOLUTION = "periodic over half a revolution"
 WHOLE_REVOLUTION = "periodic over a whole revolution"
 NONLINEAR = "full nonlinear motion"
+_BENT = "the suspension's stiffness or damping depends on the motion"
 _BY_SIZE = (CLOSED_FORM, AUTONOMOUS, HALF_REVOLUTION, WHOLE_REVOLUTION, NONLINEAR)
 
 
@@ -65,7 +66,7 @@ def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> 
     if not free:
         what = "no pendulum is free" if p.a.present or p.b.present else "no pendulum"
         if steady:
-            return Model(CLOSED_FORM, f"{what}, so disk and column are two forced linear oscillators")
+            return _with_nothing_free(p, what)
         return Model(NONLINEAR, f"{what}, but the speed changes: integrated over time")
     if not steady:
         return Model(NONLINEAR, "the motion does not repeat: integrated over time")
@@ -75,9 +76,16 @@ def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> 
             WHOLE_REVOLUTION, f"{who} free and gravity lies in the disk plane, which repeats once a revolution"
         )
     if p.bow_m or not p.is_isotropic:
-        unequal = "k1 ≠ k2" if p.k1_N_per_m != p.k2_N_per_m else "ζ1 ≠ ζ2"
+        unequal = "k1 ≠ k2" if p.k1_N_per_m != p.k2_N_per_m else "ζ1 ≠ ζ2" if p.zeta1 != p.zeta2 else _BENT
         why = "the shaft is bent" if p.is_isotropic else f"{unequal}, which the rotor sees twice a revolution"
         return Model(HALF_REVOLUTION, f"{who} free and {why}")
     return Model(
         AUTONOMOUS, f"{who} free on an isotropic suspension: steady motions are rest points of the rotor's frame"
     )
+
+
+def _with_nothing_free(p: RotorParameters, what: str) -> Model:
+    if p.suspension_is_linear:
+        return Model(CLOSED_FORM, f"{what}, so disk and column are two forced linear oscillators")
+    name = WHOLE_REVOLUTION if p.gravity_m_per_s2 > 0 else HALF_REVOLUTION
+    return Model(name, f"{what}, but {_BENT}: two forced oscillators by harmonic balance")

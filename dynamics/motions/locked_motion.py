@@ -1,11 +1,18 @@
-"""The motion with both pendulums locked, in closed form, and the rates that set the pace of any motion."""
+"""The motion with both pendulums locked, and the rates that set the pace of any motion.
+
+In closed form where the suspension is linear, else by harmonic balance (dynamics.motions.nonlinear_whirl).
+"""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
+from dynamics.motions.nonlinear_whirl import Direction, whirl_orders
+
+_SHARE = 1e-4  # of a parameter, for differences
 
 
 def locked_orbit(
@@ -14,13 +21,16 @@ def locked_orbit(
     """Steady motion at constant speed with both pendulums locked (without gravity's constant sag).
 
     Returns:
-        X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}).
+        X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}); of a suspension that is not linear, the first order.
     Raises:
-        OutsideDomain: exactly in a resonance without damping.
+        OutsideDomain: exactly in a resonance without damping, or near one that the springs bend over.
     Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}), S_P with what a pivot shift
         that is not compensated adds to it; a bow b adds k b.
     """
     p = physics_of(parameters)
+    if not p.suspension_is_linear:
+        x, y = locked_orders(p, speed_rad_s, theta3_rad, theta4_rad)
+        return complex(x[1]), complex(1j * y[1])
     moment = (
         p.forcing_moment_kg_m
         + p.a.first_moment_kg_m * np.exp(1j * theta3_rad)
@@ -38,10 +48,44 @@ def locked_orbit(
     return (force + p.k1_N_per_m * p.bow_m) / stiff1, (force + p.k2_N_per_m * p.bow_m) / stiff2
 
 
+def locked_orders(
+    p: RotorParameters, speed_rad_s: float, theta3_rad: float, theta4_rad: float
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """All orders of x and y with the pendulums locked, x = Re Σ x_k e^{ikψ} and y alike, sag under gravity included.
+
+    Raises:
+        OutsideDomain: near a resonance that the springs bend over.
+    """
+    moment = (
+        p.forcing_moment_kg_m
+        + p.a.first_moment_kg_m * np.exp(1j * theta3_rad)
+        + p.b.first_moment_kg_m * np.exp(1j * theta4_rad)
+    )
+    force, mass, sag = complex(moment * speed_rad_s**2), p.total_mass_kg, -p.total_mass_kg * p.gravity_m_per_s2
+    first, second = (
+        Direction(mass, c, k, h, q)
+        for c, k, h, q in zip(
+            p.damping_Ns_per_m, (p.k1_N_per_m, p.k2_N_per_m), p.hardening_per_m2, p.damping_growth_s_per_m, strict=True
+        )
+    )
+    return (
+        whirl_orders(first, speed_rad_s, force, p.bow_m, 0.0),
+        whirl_orders(second, speed_rad_s, -1j * force, -1j * p.bow_m, sag),
+    )
+
+
 def locked_state(
     parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
 ) -> np.ndarray:
     """State (8,) on the locked orbit at one phase, sagged by −M_S g/k2 under gravity; the start of a release."""
+    if not parameters.suspension_is_linear:
+        rows = list[tuple[float, float]]()
+        for orders in locked_orders(parameters, speed_rad_s, theta3_rad, theta4_rad):
+            k = np.arange(len(orders))
+            turned = orders * np.exp(1j * k * phase_rad)
+            rows.append((float(turned.real.sum()), float((1j * speed_rad_s * k * turned).real.sum())))
+        (x_m, x_rate), (y_m, y_rate) = rows
+        return np.array([x_m, y_m, theta3_rad, theta4_rad, x_rate, y_rate, 0.0, 0.0])
     x, y = locked_orbit(parameters, speed_rad_s, theta3_rad, theta4_rad)
     sag = parameters.total_mass_kg * parameters.gravity_m_per_s2 / parameters.k2_N_per_m
     return _on_orbit(x, y, speed_rad_s, phase_rad, theta3_rad, theta4_rad) - np.r_[0.0, sag, np.zeros(6)]
@@ -52,6 +96,8 @@ def locked_state_derivatives(
 ) -> dict[str, np.ndarray]:
     """∂(locked_state)/∂(identified parameter), each of shape (8,): the quotient F/(k − M ω² + iωc) differentiated."""
     p, w = parameters, speed_rad_s
+    if not p.suspension_is_linear:
+        return _differences(p, w, phase_rad, theta3_rad, theta4_rad)
     x, y = locked_orbit(p, w, theta3_rad, theta4_rad)
     c1, c2 = p.damping_Ns_per_m
     mass, (k1, k2) = p.total_mass_kg, (p.k1_N_per_m, p.k2_N_per_m)
@@ -67,6 +113,18 @@ def locked_state_derivatives(
     }
     out = {name: _on_orbit(dx, dy, w, phase_rad, 0.0, 0.0) for name, (dx, dy) in changes.items()}
     out["k2_N_per_m"][1] += mass * p.gravity_m_per_s2 / k2**2
+    return out
+
+
+def _differences(p: RotorParameters, speed: float, phase: float, theta3: float, theta4: float) -> dict[str, np.ndarray]:
+    """The same where the suspension is not linear, by central differences."""
+    out = dict[str, np.ndarray]()
+    for name, value in p.identified().items():
+        h = _SHARE * value or _SHARE
+        ends = [
+            locked_state(p.with_values(**{name: value + sign * h}), speed, phase, theta3, theta4) for sign in (1, -1)
+        ]
+        out[name] = (ends[0] - ends[1]) / (2 * h)
     return out
 
 

@@ -29,6 +29,8 @@ from dynamics.steady.stick_band import stick_half_width
 from dynamics.steady.whirl import PHASES, circular_whirl, locked_whirl
 
 _SAME_RAD = 1e-4  # orbits whose mean angles lie closer are one
+_MOST_HARMONICS = 32  # of the matrix along a motion whose damping has kinks; half as many tell the error
+_OF_KINKED = 0.3  # of the accuracy, for such an orbit: its orders fall like 1/k⁵
 _FURTHER_ANGLES = np.arange(8) * math.pi / 4  # extra starts where the mean torque is no good guide
 
 
@@ -63,6 +65,7 @@ def steady_states(
     points = singular_points(parameters, speed_rad_s, released, locked_at_rad)
     search = _Search()
     if model.name in (CLOSED_FORM, AUTONOMOUS):
+        # a suspension that is not linear never comes here: choose_model takes a bigger model
         for point in points:
             search.judge(point.type, lambda p=point: _from_point(parameters, speed_rad_s, p, accuracy, released, model))
     else:
@@ -130,7 +133,8 @@ def _search_orbits(
             coarse = coarse_orbit(p, speed, _first_guess(p, speed, theta), released)
             if coarse is not None and search.knows(coarse):
                 continue
-            orbit = None if coarse is None else periodic_orbit(p, speed, coarse[:, :4], 0.01 * accuracy, released)
+            share = _OF_KINKED if _is_kinked(p) else 0.01
+            orbit = None if coarse is None else periodic_orbit(p, speed, coarse[:, :4], share * accuracy, released)
             if orbit is None:
                 search.unresolved += (
                     [f"{point.type}: no orbit found near its singular point"] if point in points else []
@@ -144,8 +148,9 @@ def _search_orbits(
 
 def _first_guess(p: RotorParameters, speed: float, theta: tuple[float, float]) -> NDArray[np.floating]:
     """Positions (n, 4) of the linear orbit; in a resonance without damping, where it has none, of the rotor at rest."""
+    linear = replace(p, hardening_per_m2=(0.0, 0.0), damping_growth_s_per_m=(0.0, 0.0))
     try:
-        return locked_whirl(p, speed, theta)[:, :4]
+        return locked_whirl(linear, speed, theta)[:, :4]
     except OutsideDomain:
         return circular_whirl(speed, SingularPoint("none", theta, 0j))[:, :4]
 
@@ -220,8 +225,11 @@ def _from_orbit(
     p: RotorParameters, speed: float, kind: str, orbit: Orbit, accuracy: float, released: tuple[bool, bool],
     model: Model,
 ) -> SteadyState:  # fmt: skip
-    fine = floquet_multipliers(along(p, orbit.states, speed, released), 0.5 * accuracy)
-    coarse = floquet_multipliers(along(p, orbit.coarse_states, speed, released), 0.5 * accuracy)
+    most = (_MOST_HARMONICS, _MOST_HARMONICS // 2) if _is_kinked(p) else (None, None)
+    fine, coarse = (
+        floquet_multipliers(along(p, states, speed, released, m), 0.5 * accuracy)
+        for states, m in zip((orbit.states, orbit.coarse_states), most, strict=True)
+    )
     moved = abs(abs(fine.values[0]) - abs(coarse.values[0]))
     errors = (orbit.angle_error_rad, orbit.position_error_m)
     state = _described(p, speed, kind, orbit.states, fine, errors, model, moved)
@@ -231,6 +239,11 @@ def _from_orbit(
             f"{state.error_estimate:.2g}, wanted {accuracy:.2g}; ask for less"
         )
     return state
+
+
+def _is_kinked(p: RotorParameters) -> bool:
+    """Whether a damping has a kink where its speed vanishes."""
+    return any((*p.damping_growth_s_per_m, p.a.drag_Nms2_per_rad2, p.b.drag_Nms2_per_rad2))
 
 
 def _described(

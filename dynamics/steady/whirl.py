@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
-from dynamics.motions.integrate import locked_orbit
+from dynamics.motions.locked_motion import locked_orbit
 from dynamics.steady.singular_points import SingularPoint
 
 PHASES = 32
@@ -24,7 +24,7 @@ def circular_whirl(speed_rad_s: float, point: SingularPoint) -> NDArray[np.float
 def locked_whirl(
     parameters: RotorParameters, speed_rad_s: float, theta_rad: tuple[float, float]
 ) -> NDArray[np.floating]:
-    """States (PHASES, 8) of the linear orbit, sag under gravity included, with the pendulums held at θ3, θ4."""
+    """States (PHASES, 8) of the locked orbit (its first order), sag under gravity included, pendulums held."""
     x, y = locked_orbit(parameters, speed_rad_s, *theta_rad)
     turn = np.exp(2j * np.pi * np.arange(PHASES) / PHASES)
     rest = np.zeros(PHASES)

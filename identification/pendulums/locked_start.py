@@ -11,7 +11,7 @@ the state's derivatives by them are products; those by stiffness and damping tak
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,8 +19,10 @@ from numba import njit
 
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
+from dynamics.motions.locked_motion import locked_orbit
 
 _STEP_S = 2e-3
+_EQUIVALENT = 4  # steps to the suspension that a motion meets
 _DIFFERENCE = 1e-5  # of ln ω and ln ζ
 
 
@@ -53,7 +55,7 @@ class LockedStart:
         Returns:
             State (8,), and derivatives (8, 8) by θ3, θ4, shift, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P.
         """
-        p, turn = physics, np.exp(1j * np.array([theta3_rad, theta4_rad]))
+        p, turn = self._equivalent(physics, theta3_rad, theta4_rad), np.exp(1j * np.array([theta3_rad, theta4_rad]))
         moments = np.array([p.a.first_moment_kg_m, p.b.first_moment_kg_m]) * turn
         moment, mass = (p.forcing_moment_kg_m + moments.sum()) / p.total_mass_kg, p.total_mass_kg
         by_moment = np.r_[1j * moments, p.imbalance_moment_kg_m] / mass  # by θ3, θ4, ln S_P
@@ -73,6 +75,30 @@ class LockedStart:
         state[1] -= sag
         derivatives[1, 4] += sag
         return state, derivatives
+
+    def _equivalent(self, physics: RotorParameters, theta3_rad: float, theta4_rad: float) -> RotorParameters:
+        """The rig with the linear suspension that its own equals on the locked orbit at the release's speed.
+
+        Of a spring k u (1 + H u²) that is k (1 + ¾ H a²) at the amplitude a, of a damper c v (1 + Q |v|) it is
+        c (1 + 8/(3π) Q a ω). What they leave, a third harmonic of H a²/32 and less, is far below what a release leaves
+        open of the disk's place.
+        """
+        p = physics
+        if p.suspension_is_linear:
+            return p
+        speed = float(self.history.phase(self.release_s)[0, 1])
+        linear = replace(p, hardening_per_m2=(0.0, 0.0), damping_growth_s_per_m=(0.0, 0.0))
+        found = linear
+        for _ in range(_EQUIVALENT):  # each is nearer by the share of stiffness and damping that the motion changes
+            x, y = locked_orbit(found, speed, theta3_rad, theta4_rad)
+            stretch, going = (abs(x - p.bow_m), abs(y - p.bow_m)), (abs(x) * speed, abs(y) * speed)
+            stiffer = [1 + 0.75 * h * a**2 for h, a in zip(p.hardening_per_m2, stretch, strict=True)]
+            damped = [1 + 8 / (3 * np.pi) * q * v for q, v in zip(p.damping_growth_s_per_m, going, strict=True)]
+            found = linear.with_values(
+                k1_N_per_m=p.k1_N_per_m * stiffer[0], k2_N_per_m=p.k2_N_per_m * stiffer[1],
+                zeta1=p.zeta1 * damped[0] / stiffer[0] ** 0.5, zeta2=p.zeta2 * damped[1] / stiffer[1] ** 0.5,
+            )  # fmt: skip
+        return found
 
     def _of_bow(
         self,

@@ -10,6 +10,7 @@ import numpy as np
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from identification.pendulums.friction import Friction
 from rig_configs.known import DRAG, physical_numbers, with_number
+from rig_configs.suspension_terms import TERMS, moved_term
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
 BOW = ("bow_x_m", "bow_y_m")
@@ -29,6 +30,7 @@ class Knowledge:
         by_number: number → derivative of the logarithms of k1, k2, ζ1, ζ2, S_P by it, shape (5,), as the tests so far
             have found them with that number.
         number_std: number → its standard uncertainty, in its unit, of those that a release may leave open.
+        terms: of the suspension's TERMS those whose effect on an answer is wanted.
     """
 
     physics: RotorParameters
@@ -37,6 +39,7 @@ class Knowledge:
     numbers: tuple[str, ...] = ()
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     number_std: Mapping[str, float] = field(default_factory=dict[str, float])
+    terms: tuple[str, ...] = ()
 
     @classmethod
     def nominal(cls, physics: RotorParameters) -> Knowledge:
@@ -48,7 +51,7 @@ class Knowledge:
         """The same with one physical number larger by a step, and with it what the tests have found.
 
         Args:
-            number: or a component of BOW, or one of DRAG.
+            number: or a component of BOW, or one of DRAG or TERMS.
             step: in the number's unit.
         """
         if number in BOW:
@@ -58,6 +61,8 @@ class Knowledge:
             own: Pendulum = getattr(self.physics, part)
             own = replace(own, drag_Nms2_per_rad2=own.drag_Nms2_per_rad2 + step)
             return replace(self, physics=replace(self.physics, **{part: own}))
+        if number in TERMS:
+            return replace(self, physics=moved_term(self.physics, number, step))
         physics = with_number(self.physics, number, physical_numbers(self.physics)[number] + step)
         found = physics.identified()
         shift = np.exp(self.by_number.get(number, np.zeros(len(NAMES))) * step)

@@ -37,6 +37,7 @@ from rig_configs.drag import LABELS, Drag, Reading, read_as
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
+from rig_configs.suspension_terms import TERMS
 
 Array = NDArray[np.float64]
 
@@ -180,10 +181,10 @@ class _Case:
         zero_std = math.radians(self.rig.roles.zero_std_deg)
         if wrong := [name for name, value in self.identified.values.items() if value <= 0]:
             return replace(empty, sentence=f"{run.source}: not compared, {', '.join(wrong)} is not above 0")
+        known = Knowledge.nominal(self.identified.applied_to(self.rig.physics))
+        known = replace(known, terms=tuple(self._term_std))
         try:
-            release = Release.of(
-                run, Knowledge.nominal(self.identified.applied_to(self.rig.physics)), _ZERO_WIDE * zero_std, "balanced"
-            )
+            release = Release.of(run, known, _ZERO_WIDE * zero_std, "balanced")
         except NotIdentifiable as error:
             return replace(empty, sentence=str(error))
         try:
@@ -232,6 +233,22 @@ class _Case:
         errors = roll.errors(self.rig.roles.gain_stds, self.rig.known)
         return {label: shift[4:] for label, shift in errors.items()}
 
+    @property
+    def _term_std(self) -> dict[str, float]:
+        """Standard deviation of each of the suspension's terms that is uncertain."""
+        terms = self.identified.terms
+        if terms is None:
+            return {}
+        return {name: std for name, std in zip(TERMS, terms.std.tolist(), strict=True) if std > 0}
+
+    @property
+    def _term_errors(self) -> dict[str, dict[str, float]]:
+        """Label → term of the suspension → its shift for one standard deviation of an error."""
+        if self.identified.terms is None:
+            return {}
+        errors = self.identified.terms.errors(self.rig.roles.gain_stds)
+        return {label: dict(zip(TERMS, shift.tolist(), strict=True)) for label, shift in errors.items()}
+
     def named(self, point: str, run: Run, found: Condensed, speed_rad_s: float) -> ReleaseRows:
         """Rows of what one release says."""
         values = self.identified.values
@@ -253,6 +270,9 @@ class _Case:
         for label, shift in self._bow_errors.items():
             parts = found.slopes[BOW[0]] * shift[0] + found.slopes[BOW[1]] * shift[1]
             shared[label] = shared.get(label, np.zeros(len(by))) + parts
+        for label, moved in self._term_errors.items():
+            parts = [found.slopes[name] * step for name, step in moved.items() if name in found.slopes]
+            shared[label] = np.sum([shared.get(label, np.zeros(len(by))), *parts], axis=0)
         rate = {name: 1.0 if name in _DAMPING else 2.0 for name in values if name[0] in "ck"}
         clock = -np.sum([power * found.slopes[name] for name, power in rate.items()], axis=0)
         for label, shift in clock_errors(run, {"angles": clock}).items():
@@ -346,6 +366,7 @@ class _Case:
             found[name] = max(_ZERO_WIDE * known.std(name), _NUMBER_SHARE * abs(known.values[name]))
         for name in (ZERO_A, ZERO_B, INDEX):
             found[name] = _ZERO_WIDE * known.std(name)
+        found |= {name: _ZERO_WIDE * std for name, std in self._term_std.items()}
         errors = np.array([*self._bow_errors.values()]).reshape(-1, 2)
         found |= dict(zip(BOW, (_ZERO_WIDE * np.sqrt(np.sum(errors**2, axis=0))).tolist(), strict=True))
         for name, damping in zip(FRICTION, _DAMPING, strict=True):

@@ -21,6 +21,7 @@ from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
 from rig_configs.known import DRAG, FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
+from rig_configs.suspension_terms import TERMS
 
 Array = NDArray[np.float64]
 
@@ -35,9 +36,11 @@ TORQUES = (16, 17)
 _LAW = 0.1  # of a friction's torque: how well any law of it holds
 _DRAWS = 60
 _LEAST = 1.0  # standard deviations of a row for sizes worth seeing
-# Steps of a number, of the index angle, of a bow, of the drag over the damping (s): forward differences of motions that leave an unstable rest, where
-# 0.1 µm of bow is 800 standard deviations at A and its square 4 % of a derivative. Rounding is 1e-9 of one.
+# Steps of a number, of the index angle, of a bow, of the drag over the damping (s) and of the suspension's terms (1/m²,
+# s/m): forward differences of motions that leave an unstable rest, where 0.1 µm of bow is 800 standard deviations at A
+# and its square 4 % of a derivative. Rounding is 1e-9 of one.
 _STEP, _TURN_RAD, _BOW_STEP_M, _DRAG_STEP_S = 1e-6, 1e-6, 1e-10, 1e-6
+_TERM_STEPS: Mapping[str, float] = dict(zip(TERMS, (0.1, 0.1, 3e-5, 3e-5), strict=True))
 _OPEN_NUMBERS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
 _NUMBER_STD, _FURTHEST = 0.02, 0.5  # shares of these numbers
 _INDEPENDENT = 1e-9  # of the largest scaled column
@@ -133,6 +136,9 @@ class Fitted:
             found[name] = change(self.release.laid_over(knowledge.moved(name, step)), 0.0, step)
         for name in BOW:
             found[name] = change(self.release.laid_over(knowledge.moved(name, _BOW_STEP_M)), 0.0, _BOW_STEP_M)
+        for name in knowledge.terms:
+            step = _TERM_STEPS[name]
+            found[name] = change(self.release.laid_over(knowledge.moved(name, step)), 0.0, step)
         if self.release.run.phase_absolute:
             found[INDEX] = change(self.release, _TURN_RAD, _TURN_RAD)
         for name, pendulum in zip(DRAG, (knowledge.physics.a, knowledge.physics.b), strict=True):

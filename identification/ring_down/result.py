@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from identification.laser_wander import wander_sentences
 from identification.lines import sentences
 from identification.ring_down.amplitude import AmplitudeDependence
 from identification.ring_down.decay import Fitted, Priors
+from identification.ring_down.direction_terms import DirectionTerms, direction_terms
 from identification.ring_down.model import BETA
 from identification.ring_down.model_table import OTHER_LAW, model_table
 from identification.ring_down.over_amplitude import RatesOverAmplitude, rates_over_amplitude
@@ -59,6 +60,7 @@ class RingDownFit:
             those at zero amplitude.
         setting: what was asked for.
         settled: whether the iteration did; one that did not is refused, so always true.
+        terms: per direction, what of stiffness and damping depends on the motion, with what is only likely to.
     """
 
     values: dict[str, float]
@@ -79,6 +81,7 @@ class RingDownFit:
     nonlinear: list[RatesOverAmplitude]
     setting: Setting
     settled: bool = True
+    terms: list[DirectionTerms] = field(default_factory=list[DirectionTerms])
 
     @property
     def std(self) -> dict[str, float]:
@@ -169,6 +172,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
         amplitude=dependence,
         nonlinear=nonlinear,
         setting=findings.setting,
+        terms=direction_terms(fitted, labels, stretch),
     )
 
 
