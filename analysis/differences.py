@@ -89,6 +89,11 @@ class Rows(Protocol):
         ...
 
     @property
+    def remark(self) -> str:
+        """What it shows that no test has found, a sentence; empty for nothing."""
+        ...
+
+    @property
     def reading(self) -> Reading:
         """What an undecided torque with the square of the speed was taken for."""
         ...

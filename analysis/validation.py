@@ -50,6 +50,7 @@ class Validation:
         explanations: what would explain the differences; None where they agree.
         noticed: cause, in words → the smallest size that the most sensitive point alone would notice, and that point.
         start_ups: repeated start-ups, by the speed that was asked for.
+        of_releases: what releases show that no test has found, a sentence each.
         reading: what releases took a torque for that grows with the square of the speed; "" where that was settled.
     """
 
@@ -59,6 +60,7 @@ class Validation:
     noticed: Sequence[Noticed] = ()
     start_ups: Sequence[StartUps] = ()
     reading: Reading = ""
+    of_releases: Sequence[str] = ()
 
     @property
     def reasons(self) -> list[str]:
@@ -68,7 +70,7 @@ class Validation:
     @property
     def warnings(self) -> list[str]:
         """What the lasers show beside the rotor's motion under the log's name, and what releases tell of a drag."""
-        return [*([_READINGS[self.reading]] if self.reading else []), *self._remarks]
+        return [*([_READINGS[self.reading]] if self.reading else []), *self.of_releases, *self._remarks]
 
     @property
     def _remarks(self) -> list[str]:
@@ -119,6 +121,7 @@ def validate(
     readings: list[Reading] = [each.reading for each in releases if each.reading]
     reading: Reading = readings[0] if readings else ""
     identified = replace(identified, provenance=read_as(identified.provenance, reading))
+    remarks = [each.remark for each in releases if each.remark]
     results: dict[str, PointResult] = {}
     for run in sorted((r for r in runs if point_of(r.test)), key=lambda r: (r.test, r.start_s)):
         name = point_of(run.test)
@@ -135,7 +138,7 @@ def validate(
     )  # fmt: skip
     repeated = _start_ups(runs, rig, identified, axis_angle_deg)
     if found is None:
-        return Validation(results, start_ups=repeated, reading=reading)
+        return Validation(results, start_ups=repeated, reading=reading, of_releases=remarks)
     for group in found.agreement.failing_points:
         name = group.removesuffix(f" {RELEASE}")
         if results[name].verdict == "pass":
@@ -143,7 +146,7 @@ def validate(
             which = "its quantities together" if name == group else "what happened right after the release"
             why = f"{which}: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
             results[name] = replace(results[name], verdict="fail", why=why)
-    validation = Validation(results, found.agreement, found.explanations, found.noticed, repeated, reading)
+    validation = Validation(results, found.agreement, found.explanations, found.noticed, repeated, reading, remarks)
     off = any(p.verdict == "fail" and p.scores for p in results.values())  # a state that is missing has no differences
     return validation if validation.explanations or not off else replace(validation, explanations=found.explain())
 

@@ -7,7 +7,6 @@ everything open, from what was identified on, so that the rows hold also where t
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,15 +21,11 @@ from numpy.typing import NDArray
 from daq.signals.run import Run, point_of
 from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
-from identification.least_squares import Minimum
-from identification.pendulums.free_angles import laid_over
-from identification.pendulums.friction import Friction
-from identification.pendulums.release_problem import SUSPENSION, Release, Shape
-from identification.pendulums.release_search import Effort, NotFollowed, Search, holding
-from identification.pendulums.suspension_knowledge import BOW, NAMES, NOMINAL_SHARE, Knowledge
-from identification.pendulums.transient import TransientProblem
-from identification.pendulums.unknown_phase import angles_to_try, race
-from identification.release_check.model import Condensed, Fitted, condensed, fitted_with_numbers, opened
+from identification.pendulums.release_problem import Release
+from identification.pendulums.release_search import NotFollowed
+from identification.pendulums.suspension_knowledge import BOW, Knowledge
+from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, Attempts, rubbing_alike
+from identification.release_check.model import Condensed, Fitted, condensed
 from identification.release_check.together import agreed, fitted_at
 from identification.threads import on_one_thread
 from rig_configs.drag import LABELS, Drag, Reading, read_as
@@ -41,14 +36,8 @@ from rig_configs.suspension_terms import TERMS
 
 Array = NDArray[np.float64]
 
-_LONGEST_S = 8.0
-_WIDE, _LEAST_SHARE = 10.0, 0.01  # standard deviations, and a share, to which a parameter is opened
 _ZERO_WIDE = 3.0
 _NUMBER_SHARE = 1e-3  # of a number: an error worth seeing
-_EXACT = 1e-7  # std of a logarithm that was set
-_DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
-_NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)), **dict.fromkeys(_DAMPING, 2.5)}
-_FLICK_RAD_S, _FRICTION_SHARES = 12.0, (0.003, 0.01, 0.03)  # friction to start from
 _FRICTION_RAD_S = 0.03  # times the damping: friction worth seeing
 _NO_MOTION = 1e3  # standard deviations of a release along which the model has no finite motion
 _NOT_FOLLOWED = "release"  # the one row of such a release
@@ -95,6 +84,11 @@ class ReleaseRows:
     reading: Reading = ""
 
     @property
+    def remark(self) -> str:
+        """That the release shows dry friction which no test has found, in words; empty where it does not."""
+        return f"{self.point} release: {self.sentence}" if "dry friction" in self.sentence and self.followed else ""
+
+    @property
     def followed(self) -> bool:
         """Whether the release was compared and some rig near the identified one moves like it."""
         return bool(self.rows) and self.rows != (_NOT_FOLLOWED,)
@@ -126,12 +120,14 @@ def check_releases(
     with ThreadPoolExecutor(_THREADS) as pool:
         drag = Drag.of(identified.provenance)
         reading: Reading = "drag" if drag is not None and drag.undecided else ""
-        case, first = _first(_Case(rig, identified, frozenset(exact), reading), released, pool, progress)
+        case, first = _first(_Case(rig, Attempts(identified, frozenset(exact)), reading), released, pool, progress)
         if reading and any(_needs_friction(each) for each in first):
             rubs = replace(identified, provenance=read_as(identified.provenance, "contact"))
-            other = _first(replace(case, identified=rubs, reading="contact"), released, pool, progress)
+            contact = replace(case, attempts=replace(case.attempts, identified=rubs), reading="contact")
+            other = _first(contact, released, pool, progress)
             case, first = min((case, first), other, key=lambda tried: _left(tried[1]))
-        fits = case.settled([each for each in first if isinstance(each, Fitted)], pool)
+        fits = [each for each in first if isinstance(each, Fitted)]
+        fits = case.settled(rubbing_alike(case.attempts, fits, pool), pool)
     followed = iter(fits)
     return [
         replace(each, reading=case.reading)
@@ -170,9 +166,13 @@ class _Case:
     """What all releases are held against."""
 
     rig: Rig
-    identified: IdentifiedParameters
-    exact: frozenset[str]
+    attempts: Attempts
     reading: Reading = ""
+
+    @property
+    def identified(self) -> IdentifiedParameters:
+        """Parameters with covariance."""
+        return self.attempts.identified
 
     def opened(self, point: str, run: Run) -> ReleaseRows | Fitted:
         """One release's fit with everything open; rows that say why where there is none."""
@@ -188,7 +188,7 @@ class _Case:
         except NotIdentifiable as error:
             return replace(empty, sentence=str(error))
         try:
-            return self._fitted(release)
+            return self.attempts.fitted(release)
         except FitFailed as error:
             z, chi2 = _off(error, release)
             why = f"{error}: no rig near the identified one moves like this"
@@ -222,7 +222,7 @@ class _Case:
     def _assumed(self) -> dict[str, float]:
         """Places of θ that the release is held against."""
         found = {name: math.log(value) for name, value in self.identified.values.items()} | {ZERO_A: 0.0, ZERO_B: 0.0}
-        return found if self._known_friction else found | dict.fromkeys(FRICTION, 0.0)
+        return found if self.attempts.known_friction else found | dict.fromkeys(FRICTION, 0.0)
 
     @property
     def _bow_errors(self) -> dict[str, Array]:
@@ -273,7 +273,7 @@ class _Case:
         for label, moved in self._term_errors.items():
             parts = [found.slopes[name] * step for name, step in moved.items() if name in found.slopes]
             shared[label] = np.sum([shared.get(label, np.zeros(len(by))), *parts], axis=0)
-        rate = {name: 1.0 if name in _DAMPING else 2.0 for name in values if name[0] in "ck"}
+        rate = {name: 1.0 if name in DAMPING else 2.0 for name in values if name[0] in "ck"}
         clock = -np.sum([power * found.slopes[name] for name, power in rate.items()], axis=0)
         for label, shift in clock_errors(run, {"angles": clock}).items():
             shared[label] = shared.get(label, np.zeros(len(by))) + shift
@@ -285,83 +285,10 @@ class _Case:
             {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)}, self.reading,
         )  # fmt: skip
 
-    def _fitted(self, release: Release) -> Fitted:
-        """The release with everything open: from near what was identified, from far, with what a rig may have beside.
-
-        That is other pendulums or dry friction, whichever leaves less.
-
-        Raises:
-            FitFailed: the model does not follow the angles.
-        """
-        last: FitFailed | None = None
-        for wide in (_WIDE, math.inf):
-            try:
-                return self._opened(release, self._std(wide), False)
-            except FitFailed as error:
-                last = last or error
-        found = self._beside(release)
-        if not found:
-            assert last is not None
-            raise last
-        return min(found, key=lambda fitted: fitted.minimum.cost)
-
-    def _beside(self, release: Release) -> list[Fitted]:
-        """A release that the identified model does not follow, with other pendulums and with dry friction."""
-        found = list[Fitted]()
-        with contextlib.suppress(FitFailed):
-            found.append(self._opened(release, self._std(_WIDE), True))
-        for share in () if self._known_friction else _FRICTION_SHARES:
-            with contextlib.suppress(FitFailed):
-                found.append(self._opened(release, self._std(_WIDE), False, share))
-                break
-        return found
-
-    def _opened(
-        self, release: Release, std: Mapping[str, float], numbers: bool, rubbing: float | None = None
-    ) -> Fitted:
-        """One attempt.
-
-        Args:
-            rubbing: share of the largest viscous torque of a flick that dry friction is to start from; None for what
-                was identified of it.
-        """
-        shape, torque = self._friction(release) if rubbing is None else ("torque", rubbing * self._flick_Nm)
-        problem = opened(release.problem(shape), std)
-        start = problem.prior.copy()
-        if shape is not None:
-            start[16:18] = torque
-        horizons = _horizons(release)
-        starts = [start]
-        if not release.run.phase_absolute:
-            turns = angles_to_try(laid_over(release.knowledge, start[:2], start[SUSPENSION]))
-            trials = [np.r_[start[:-1], turn] for turn in turns]
-            starts = race(problem, trials, horizons[:-1], holding)
-
-        def solve(problem: TransientProblem, *from_places: Array) -> Minimum:
-            search = Search(problem, horizons, len(from_places), Effort(), lambda _: None)
-            return search.answers([(place, False) for place in from_places], release.run.source)[0]
-
-        if numbers:
-            return fitted_with_numbers(release, problem, shape, horizons, solve, starts[0])
-        return Fitted(release, problem, shape, solve(problem, *starts), horizons)
-
-    def _std(self, wide: float) -> dict[str, float]:
-        """How far each parameter's logarithm is opened, standard deviations of it; at most to what a file is worth."""
-        std, found = self.identified.std, dict[str, float]()
-        for name, nominal in _NOMINAL.items():
-            if name in self.exact:
-                found[name] = _EXACT
-            elif name in self.identified.values:
-                relative = std[name] / abs(self.identified.values[name])
-                found[name] = min(nominal, max(wide * relative, _LEAST_SHARE) if math.isfinite(wide) else nominal)
-            else:
-                found[name] = nominal
-        return found
-
     def _worth(self) -> dict[str, float]:
         """Errors that a release should see, in the units of the slopes."""
         known = self.rig.known
-        found = {name: std for name, std in self._std(_WIDE).items() if name in self.identified.values}
+        found = {name: std for name, std in self.attempts.std(WIDE).items() if name in self.identified.values}
         for name in PHYSICAL:
             found[name] = max(_ZERO_WIDE * known.std(name), _NUMBER_SHARE * abs(known.values[name]))
         for name in (ZERO_A, ZERO_B, INDEX):
@@ -369,35 +296,11 @@ class _Case:
         found |= {name: _ZERO_WIDE * std for name, std in self._term_std.items()}
         errors = np.array([*self._bow_errors.values()]).reshape(-1, 2)
         found |= dict(zip(BOW, (_ZERO_WIDE * np.sqrt(np.sum(errors**2, axis=0))).tolist(), strict=True))
-        for name, damping in zip(FRICTION, _DAMPING, strict=True):
+        for name, damping in zip(FRICTION, DAMPING, strict=True):
             found[name] = _FRICTION_RAD_S * self.identified.values.get(damping, 0.0)
-        for name, damping in zip(DRAG, _DAMPING, strict=True):
-            found[name] = _FRICTION_RAD_S * self.identified.values.get(damping, 0.0) / _FLICK_RAD_S**2
+        for name, damping in zip(DRAG, DAMPING, strict=True):
+            found[name] = _FRICTION_RAD_S * self.identified.values.get(damping, 0.0) / FLICK_RAD_S**2
         return found
-
-    @property
-    def _known_friction(self) -> Mapping[str, float]:
-        """What the identification found of dry friction; empty where it found none."""
-        kept: list[Any] = self.identified.provenance.get("tests", [])
-        found: list[Mapping[str, float]] = [test["friction"] for test in kept if test.get("friction")]
-        if whole := self.identified.provenance.get("friction"):
-            found.append(whole["values"])
-        return found[-1] if found and max(found[-1].values()) > 0 else {}
-
-    @property
-    def _flick_Nm(self) -> Array:
-        """The largest viscous torques of a flick, shape (2,)."""
-        return _FLICK_RAD_S * np.array([self.identified.values.get(name, 0.0) for name in _DAMPING])
-
-    def _friction(self, release: Release) -> tuple[Shape | None, Array]:
-        """Dry friction to open, and its torque to start from, where the identification found some."""
-        values = self._known_friction
-        if not values:
-            return None, np.zeros(2)
-        torque = (values.get("coulomb_a_Nm", 0.0), values.get("coulomb_b_Nm", 0.0))
-        contact = (values.get("contact_a_kg_m2", 0.0), values.get("contact_b_kg_m2", 0.0))
-        none = (0.0, 0.0)
-        return "torque", Friction(torque, none, contact, none).torque_at(release.speed_rad_s)
 
 
 def _rubbing(found: Condensed) -> str:
@@ -418,14 +321,6 @@ def _used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
         if same and not test.get("left_out"):
             found |= dict.fromkeys(test.get("values", {}))
     return tuple(name for name in identified.values if name in found)
-
-
-def _horizons(release: Release) -> list[float]:
-    """Last instants over the first seconds, every other one of a release's."""
-    end = release.begin_s + _LONGEST_S
-    every = release.horizons("balanced")
-    last = min(every[-1], end)
-    return [h for h in every[:-1:2] if h < 0.7 * last + 0.3 * release.begin_s] + [last]
 
 
 def _off(error: FitFailed, release: Release) -> tuple[float, float]:

@@ -9,10 +9,11 @@ import pytest
 
 from analysis.budget import PredictedBudgets, predicted_budgets
 from analysis.budget_monte_carlo import NonlinearModel
-from analysis.dry_friction import NAMES, DryFriction, Sensors, left_open, seen_slopes
+from analysis.dry_friction import DryFriction, Sensors, left_open, seen_slopes
 from analysis.prediction import known_axis_angle, predict_point
 from identification.joint.budget import parameter_budgets
 from rig_configs import IdentifiedParameters, Rig, load_rig
+from rig_configs.known import KEPT_FRICTION
 from rig_configs.slow_roll import SlowRoll
 from uncertainty.rows import budget_rows
 
@@ -35,7 +36,7 @@ def identified(rig: Rig, roll: SlowRoll) -> IdentifiedParameters:
     values = rig.physics.identified()
     gain = np.array([1e-3 * v if name == "SP_kg_m" else 0.0 for name, v in values.items()])
     covariance = np.diag([(1e-4 * v) ** 2 for v in values.values()]) + np.outer(gain, gain)
-    friction = {"values": dict(zip(NAMES, (2e-4, 1e-4, 0.0, 0.0), strict=True)),
+    friction = {"values": dict(zip(KEPT_FRICTION, (2e-4, 1e-4, 0.0, 0.0), strict=True)),
                 "covariance": np.diag([1e-10, 1e-10, 0.0, 0.0]).tolist()}  # fmt: skip
     return IdentifiedParameters(
         values, covariance, {"friction": friction}, (1.0, 0.05), {"gain x": gain}, slow_roll=roll

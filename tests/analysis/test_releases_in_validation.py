@@ -34,6 +34,7 @@ class Made:
     used_for: tuple[str, ...] = ()
     by_slow_roll: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     reading: Reading = ""
+    remark: str = ""
 
 
 @pytest.fixture(scope="module")

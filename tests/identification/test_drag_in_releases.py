@@ -89,3 +89,16 @@ def test_a_spin_down_keeps_what_it_finds_as_one_thing(dragged: World, drag: Drag
     part = np.array([found.shared[label][c3] for label in LABELS])
     assert 0.3 < np.linalg.norm(part) / found.std["c3_Nms_per_rad"] < 1  # c3 hangs on the drag, and not on it alone
     assert np.linalg.eigvalsh(found.own_covariance)[0] >= 0
+
+
+def test_friction_that_one_release_needs_is_in_all_of_them() -> None:
+    """Without it A, B and C are followed, too, at masses, zeros and damping that are many standard deviations off."""
+    world = draw_world(SEED, Spread(), with_effect("contact"))
+    runs = [record(world, SEED, f"point-{name}") for name in "BDE"]
+    rows = check_releases(runs, world.rig, identified(world, None))
+    true = np.array([world.mechanics.a.contact_kg_m2, world.mechanics.b.contact_kg_m2])
+    for each, run in zip(rows, runs, strict=True):
+        assert "only with dry friction" in each.remark, run.test
+        speed2 = each.by_number["friction.a_kg_m2"][-2] / each.by_number["friction.a_Nm"][-2]
+        torque = [each.values[-2 + i] / -each.by_number[f"friction.{name}_Nm"][-2 + i] for i, name in enumerate("ab")]
+        assert torque == pytest.approx(true * speed2, rel=0.1), run.test

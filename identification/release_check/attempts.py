@@ -1,0 +1,194 @@
+# pyright: strict
+"""One release fitted with everything open, and which attempts are made before it counts as not followed.
+
+The fit starts from what was identified. Beside that a rig may have other pendulums or dry friction. Where one release
+needs friction that no test has found, all of a rig's releases have it: those that others follow without it do so at
+parameters that are many standard deviations off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.errors import FitFailed
+from identification.least_squares import Minimum
+from identification.pendulums.free_angles import laid_over
+from identification.pendulums.friction import Friction
+from identification.pendulums.release_problem import SUSPENSION, Release, Shape
+from identification.pendulums.release_search import Effort, Search, holding
+from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE
+from identification.pendulums.transient import TransientProblem
+from identification.pendulums.unknown_phase import angles_to_try, race
+from identification.release_check.model import TORQUES, Fitted, fitted_with_numbers, opened
+from rig_configs.parameters_file import IdentifiedParameters
+
+Array = NDArray[np.float64]
+
+WIDE, _LEAST_SHARE = 10.0, 0.01  # standard deviations, and a share, to which a parameter is opened
+DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
+FLICK_RAD_S = 12.0
+_LONGEST_S = 8.0
+_EXACT = 1e-7  # std of a logarithm that was set
+_NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)), **dict.fromkeys(DAMPING, 2.5)}
+_FRICTION_SHARES = (0.003, 0.01, 0.03)  # of a flick's largest viscous torque: friction to start from
+_SURELY = 2.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class Attempts:
+    """What releases are fitted from.
+
+    Attributes:
+        identified: parameters with covariance.
+        exact: parameters that were set.
+    """
+
+    identified: IdentifiedParameters
+    exact: frozenset[str]
+
+    def fitted(self, release: Release) -> Fitted:
+        """The release with everything open: from near what was identified, from far, with what a rig may have beside.
+
+        That is other pendulums or dry friction, whichever leaves less.
+
+        Raises:
+            FitFailed: the model does not follow the angles.
+        """
+        last: FitFailed | None = None
+        for wide in (WIDE, math.inf):
+            try:
+                return self._opened(release, self.std(wide), False)
+            except FitFailed as error:
+                last = last or error
+        found = self._beside(release)
+        if not found:
+            assert last is not None
+            raise last
+        return min(found, key=lambda fitted: fitted.minimum.cost)
+
+    def _beside(self, release: Release) -> list[Fitted]:
+        """A release that the identified model does not follow, with other pendulums and with dry friction."""
+        found = list[Fitted]()
+        with contextlib.suppress(FitFailed):
+            found.append(self._opened(release, self.std(WIDE), True))
+        if not self.known_friction:
+            torques = (share * self.flick_Nm for share in _FRICTION_SHARES)
+            found += [rubbing] if (rubbing := next(self.rubbing(release, torques), None)) else []
+        return found
+
+    def rubbing(self, release: Release, torques_Nm: Iterable[Array]) -> Iterator[Fitted]:
+        """The release with dry friction open; what asks for less friction than none is left out.
+
+        Args:
+            torques_Nm: of A and B, to start from, shape (2,) each.
+        """
+        for torque in torques_Nm:
+            with contextlib.suppress(FitFailed):
+                fitted = self._opened(release, self.std(WIDE), False, torque)
+                at, minimum = list(TORQUES), fitted.minimum
+                if np.all(minimum.theta[at] > -_SURELY * np.sqrt(np.diag(minimum.covariance)[at])):
+                    yield fitted
+
+    def _opened(
+        self, release: Release, std: Mapping[str, float], numbers: bool, rubbing: Array | None = None
+    ) -> Fitted:
+        """One attempt.
+
+        Args:
+            rubbing: torques of A and B that dry friction is to start from, N m; None for what was identified of it.
+        """
+        shape, torque = self._friction(release) if rubbing is None else ("torque", rubbing)
+        problem = opened(release.problem(shape), std)
+        start = problem.prior.copy()
+        if shape is not None:
+            start[16:18] = torque
+        horizons = _horizons(release)
+        starts = [start]
+        if not release.run.phase_absolute:
+            turns = angles_to_try(laid_over(release.knowledge, start[:2], start[SUSPENSION]))
+            trials = [np.r_[start[:-1], turn] for turn in turns]
+            starts = race(problem, trials, horizons[:-1], holding)
+
+        def solve(problem: TransientProblem, *from_places: Array) -> Minimum:
+            search = Search(problem, horizons, len(from_places), Effort(), lambda _: None)
+            return search.answers([(place, False) for place in from_places], release.run.source)[0]
+
+        if numbers:
+            return fitted_with_numbers(release, problem, shape, horizons, solve, starts[0])
+        return Fitted(release, problem, shape, solve(problem, *starts), horizons)
+
+    def std(self, wide: float) -> dict[str, float]:
+        """How far each parameter's logarithm is opened, standard deviations of it; at most to what a file is worth."""
+        std, found = self.identified.std, dict[str, float]()
+        for name, nominal in _NOMINAL.items():
+            if name in self.exact:
+                found[name] = _EXACT
+            elif name in self.identified.values:
+                relative = std[name] / abs(self.identified.values[name])
+                found[name] = min(nominal, max(wide * relative, _LEAST_SHARE) if math.isfinite(wide) else nominal)
+            else:
+                found[name] = nominal
+        return found
+
+    @property
+    def known_friction(self) -> Mapping[str, float]:
+        """What the identification found of dry friction; empty where it found none."""
+        kept: list[Any] = self.identified.provenance.get("tests", [])
+        found: list[Mapping[str, float]] = [test["friction"] for test in kept if test.get("friction")]
+        if whole := self.identified.provenance.get("friction"):
+            found.append(whole["values"])
+        return found[-1] if found and max(found[-1].values()) > 0 else {}
+
+    @property
+    def flick_Nm(self) -> Array:
+        """The largest viscous torques of a flick, shape (2,)."""
+        return FLICK_RAD_S * np.array([self.identified.values.get(name, 0.0) for name in DAMPING])
+
+    def _friction(self, release: Release) -> tuple[Shape | None, Array]:
+        """Dry friction to open, and its torque to start from, where the identification found some."""
+        values = self.known_friction
+        if not values:
+            return None, np.zeros(2)
+        torque = (values.get("coulomb_a_Nm", 0.0), values.get("coulomb_b_Nm", 0.0))
+        contact = (values.get("contact_a_kg_m2", 0.0), values.get("contact_b_kg_m2", 0.0))
+        none = (0.0, 0.0)
+        return "torque", Friction(torque, none, contact, none).torque_at(release.speed_rad_s)
+
+
+def rubbing_alike(attempts: Attempts, fits: Sequence[Fitted], pool: Executor) -> list[Fitted]:
+    """All releases with dry friction where one needs some of which none is known; as they are elsewhere.
+
+    The others start from the torque that those which need it have found: the same at any speed, and by the square of
+    their speeds. Where neither is followed a release stays as it is.
+    """
+    need = [fit for fit in fits if fit.shape is not None]
+    if attempts.known_friction or not need:
+        return list(fits)
+    torque = np.array([np.maximum(fit.minimum.theta[list(TORQUES)], 0.0) for fit in need])
+    speed2 = np.array([[fit.release.speed_rad_s**2] for fit in need])
+    same, by_square = np.mean(torque, axis=0), np.mean(torque / speed2, axis=0)
+
+    def alike(fit: Fitted) -> Fitted:
+        if fit.shape is not None:
+            return fit
+        starts = (by_square * fit.release.speed_rad_s**2, same)
+        found = attempts.rubbing(fit.release, starts)
+        return min(found, key=lambda each: each.minimum.cost, default=fit)
+
+    return list(pool.map(alike, fits))
+
+
+def _horizons(release: Release) -> list[float]:
+    """Last instants over the first seconds, every other one of a release's."""
+    end = release.begin_s + _LONGEST_S
+    every = release.horizons("balanced")
+    last = min(every[-1], end)
+    return [h for h in every[:-1:2] if h < 0.7 * last + 0.3 * release.begin_s] + [last]
