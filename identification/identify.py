@@ -275,7 +275,7 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 
 
 def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
-    fit = fit_spin_down_run(run, work.knowledge(), setting=work.setting)
+    fit = fit_spin_down_run(run, work.knowledge(), setting=work.setting, without=work.without)
     return fit, damping_estimate(run, fit, "coupled run-down of both pendulums, nonlinear least squares")
 
 
@@ -296,7 +296,9 @@ def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     def tell(what: str) -> None:
         work.tell(f"{run.test}: {name}: {what}")
 
-    fit = fit_release(run, work.knowledge(), zero_std, setting=work.setting, tell=tell, effort=work.effort)
+    fit = fit_release(
+        run, work.knowledge(), zero_std, setting=work.setting, tell=tell, effort=work.effort, without=work.without
+    )
     method = "transient after release, nonlinear least squares over growing horizons"
     return fit, damping_estimate(run, fit, method, zero_std)
 

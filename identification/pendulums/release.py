@@ -9,7 +9,7 @@ shows. Dry friction enters where a spin-down found it or the readings ask for it
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from itertools import product
 
@@ -27,6 +27,7 @@ from identification.pendulums.release_search import Effort, NotFollowed, Search,
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import UNTOLD, TransientFit, with_open_friction
 from identification.pendulums.unknown_phase import angles_to_try, race, told
+from identification.rungs import held_back
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 from identification.tracking.release_start import damping_start
@@ -57,7 +58,7 @@ class ReleaseLeftOut(FitFailed):
 @on_one_thread
 def fit_release(
     run: Run, knowledge: Knowledge, zero_std_rad: float, *, setting: Setting = "balanced", tell: Tell | None = None,
-    effort: Effort | None = None,
+    effort: Effort | None = None, without: Collection[str] = (),
 ) -> TransientFit:  # fmt: skip
     """Both pendulums' damping from the transient after a release at constant speed.
 
@@ -70,7 +71,9 @@ def fit_release(
             the rounding's own effect, reference every sample instead of 4 ms blocks.
         tell: told what is tried.
         effort: what the releases of a campaign may cost together.
+        without: rungs of the ladder that are not taken (identification.rungs.RUNGS).
     Raises:
+        ValueError: no such rung.
         NotIdentifiable: no releases, or too few marks or samples.
         ReleaseLeftOut: the model does not follow the angles over any horizon, or the fit does not settle.
         FitFailed: the release shows no damping.
@@ -83,7 +86,8 @@ def fit_release(
         raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
     horizons, effort, tell = release.horizons(setting), effort or Effort(), tell or (lambda _: None)
     end = horizons[-1]
-    release, answers, shape, other = _searched(release, horizons, effort, tell)
+    rubs = "friction" not in held_back(without)
+    release, answers, shape, other = _searched(release, horizons, effort, tell, rubs)
     problem, best = release.problem(shape), answers[0]
     fit = problem.result(best, end, f"release {run.test}", 2, setting, _model_table(release, best, end, shape))
     if max(fit.std[n] / fit.values[n] for n in fit.values) > 0.2:
@@ -92,10 +96,11 @@ def fit_release(
     if shape is not None:
         friction = release.friction(best, problem.covariance(best, end, setting, (16, 17)), shape)
         fit = replace(fit, friction=friction, warnings=[*fit.warnings, friction.told(f"release {run.test}")])
-    found = release.open_friction(shape, best, end, setting)
-    if found is None:
-        raise FitFailed(UNTOLD.format(run.source, "release", "record one at another speed, or clean the bearings"))
-    fit = with_open_friction(fit, found, f"release {run.test}")
+    if rubs:
+        found = release.open_friction(shape, best, end, setting)
+        if found is None:
+            raise FitFailed(UNTOLD.format(run.source, "release", "record one at another speed, or clean the bearings"))
+        fit = with_open_friction(fit, found, f"release {run.test}")
     by_number = release.by_number(problem, best, end, shape, (0, 1))
     fit = replace(fit, by_number=by_number, number_std=release.number_std)
     if not run.phase_absolute:
@@ -118,14 +123,16 @@ def _not_shown(release: Release, fit: TransientFit, shape: Shape | None) -> str:
 
 
 def _searched(
-    release: Release, horizons: list[float], effort: Effort, tell: Tell
+    release: Release, horizons: list[float], effort: Effort, tell: Tell, rubs: bool
 ) -> tuple[Release, list[Minimum], Shape | None, list[str]]:
     """The release as it was followed, the answers, the shape of the dry friction in them, and warnings.
 
+    Args:
+        rubs: whether there may be dry friction.
     Raises:
         ReleaseLeftOut: there are none.
     """
-    known = release.knowledge.friction
+    known = release.knowledge.friction if rubs else None
     if known is not None:
         with_known = _with_known_friction(release, horizons, known, effort, tell)
         if with_known is not None:
@@ -142,10 +149,12 @@ def _searched(
     try:
         release, answers = _followed(release, horizons, effort, tell)
     except _Stuck as error:
-        rescued = _rescued(error.release, horizons, error.search, effort, tell)
+        rescued = _rescued(error.release, horizons, error.search, effort, tell) if rubs else None
         if rescued is None:
             raise _left_out(error.release, error.search) from error.search
         return error.release, *rescued, []
+    if not rubs:
+        return release, answers, None, []
     ask = release.friction_evidence(answers[0], horizons[-1])
     dry, other = _dry_or_else(release, answers[0], horizons[-1], ask)
     if dry and known is None:

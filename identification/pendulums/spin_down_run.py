@@ -11,7 +11,7 @@ for them: one evaluation at the end of the fit without tells what they would men
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,12 +29,14 @@ from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline,
 from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import UNTOLD, Readings, TransientFit, TransientProblem, with_open_friction
+from identification.rungs import Rung, held_back
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.threads import on_one_thread
 
 _PSI, _COUNT = PSI, COUNT
 _ANGLES_TRIED = tuple((np.arange(6) * np.pi / 6).tolist())
 _KINDS: dict[Kind, str] = {"torque": "dry friction", "contact": "a drag with the square of the speed"}
+_RUNG: dict[Kind, Rung] = {"torque": "friction", "contact": "drag"}
 _ATTEMPTS = 8
 _FOLLOWED, _HOPELESS = 10.0, 50.0  # χ²/dof
 _WORTH = 8.0  # χ² that another kind of friction must mend when fitted
@@ -44,7 +46,9 @@ _EARLY_S = 0.1
 
 
 @on_one_thread
-def fit_spin_down_run(run: Run, knowledge: Knowledge, *, setting: Setting = "balanced") -> TransientFit:
+def fit_spin_down_run(
+    run: Run, knowledge: Knowledge, *, setting: Setting = "balanced", without: Collection[str] = ()
+) -> TransientFit:
     """Both pendulums' damping from one spin-down.
 
     Args:
@@ -57,24 +61,25 @@ def fit_spin_down_run(run: Run, knowledge: Knowledge, *, setting: Setting = "bal
     Source: docs/theory/pendulum_damping.md.
     """
     check_setting(setting)
+    held = held_back(without)
     if run.angle_rad.ndim != 2 or len(run.angle_time_s) < 400:
         raise NotIdentifiable(f"{run.source}: {len(run.angle_time_s)} encoder samples are too few")
     declines = [find_decline(run.angle_time_s, run.angle_rad[:, i]) for i in range(2)]
     fastest = max(d.rate_per_s for d in declines)
     whole = [spin_down_readings(run.angle_time_s, run.angle_rad[:, i], fastest) for i in range(2)]
     last = max(d.start_s for d in declines)
-    fits = [_fit_from(run, whole, declines, (last, np.inf), knowledge, setting)]
+    fits = [_fit_from(run, whole, declines, (last, np.inf), knowledge, setting, held)]
     first = int(np.argmin([d.start_s for d in declines]))
     push = declines[1 - first].push_s - _BEFORE_PUSH_S
     if push - declines[first].start_s > _WORTH_S:  # one pendulum running down before the other is flicked
         with contextlib.suppress(FitFailed, NotIdentifiable):  # a hand on the second: the stretch after it stands alone
-            fits.append(_fit_from(run, whole, declines, (declines[first].start_s, push), knowledge, setting))
+            fits.append(_fit_from(run, whole, declines, (declines[first].start_s, push), knowledge, setting, held))
     return _together(fits)
 
 
 def _fit_from(
     run: Run, whole: list[Readings], declines: list[Decline], span: tuple[float, float], knowledge: Knowledge,
-    setting: Setting,
+    setting: Setting, held: frozenset[Rung],
 ) -> TransientFit:  # fmt: skip
     """One stretch; begins later while the residual right after its begin stands out."""
     begin, limit = span
@@ -83,7 +88,7 @@ def _fit_from(
     for attempts_left in range(_ATTEMPTS, -1, -1):
         end = min(*(float(w.averages.time_s[-1]) for w in whole), begin + TIME_CONSTANTS / slowest, limit)
         case = SpinDown(whole, declines, begin, end, knowledge)
-        kinds, answers, rows = _chosen(case, angles)
+        kinds, answers, rows = _chosen(case, angles, held)
         minimum, problem = answers[0], case.problem(kinds)
         if attempts_left and _early_excess(problem, minimum) and end - begin > _WORTH_S:
             begin += min(0.04, 0.25 / fastest)  # the hand was still there
@@ -94,10 +99,11 @@ def _fit_from(
         fit = problem.result(minimum, end, "spin-down", 2, setting, table)
         if minimum.converged and fit.chi2_per_dof < _FOLLOWED:
             fit = _with_friction(case, fit, minimum, kinds, setting)
-            found = case.open_friction(kinds, minimum, setting)
-            if found is None:
-                raise FitFailed(UNTOLD.format(run.source, "spin-down", "flick faster, or clean the bearings"))
-            fit = with_open_friction(fit, found, "spin-down")
+            if "friction" not in held:
+                found = case.open_friction(kinds, minimum, setting)
+                if found is None:
+                    raise FitFailed(UNTOLD.format(run.source, "spin-down", "flick faster, or clean the bearings"))
+                fit = with_open_friction(fit, found, "spin-down")
             fit = replace(fit, by_number=case.by_number(problem, minimum, kinds, (0, 1)))
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
         if fit.chi2_per_dof < _FOLLOWED:
@@ -114,7 +120,9 @@ def _fit_from(
     raise AssertionError("the last attempt returns or raises")
 
 
-def _chosen(case: SpinDown, angles: Sequence[float]) -> tuple[Kinds, list[Minimum], list[ModelChoice]]:
+def _chosen(
+    case: SpinDown, angles: Sequence[float], held: frozenset[Rung]
+) -> tuple[Kinds, list[Minimum], list[ModelChoice]]:
     """The smallest adequate damping: viscous, and beside it dry friction, a drag with the square of the speed, both.
 
     Returns:
@@ -132,7 +140,7 @@ def _chosen(case: SpinDown, angles: Sequence[float]) -> tuple[Kinds, list[Minimu
             why = f"would mend χ² by {ask.mended:.3g}, {ask.gain:.3g} in units of chance (limit {ask.limit:.3g})"
             cost = answers[0].cost - ask.mended + 2 * (len(answers[0].theta) + 2)
             rows.append(ModelChoice(name, len(answers[0].theta) + 2, cost, False, why))
-        likely: list[Kind] = [k for k, ask in asks.items() if ask.found and ask.step.max() > 0]
+        likely: list[Kind] = [k for k, ask in asks.items() if ask.found and ask.step.max() > 0 and _RUNG[k] not in held]
         tried: list[tuple[float, Kinds, list[Minimum]]] = []
         for kind in likely:
             more: Kinds = tuple(k for k in _KINDS if k in (*kinds, kind))

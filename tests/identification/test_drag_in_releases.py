@@ -101,4 +101,4 @@ def test_friction_that_one_release_needs_is_in_all_of_them() -> None:
         assert "only with dry friction" in each.remark, run.test
         speed2 = each.by_number["friction.a_kg_m2"][-2] / each.by_number["friction.a_Nm"][-2]
         torque = [each.values[-2 + i] / -each.by_number[f"friction.{name}_Nm"][-2 + i] for i, name in enumerate("ab")]
-        assert torque == pytest.approx(true * speed2, rel=0.1), run.test
+        assert torque == pytest.approx(true * speed2, rel=0.15), run.test

@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 
 from benchmarks.worlds import Effects, Spread, draw_world, record
-from identification import Identification, identify
+from identification import Identification, NotIdentifiable, identify
 from identification.rungs import RUNGS, Rung, held_back
 
 SEED = 1000
@@ -59,3 +59,23 @@ def test_there_are_no_other_rungs() -> None:
     assert set(RUNGS) == set(get_args(Rung))
     with pytest.raises(ValueError, match=r"expected some of lines.*got colour"):
         held_back(["lines", "colour"])
+
+
+def test_friction_and_drag_held_back_leave_viscous_damping() -> None:
+    """A spin-down alone then gives c as if nothing else took the speed: the interval does not leave friction open."""
+    free, held = identified("spin-down", Effects(), ()), identified("spin-down", Effects(), ("friction", "drag"))
+    name = "c3_Nms_per_rad"
+    assert held.parameters.std[name] < 0.3 * free.parameters.std[name]
+    dry = Effects(dry=0.02)
+    assert says(identified("spin-down", dry, ()), "dry friction")
+    with pytest.raises(NotIdentifiable, match="no model of the run-down follows"):
+        identified("spin-down", dry, ("friction", "drag"))
+
+
+def test_a_release_without_friction_is_viscous() -> None:
+    world = draw_world(SEED, Spread.exact(), Effects())
+    runs = [record(world, SEED, test) for test in ("ring-down-x", "ring-down-y", "run-up", "point-E")]
+    free, held = (identify(runs, world.rig, without=rungs) for rungs in ((), ("friction",)))
+    assert held.fits[-1].fit.open_friction is None
+    assert free.fits[-1].fit.open_friction is not None
+    assert held.parameters.std["c3_Nms_per_rad"] < free.parameters.std["c3_Nms_per_rad"]
