@@ -47,7 +47,7 @@ def by_physical_numbers(
         if name == "imbalance.mass_kg" and "rotor.mass_kg" in found:
             found[name] = found["rotor.mass_kg"]  # S_P is found by itself: both act through the total mass
             continue
-        step = _STEP * values[name] or _STEP_SI
+        step = _STEP * values.get(name, 0.0) or _STEP_SI
         other = made(knowledge.moved(name, step))
         moved = replace(other, prior=problem.prior + other.prior - base.prior, prior_std=problem.prior_std)
         change = moved.residual(minimum.theta, end_s) - minimum.residual
