@@ -14,14 +14,14 @@ from daq.signals.completeness import missing_warnings
 from daq.signals.phase_noise import phase_remarks
 from daq.signals.run import Run
 from daq.signals.witnesses import Agreement
-from identification.errors import IdentificationError, NotIdentifiable
+from identification.errors import FitFailed, IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine, joint_estimate
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import told, with_shared_friction, without_known
 from identification.methods import advice, passed_over, runs_for, taken, turns
 from identification.mounting import as_mounted
-from identification.pendulums.drag import found_drag
+from identification.pendulums.drag import FoundDrag, found_drag, shown_beside_drag
 from identification.pendulums.friction import Friction, kept_friction
 from identification.pendulums.open_friction import OpenFriction, pooled
 from identification.pendulums.open_numbers import PENDULUMS
@@ -39,6 +39,8 @@ from identification.rungs import Rung, held_back
 from identification.setting import Setting
 from identification.suspension_terms import ChosenTerms, sharing_terms, terms_of_all
 from identification.threads import on_one_thread
+from rig_configs.drag import Reading
+from rig_configs.known import DRAG, KnownSource
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.slow_roll import SlowRoll
@@ -92,6 +94,7 @@ class _Work:
     warnings: list[str]
     effort: Effort = field(default_factory=Effort)
     left_out: list[tuple[str, ReleaseLeftOut]] = field(default_factory=list)
+    reading: Reading = ""
 
     def add(self, run: Run, fit: Fit, estimate: Estimate, tests: Sequence[str] = ()) -> None:
         self.fits.append(NamedFit(run.test, run.source, fit))
@@ -128,6 +131,33 @@ class _Work:
         known = known.with_found(found.values, found.std).with_slopes(found.values, slopes)
         return replace(known, physics=known.physics.with_values(**damping))
 
+    @property
+    def drag(self) -> FoundDrag | None:
+        """What spin-downs show with the square of the speed, unless releases have told that it is contact friction."""
+        fits = [f.fit for f in self.fits if isinstance(f.fit, TransientFit)]
+        found = None if self.reading == "contact" else found_drag(fits)
+        return None if found is None else replace(found, drag=replace(found.drag, undecided=not self.reading))
+
+    @property
+    def sources(self) -> tuple[KnownSource, ...]:
+        """Of uncertainty in what tests take as known."""
+        return self.rig.known.sources + (self.drag.drag.sources if self.drag else ())
+
+    @property
+    def transients(self) -> dict[str, TransientFit]:
+        """Fits of pendulums by source, as they say of friction beside a drag."""
+        fits = {f.source: f.fit for f in self.fits if isinstance(f.fit, TransientFit)}
+        return {source: shown_beside_drag(fit) for source, fit in fits.items()} if self.drag else fits
+
+    def dragged(self) -> Knowledge | None:
+        """The same as `knowledge` with the drag, for releases; None without one."""
+        known, found = self.knowledge(), self.drag
+        if found is None:
+            return None
+        friction = self.friction()
+        friction = friction.without_contact if friction is not None and friction.speed_rad_s == 0 else friction
+        return replace(known, physics=found.drag.on(known.physics), friction=friction, numbers=(*known.numbers, *DRAG))
+
     def slow_roll(self, digests: Mapping[str, str] | None = None) -> tuple[SlowRoll | None, list[str]]:
         """Run-out and bow that the run-ups so far show; digests: of logs, by source."""
         found = [
@@ -144,8 +174,8 @@ class _Work:
 
     def open_friction(self) -> OpenFriction | None:
         """By all transients so far, with the known numbers' uncertainty in it; None with fewer than two."""
-        fits = [f.fit for f in self.fits if isinstance(f.fit, TransientFit) and f.fit.open_friction is not None]
-        sources, zero_std = self.rig.known.sources, math.radians(self.rig.roles.zero_std_deg)
+        fits = [fit for fit in self.transients.values() if fit.open_friction is not None]
+        sources, zero_std = self.sources, math.radians(self.rig.roles.zero_std_deg)
         if len(fits) < 2:
             return None
         return pooled([without_known(fit, zero_std) for fit in fits], sources).covering(sources)
@@ -281,9 +311,9 @@ def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 
 def _share_friction(work: _Work) -> None:
     """Each transient's damping with the friction that all of them found; a lone one says what it leaves open."""
-    fits = {f.source: f.fit for f in work.fits if isinstance(f.fit, TransientFit)}
+    fits = work.transients
     zero_std = math.radians(work.rig.roles.zero_std_deg)
-    work.estimates, shared = with_shared_friction(work.estimates, fits, zero_std, work.rig.known.sources)
+    work.estimates, shared = with_shared_friction(work.estimates, fits, zero_std, work.sources)
     undecided = [f"{Path(source).name}: {fit.undecided}" for source, fit in fits.items() if fit.undecided]
     work.warnings = [w for w in work.warnings if w not in undecided]
     work.warnings += undecided if shared is None else told(shared)
@@ -296,28 +326,40 @@ def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     def tell(what: str) -> None:
         work.tell(f"{run.test}: {name}: {what}")
 
-    fit = fit_release(
-        run, work.knowledge(), zero_std, setting=work.setting, tell=tell, effort=work.effort, without=work.without
-    )
+    def fitted(known: Knowledge) -> TransientFit:
+        return fit_release(
+            run, known, zero_std, setting=work.setting, tell=tell, effort=work.effort, without=work.without
+        )
+
+    dragged = work.dragged()
+    if dragged is None:
+        fit = fitted(work.knowledge())
+    else:
+        try:
+            fit, work.reading = fitted(dragged), "drag"
+        except FitFailed:
+            if work.reading:
+                raise
+            fit, work.reading = fitted(work.knowledge()), "contact"
     method = "transient after release, nonlinear least squares over growing horizons"
     return fit, damping_estimate(run, fit, method, zero_std)
 
 
 def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     # each fit was made with the known numbers as they stand; only the whole of them has their uncertainty
-    work.estimates = [e.with_sources(work.rig.known.sources) for e in work.estimates]
+    work.estimates = [e.with_sources(work.sources) for e in work.estimates]
     parameters, rows, warnings = combine(work.estimates)
     parameters, told = physical_parameters(parameters, work.rig)
     warnings += told
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
     if missing:
         warnings.append(f"not identified: {', '.join(missing)}; {advice(missing, runs, work.rig.roles)}")
-    transients = [f.fit for f in work.fits if isinstance(f.fit, TransientFit)]
-    drag = found_drag(transients)
+    drag = work.drag
     torques = {**kept_friction(work.friction(), work.open_friction()), **(drag.drag.table if drag else {})}
     facts = _provenance(runs, work, rows, torques)
     if drag is not None:
-        parameters = replace(parameters, shared={**parameters.shared, **drag.shifts(parameters.values, parameters.std)})
+        shifts = drag.shifts(parameters.values, parameters.std)
+        parameters = replace(parameters, shared={**shifts, **parameters.shared})
     angle, std = _axis_angle(work.fits)
     digests = {r.source: str(r.metadata.get("digest", "")) for r in runs}
     slow_roll, told = work.slow_roll(digests)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
-from rig_configs.known import KEPT_FRICTION
+from rig_configs.known import DRAG, KEPT_FRICTION, KnownSource
 
 Array = NDArray[np.float64]
 Reading = Literal["", "drag", "contact"]
@@ -28,6 +28,14 @@ KEY = "drag"
 NAMES = ("drag_a_Nms2_per_rad2", "drag_b_Nms2_per_rad2")
 LABELS = ("friction drag 1", "friction drag 2")
 """Under which the two independent parts of its error are shared by parameters and predictions."""
+
+
+@dataclass(frozen=True)
+class _DragSource(KnownSource):
+    @property
+    def label(self) -> str:
+        """As the two parts are kept: tests have found them, and no rig file."""
+        return self.name
 
 
 @dataclass(frozen=True)
@@ -80,6 +88,12 @@ class Drag:
         first = math.sqrt(self.covariance[0, 0])
         across = float(self.covariance[0, 1]) / first if first > 0 else 0.0
         return np.array([[first, 0.0], [across, math.sqrt(max(self.covariance[1, 1] - across**2, 0.0))]])
+
+    @property
+    def sources(self) -> tuple[KnownSource, ...]:
+        """Its error as two independent ones of what a release takes as known."""
+        effects: list[dict[str, float]] = [dict(zip(DRAG, part, strict=True)) for part in self.root.T.tolist()]
+        return tuple(_DragSource(label, 1.0, "1", by, "A") for label, by in zip(LABELS, effects, strict=True))
 
     def on(self, physics: RotorParameters) -> RotorParameters:
         """The rig with this drag; none below 0."""

@@ -8,7 +8,7 @@ what it finds is kept as one thing. Source: docs/theory/pendulum_damping.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,13 @@ def drag_by_spin_down(found: OpenFriction) -> FoundDrag:
     drag = Drag(values, together[2:, 2:] * np.outer(std, std), True)
     # with LLᵀ the drag's covariance its independent errors are e = L⁻¹ δ, and corr(ln c, e) = corr(ln c, δ/s) (L/s)⁻ᵀ
     return FoundDrag(drag, together[:2, 2:] @ np.linalg.inv(drag.root / std[:, None]).T)
+
+
+def shown_beside_drag(fit: TransientFit) -> TransientFit:
+    """A spin-down's fit that leaves open how much of what it finds with the square of the speed is friction."""
+    found = fit.open_friction
+    shown = fit.friction is not None and fit.friction.speed_rad_s == 0 and max(fit.friction.contact_std_kg_m2) > 0
+    return replace(fit, open_friction=found.beside_drag()) if shown and found is not None else fit
 
 
 def found_drag(fits: Sequence[TransientFit]) -> FoundDrag | None:

@@ -7,7 +7,7 @@ rotor that turns φ̇ ≈ ω, and M + F ω² is what a release shows. Source: do
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,12 @@ class Friction:
     def _rows(self) -> list[tuple[str, float, float]]:
         values, std = self.torque_Nm + self.contact_kg_m2, self.torque_std_Nm + self.contact_std_kg_m2
         return list(zip(KEPT_FRICTION, values, std, strict=True))
+
+    @property
+    def without_contact(self) -> Friction | None:
+        """The torque that is there at any speed; None where there is none."""
+        found = replace(self, contact_kg_m2=(0.0, 0.0), contact_std_kg_m2=(0.0, 0.0))
+        return found if found.values else None
 
     def torque_at(self, speed_rad_s: float) -> np.ndarray:
         """M + F ω² of A and B on a rotor that turns at a speed, N m, shape (2,), not below 0."""

@@ -46,7 +46,7 @@ def by_physical_numbers(
     base, values = made(knowledge), physical_numbers(knowledge.physics)
 
     def answer(name: str) -> Array | None:
-        step = _STEP * values[name] or _STEP_SI
+        step = _STEP * values.get(name, 0.0) or _STEP_SI
         other = made(knowledge.moved(name, step))
         moved = replace(other, prior=problem.prior + other.prior - base.prior, prior_std=problem.prior_std)
         change = moved.residual(minimum.theta, end_s) - minimum.residual

@@ -96,6 +96,13 @@ class OpenFriction:
             covariance -= np.outer(shift, shift)
         return replace(self, covariance=covariance)
 
+    def beside_drag(self) -> OpenFriction:
+        """What a spin-down says where F may as well be the air's drag: of F nothing, of the rest as much less."""
+        covariance = self.covariance.copy()
+        covariance[4:], covariance[:, 4:] = 0.0, 0.0
+        covariance[[4, 5], [4, 5]] = CONTACT_STD_kg_m2**2
+        return replace(self, values=np.r_[self.values[:4], 0.0, 0.0], covariance=covariance)
+
     def covering(self, sources: Sequence[KnownSource]) -> OpenFriction:
         """The same with the uncertainty of what is taken as known in its covariance."""
         covariance = self.covariance.copy()

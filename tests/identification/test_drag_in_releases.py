@@ -91,6 +91,23 @@ def test_a_spin_down_keeps_what_it_finds_as_one_thing(dragged: World, drag: Drag
     assert np.linalg.eigvalsh(found.own_covariance)[0] >= 0
 
 
+def test_releases_and_a_spin_down_find_the_damping_beside_the_drag(dragged: World) -> None:
+    """What the spin-down finds is no dry friction then, and the releases are not left out as hidden by it."""
+    before = [record(dragged, SEED, test) for test in ("ring-down-x", "ring-down-y", "run-up", "spin-down")]
+    alone = identify(before, dragged.rig)
+    releases = [record(dragged, SEED, f"point-{name}") for name in "DE"]
+    found = identify([*before, *releases], dragged.rig, earlier=alone)
+    assert {"point-D", "point-E", "spin-down"} <= {estimate.test for estimate in found.estimates}
+    kept = Drag.of(found.parameters.provenance)
+    assert kept is not None
+    assert not kept.undecided
+    assert max(found.parameters.provenance["friction"]["values"].values()) < 1e-9
+    for name in ("c3_Nms_per_rad", "c4_Nms_per_rad"):
+        off = found.parameters.values[name] - dragged.truth[name]
+        assert abs(off) < 3 * found.parameters.std[name], name
+        assert found.parameters.std[name] < 0.7 * alone.parameters.std[name], name
+
+
 def test_friction_that_one_release_needs_is_in_all_of_them() -> None:
     """Without it A, B and C are followed, too, at masses, zeros and damping that are many standard deviations off."""
     world = draw_world(SEED, Spread(), with_effect("contact"))
@@ -101,4 +118,4 @@ def test_friction_that_one_release_needs_is_in_all_of_them() -> None:
         assert "only with dry friction" in each.remark, run.test
         speed2 = each.by_number["friction.a_kg_m2"][-2] / each.by_number["friction.a_Nm"][-2]
         torque = [each.values[-2 + i] / -each.by_number[f"friction.{name}_Nm"][-2 + i] for i, name in enumerate("ab")]
-        assert torque == pytest.approx(true * speed2, rel=0.15), run.test
+        assert torque == pytest.approx(true * speed2, rel=0.25), run.test
