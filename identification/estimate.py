@@ -26,6 +26,7 @@ class Estimate:
             standard deviation of it, shape (n,). A laser's gain and a device's clock rate are such.
         by_number: number of the rig file that is taken as known → derivative of the values by it, shape (n,).
         method: for the provenance.
+        with_terms: of the suspension's terms that the test shows → covariance of the values with it, shape (n,).
     """
 
     test: str
@@ -36,6 +37,7 @@ class Estimate:
     shared: Mapping[str, np.ndarray] = field(default_factory=dict)
     method: str = ""
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict)
+    with_terms: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def total_covariance(self) -> np.ndarray:

@@ -37,7 +37,7 @@ from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.run_up.slow_roll_vector import slow_roll_of, slow_roll_of_all
 from identification.rungs import Rung, held_back
 from identification.setting import Setting
-from identification.suspension_terms import ChosenTerms, sharing_terms, terms_of_all
+from identification.suspension_terms import ChosenTerms, known_suspension, sharing_terms, terms_of_all
 from identification.threads import on_one_thread
 from rig_configs.drag import Reading
 from rig_configs.known import DRAG, KnownSource
@@ -169,8 +169,15 @@ class _Work:
 
     def suspension_terms(self, digests: Mapping[str, str] | None = None) -> ChosenTerms:
         """How the suspension changes with the motion, by the ring-downs so far; digests: of logs, by source."""
-        ring_downs = [(f.source, f.fit) for f in self.fits if isinstance(f.fit, RingDownFit)]
-        return terms_of_all(ring_downs, digests)
+        ring_downs = [(f.source, f.fit.terms) for f in self.fits if isinstance(f.fit, RingDownFit)]
+        passages = [(f.source, f.fit.terms) for f in self.fits if isinstance(f.fit, RunUpFit) and f.fit.settled]
+        return terms_of_all(ring_downs, passages, digests)
+
+    @property
+    def axis_angle_deg(self) -> float:
+        """From the stiffness x axis to the sensor x axis, as far as the tests so far show it; else 0."""
+        angle = _axis_angle(self.fits)[0]
+        return angle if math.isfinite(angle) else 0.0
 
     def open_friction(self) -> OpenFriction | None:
         """By all transients so far, with the known numbers' uncertainty in it; None with fewer than two."""
@@ -233,9 +240,9 @@ def identify(
     work.warnings += told_of
     for found in ring_downs:
         work.add(found.run, found.fit, found.estimate, found.tests)
-    work.estimates = sharing_terms(work.estimates, work.suspension_terms())
     for run in runs_for("passage", runs):
         _one(run, work, _run_up)
+    work.estimates = sharing_terms(work.estimates, work.suspension_terms())
     for run in runs_for("spin-down", runs):
         _one(run, work, _spin_down)
     points = [r for r in runs_for("release", runs) if r.releases]
@@ -296,7 +303,10 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
         run = replace(run, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
     if not len(run.angle_rad):
         work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
-    fit = as_mounted(fit_run_up_run(run, setting=work.setting, without=work.without), run.turn_deg)
+    terms = work.suspension_terms().terms
+    known = known_suspension(work.knowledge().physics, terms, work.axis_angle_deg - run.turn_deg)
+    fit = fit_run_up_run(run, setting=work.setting, known=known, without=work.without)
+    fit = as_mounted(fit, run.turn_deg)
     gains = work.rig.roles.gain_stds
     estimate = run_up_estimate(run, fit, work.rig.physics, gains)
     estimate, told = run_up_sides(run, fit, estimate, work.rig, gains)

@@ -169,6 +169,11 @@ def solve_separable(
     return _solution(model, minimum)
 
 
+def linear_unknowns(block: Block) -> np.ndarray:
+    """The block's c that fits best, shape (k,)."""
+    return _projected(block)[1]
+
+
 def _projected(block: Block) -> tuple[np.ndarray, np.ndarray]:
     q, r = _orthonormal(block.basis)
     diagonal = np.abs(np.diag(r))

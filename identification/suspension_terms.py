@@ -1,13 +1,14 @@
 # pyright: strict
 """The suspension's terms of all ring-downs, and how errors of theirs go with what else the tests find.
 
-A ring-down finds k and ζ at zero amplitude together with H and Q, so their errors are correlated. With C_t the terms'
+A test finds k and ζ at zero amplitude together with H and Q, so their errors are correlated. With C_t the terms'
 covariance, L its lower Cholesky factor and C_kt that with k and ζ, C_kt C_t⁻¹ L are the shifts of k and ζ for one
 standard deviation of independent errors, which a prediction shares; what is left of the covariance is the test's own.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,9 +16,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.equations.parameters import RotorParameters
 from identification.estimate import Estimate
 from identification.ring_down.direction_terms import DirectionTerms
-from identification.ring_down.result import RingDownFit
+from identification.run_up.bent_passage import KnownSuspension
 from rig_configs.suspension_terms import LABEL, TERMS, SuspensionTerms, term_label
 
 Array = NDArray[np.float64]
@@ -36,18 +38,26 @@ class ChosenTerms:
     directions: Mapping[int, tuple[str, DirectionTerms]]
 
 
-def terms_of_all(fits: Sequence[tuple[str, RingDownFit]], digests: Mapping[str, str] | None = None) -> ChosenTerms:
-    """Of each direction the terms that the ring-down found in which it moves most.
+def terms_of_all(
+    ring_downs: Sequence[tuple[str, Sequence[DirectionTerms]]],
+    passages: Sequence[tuple[str, Sequence[DirectionTerms]]] = (), digests: Mapping[str, str] | None = None,
+) -> ChosenTerms:  # fmt: skip
+    """Of each direction the terms that the ring-down found in which it moves most, or a passage that knows them better.
 
     Args:
-        fits: source and fit of every ring-down.
+        ring_downs, passages: source and what was found in each direction, of every test.
         digests: of the logs, by source.
     """
     chosen = dict[int, tuple[str, DirectionTerms]]()
-    for source, fit in fits:
-        for own in fit.terms:
+    for source, found_there in ring_downs:
+        for own in found_there:
             if own.direction not in chosen or own.largest_m > chosen[own.direction][1].largest_m:
                 chosen[own.direction] = source, own
+    for source, found_there in passages:
+        for own in found_there:
+            before = chosen.get(own.direction)
+            if before is not None and _is_sharper(own, before[1]):
+                chosen[own.direction] = source, replace(own, found=before[1].found)
     values, covariance, found = np.zeros(4), np.zeros((4, 4)), list[str]()
     for direction, (_, own) in chosen.items():
         at = [direction - 1, direction + 1]
@@ -59,16 +69,40 @@ def terms_of_all(fits: Sequence[tuple[str, RingDownFit]], digests: Mapping[str, 
     return ChosenTerms(SuspensionTerms(values, covariance, tuple(n for n in TERMS if n in found), logs, known), chosen)
 
 
+def _is_sharper(one: DirectionTerms, other: DirectionTerms) -> bool:
+    """Whether every term of the other is known better by the one."""
+    stds = [np.sqrt(np.diag(each.covariance)[2:]) for each in (one, other)]
+    there = stds[1] > 0
+    return bool(there.any() and np.all(stds[0][there] > 0) and np.all(stds[0][there] < stds[1][there]))
+
+
+def known_suspension(physics: RotorParameters, terms: SuspensionTerms, angle_deg: float) -> KnownSuspension | None:
+    """What a passage may start from; None where no ring-down shows that the suspension changes with the motion.
+
+    Args:
+        physics: with what the ring-downs found.
+        angle_deg: from the stiffness x axis to the sensor x axis as it is mounted.
+    """
+    if not terms.found:
+        return None
+    p = physics
+    moment = p.forcing_moment_kg_m + p.a.first_moment_kg_m - p.b.first_moment_kg_m  # locked at 0° and 180°
+    return KnownSuspension(
+        terms.values, terms.std, p.natural_frequencies_rad_s, (p.zeta1, p.zeta2), math.radians(angle_deg),
+        complex(moment / p.total_mass_kg),
+    )  # fmt: skip
+
+
 def sharing_terms(estimates: Sequence[Estimate], chosen: ChosenTerms) -> list[Estimate]:
-    """Ring-downs' estimates with the part of their errors that they share with the terms under its label.
+    """Estimates with the part of their errors that they share with the terms under its label.
 
     One that had such a part before has it made anew.
     """
-    return [_sharing(_plain(one), chosen) if one.method.startswith("two coupled decays") else one for one in estimates]
+    return [_sharing(_plain(one), chosen) for one in estimates]
 
 
 def _plain(estimate: Estimate) -> Estimate:
-    """All of a ring-down's errors its own again, but clocks."""
+    """All errors that were shared with terms its own again."""
     of_terms = [shift for label, shift in estimate.shared.items() if label.startswith(f"{LABEL} ")]
     if not of_terms:
         return estimate
@@ -82,28 +116,18 @@ def _sharing(estimate: Estimate, chosen: ChosenTerms) -> Estimate:
     for direction, (source, terms) in chosen.directions.items():
         if source != estimate.source:
             continue
-        k, zeta = f"k{direction}_N_per_m", f"zeta{direction}"
-        if k not in estimate.names or zeta not in estimate.names:
+        names = [TERMS[direction - 1], TERMS[direction + 1]]
+        there = [
+            i for i, name in enumerate(names) if name in estimate.with_terms and terms.covariance[2 + i, 2 + i] > 0
+        ]
+        if not there:
             continue
-        for label, (by_f, by_zeta) in _shifts(terms).items():
-            shift = np.zeros(len(estimate.names))
-            shift[estimate.names.index(k)] = 2 * estimate.value(k) * by_f
-            shift[estimate.names.index(zeta)] = by_zeta
-            shared[label] = shift
+        of_terms = terms.covariance[2:, 2:][np.ix_(there, there)]
+        unit = np.sqrt(np.diag(of_terms))
+        lower = np.linalg.cholesky(of_terms / np.outer(unit, unit))
+        crossed = np.array([estimate.with_terms[names[i]] for i in there]) / unit[:, None]
+        # C_kt C_t⁻¹ L = C_kt L⁻ᵀ
+        for i, shift in zip(there, np.linalg.solve(lower, crossed), strict=True):
+            shared[term_label(names[i])] = shift
             own = own - np.outer(shift, shift)
     return replace(estimate, covariance=own, shared=shared)
-
-
-def _shifts(terms: DirectionTerms) -> dict[str, tuple[float, float]]:
-    """Label → shifts of ln f and ζ for one standard deviation of that error."""
-    of_terms, with_rates = terms.covariance[2:, 2:], terms.covariance[:2, 2:]
-    std = np.sqrt(np.diag(of_terms))
-    names = [TERMS[terms.direction - 1], TERMS[terms.direction + 1]]
-    there = [i for i in range(2) if std[i] > 0]
-    if not there:
-        return {}
-    unit = std[there]
-    lower = np.linalg.cholesky(of_terms[np.ix_(there, there)] / np.outer(unit, unit))
-    # C_kt C_t⁻¹ L = C_kt L⁻ᵀ
-    shifts = np.linalg.solve(lower, (with_rates[:, there] / unit).T)
-    return {term_label(names[i]): (float(f), float(z)) for i, (f, z) in zip(there, shifts, strict=True)}

@@ -159,6 +159,7 @@ def reduced(estimate: Estimate, names: Sequence[str]) -> Estimate:
     return replace(
         estimate, names=tuple(names), values=estimate.values[at], covariance=estimate.covariance[np.ix_(at, at)],
         shared=shared, by_number={number: v[at] for number, v in estimate.by_number.items()},
+        with_terms={name: v[at] for name, v in estimate.with_terms.items()},
     )  # fmt: skip
 
 

@@ -45,6 +45,7 @@ from identification.ring_down.result import Findings, RingDownFit, result
 from identification.rungs import held_back
 from identification.setting import Setting, check_setting
 from identification.threads import on_one_thread
+from rig_configs.suspension_terms import TERMS
 
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted, where a run-up has to rely on it
 DELAY_STD_S = 3e-3  # between two lasers' clocks
@@ -129,7 +130,21 @@ def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float) -> Estimate:
     shared = clock_errors(run, slopes)
     own = fit.covariance[np.ix_(order, order)]
     method = "two coupled decays, separable least squares"
-    return Estimate(run.test, run.source, names, values, own, shared, method, mass_slopes(names, values, mass_kg))
+    by_number = mass_slopes(names, values, mass_kg)
+    return Estimate(run.test, run.source, names, values, own, shared, method, by_number, _with_terms(fit, names))
+
+
+def _with_terms(fit: RingDownFit, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Term of the suspension that the fit shows → its covariance with some of k1, k2, ζ1, ζ2."""
+    out = dict[str, np.ndarray]()
+    for found in fit.terms:
+        k, zeta = f"k{found.direction}_N_per_m", f"zeta{found.direction}"
+        for place, name in enumerate((TERMS[found.direction - 1], TERMS[found.direction + 1])):
+            if found.covariance[2 + place, 2 + place] > 0:
+                with_f, with_zeta = found.covariance[:2, 2 + place].tolist()
+                of = {k: 2 * fit.values.get(k, 0.0) * with_f, zeta: with_zeta}
+                out[name] = np.array([of.get(n, 0.0) for n in names])
+    return out
 
 
 def _axis_prior(degrees: float) -> float:

@@ -19,7 +19,6 @@ from identification.run_up.model import (
     ANGLE,
     CLOCKS,
     OMEGAS,
-    PARAMETERS,
     RIPPLE,
     RunUpRecord,
     Structure,
@@ -154,7 +153,7 @@ def alike(design: Design) -> bool:
 def _single(design: Design) -> _Other:
     """Both directions with the same ω and ζ."""
     theta, spread = design.structure.theta(design.phi), design.structure.spread
-    rows = np.zeros((2, PARAMETERS))
+    rows = np.zeros((2, len(theta)))
     rows[range(2), OMEGAS[0] + np.arange(2)] = 1.0
     rows[range(2), OMEGAS[1] + np.arange(2)] = -1.0
     contrast = np.pad(rows @ spread, ((0, 0), (0, design.unknowns - design.nonlinear)))

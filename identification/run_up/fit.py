@@ -18,6 +18,8 @@ from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.laser_wander import wander_sentences
 from identification.least_squares import Solution, solve_separable
+from identification.ring_down.direction_terms import DirectionTerms
+from identification.run_up.bent_passage import BentPassage, KnownSuspension
 from identification.run_up.choice import Comparison, alike, compare
 from identification.run_up.design import (
     Design,
@@ -34,6 +36,7 @@ from identification.run_up.model import (
     DRIFTS,
     OMEGAS,
     PARAMETERS,
+    TERMS,
     ZETAS,
     RunUpRecord,
     Structure,
@@ -60,6 +63,8 @@ DELAY_STD_S = 10e-3  # between devices that keep clocks of their own
 _BLOCKS_PER_TURN = {"fast": 12.0, "balanced": 16.0, "reference": 40.0}
 _LEFT_OVER = 0.1  # share of the signal that marks a model that is none
 _EXCESS = 1.5  # χ²/dof at which other start values are tried
+_MOST_SLOPE = 0.98  # of the ratio found by the one it was found with
+_TERMS_WIDE = 20.0  # standard deviations of a ring-down: what it knows of the terms counts once
 _ALIKE = 4.0  # one resonance as a start is worth a fit when it leaves at most so many times the best start's χ²
 _TRIED = 6
 _TOO_QUIET = 0.85  # residuals over noise; chance keeps 200 of them within 5 %
@@ -126,9 +131,13 @@ def fit_run_up(
 
 
 @on_one_thread
-def fit_run_up_run(run: Run, *, setting: Setting = "balanced", without: Collection[str] = ()) -> RunUpFit:
+def fit_run_up_run(
+    run: Run, *, setting: Setting = "balanced", known: KnownSuspension | None = None, without: Collection[str] = ()
+) -> RunUpFit:
     """The same on a recorded run: both sensors on their own clocks, the phase as recorded or from tachometer marks.
 
+    Args:
+        known: how the suspension changes with the motion, by ring-downs; f and ζ are then those at zero amplitude.
     Raises:
         NotIdentifiable: fewer than ten marks, or a passage that holds no resonance.
         FitFailed: no convergence, or a model that leaves much of the signal.
@@ -143,12 +152,13 @@ def fit_run_up_run(run: Run, *, setting: Setting = "balanced", without: Collecti
     x, y = (rate_std_between(run, axis, "phase") for axis in ("x", "y"))
     # a recording made elsewhere has one clock for all, however well its rate is known
     clocks = _Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
-    return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting, held_back(without))
+    return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting, held_back(without), known)
 
 
 def _fit(
     sensors: list[tuple[np.ndarray, np.ndarray]], phase: RotorPhase, clocks: _Clocks, setting: Setting,
     without: frozenset[Rung],
+    known: KnownSuspension | None = None,
 ) -> RunUpFit:  # fmt: skip
     check_setting(setting)
     start = max(phase.start_s, *(float(t[0]) for t, _ in sensors))
@@ -166,7 +176,11 @@ def _fit(
         warnings += told
     record = RunUpRecord(channels[0], channels[1], drive)
     slow_roll = "slow-roll" not in without
-    structure, solution = _from_starts(record, _structure(drive, clocks), slow_roll)
+    structure = _structure(drive, clocks)
+    if known is None:
+        structure, solution = _from_starts(record, structure, slow_roll)
+    else:
+        record, structure, solution = _about_known(record, structure, known)
     record, solution, told = _without_wild_blocks(record, structure, solution)
     warnings += told
     quieter, told = _noise_of_residuals(record, solution)
@@ -195,6 +209,42 @@ def _structure(drive: Drive, clocks: _Clocks) -> Structure:
     # clocks that agree, and ripple, stay at zero unless the data ask for them
     prior_std[DELAYS], prior_std[DRIFTS] = clocks.delay_std_s, clocks.drift_std
     return free_structure(prior, prior_std, drift_order=1)
+
+
+def _about_known(
+    record: RunUpRecord, structure: Structure, known: KnownSuspension
+) -> tuple[RunUpRecord, Structure, Solution]:
+    """The fit with the suspension's terms, from what ring-downs have found."""
+    bent, structure = BentPassage.of(record.drive, known.amplitude_m), _with_terms(structure, known)
+    record = replace(record, bent=bent)
+    start = np.r_[_theta(RunUpStart(known.omegas, known.zetas, known.angle_rad, 0.0)), known.terms]
+    solution = _solve(record, structure, structure.project(start))
+    ratios = [bent.gain_ratio]
+    for _ in range(3):  # the amplitudes follow the ratio they are found with nearly wholly: a secant's step at last
+        if len(bent.starts) < len(record.channels):
+            break
+        ratios.append(bent.found_ratio())
+        if len(ratios) == 3 and abs(ratios[2] - ratios[1]) < _MOST_SLOPE * abs(ratios[1] - ratios[0]):
+            slope = (ratios[2] - ratios[1]) / (ratios[1] - ratios[0])
+            ratios[-1] = ratios[0] + (ratios[1] - ratios[0]) / (1 - slope)
+        elif len(ratios) > 3:
+            break
+        record = replace(record, bent=replace(bent, gain_ratio=ratios[-1]))
+        solution = _solve(record, structure, solution.minimum.theta)
+    return record, structure, solution
+
+
+def _with_terms(structure: Structure, known: KnownSuspension) -> Structure:
+    """With the suspension's terms free where there are any, in a range so wide that the passage decides."""
+    std = _TERMS_WIDE * known.terms_std
+    base = np.r_[structure.base, np.where(std > 0, 0.0, known.terms)]
+    spread = np.zeros((len(base), structure.spread.shape[1]))
+    spread[:PARAMETERS] = structure.spread
+    free = np.eye(len(base))[:, TERMS][:, std > 0]
+    return replace(
+        structure, base=base, spread=np.hstack([spread, free]), prior=np.r_[structure.prior, known.terms[std > 0]],
+        prior_std=np.r_[structure.prior_std, std[std > 0]],
+    )  # fmt: skip
 
 
 def _solve(record: RunUpRecord, structure: Structure, phi: np.ndarray, iterations: int = 40) -> Solution:
@@ -251,7 +301,7 @@ def _noise_of_residuals(record: RunUpRecord, solution: Solution) -> tuple[RunUpR
                 f"sensor {name}: differences of neighbouring samples show more than noise, as when they are sparse; "
                 f"{noise:.3g} m is taken from the residuals instead, so that χ² is no test of the model"
             )
-    return RunUpRecord(channels[0], channels[1], record.drive), told
+    return replace(record, x=channels[0], y=channels[1], recent={}), told
 
 
 def _without_wild_blocks(
@@ -276,7 +326,7 @@ def _without_wild_blocks(
         if now == lost or max(n / len(k) for n, k in zip(now, keep, strict=True)) > _MOST_WILD:
             break
         lost = now
-        record = RunUpRecord(whole.channels[0].where(keep[0]), whole.channels[1].where(keep[1]), whole.drive)
+        record = replace(whole, x=whole.channels[0].where(keep[0]), y=whole.channels[1].where(keep[1]), recent={})
         solution = _solve(record, structure, solution.minimum.theta)
     told = [
         f"{n} blocks of sensor {name} left out, which hold what neither motion nor noise explains"
@@ -348,6 +398,7 @@ def _result(
         )
     if correlated > 1.0 and not slow:
         warnings.append(f"run-up residuals are correlated; standard deviations are {correlated:.3g} times as long")
+    terms, with_terms = _terms(record, phase, design, 1.0 if stretch is None else stretch)
     names, values, covariance = [names[i] for i in keep], values[keep], covariance[np.ix_(keep, keep)]
     warnings += slow_roll_sentences(names, values, covariance)
     naive = {a: half_power(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
@@ -355,9 +406,33 @@ def _result(
     fit = RunUpFit(
         dict(zip(names, values.tolist(), strict=True)), covariance, warnings, curves, naive,
         [c.noise for c in record.channels], chi2, tracked, {}, comparison.model, comparison.table,
-        solution.minimum.converged,
+        solution.minimum.converged, terms, with_terms[keep],
     )  # fmt: skip
     return replace(fit, intervals=intervals(record, design, fit, setting))
+
+
+def _terms(
+    record: RunUpRecord, phase: RotorPhase, design: Design, stretch: float
+) -> tuple[list[DirectionTerms], np.ndarray]:
+    """The suspension's terms of each direction, and the covariance of all values with H1, H2, Q1, Q2, shape (n, 4)."""
+    jacobian = reported(design, phase.mark_rad)[2]
+    if record.bent is None:
+        return [], np.zeros((len(jacobian), 4))
+    spread = design.structure.spread[TERMS]
+    pick = np.pad(spread, ((0, 0), (0, design.unknowns - design.nonlinear)))
+    every = np.concatenate([jacobian, pick])
+    covariance = every @ design.covariance @ every.T * stretch + phase_noise_covariance(record, phase, design, every)
+    own = covariance[len(jacobian) :, len(jacobian) :]
+    values, free, out = (
+        design.structure.theta(design.phi)[TERMS],
+        [bool(row.any()) for row in spread],
+        list[DirectionTerms](),
+    )
+    for mode in range(2):
+        at, both = [mode, 2 + mode], np.zeros((4, 4))
+        both[2:, 2:] = own[np.ix_(at, at)]
+        out.append(DirectionTerms(mode + 1, values[at], both, (free[mode], free[2 + mode]), 0.0))
+    return out, covariance[: len(jacobian), len(jacobian) :]
 
 
 def _values(

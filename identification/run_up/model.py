@@ -14,21 +14,26 @@ run-out, which the sensor shows at any speed, and the answer of the suspension t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
-from identification.least_squares import Block
+from identification.least_squares import Block, linear_unknowns
 from identification.ring_down.modes import rate_derivatives
+from identification.run_up.bent_passage import MOTION, BentPassage, Sensed
 from identification.run_up.forced_oscillator import Drive, Response, responses_at, responses_of
 from identification.run_up.slow_roll import Turning, bow_answer, turning
 from identification.samples import Averages
 
 OMEGAS, ZETAS, ANGLE, DELAYS, DRIFTS, RIPPLE, PARAMETERS = (0, 2), (1, 3), 4, slice(5, 7), slice(7, 9), slice(9, 13), 13
+TERMS = slice(13, 17)  # of θ where the suspension depends on the motion: H1, H2, Q1, Q2
 AXIS_PRIOR_STD = np.radians(30.0)  # the data determine β; this only keeps x from being called y
 _SLOW_ROLL = 6  # linear unknowns of a sensor before it: the imbalance's amplitude, free oscillations
 _REMEMBERED = 2  # sets of responses: of the best θ and of the one tried after it
+_SHARES, _PARTS = (0.0, 0.25, 0.5, 0.75), (1.0, 0.5, 0.25, 0.1)  # of terms; of a step
+_FIRST, _NEWTON, _SETTLED = 4, 12, 1e-6  # steps; of the amplitude
 CLOCKS = slice(DELAYS.start, DRIFTS.stop)
 
 
@@ -40,12 +45,14 @@ class RunUpRecord:
         x, y: the block averages.
         drive: e^{iψ} over their span.
         recent: responses last computed, as a solution is looked at several times.
+        bent: how the suspension changes with the motion; None where it does not.
     """
 
     x: Averages
     y: Averages
     drive: Drive
     recent: dict[tuple[float, ...], list[list[Response]]] = field(default_factory=dict, repr=False, compare=False)
+    bent: BentPassage | None = None
 
     @property
     def channels(self) -> tuple[Averages, Averages]:
@@ -78,8 +85,8 @@ class Structure:
     """Which model: θ = base + spread @ φ, with a Gaussian prior of φ.
 
     Attributes:
-        base: shape (13,).
-        spread: shape (13, p), of zeros and ones.
+        base: shape (13,), with the suspension's terms (17,).
+        spread: shape (13 or 17, p), of zeros and ones.
         prior, prior_std: of φ, shape (p,); std inf where nothing is known.
         drift_order: of the sensors' polynomial drift.
         run_out, bow: whether either is in the model.
@@ -114,7 +121,7 @@ class Structure:
 
     def with_more(self, rows: slice, std: Sequence[float]) -> Structure:
         """The same with further θ free, about zero within std."""
-        more = np.eye(PARAMETERS)[:, rows]
+        more = np.eye(len(self.base))[:, rows]
         return replace(
             self,
             spread=np.hstack([self.spread, more]),
@@ -124,7 +131,7 @@ class Structure:
 
     def only(self, rows: slice, theta: np.ndarray) -> Structure:
         """Nothing free but these; the others at θ."""
-        more = np.eye(PARAMETERS)[:, rows]
+        more = np.eye(len(self.base))[:, rows]
         base = theta - more @ theta[rows]
         return replace(self, base=base, spread=more, prior=theta[rows], prior_std=np.full(more.shape[1], np.inf))
 
@@ -137,17 +144,77 @@ def free_structure(prior: np.ndarray, prior_std: np.ndarray, drift_order: int) -
     """Every θ free whose prior standard deviation is not zero; the others stay at their prior."""
     free = prior_std > 0
     base = np.where(free, 0.0, prior)
-    return Structure(base, np.eye(PARAMETERS)[:, free], prior[free], prior_std[free], drift_order)
+    return Structure(base, np.eye(len(prior))[:, free], prior[free], prior_std[free], drift_order)
 
 
 def run_up_blocks(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[Block]:
     """The model at φ, one block per sensor."""
     theta = structure.theta(phi)
-    oscillators = [
+    oscillators = oscillators_of(theta)
+    if record.bent is not None:
+        return [_bent_block(record, record.bent, axis, structure, theta, oscillators) for axis in range(2)]
+    return [_sensor_block(record, axis, structure, theta, oscillators) for axis in range(2)]
+
+
+def _bent_block(
+    record: RunUpRecord, bent: BentPassage, axis: int, structure: Structure, theta: np.ndarray,
+    oscillators: list[tuple[float, float]],
+) -> Block:  # fmt: skip
+    """A sensor's block, linear about the motion that its own linear unknowns make: Newton's method for these."""
+    instants = record.when(theta, axis), record.channels[axis].spread_s2
+
+    def about(c: np.ndarray, share: float = 1.0) -> Block:
+        own = share * theta[TERMS]
+        sensed = bent.sensed(record.drive, axis, float(theta[ANGLE]), oscillators, own, instants, c)
+        return _sensor_block(record, axis, structure, theta, oscillators, sensed)
+
+    if axis in bent.starts:
+        c, block, _ = _newton(about, bent.starts[axis], _NEWTON)
+    else:
+        grown = linear_unknowns(_sensor_block(record, axis, structure, theta, oscillators))[:MOTION]
+        for share in _SHARES:  # out of the linear motion, as the terms grow
+            grown = _newton(partial(about, share=share), grown, _FIRST)[0]
+        nominal = np.array([bent.amplitude_m.real, bent.amplitude_m.imag, 0.0, 0.0, 0.0, 0.0])
+        tried = [_newton(about, start, _NEWTON) for start in (grown, nominal)]
+        c, block, _ = min(tried, key=lambda each: each[2])
+    if np.all(np.isfinite(c)):
+        bent.starts[axis] = c
+    return block
+
+
+def _newton(about: Callable[[np.ndarray], Block], c: np.ndarray, most: int) -> tuple[np.ndarray, Block, float]:
+    """The first linear unknowns at which a block that is linear about them stays, the block, and what it leaves."""
+    block = about(c)
+    left = _left(block, c)
+    for _ in range(most):
+        step = linear_unknowns(block)[:MOTION] - c
+        if not np.all(np.isfinite(step)) or np.max(np.abs(step)) < _SETTLED * np.hypot(*c[:2]):
+            break
+        for part in _PARTS:
+            trial = about(c + part * step)
+            trial_left = _left(trial, c + part * step)
+            if trial_left < left * (1 + _SETTLED):
+                break
+        else:
+            break
+        c, block, left = c + part * step, trial, trial_left
+    return c, block, left
+
+
+def _left(block: Block, c: np.ndarray) -> float:
+    """Squares of what a block leaves whose first linear unknowns are given."""
+    rest = Block(block.data - block.basis[:, :MOTION] @ c, block.basis[:, MOTION:], block.tangent)
+    left = rest.data - rest.basis @ linear_unknowns(rest)
+    found = float(left @ left)
+    return found if np.isfinite(found) else np.inf
+
+
+def oscillators_of(theta: np.ndarray) -> list[tuple[float, float]]:
+    """ω and ζ of both modes."""
+    return [
         (float(np.exp(np.clip(theta[w], -3.0, 8.0))), float(np.exp(np.clip(theta[z], -16.0, -0.05))))
         for w, z in zip(OMEGAS, ZETAS, strict=True)
     ]
-    return [_sensor_block(record, axis, structure, theta, oscillators) for axis in range(2)]
 
 
 def drift_columns(structure: Structure, from_middle: np.ndarray) -> list[np.ndarray]:
@@ -165,21 +232,23 @@ def _ripple(when_s: np.ndarray, channel: Averages, drive: Drive, oscillators: li
 
 
 def _sensor_block(
-    record: RunUpRecord, axis: int, structure: Structure, theta: np.ndarray, oscillators: list[tuple[float, float]]
-) -> Block:
+    record: RunUpRecord, axis: int, structure: Structure, theta: np.ndarray, oscillators: list[tuple[float, float]],
+    given: Sensed | None = None,
+) -> Block:  # fmt: skip
     channel, drive = record.channels[axis], record.drive
     from_middle = channel.time_s - record.middle_s
     cos, sin = np.cos(theta[ANGLE]), np.sin(theta[ANGLE])
     # x = Re(A h1), y = Im(A h2) = Re(−i A h2): both are Re(A times a complex signal)
     mix = ((cos, -1j * sin), (-sin, -1j * cos))[axis]
     turned = ((-sin, -1j * cos), (-cos, 1j * sin))[axis]
-    seen = record.responses(theta, oscillators)[axis]
+    seen = record.responses(theta, oscillators)[axis] if given is None else given.responses
     ripple = (
         _ripple(record.when(theta, axis), channel, drive, oscillators)
         if structure.spread[RIPPLE].any()
         else np.zeros((2, 4, 1))
     )
     shown = [seen[mode].h + theta[RIPPLE] @ ripple[mode] for mode in range(2)]
+    whole = shown if given is None else [q + theta[RIPPLE] @ r for q, r in zip(given.whole, ripple, strict=True)]
     signal = mix[0] * shown[0] + mix[1] * shown[1]
     columns = [np.real(signal), -np.imag(signal)]
     for one in seen:
@@ -192,12 +261,12 @@ def _sensor_block(
 
     def tangent(c: np.ndarray) -> np.ndarray:
         amplitude = complex(c[0], c[1])
-        out = np.zeros((PARAMETERS, len(from_middle)))
+        out = np.zeros((len(theta), len(from_middle)))
         for mode in range(2):
             factor = amplitude * mix[mode]
             out[2 * mode] = (factor * seen[mode].by_omega).real
             out[2 * mode + 1] = (factor * seen[mode].by_zeta).real
-            out[ANGLE] += (amplitude * turned[mode] * shown[mode]).real
+            out[ANGLE] += (amplitude * turned[mode] * whole[mode]).real
             out[RIPPLE] += (factor * ripple[mode]).real
             out[DELAYS.start + axis] -= (factor * seen[mode].rate).real
             free = complex(c[2 + 2 * mode], c[3 + 2 * mode])
@@ -208,10 +277,13 @@ def _sensor_block(
             for row, by in one.by.items():
                 out[row] += (factor * by).real
             out[DELAYS.start + axis] -= (factor * one.rate).real
+        if given is not None:
+            out[TERMS] = given.by_terms.T
         out[DRIFTS.start + axis] = out[DELAYS.start + axis] * from_middle
         return (out.T @ structure.spread) * weight[:, None]
 
-    return Block(channel.value * weight, basis, tangent)
+    value = channel.value if given is None else channel.value - given.offset
+    return Block(value * weight, basis, tangent)
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,10 @@ from identification.curve import Curve
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
 from identification.mass_slopes import mass_slopes
+from identification.ring_down.direction_terms import DirectionTerms
 from identification.setting import ModelChoice
 from rig_configs.known import MASSES, ZERO_A, ZERO_B, gain_label
+from rig_configs.suspension_terms import TERMS
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class RunUpFit:
         vold_kalman: per sensor f_Hz and zeta of a steady-state curve through the Vold–Kalman amplitude; biased too.
         intervals: 95 % of each value, from the likelihood's profile where the axes are badly resolved.
         model, model_table: the smallest adequate model, and what it was compared with (χ² + k ln n).
+        terms: how the suspension changes with the motion, per direction, where ring-downs showed that it does.
+        with_terms: covariance of the values with H1, H2, Q1, Q2 of the terms, shape (n, 4).
         settled: whether the iteration did; the values of one that did not are none to quote.
     """
 
@@ -52,6 +56,8 @@ class RunUpFit:
     model: str = ""
     model_table: list[ModelChoice] = field(default_factory=list)
     settled: bool = True
+    terms: list[DirectionTerms] = field(default_factory=list[DirectionTerms])
+    with_terms: np.ndarray | None = None
 
     @property
     def std(self) -> dict[str, float]:
@@ -98,6 +104,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     for k, i in enumerate(seen):
         shift = slope * mass * weights[k] * amplitudes[k] * gains[k]
         shared[gain_label("xy"[i])] = np.r_[np.zeros(2 * m), shift]
+    with_terms = jacobian @ fit.with_terms[order] if fit.terms and fit.with_terms is not None else np.empty((0, 0))
     by_number = mass_slopes(names, values, mass)
     for number, change in _imbalance_slopes(_locked_angles(run), physics, locked, slope, moment / mass).items():
         own = by_number.get(number, np.zeros(len(names))).copy()
@@ -106,6 +113,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     return Estimate(
         run.test, run.source, names, values, jacobian @ covariance @ jacobian.T, shared,
         f"transient passage, separable least squares: {fit.model}", by_number,
+        dict(zip(TERMS, with_terms.T, strict=False)),
     )  # fmt: skip
 
 

@@ -1,0 +1,121 @@
+# pyright: strict
+"""A passage of a rig whose suspension depends on the motion, as a sensor sees it, linear about one motion.
+
+Each sensor's readings are its gain times the motion. In a sensor's own scale the equations hold with the terms as the
+ring-downs found them through the same sensor, so its gain drops out. Source: docs/theory/run_up.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.run_up.bent_oscillator import bent_response, forcing
+from identification.run_up.forced_oscillator import Drive, Instants, Response
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FREE = 2  # place of the free oscillations among a sensor's linear unknowns, after the imbalance's amplitude
+MOTION = 6  # linear unknowns that the motion depends on: amplitude, free oscillations of both modes
+
+
+@dataclass(frozen=True)
+class KnownSuspension:
+    """What ring-downs have found before a passage.
+
+    Attributes:
+        terms: H1, H2 (1/m²), Q1, Q2 (s/m), shape (4,).
+        terms_std: standard deviations, 0 where there is none, shape (4,).
+        omegas, zetas: at zero amplitude, to start from.
+        angle_rad: from the stiffness x axis to the sensor x axis.
+        amplitude_m: eccentricity of all that turns by the rig file, against ψ: one of two places to start from.
+    """
+
+    terms: Array
+    terms_std: Array
+    omegas: tuple[float, float]
+    zetas: tuple[float, float]
+    angle_rad: float
+    amplitude_m: complex
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """What a sensor sees of both modes, linear about a motion.
+
+    Attributes:
+        responses: as of linear oscillators: h goes with a change of the amplitude, the others with it as a whole.
+        whole: per mode the motion over its amplitude, complex.
+        offset: what the sensor shows beside its amplitudes times the responses, m, shape (n,).
+        by_terms: derivatives of what it shows by H1, H2, Q1, Q2, shape (n, 4).
+    """
+
+    responses: list[Response]
+    whole: list[Complex]
+    offset: Array
+    by_terms: Array
+
+
+@dataclass(frozen=True)
+class BentPassage:
+    """What a passage with terms needs beside its record.
+
+    Attributes:
+        force: of the drive.
+        amplitude_m: to start from.
+        gain_ratio: of sensor y over sensor x: a direction's terms are in its own sensor's scale.
+        starts: per sensor the linear unknowns last found, to start from.
+    """
+
+    force: Complex
+    amplitude_m: complex
+    gain_ratio: float = 1.0
+    starts: dict[int, Array] = field(default_factory=dict[int, Array])
+
+    @classmethod
+    def of(cls, drive: Drive, amplitude_m: complex) -> BentPassage:
+        """On a drive."""
+        return cls(forcing(drive), amplitude_m)
+
+    def found_ratio(self) -> float:
+        """The gains' ratio as the amplitudes last found have it."""
+        x, y = (float(np.hypot(*self.starts[axis][:2])) for axis in range(2))
+        return y / x
+
+    def sensed(
+        self, drive: Drive, axis: int, angle_rad: float, oscillators: list[tuple[float, float]], terms: Array,
+        instants: Instants, c: Array,
+    ) -> Sensed:  # fmt: skip
+        """What a sensor sees about the motion of its linear unknowns.
+
+        Args:
+            axis: 0 for sensor x, 1 for y.
+            terms: H1, H2, Q1, Q2.
+            instants: of its blocks.
+            c: linear unknowns, of which the first six count.
+        """
+        cos, sin = float(np.cos(angle_rad)), float(np.sin(angle_rad))
+        share = ((cos, sin), (-sin, cos))[axis]
+        amplitude = complex(c[0], c[1])
+        n = len(instants[0])
+        found = Sensed([], [], np.zeros(n), np.zeros((n, 4)))
+        none = np.zeros(n, np.complex128)
+        for mode, oscillator in enumerate(oscillators):
+            b = amplitude * (1.0, -1j)[mode]
+            own = mode == axis  # the other mode's free oscillation is seen too weakly to bend it
+            at = FREE + 2 * mode
+            free = complex(c[at], c[at + 1]) / share[mode] if own else 0j
+            scale = 1.0 if own else (self.gain_ratio, 1.0 / self.gain_ratio)[axis]
+            own_terms = scale**2 * float(terms[mode]), scale * float(terms[2 + mode])
+            seen = bent_response(*instants, drive, self.force, oscillator, own_terms, b, free)
+            plain = (b * seen.by_drive).real + (free * seen.by_free).real
+            found.offset[:] += share[mode] * (seen.motion - plain)
+            found.by_terms[:, mode], found.by_terms[:, 2 + mode] = (share[mode] * by for by in seen.by_terms)
+            found.whole.append(seen.motion / b)
+            found.responses.append(
+                Response(seen.by_drive, seen.rate / b, seen.by_omega / b, seen.by_zeta / b, seen.by_free, none)
+            )
+        return found
