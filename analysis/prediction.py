@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from analysis.dry_friction import DryFriction, LeftOpen, Sensors, left_open
 from analysis.errors import NoStableState
 from analysis.run_out import by_shown_run_out, shown_run_out, with_run_out
+from analysis.term_errors import TERM_STEPS, term_errors, uncertain_terms
 from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
@@ -36,7 +37,6 @@ AXIS_ANGLE = "axis angle"
 _SPEED = "speed"
 BOW = ("bow_x_m", "bow_y_m")
 _BOW_STEP_M = 1e-7
-_TERM_STEPS: Mapping[str, float] = dict(zip(TERMS, (10.0, 10.0, 3e-3, 3e-3), strict=True))
 _AT_REST_M = 1e-9  # an orbit below is none
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
@@ -160,27 +160,6 @@ def predict_point(
     )  # fmt: skip
 
 
-def uncertain_terms(identified: IdentifiedParameters) -> list[str]:
-    """Terms of the suspension that are found or likely."""
-    terms = identified.terms
-    return [] if terms is None else [n for n, std in zip(TERMS, terms.std.tolist(), strict=True) if std > 0]
-
-
-def term_errors(rig: Rig, identified: IdentifiedParameters, by_term: Mapping[str, Array]) -> dict[str, Array]:
-    """How errors of the suspension's terms shift what goes with them: label → shift for one standard deviation.
-
-    Args:
-        by_term: derivative of any quantities by each term.
-    """
-    if identified.terms is None or not by_term:
-        return {}
-    errors = identified.terms.errors(rig.roles.gain_stds)
-    at = {name: TERMS.index(name) for name in by_term}
-    return {
-        label: np.sum([by * shift[at[name]] for name, by in by_term.items()], axis=0) for label, shift in errors.items()
-    }
-
-
 def _shared(
     known: Known, identified: IdentifiedParameters, by_parameter: Array, by_number: Mapping[str, Array]
 ) -> dict[str, Array]:
@@ -275,7 +254,7 @@ def _slopes(
     same, (beta, run_out) = (sensors, sensors), sensors
     for name in names:
         if name in TERMS:
-            h = _TERM_STEPS[name]
+            h = TERM_STEPS[name]
             pair = [moved_term(physics, name, sign * h) for sign in (1, -1)]
         else:
             h = 1e-4 * abs(found[name]) or 1e-9
