@@ -23,6 +23,7 @@ from rig_configs import Rig
 from rig_configs.known import Known
 from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
 from rig_configs.slow_roll import SlowRoll
+from rig_configs.suspension_terms import TERMS, SuspensionTerms
 from uncertainty import Budgets, Group, Source
 from uncertainty.group import Input
 
@@ -64,6 +65,7 @@ class PredictedBudgets:
         known: what the rig file takes as known.
         slow_roll: run-out and bow that the predictions were made with.
         slow_roll_sensitivities: of SlowRoll.values by the budgets' columns, shape (6, columns).
+        term_sensitivities: of the suspension's terms (TERMS) by the budgets' columns, shape (4, columns).
     """
 
     quantities: tuple[Quantity, ...]
@@ -75,6 +77,7 @@ class PredictedBudgets:
     known: Known
     slow_roll: SlowRoll | None
     slow_roll_sensitivities: Array
+    term_sensitivities: Array
 
     @cached_property
     def columns(self) -> dict[str, int]:
@@ -106,6 +109,7 @@ class PredictedBudgets:
 def predicted_budgets(
     predictions: Mapping[str, Prediction], names: Sequence[str], parameters: Budgets, rig: Rig,
     axis_angle_deg: tuple[float, float], *, axis_identified: bool = True, slow_roll: SlowRoll | None = None,
+    terms: SuspensionTerms | None = None,
 ) -> PredictedBudgets:  # fmt: skip
     """Budgets of angles and amplitudes at the points.
 
@@ -119,6 +123,7 @@ def predicted_budgets(
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis with its standard uncertainty.
         axis_identified: whether a test found the angle.
         slow_roll: run-out and bow that the predictions were made with.
+        terms: of the suspension, likewise.
     """
     quantities = tuple(q for point, found in predictions.items() for q in _quantities(point, found))
     at = [parameters.names.index(name) for name in names]
@@ -136,18 +141,26 @@ def predicted_budgets(
         if source.label not in there and (moved & set(source.effects) or source.label in rolled)
     ]
     extra += [source for label, (source, _) in rolled.items() if source.name not in there and not is_known(label)]
+    changed = {} if terms is None else terms.errors(rig.roles.gain_stds)
+    there |= {source.name for source in extra}
+    extra += [shared_source(label, rig) for label, shift in changed.items() if label not in there and np.any(shift)]
     frictions = {point: _friction_source(point, found.friction) for point, found in predictions.items()}
     sources: tuple[Input, ...] = (*parameters.sources, *extra, *(f for f in frictions.values() if f is not None))
     columns = columns_of(sources)
     width = sum(source.width for source in sources)
-    through, roll = np.zeros((len(at), width)), np.zeros((6, width))
+    through, roll, term = np.zeros((len(at), width)), np.zeros((6, width)), np.zeros((len(TERMS), width))
     through[:, : parameters.sensitivities.shape[1]] = parameters.sensitivities[at]
     for source, shift in rolled.values():
         roll[:, columns[source.name]] += shift / float(_unit_of(sources, source.name))
+    for label, shift in changed.items():
+        if label in columns:
+            term[:, columns[label]] += shift / float(_unit_of(sources, label))
     table = np.zeros((len(quantities), width))
     for row, q in enumerate(quantities):
         found = predictions[q.point]
         table[row] = q.scale * (found.by_parameter[q.index] @ through + found.by_run_out_and_bow[q.index] @ roll)
+        for name, by in found.by_term.items():
+            table[row] += q.scale * float(by[q.index]) * term[TERMS.index(name)]
         own = frictions[q.point]
         if own is not None:
             table[row, columns[own.name] :][: own.width] = q.scale * found.friction.slopes[q.index]
@@ -157,7 +170,9 @@ def predicted_budgets(
         tuple(q.name for q in quantities), np.array(values), tuple(q.unit for q in quantities), sources, table
     )
     angle = math.radians(axis_angle_deg[0])
-    return PredictedBudgets(quantities, predictions, tuple(names), budgets, through, angle, known, slow_roll, roll)
+    return PredictedBudgets(
+        quantities, predictions, tuple(names), budgets, through, angle, known, slow_roll, roll, term
+    )
 
 
 def friction_label(point: str) -> str:

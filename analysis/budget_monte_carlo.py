@@ -23,6 +23,7 @@ from analysis.prediction import AXIS_ANGLE, fixed_point_inverse, half_turn, obse
 from dynamics import RotorParameters
 from dynamics.errors import DynamicsError
 from rig_configs.known import with_number
+from rig_configs.suspension_terms import TERMS, moved_term
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,10 @@ class NonlinearModel:
             if number in self.of.known.values and any(number in p.by_number for p in self.of.predictions.values()):
                 physics = with_number(physics, number, self.of.known.values[number] + change)
         drawn = {n: found[n] + float(s) for n, s in zip(self.of.parameters, shifts, strict=True)}
-        return physics.with_values(**drawn)
+        physics = physics.with_values(**drawn)
+        for name, change in zip(TERMS, (self.of.term_sensitivities @ error).tolist(), strict=True):
+            physics = moved_term(physics, name, change) if change else physics
+        return physics
 
     def _bent(self, physics: RotorParameters, error: Array) -> tuple[RotorParameters, tuple[complex, complex]]:
         """The rig with the bow of one draw, and what run-out adds to the complex amplitudes of x and y."""

@@ -1,13 +1,15 @@
 # pyright: strict
-"""The suspension's terms in what is predicted: which of them are uncertain, and what their errors do."""
+"""The suspension's terms in what is predicted: which of them are uncertain, what they and their errors do."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics import SteadyState
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.suspension_terms import TERMS
 
@@ -15,6 +17,7 @@ Array = NDArray[np.float64]
 
 TERM_STEPS: Mapping[str, float] = dict(zip(TERMS, (10.0, 10.0, 3e-3, 3e-3), strict=True))
 """Steps of differences by the terms, in their units."""
+_LEAST_SHARE = 5e-4  # of stiffness or damping: what is worth a word
 
 
 def uncertain_terms(identified: IdentifiedParameters) -> list[str]:
@@ -36,3 +39,23 @@ def term_errors(rig: Rig, identified: IdentifiedParameters, by_term: Mapping[str
     return {
         label: np.sum([by * shift[at[name]] for name, by in by_term.items()], axis=0) for label, shift in errors.items()
     }
+
+
+def effects(identified: IdentifiedParameters, state: SteadyState, speed_rad_s: float) -> str:
+    """What the terms that were found do to stiffness and damping on a steady orbit, in words; empty without any.
+
+    At the amplitude a along its direction a spring acts as one of k (1 + ¾ H a²), a damper as one of
+    ζ (1 + (8/3π) Q ω a) (docs/theory/ring_down.md).
+    """
+    if identified.terms is None:
+        return ""
+    amplitudes = (abs(state.x_m), abs(state.y_m))
+    parts: list[str] = []
+    for i, (name, value) in enumerate(zip(TERMS, identified.terms.values.tolist(), strict=True)):
+        a = amplitudes[i % 2]
+        share = 0.75 * value * a**2 if i < 2 else 8 / (3 * math.pi) * value * speed_rad_s * a
+        if name in identified.terms.found and abs(share) >= _LEAST_SHARE:
+            what = f"{'k' if i < 2 else 'ζ'}{i % 2 + 1}"
+            side = "above" if share > 0 else "below"
+            parts.append(f"{what} is {100 * abs(share):.2g} % {side} its value at zero amplitude ({1e3 * a:.2f} mm)")
+    return ", ".join(parts)

@@ -29,6 +29,7 @@ from analysis.results import PointResult
 from analysis.scores import NAMES, Z_LIMIT, Score, scores_of, sentence
 from analysis.start_ups import START_UPS, StartUps, start_ups
 from analysis.steady_state import SteadyMeasurement, locked_radius_m, measure
+from analysis.term_errors import effects
 from daq.signals.run import Run, point_of
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.drag import Reading, read_as
@@ -51,6 +52,7 @@ class Validation:
         noticed: cause, in words → the smallest size that the most sensitive point alone would notice, and that point.
         start_ups: repeated start-ups, by the speed that was asked for.
         of_releases: what releases show that no test has found, a sentence each.
+        suspension: what terms of the suspension that were found do at the points, a sentence each.
         reading: what releases took a torque for that grows with the square of the speed; "" where that was settled.
     """
 
@@ -61,6 +63,7 @@ class Validation:
     start_ups: Sequence[StartUps] = ()
     reading: Reading = ""
     of_releases: Sequence[str] = ()
+    suspension: Sequence[str] = ()
 
     @property
     def reasons(self) -> list[str]:
@@ -70,7 +73,12 @@ class Validation:
     @property
     def warnings(self) -> list[str]:
         """What the lasers show beside the rotor's motion under the log's name, and what releases tell of a drag."""
-        return [*([_READINGS[self.reading]] if self.reading else []), *self.of_releases, *self._remarks]
+        return [
+            *([_READINGS[self.reading]] if self.reading else []),
+            *self.of_releases,
+            *self.suspension,
+            *self._remarks,
+        ]
 
     @property
     def _remarks(self) -> list[str]:
@@ -137,8 +145,9 @@ def validate(
         rig, identified, axis_angle_deg, [each for each in releases if each.point in results],
     )  # fmt: skip
     repeated = _start_ups(runs, rig, identified, axis_angle_deg)
+    changed = _suspension(results, identified)
     if found is None:
-        return Validation(results, start_ups=repeated, reading=reading, of_releases=remarks)
+        return Validation(results, start_ups=repeated, reading=reading, of_releases=remarks, suspension=changed)
     for group in found.agreement.failing_points:
         name = group.removesuffix(f" {RELEASE}")
         if results[name].verdict == "pass":
@@ -146,9 +155,21 @@ def validate(
             which = "its quantities together" if name == group else "what happened right after the release"
             why = f"{which}: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
             results[name] = replace(results[name], verdict="fail", why=why)
-    validation = Validation(results, found.agreement, found.explanations, found.noticed, repeated, reading, remarks)
+    validation = Validation(
+        results, found.agreement, found.explanations, found.noticed, repeated, reading, remarks, changed
+    )
     off = any(p.verdict == "fail" and p.scores for p in results.values())  # a state that is missing has no differences
     return validation if validation.explanations or not off else replace(validation, explanations=found.explain())
+
+
+def _suspension(results: Mapping[str, PointResult], identified: IdentifiedParameters) -> list[str]:
+    """What the suspension's terms do at each point, a sentence each."""
+    found = {
+        name: effects(identified, point.prediction.state, point.prediction.speed_rad_s)
+        for name, point in results.items()
+        if point.prediction is not None
+    }
+    return [f"at {name} {text}" for name, text in found.items() if text]
 
 
 def _start_ups(

@@ -52,7 +52,7 @@ def predict(
     with wait_for_compilation("dynamics"):
         from dynamics import choose_model, steady_states  # noqa: PLC0415
 
-        physics = known.bent(loaded.physics)
+        physics = known.with_effects(loaded.physics)
         found = steady_states(physics, speed, accuracy, at_least=at_least)
         outcomes = _released(physics, speed, found) if release else []
     outcome = outcomes[0] if outcomes else None

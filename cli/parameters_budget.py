@@ -197,7 +197,7 @@ def _predicted(
     there = identified.axis_angle_deg is not None
     budgets = predicted_budgets(
         found, list(identified.values), of_parameters.budgets, rig, angle, axis_identified=there,
-        slow_roll=identified.slow_roll,
+        slow_roll=identified.slow_roll, terms=identified.terms,
     )  # fmt: skip
     for name in (n for point in found for n in quantity_names(point) if asked.shows(n)):
         if name not in budgets.budgets.names:

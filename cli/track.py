@@ -136,7 +136,7 @@ def _tracked(
     run = load_run(log)
     warnings = trackable(run)
     against = None if parameters is None else IdentifiedParameters.load(parameters)
-    physics = rig.physics if against is None else against.bent(rig.physics)
+    physics = rig.physics if against is None else against.with_effects(rig.physics)
     with share_progress(f"{setting} tracking of {log.name}") as tell:
         found = follow(
             run, physics, imbalance_std=imbalance_std(parameters, settings), batch_s=1e-3 * every_ms,

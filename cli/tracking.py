@@ -49,7 +49,7 @@ class LiveTracking:
     ) -> None:
         physics = session.rig.physics
         if parameters is not None:
-            physics = IdentifiedParameters.load(parameters).bent(physics)
+            physics = IdentifiedParameters.load(parameters).with_effects(physics)
         roles = session.rig.roles
         self._session = session
         self._tracker = Tracker(

@@ -109,15 +109,14 @@ class IdentifiedParameters:
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
         """The rig's numbers with the identified ones in place of the file's."""
-        found = physics.with_values(**self.values)
-        if self.terms is not None:
-            found = self.terms.applied_to(found)
-        if drag := Drag.of(self.provenance):
-            found = drag.on(found)
-        return self.bent(found)
+        return self.with_effects(physics.with_values(**self.values))
 
-    def bent(self, physics: RotorParameters) -> RotorParameters:
-        """The rig's numbers with the bow that was identified, if any."""
+    def with_effects(self, physics: RotorParameters) -> RotorParameters:
+        """The rig's numbers with what was found beside the values: the suspension's terms, drag, a bow."""
+        if self.terms is not None:
+            physics = self.terms.applied_to(physics)
+        if drag := Drag.of(self.provenance):
+            physics = drag.on(physics)
         bow = self.slow_roll.bow_m if self.slow_roll else 0j
         return replace(physics, bow_x_m=bow.real, bow_y_m=bow.imag) if bow else physics
 
