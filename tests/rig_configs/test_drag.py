@@ -43,7 +43,7 @@ def test_it_acts_on_the_rig_and_a_value_below_zero_does_not() -> None:
 
 
 def test_its_root_is_that_of_its_covariance() -> None:
-    assert FOUND.root @ FOUND.root.T == pytest.approx(FOUND.covariance)
+    assert 1e14 * FOUND.root @ FOUND.root.T == pytest.approx(1e14 * FOUND.covariance)
     assert replace(FOUND, covariance=np.zeros((2, 2))).root == pytest.approx(np.zeros((2, 2)))
 
 
@@ -59,7 +59,8 @@ def test_read_as_contact_friction_it_adds_to_what_was_found_of_that_and_drags_no
                           "covariance": np.zeros((4, 4)).tolist()}}  # fmt: skip
     provenance = read_as({**FOUND.table, **other}, "contact")
     assert friction(provenance) == pytest.approx([1e-6, 0.0, 1.7e-6, 1.8e-6])
-    assert np.array(provenance["friction"]["covariance"])[2:, 2:] == pytest.approx(FOUND.covariance)
+    covariance = np.array(provenance["friction"]["covariance"])
+    assert 1e14 * covariance[2:, 2:] == pytest.approx(1e14 * FOUND.covariance)
     drag = Drag.of(provenance)
     assert drag is not None
     assert not np.any(drag.values)
