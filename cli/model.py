@@ -25,6 +25,13 @@ Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .sv
 Accuracy = Annotated[
     Positive, Parameter(help="wanted error of the largest multiplier, of angles (rad), of amplitudes (relative)")
 ]
+AccuracyOrNone = Annotated[
+    Positive | None,
+    Parameter(
+        help="wanted error of the largest multiplier, of angles (rad), of amplitudes (relative); without it 1e-8, and "
+        "1e-6 where the suspension's damping grows with its speed"
+    ),
+]
 
 
 def predict(
@@ -33,7 +40,7 @@ def predict(
     point: str | None = None,
     speed_rpm: PositiveRpm | None = None,
     speed_ratio: Positive | None = None,
-    accuracy: Accuracy = 1e-8,
+    accuracy: AccuracyOrNone = None,
     at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None,
     release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True,
     parameters: ParametersPath = None,
@@ -43,7 +50,8 @@ def predict(
 ) -> int:
     """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
 
-    With --parameters a bow that was identified acts in all of it, and run-out is in what the sensors show.
+    With --parameters what was found beside the values acts in all of it (a bow, drag, a suspension that depends on the
+    motion), and run-out is in what the sensors show.
     """
     need_place("rig predict: --plot", plot)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
@@ -53,7 +61,7 @@ def predict(
         from dynamics import choose_model, steady_states  # noqa: PLC0415
 
         physics = known.with_effects(loaded.physics)
-        found = steady_states(physics, speed, accuracy, at_least=at_least)
+        found = steady_states(physics, speed, accuracy or _accuracy_of(physics), at_least=at_least)
         outcomes = _released(physics, speed, found) if release else []
     outcome = outcomes[0] if outcomes else None
     model = found[0].model if found else choose_model(physics, at_least=at_least)
@@ -95,6 +103,11 @@ def _shown(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> dict[st
     """What the sensors show beside the motion, where there is run-out."""
     roll = known.slow_roll
     return {"sensors": shown_json(state, known, rig)} if roll and (roll.run_out_x_m or roll.run_out_y_m) else {}
+
+
+def _accuracy_of(physics: RotorParameters) -> float:
+    """What is asked for where nobody says: |v| v has kinks, which leave multipliers good to some 1e-7."""
+    return 1e-6 if any(physics.damping_growth_s_per_m) else 1e-8
 
 
 def _speed(rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None) -> float:

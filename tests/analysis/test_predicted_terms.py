@@ -7,7 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.prediction import predict_point
+from analysis.budget import PredictedBudgets, predicted_budgets
+from analysis.budget_monte_carlo import NonlinearModel
+from analysis.prediction import Prediction, predict_point
+from analysis.term_errors import effects
+from identification.joint.budget import parameter_budgets
 from rig_configs import IdentifiedParameters, load_rig
 from rig_configs.suspension_terms import TERMS, SuspensionTerms
 
@@ -50,3 +54,39 @@ def test_an_error_that_a_term_shares_with_k2_counts_once() -> None:
     assert found.shared[label] == pytest.approx(expected, rel=1e-9)
     assert found.shared[f"suspension {TERMS[3]}"] == pytest.approx(found.by_term[TERMS[3]] * STD[3], rel=1e-9)
     assert set(found.shared) > {f"suspension {name}" for name in TERMS}
+
+
+def budgets(given: IdentifiedParameters, found: Prediction) -> PredictedBudgets:
+    return predicted_budgets(
+        {"D": found}, list(given.values), parameter_budgets(given, RIG).budgets, RIG, (0.0, 0.05), terms=given.terms
+    )
+
+
+def test_a_budget_has_the_terms_in_it() -> None:
+    """u of each quantity is the prediction's own, gains that act through the terms included; linear draws agree."""
+    given = identified(np.array([1600.0, 1600.0, 1.0, 0.3]))
+    found = predict_point(RIG, given, SPEED, (0.0, 0.05))
+    answer = budgets(given, found)
+    u = np.sqrt(np.diag(answer.budgets.covariance))
+    for row, quantity in enumerate(answer.quantities):
+        assert u[row] == pytest.approx(quantity.scale * found.std[quantity.index], rel=1e-6), quantity.name
+    assert {f"suspension {name}" for name in TERMS} < {source.name for source in answer.budgets.sources}
+    model = NonlinearModel(answer, given.with_effects(RIG.physics))
+    column = answer.columns[f"suspension {TERMS[3]}"]
+    error = np.zeros((1, answer.budgets.sensitivities.shape[1]))
+    none, moved = model(error)[0], model(error + 0.1 * np.eye(error.shape[1])[column])[0]
+    assert moved - none == pytest.approx(0.1 * answer.budgets.sensitivities[:, column], rel=1e-2, abs=1e-9)
+
+
+def test_points_say_what_the_terms_do_there() -> None:
+    """¾ H a² of stiffness, 8/(3π) Q ω a of damping; what was not found is not named."""
+    given = identified(np.array([1600.0, 1600.0, 1.0, 0.3]))
+    state = predict_point(RIG, given, SPEED, (0.0, 0.0)).state
+    y = abs(state.y_m)
+    assert f"k2 is {100 * 0.75 * 1600 * y**2:.2g} % above its value at zero amplitude" in effects(given, state, SPEED)
+    damping = 100 * 8 / (3 * np.pi) * 0.3 * SPEED * y
+    assert f"ζ2 is {damping:.2g} % above" in effects(given, state, SPEED)
+    assert given.terms is not None
+    silent = replace(given, terms=replace(given.terms, found=()))
+    assert effects(silent, state, SPEED) == ""
+    assert effects(replace(given, terms=None), state, SPEED) == ""

@@ -13,6 +13,7 @@ from analysis.prediction import predict_point
 from cli.main import run
 from rig_configs import IdentifiedParameters, Rig, load_rig
 from rig_configs.slow_roll import SlowRoll
+from rig_configs.suspension_terms import TERMS, SuspensionTerms
 
 RUN_OUT, BOW = 60e-6 * np.exp(0.8j), 100e-6 * np.exp(2.0j)
 
@@ -91,3 +92,20 @@ def test_budget_has_the_bow_and_the_map_leaves_it_out(
     assert run(["map", "virtual", "--speed-ratio", "1:2:3", "--stiffness-ratio", "1:2:3", "--parameters",
                 str(tmp_path / "p.toml"), "--json"]) == 0  # fmt: skip
     assert "leaves the bow out" in capsys.readouterr().err
+
+
+def test_predict_with_a_suspension_that_depends_on_the_motion(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, rig: Rig
+) -> None:
+    """The damper's kinks leave multipliers good to 1e-7: without --accuracy no state is missing."""
+    values = rig.physics.identified()
+    terms = SuspensionTerms(np.array([1600.0, 1600.0, 1.0, 0.3]), np.diag([1e2, 1e2, 1e-4, 1e-4]), TERMS)
+    known = IdentifiedParameters(values, np.diag([(1e-4 * v) ** 2 for v in values.values()]), terms=terms)
+    known.save(tmp_path / "p.toml")
+    command = ("predict", "virtual", "--point", "D", "--parameters", str(tmp_path / "p.toml"), "--no-release", "--json")
+    state = json.loads(asked(capsys, *command))["steady_states"][0]
+    expected = predict_point(rig, known, rig.physics.speed_rad_s(3.3), (0.0, 0.0)).state
+    assert (state["type"], state["stable"]) == ("III", True)
+    assert state["theta3_deg"] == pytest.approx(np.degrees(expected.theta_rad[0]), abs=1e-3)
+    assert run([*command, "--accuracy", "1e-8"]) == 0
+    assert "III" not in [s["type"] for s in json.loads(capsys.readouterr().out)["steady_states"]]
