@@ -117,7 +117,7 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 ) -> None:
     """Any order of frames, any cut into reads, and any cut at the listener."""
     drive = load_rig("virtual").devices["drive"]
-    live, listener, played = DrivePipeline("drive", drive), DrivePipeline("drive", drive), BothWays()
+    live, listener, played = DrivePipeline("drive", drive), DrivePipeline("drive", drive), BothWays(1)
     speeds: list[list[Batch]] = [[], []]
     bus = pending = b""
     cut = iter(cuts * 40)
@@ -146,7 +146,7 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 
 
 def test_a_line_without_an_end_is_not_held_back_for_ever() -> None:
-    played = BothWays()
+    played = BothWays(1)
     assert played.feed(RX, b"x" * 5000) == b"x" * 5000
     assert played.feed(RX, b"t18") == b""
     assert played.rest() == b"t18"

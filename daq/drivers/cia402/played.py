@@ -29,16 +29,26 @@ class BothWays:
     A read may end in the middle of a line. Its beginning waits for its end, so that no frame of the host falls into it;
     the drive's line was not complete before that frame went out either. What the host told its own adapter (open,
     close, bit rate) is not on the bus and not played.
+
+    Args:
+        host_node_id: the recorded host's.
+
+    Attributes:
+        host_is_there: whether a host has taken the recorded one's place; its heartbeat alone is on the bus then.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, host_node_id: int) -> None:
+        self.host_is_there = False
+        self._beat = cia402.cob_heartbeat(host_node_id)
         self._host = slcan.LineDecoder(of_host=True)
         self._tail = b""
 
     def feed(self, direction: int, data: bytes) -> bytes:
         """See BytesFromDevice."""
         if direction != RX:
-            return b"".join(slcan.encode(frame) for frame in self._host.feed(data).frames)
+            frames = self._host.feed(data).frames
+            left_out = self._beat if self.host_is_there else None
+            return b"".join(slcan.encode(frame) for frame in frames if frame.arbitration_id != left_out)
         line = self._tail + data
         end = 1 + max(line.rfind(_LINE_ENDS[:1]), line.rfind(_LINE_ENDS[1:]))
         if len(line) - end > _TAIL_BYTES:
@@ -62,8 +72,9 @@ class PlayedDrive(PlayedDevice):
     expects = "the network's start"
 
     def __init__(self, config: Drive) -> None:
-        super().__init__(BothWays())
-        self._node = config.node_id
+        self._bus = BothWays(config.host_node_id)
+        super().__init__(self._bus)
+        self._node, self._host_beat = config.node_id, cia402.cob_heartbeat(config.host_node_id)
         self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
         self._report = re.compile(f"t{cia402.cob_tpdo(1, config.node_id):03X}[4-8]([0-9A-Fa-f]{{8}})".encode())
         self._reported = bytes(4)
@@ -88,6 +99,7 @@ class PlayedDrive(PlayedDevice):
         """See PlayedDevice. What only the adapter is told configures no drive."""
         frames, answers = self._adapter.receive(data)
         self.commands += len(frames)
+        self._bus.host_is_there |= any(frame.arbitration_id == self._host_beat for frame in frames)
         sent = b"".join(slcan.encode(answer) for frame in frames if (answer := self._answer(frame)) is not None)
         return answers + sent if self._adapter.open else answers
 
