@@ -111,7 +111,7 @@ class Catalogue:
             for number, path in enumerate(new):
                 file, row = files[path], rows.get(path)
                 entries[path], digest = _read(path, file, row, _stretch(progress, number, len(new)))
-                if file.stamp is not None:
+                if file.stamp is not None and not _is_gone(file.place):  # others may still list it, whole
                     facts = entries[path].model_dump_json()
                     self._unsaved[path] = Row(file.stamp, str(file.verdict_stamp or ""), looked_ns, digest, facts)
                 if time.monotonic() - saved_s > _SAVE_S:
