@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ LEAST_WINDOWS = 9
 MODEL_SHARE = 0.15  # of the extrapolated change: an approach is exponential only near its end
 _SHORTER = 0.7  # of the windows are kept when no model fits all
 _FITS = 2.6  # deviations above its mean that the χ² of a stretch that fits has at most: about 1 %
+_APART = 2.6  # deviations that the limit of a stretch may be off that of its later part
+_LEAST_GAIN = 0.1  # of that part's variance: the difference of the two is not taken smaller
 _WORST_SCATTER = 9.0  # variance of the means over that of their noise: more is explained by no model here
 _MOVES = 0.5  # share of the posterior from which on a rate is stated
 _MOST_ENDLESS = 0.5  # share of the posterior
@@ -73,29 +75,45 @@ def limit(edges_s: Array, means: Array, noise: Array) -> Limit | None:
         noise: covariance of each quantity's errors over the windows, shape (q, n, n): noise of the means on the
             diagonal, and what windows have in common (a code that stands) beside it.
     Returns:
-        None where no stretch of the newest means is explained, or where straight lines and growth explain it best.
+        From the longest stretch of the newest windows that a model fits, the early ones by themselves as well: what is
+        not exponential there yet is lost in the χ² of the whole, and pulls the limit all the same. Where none fits,
+        from the one fitted best, its noise widened to its scatter. None where no stretch of the newest means is explained, or where straight lines and growth explain it best.
     """
-    best, scatter = _longest(edges_s, means, noise)
-    if best is None or best.endless > _MOST_ENDLESS:
-        return None
-    return best.limit(scatter)
-
-
-def _longest(edges_s: Array, means: Array, noise: Array) -> tuple[_Averaged | None, Array]:
-    """The longest stretch that a model fits; else the one fitted best, its noise widened to its scatter."""
     known = np.ones(means.shape[1])
     least, count, scatter = math.inf, 0, known
-    for tail in _tails(len(means)):
-        found = _average(Stretch(edges_s[-tail:], means[-tail:], noise[:, -tail:, -tail:]))
-        chi2, dof = float(found.chi2.sum()), found.dof * means.shape[1]
-        if chi2 <= dof + _FITS * math.sqrt(2 * dof):
-            return found, known
-        if chi2 / dof < least:
-            least, count, scatter = chi2 / dof, tail, np.maximum(found.chi2 / found.dof, 1.0)
+    tails = _tails(len(means))
+    found = _look(edges_s, means, noise, tails[0])
+    for tail, shorter in zip(tails, [*tails[1:], None], strict=True):
+        later = _look(edges_s, means, noise, shorter) if shorter else None
+        if found.fits and (later is None or found.continues(later)):
+            return _stated(found, later, known)
+        spread = float(found.chi2.sum()) / (found.dof * found.chi2.size)
+        if spread < least:
+            least, count, scatter = spread, tail, np.maximum(found.chi2 / found.dof, 1.0)
+        found = later or found
     if least > _WORST_SCATTER:
-        return None, known
-    wider = noise[:, -count:, -count:] * scatter[:, None, None]
-    return _average(Stretch(edges_s[-count:], means[-count:], wider)), scatter
+        return None
+    return _stated(_look(edges_s, means, noise * scatter[:, None, None], count), None, scatter)
+
+
+def _look(edges_s: Array, means: Array, noise: Array, tail: int) -> _Averaged:
+    """Every model on the newest windows."""
+    return _average(Stretch(edges_s[-tail:], means[-tail:], noise[:, -tail:, -tail:]))
+
+
+def _stated(found: _Averaged, later: _Averaged | None, scatter: Array) -> Limit | None:
+    """The limit of a stretch; where that of its later part is another one, between the two, as wide as both."""
+    if found.endless > _MOST_ENDLESS:
+        return None
+    own = found.limit(scatter)
+    if later is None:
+        return own
+    other = later.limit(scatter)
+    off = other.values - own.values
+    variance = np.diag(other.covariance)
+    gain = np.maximum(variance - np.diag(own.covariance), _LEAST_GAIN * variance)
+    half = np.where(off**2 > _APART**2 * gain, 0.5 * off, 0.0)
+    return replace(own, values=own.values + half, covariance=own.covariance + np.diag(half**2))
 
 
 def _tails(count: int) -> list[int]:
@@ -135,6 +153,15 @@ class _Averaged:
         own, shared = self._best.unknowns
         return self.windows - own - shared / self._best.chi2.shape[1]
 
+    @property
+    def fits(self) -> bool:
+        """Whether noise alone leaves such residuals in more than about one of a hundred cases."""
+        return _fits(float(self.chi2.sum()), self.dof * self.chi2.size)
+
+    def continues(self, later: _Averaged) -> bool:
+        """Whether the windows before a shorter stretch fit as well."""
+        return _fits(float(self.chi2.sum() - later.chi2.sum()), (self.dof - later.dof) * self.chi2.size)
+
     def limit(self, scatter: Array) -> Limit:
         """The mean over all points."""
         evidence = np.concatenate([points.evidence for points in self.looks.values()])
@@ -163,6 +190,10 @@ def _average(stretch: Stretch) -> _Averaged:
     endless = _log_sum([stretch.integrated(ENDLESS, most).evidence])
     ending = _log_sum([points.evidence for points in looks.values()])
     return _Averaged(looks, 1 / (1 + math.exp(min(ending - endless, 700.0))), len(stretch.edges_s))
+
+
+def _fits(chi2: float, dof: float) -> bool:
+    return chi2 <= dof + _FITS * math.sqrt(2 * max(dof, 0.0))
 
 
 def _log_sum(evidence: Sequence[Array]) -> float:

@@ -220,3 +220,24 @@ def test_what_moves_late_may_be_little() -> None:
         assert found is not None
         z += list(found.values / np.sqrt(np.diag(found.covariance)))
     assert np.mean(np.square(z)) < 4.0  # 9 where a slow part is expected to be as large as all that was seen
+
+
+def test_what_is_not_exponential_yet_does_not_pull_the_limit() -> None:
+    """θ' = −λ sin θ from 0.1 rad: the square of the approach hides in the χ² of 30 windows, and pulls the limit."""
+    far = 0
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 11])
+        edges = windows(30)
+        towards = rng.uniform(0, 2 * math.pi)
+
+        def angle(t: np.ndarray) -> np.ndarray:
+            return 2 * np.arctan(math.tan(0.05) * np.exp(-0.19 * (t + 30 * WINDOW_S)))
+
+        directions = (math.cos(towards), math.sin(towards))
+        motions = [lambda t, d=d: 6800 * d * np.sin(angle(t)) for d in directions]
+        motions += [lambda t, d=d: 6800 * d * (1 - np.cos(angle(t))) for d in directions]
+        seen = np.stack([means(m, edges) for m in motions], axis=1)
+        found = limit(edges, seen + rng.standard_normal(seen.shape), white(30, 4))
+        assert found is not None
+        far += found.values @ np.linalg.solve(found.covariance, found.values) > 14.9  # 0.5 % of cases
+    assert far <= 1
