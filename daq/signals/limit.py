@@ -77,7 +77,8 @@ def limit(edges_s: Array, means: Array, noise: Array) -> Limit | None:
     Returns:
         From the longest stretch of the newest windows that a model fits, the early ones by themselves as well: what is
         not exponential there yet is lost in the χ² of the whole, and pulls the limit all the same. Where none fits,
-        from the one fitted best, its noise widened to its scatter. None where no stretch of the newest means is explained, or where straight lines and growth explain it best.
+        from the one fitted best, its noise widened to its scatter. None where no stretch is explained, or where
+        straight lines and growth explain it best.
     """
     known = np.ones(means.shape[1])
     least, count, scatter = math.inf, 0, known
