@@ -31,6 +31,7 @@ from analysis.start_ups import START_UPS, StartUps, start_ups
 from analysis.steady_state import SteadyMeasurement, locked_radius_m, measure
 from analysis.term_errors import effects
 from daq.signals.run import Run, point_of
+from daq.signals.threads import on_one_thread
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.drag import Reading, read_as
 
@@ -107,6 +108,7 @@ class Validation:
         }
 
 
+@on_one_thread
 def validate(
     runs: Sequence[Run],
     rig: Rig,

@@ -13,6 +13,7 @@ import numpy as np
 from daq.signals.completeness import missing_warnings
 from daq.signals.phase_noise import phase_remarks
 from daq.signals.run import Run
+from daq.signals.threads import on_one_thread
 from daq.signals.witnesses import Agreement
 from identification.errors import FitFailed, IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
@@ -38,7 +39,6 @@ from identification.run_up.slow_roll_vector import slow_roll_of, slow_roll_of_al
 from identification.rungs import Rung, held_back
 from identification.setting import Setting
 from identification.suspension_terms import ChosenTerms, known_suspension, sharing_terms, terms_of_all
-from identification.threads import on_one_thread
 from rig_configs.drag import Reading
 from rig_configs.known import DRAG, KnownSource
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters

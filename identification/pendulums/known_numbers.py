@@ -15,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signals.threads import THREADS
 from identification.least_squares import Minimum
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientProblem
-from identification.threads import THREADS
 from rig_configs.known import ZERO_A, ZERO_B, physical_numbers
 
 Array = NDArray[np.float64]

@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signals.threads import THREADS
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 from identification.pendulums.transient import TransientProblem
-from identification.threads import THREADS
 
 Array = NDArray[np.float64]
 

@@ -16,6 +16,7 @@ from itertools import product
 import numpy as np
 
 from daq.signals.run import Run
+from daq.signals.threads import on_one_thread
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering, plausible_answers
@@ -29,7 +30,6 @@ from identification.pendulums.transient import UNTOLD, TransientFit, with_open_f
 from identification.pendulums.unknown_phase import angles_to_try, race, told
 from identification.rungs import held_back
 from identification.setting import ModelChoice, Setting, check_setting
-from identification.threads import on_one_thread
 from identification.tracking.release_start import damping_start
 
 _SHIFTS = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))

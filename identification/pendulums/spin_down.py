@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from daq.signals.threads import on_one_thread
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.pendulums.decline import decline_of
@@ -22,7 +23,6 @@ from identification.pendulums.quantiser import quantised_posterior
 from identification.pendulums.rounded_fit import FittedRunDown, cut, plain_fit, rounded_fit
 from identification.pendulums.run_down import RunDown, fit_run_down, from_stop, run_down_angle, stop_time
 from identification.setting import ModelChoice, Setting, check_setting
-from identification.threads import on_one_thread
 
 FRICTION_P = 5e-4  # a chance below it is friction
 _WHOLE = 9.0  # time constants: all that a decline shows

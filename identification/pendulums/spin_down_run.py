@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.signals.run import Run
+from daq.signals.threads import on_one_thread
 from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
 from identification.estimate import Estimate
@@ -31,7 +32,6 @@ from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import UNTOLD, Readings, TransientFit, TransientProblem, with_open_friction
 from identification.rungs import Rung, held_back
 from identification.setting import ModelChoice, Setting, check_setting
-from identification.threads import on_one_thread
 
 _PSI, _COUNT = PSI, COUNT
 _ANGLES_TRIED = tuple((np.arange(6) * np.pi / 6).tolist())

@@ -11,13 +11,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from daq.signals.threads import on_one_thread
 from identification.errors import NotIdentifiable
 from identification.methods import Method
 from identification.plan.experiment import Experiment, together
 from identification.plan.offers import offers_for
 from identification.plan.sensors import Sensors
 from identification.plan.wants import Want
-from identification.threads import on_one_thread
 from rig_configs.schema import Rig
 
 MOST_RUNS = 25

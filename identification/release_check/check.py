@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.signals.run import Run, point_of
+from daq.signals.threads import on_one_thread
 from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
 from identification.pendulums.release_problem import Release
@@ -27,7 +28,6 @@ from identification.pendulums.suspension_knowledge import BOW, Knowledge
 from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, Attempts, rubbing_alike
 from identification.release_check.model import Condensed, Fitted, condensed
 from identification.release_check.together import agreed, fitted_at
-from identification.threads import on_one_thread
 from rig_configs.drag import LABELS, Drag, Reading, read_as
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters

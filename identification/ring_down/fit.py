@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.signals.run import Run
+from daq.signals.threads import on_one_thread
 from identification.clocks import clock_errors
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
@@ -44,7 +45,6 @@ from identification.ring_down.resolution import (
 from identification.ring_down.result import Findings, RingDownFit, result
 from identification.rungs import held_back
 from identification.setting import Setting, check_setting
-from identification.threads import on_one_thread
 from rig_configs.suspension_terms import TERMS
 
 AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted, where a run-up has to rely on it

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from daq.signals.run import Run
+from daq.signals.threads import on_one_thread
 from identification.clocks import rate_std_between
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
@@ -55,7 +56,6 @@ from identification.run_up.start import RunUpStart, run_up_starts
 from identification.rungs import Rung, held_back
 from identification.samples import correlation_inflation
 from identification.setting import Setting, check_setting
-from identification.threads import on_one_thread
 
 __all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from identification.threads import on_one_thread
+from daq.signals.threads import on_one_thread
 
 
 def blas_threads() -> set[int]:
