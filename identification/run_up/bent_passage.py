@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FREE = 2  # place of the free oscillations among a sensor's linear unknowns, after the imbalance's amplitude
-MOTION = 6  # linear unknowns that the motion depends on: amplitude, free oscillations of both modes
+MOTION = 6  # first linear unknowns, which the motion depends on: amplitude, free oscillations of both modes; then a bow
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,14 @@ class Sensed:
         whole: per mode the motion over its amplitude, complex.
         offset: what the sensor shows beside its amplitudes times the responses, m, shape (n,).
         by_terms: derivatives of what it shows by H1, H2, Q1, Q2, shape (n, 4).
+        bow: what goes with a change of the bow's amplitude, complex, shape (n,); zero for a straight shaft.
     """
 
     responses: list[Response]
     whole: list[Complex]
     offset: Array
     by_terms: Array
+    bow: Complex
 
 
 @dataclass(frozen=True)
@@ -64,10 +66,10 @@ class BentPassage:
     """What a passage with terms needs beside its record.
 
     Attributes:
-        force: of the drive.
+        force: of the drive, as forcing has it.
         amplitude_m: to start from.
         gain_ratio: of sensor y over sensor x: a direction's terms are in its own sensor's scale.
-        starts: per sensor the linear unknowns last found, to start from.
+        starts: per sensor the linear unknowns last found that the motion depends on, to start from.
     """
 
     force: Complex
@@ -95,23 +97,27 @@ class BentPassage:
             axis: 0 for sensor x, 1 for y.
             terms: H1, H2, Q1, Q2.
             instants: of its blocks.
-            c: linear unknowns, of which the first six count.
+            c: amplitude and free oscillations, and the bow's amplitude where the shaft may be bent, shape (6,) or (8,).
         """
         cos, sin = float(np.cos(angle_rad)), float(np.sin(angle_rad))
         share = ((cos, sin), (-sin, cos))[axis]
-        amplitude = complex(c[0], c[1])
+        amplitude, bowed = complex(c[0], c[1]), complex(c[MOTION], c[MOTION + 1]) if len(c) > MOTION else None
         n = len(instants[0])
-        found = Sensed([], [], np.zeros(n), np.zeros((n, 4)))
         none = np.zeros(n, np.complex128)
+        found = Sensed([], [], np.zeros(n), np.zeros((n, 4)), none.copy())
         for mode, oscillator in enumerate(oscillators):
-            b = amplitude * (1.0, -1j)[mode]
+            turned = (1.0, -1j)[mode]
+            b, bow = amplitude * turned, None if bowed is None else bowed * turned
             own = mode == axis  # the other mode's free oscillation is seen too weakly to bend it
             at = FREE + 2 * mode
             free = complex(c[at], c[at + 1]) / share[mode] if own else 0j
             scale = 1.0 if own else (self.gain_ratio, 1.0 / self.gain_ratio)[axis]
             own_terms = scale**2 * float(terms[mode]), scale * float(terms[2 + mode])
-            seen = bent_response(*instants, drive, self.force, oscillator, own_terms, b, free)
+            seen = bent_response(*instants, drive, self.force, oscillator, own_terms, b, free, bow)
             plain = (b * seen.by_drive).real + (free * seen.by_free).real
+            if bow is not None and seen.by_bow is not None:
+                plain += (bow * seen.by_bow).real
+                found.bow[:] += share[mode] * turned * seen.by_bow
             found.offset[:] += share[mode] * (seen.motion - plain)
             found.by_terms[:, mode], found.by_terms[:, 2 + mode] = (share[mode] * by for by in seen.by_terms)
             found.whole.append(seen.motion / b)

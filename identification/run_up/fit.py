@@ -180,7 +180,7 @@ def _fit(
     if known is None:
         structure, solution = _from_starts(record, structure, slow_roll)
     else:
-        record, structure, solution = _about_known(record, structure, known)
+        record, structure, solution = _about_known(record, structure, known, slow_roll)
     record, solution, told = _without_wild_blocks(record, structure, solution)
     warnings += told
     quieter, told = _noise_of_residuals(record, solution)
@@ -212,13 +212,28 @@ def _structure(drive: Drive, clocks: _Clocks) -> Structure:
 
 
 def _about_known(
-    record: RunUpRecord, structure: Structure, known: KnownSuspension
+    record: RunUpRecord, structure: Structure, known: KnownSuspension, slow_roll: bool
 ) -> tuple[RunUpRecord, Structure, Solution]:
     """The fit with the suspension's terms, from what ring-downs have found."""
-    bent, structure = BentPassage.of(record.drive, known.amplitude_m), _with_terms(structure, known)
-    record = replace(record, bent=bent)
+    structure = _with_terms(structure, known)
+    record = replace(record, bent=BentPassage.of(record.drive, known.amplitude_m))
     start = np.r_[_theta(RunUpStart(known.omegas, known.zetas, known.angle_rad, 0.0)), known.terms]
-    solution = _solve(record, structure, structure.project(start))
+    record, solution = _with_gains(record, structure, structure.project(start))
+    if slow_roll and solution.chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed bends the motion as well
+        wider = replace(structure, run_out=True, bow=True)
+        found, other = _with_gains(record, wider, structure.project(start))
+        if other.chi2_per_dof < _EXCESS and other.minimum.converged:
+            return found, wider, other
+    return record, structure, solution
+
+
+def _with_gains(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> tuple[RunUpRecord, Solution]:
+    """The fit from φ, and the sensors' gains in it."""
+    bent = record.bent
+    assert bent is not None
+    bent = BentPassage(bent.force, bent.amplitude_m)
+    record = replace(record, bent=bent, recent={})
+    solution = _solve(record, structure, phi)
     ratios = [bent.gain_ratio]
     for _ in range(3):  # the amplitudes follow the ratio they are found with nearly wholly: a secant's step at last
         if len(bent.starts) < len(record.channels):
@@ -231,7 +246,7 @@ def _about_known(
             break
         record = replace(record, bent=replace(bent, gain_ratio=ratios[-1]))
         solution = _solve(record, structure, solution.minimum.theta)
-    return record, structure, solution
+    return record, solution
 
 
 def _with_terms(structure: Structure, known: KnownSuspension) -> Structure:

@@ -9,7 +9,8 @@ c1 and c2 are speed ripple between tachometer marks, which see one instant of ea
 ψ + 2|c1| sin(ψ + arg c1) + 2|c2| sin(2ψ + arg c2) drives with e^{iψ} + c1 e^{2iψ} − c1* + c2 e^{3iψ} − c2* e^{−iψ}.
 
 A structure may add the slow roll, two complex amplitudes more per sensor, linear too (identification.run_up.slow_roll):
-run-out, which the sensor shows at any speed, and the answer of the suspension to a bent shaft.
+run-out, which the sensor shows at any speed, and the answer of the suspension to a bent shaft. Where the suspension
+depends on the motion, that answer is part of the motion (identification.run_up.bent_passage).
 """
 
 from __future__ import annotations
@@ -110,6 +111,11 @@ class Structure:
         """Places of the bow among a sensor's linear unknowns; empty without it."""
         return slice(self.run_out_at.stop, self.run_out_at.stop + 2 * self.bow)
 
+    @property
+    def motion_at(self) -> np.ndarray:
+        """Places of the linear unknowns that a bent passage's motion depends on."""
+        return np.r_[0:MOTION, self.bow_at]
+
     def theta(self, phi: np.ndarray) -> np.ndarray:
         """The whole θ."""
         return self.base + self.spread @ phi
@@ -161,38 +167,51 @@ def _bent_block(
     oscillators: list[tuple[float, float]],
 ) -> Block:  # fmt: skip
     """A sensor's block, linear about the motion that its own linear unknowns make: Newton's method for these."""
-    instants = record.when(theta, axis), record.channels[axis].spread_s2
-
-    def about(c: np.ndarray, share: float = 1.0) -> Block:
-        own = share * theta[TERMS]
-        sensed = bent.sensed(record.drive, axis, float(theta[ANGLE]), oscillators, own, instants, c)
-        return _sensor_block(record, axis, structure, theta, oscillators, sensed)
-
+    about = partial(_about, record, bent, axis, structure, theta, oscillators)
+    at = structure.motion_at
     if axis in bent.starts:
-        c, block, _ = _newton(about, bent.starts[axis], _NEWTON)
+        c, block, _ = _newton(about, at, _as_long(bent.starts[axis], len(at)), _NEWTON)
     else:
-        grown = linear_unknowns(_sensor_block(record, axis, structure, theta, oscillators))[:MOTION]
+        grown = linear_unknowns(_sensor_block(record, axis, structure, theta, oscillators))[at]
         for share in _SHARES:  # out of the linear motion, as the terms grow
-            grown = _newton(partial(about, share=share), grown, _FIRST)[0]
-        nominal = np.array([bent.amplitude_m.real, bent.amplitude_m.imag, 0.0, 0.0, 0.0, 0.0])
-        tried = [_newton(about, start, _NEWTON) for start in (grown, nominal)]
+            grown = _newton(partial(about, share=share), at, grown, _FIRST)[0]
+        nominal = _as_long(np.array([bent.amplitude_m.real, bent.amplitude_m.imag]), len(at))
+        tried = [_newton(about, at, start, _NEWTON) for start in (grown, nominal)]
         c, block, _ = min(tried, key=lambda each: each[2])
     if np.all(np.isfinite(c)):
         bent.starts[axis] = c
     return block
 
 
-def _newton(about: Callable[[np.ndarray], Block], c: np.ndarray, most: int) -> tuple[np.ndarray, Block, float]:
-    """The first linear unknowns at which a block that is linear about them stays, the block, and what it leaves."""
+def _about(
+    record: RunUpRecord, bent: BentPassage, axis: int, structure: Structure, theta: np.ndarray,
+    oscillators: list[tuple[float, float]], c: np.ndarray, share: float = 1.0,
+) -> Block:  # fmt: skip
+    """A sensor's block about the motion of given linear unknowns, with a share of the suspension's terms."""
+    instants = record.when(theta, axis), record.channels[axis].spread_s2
+    own = share * theta[TERMS]
+    sensed = bent.sensed(record.drive, axis, float(theta[ANGLE]), oscillators, own, instants, c)
+    return _sensor_block(record, axis, structure, theta, oscillators, sensed)
+
+
+def _as_long(c: np.ndarray, length: int) -> np.ndarray:
+    """Linear unknowns of another structure: without the bow, or with one of zero."""
+    return np.pad(c, (0, max(0, length - len(c))))[:length]
+
+
+def _newton(
+    about: Callable[[np.ndarray], Block], at: np.ndarray, c: np.ndarray, most: int
+) -> tuple[np.ndarray, Block, float]:
+    """The linear unknowns at which a block that is linear about them stays, the block, and what it leaves."""
     block = about(c)
-    left = _left(block, c)
+    left = _left(block, at, c)
     for _ in range(most):
-        step = linear_unknowns(block)[:MOTION] - c
+        step = linear_unknowns(block)[at] - c
         if not np.all(np.isfinite(step)) or np.max(np.abs(step)) < _SETTLED * np.hypot(*c[:2]):
             break
         for part in _PARTS:
             trial = about(c + part * step)
-            trial_left = _left(trial, c + part * step)
+            trial_left = _left(trial, at, c + part * step)
             if trial_left < left * (1 + _SETTLED):
                 break
         else:
@@ -201,9 +220,10 @@ def _newton(about: Callable[[np.ndarray], Block], c: np.ndarray, most: int) -> t
     return c, block, left
 
 
-def _left(block: Block, c: np.ndarray) -> float:
-    """Squares of what a block leaves whose first linear unknowns are given."""
-    rest = Block(block.data - block.basis[:, :MOTION] @ c, block.basis[:, MOTION:], block.tangent)
+def _left(block: Block, at: np.ndarray, c: np.ndarray) -> float:
+    """Squares of what a block leaves of whose linear unknowns some are given."""
+    others = np.setdiff1d(np.arange(block.basis.shape[1]), at)
+    rest = Block(block.data - block.basis[:, at] @ c, block.basis[:, others], block.tangent)
     left = rest.data - rest.basis @ linear_unknowns(rest)
     found = float(left @ left)
     return found if np.isfinite(found) else np.inf
@@ -253,7 +273,9 @@ def _sensor_block(
     columns = [np.real(signal), -np.imag(signal)]
     for one in seen:
         columns += [np.real(one.decay), -np.imag(one.decay)]
-    slow = _slow_roll(structure, record.when(theta, axis), channel, drive, oscillators, seen, axis, (mix, turned))
+    slow = _slow_roll(
+        structure, record.when(theta, axis), channel, drive, oscillators, seen, axis, (mix, turned), given
+    )
     for one in slow:
         columns += [np.real(one.signal), -np.imag(one.signal)]
     weight = channel.weight
@@ -286,6 +308,19 @@ def _sensor_block(
     return Block(value * weight, basis, tangent)
 
 
+def _blocks_as_they_are(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[Block]:
+    """The model at φ about the motion last found, whatever else the structure lets free."""
+    bent = record.bent
+    if bent is None or len(bent.starts) < len(record.channels):
+        return run_up_blocks(record, structure, phi)
+    theta = structure.theta(phi)
+    oscillators = oscillators_of(theta)
+    return [
+        _about(record, bent, axis, structure, theta, oscillators, _as_long(start, len(structure.motion_at)))
+        for axis, start in sorted(bent.starts.items())
+    ]
+
+
 @dataclass(frozen=True)
 class _Slow:
     """One part of the slow roll as a sensor shows it, complex, shape (n,), its rate and ∂/∂θ by row."""
@@ -298,7 +333,7 @@ class _Slow:
 def slow_roll_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How run-out and bow, so far not in the model, would move the data: shape (n, 4) each, in standard deviations."""
     wider = replace(structure, run_out=True, bow=True)
-    blocks = run_up_blocks(record, wider, phi)
+    blocks = _blocks_as_they_are(record, wider, phi)
     first = len(blocks[0].data)
     out = np.zeros((2, first + len(blocks[1].data), 4))
     for k, at in enumerate((wider.run_out_at, wider.bow_at)):
@@ -308,9 +343,12 @@ def slow_roll_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray
 
 def _slow_roll(
     structure: Structure, when_s: np.ndarray, channel: Averages, drive: Drive, oscillators: list[tuple[float, float]],
-    seen: list[Response], axis: int, mixes: tuple[Sequence[complex], Sequence[complex]],
+    seen: list[Response], axis: int, mixes: tuple[Sequence[complex], Sequence[complex]], given: Sensed | None,
 ) -> list[_Slow]:  # fmt: skip
-    """Run-out and bow, whichever the structure has; mixes: of both oscillators in a sensor, and its slope by β."""
+    """Run-out and bow, whichever the structure has; mixes: of both oscillators in a sensor, and its slope by β.
+
+    A bow is part of a bent passage's motion, whose derivatives go with its amplitude.
+    """
     if not (structure.run_out or structure.bow):
         return []
     turn: Turning = turning(drive, when_s, channel.spread_s2)
@@ -318,7 +356,9 @@ def _slow_roll(
     if structure.run_out:
         own = (1.0, -1j)[axis]  # sensor x shows Re(r e^{iψ}), sensor y Im(r e^{iψ})
         found.append(_Slow(own * turn.phasor, own * turn.rate, {}))
-    if structure.bow:
+    if structure.bow and given is not None:
+        found.append(_Slow(given.bow, np.zeros_like(given.bow), {}))
+    elif structure.bow:
         mix, turned = mixes
         answers = [bow_answer(one, turn, *own) for one, own in zip(seen, oscillators, strict=True)]
         by = {ANGLE: turned[0] * answers[0].h + turned[1] * answers[1].h}
