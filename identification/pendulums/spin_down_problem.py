@@ -134,19 +134,27 @@ class SpinDown:
         return evidence(minimum, columns, plain.rounding(minimum, self.end_s, 40), sizes)
 
     def open_friction(self, kinds: Kinds, minimum: Minimum, setting: Setting) -> OpenFriction | None:
-        """What a fit with some kinds of friction says of damping and all friction; None where it cannot be followed."""
+        """What a fit with some kinds of friction says of damping and all friction; None where it cannot be followed.
+
+        Where it does not settle but nearly so, what is left of its way counts as a standard deviation.
+        """
         problem = self.problem(BOTH)
         for kind, std in (("torque", TORQUE_STD_Nm), ("contact", CONTACT_STD_kg_m2)):
             at = COUNT + 2 * BOTH.index(kind)
             problem.prior[at : at + 2], problem.prior_std[at : at + 2] = 0.0, std
         problem.prior[PSI] = minimum.theta[PSI]  # as the fit had it
         none: dict[Kind, np.ndarray] = {kind: np.zeros(2) for kind in BOTH}
-        found = problem.opened(self.extended(minimum.theta, kinds, BOTH, none), self.end_s)
+        start = self.extended(minimum.theta, kinds, BOTH, none)
+        found, left = problem.opened(start, self.end_s), np.zeros(len(start))
         if found is None:
-            return None
+            nearly = problem.part_way(start, self.end_s)
+            if nearly is None:
+                return None
+            found, left = nearly
         wanted = [0, 1, *range(COUNT, COUNT + 4)]
         by = self.by_number(problem, found, BOTH, wanted)
-        return OpenFriction(found.theta[wanted], problem.covariance(found, self.end_s, setting, wanted), by)
+        covariance = problem.covariance(found, self.end_s, setting, wanted) + np.outer(left[wanted], left[wanted])
+        return OpenFriction(found.theta[wanted], covariance, by)
 
     def by_number(
         self, problem: TransientProblem, minimum: Minimum, kinds: Kinds, wanted: Sequence[int]

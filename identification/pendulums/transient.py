@@ -47,6 +47,7 @@ _JITTERS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # steps
 _AS_FORESEEN = 1.0  # χ² above what a linear model foresees
 _NEAR = 4.0  # χ² above it of an iteration that goes on along a valley
 _OPENED = 8  # iterations
+_FAR = 25.0  # χ² that a step would still mend
 _WIDER = 1.5  # times as long intervals are worth a word
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
@@ -206,6 +207,19 @@ class TransientProblem:
             return Minimum(theta + step, covariance, found, jacobian, True, 1)
         minimum = self.solve(theta, end_s, _OPENED)
         return minimum if minimum.converged or minimum.cost < there @ there + _NEAR * unit else None
+
+    def part_way(self, theta: np.ndarray, end_s: float) -> tuple[Minimum, np.ndarray] | None:
+        """Where an iteration from θ has got to that did not settle, and the step that it would still make.
+
+        Where a model is not smooth (a friction that stops a pendulum), it creeps along a valley whose end its own
+        linearisation foresees. None where that is far off, or where the iteration has led nowhere.
+        """
+        minimum = self.solve(theta, end_s, _OPENED)
+        if not np.all(np.isfinite(minimum.residual)):
+            return None
+        step = -minimum.covariance @ (minimum.jacobian.T @ minimum.residual)
+        moved = minimum.jacobian @ step
+        return (minimum, step) if np.all(np.isfinite(step)) and moved @ moved < _FAR else None
 
     def _evaluation(self, end_s: float) -> _Evaluation:
         """θ to residual and Jacobian, knowledge last; infinite where the motion cannot be followed."""

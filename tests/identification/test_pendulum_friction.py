@@ -16,13 +16,14 @@ from synthetic import Campaign
 from dynamics.equations.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, fit_release, fit_spin_down_run, identify
 from identification.identify import _left_out
-from identification.least_squares import minimise
+from identification.least_squares import Minimum, minimise
 from identification.methods import advice
 from identification.pendulums.frictional_motion import COLUMNS, frictional_motion
 from identification.pendulums.recorded_speed import speed_of_marks, speed_of_samples
 from identification.pendulums.release import ReleaseLeftOut
 from identification.pendulums.run_down import run_down_angle
 from identification.pendulums.suspension_knowledge import Knowledge
+from identification.pendulums.transient import TransientProblem
 from identification.pendulums.variational import free_motion
 
 STEP = 2 * np.pi / 4096
@@ -260,6 +261,28 @@ def test_a_fit_that_has_not_settled_is_left_out(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(module, "fit_spin_down_run", lambda *_, **__: dataclasses.replace(fit, settled=False))
     with pytest.raises(NotIdentifiable, match="spin-down left out: its fit had not settled"):
         identify([run], campaign.rig)
+
+
+def test_a_spin_down_whose_friction_nearly_settles_is_kept_and_wider(monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign = nominal()
+    run = campaign.spin_down()
+    settled = fit_spin_down_run(run, known(campaign))
+    monkeypatch.setattr(TransientProblem, "opened", lambda *_: None)
+    kept = fit_spin_down_run(run, known(campaign))
+    assert kept.std == pytest.approx(settled.std, rel=0.1)  # an iteration that does settle has no way left
+    part_way = TransientProblem.part_way
+
+    def further(problem: TransientProblem, theta: np.ndarray, end_s: float) -> tuple[Minimum, np.ndarray] | None:
+        found = part_way(problem, theta, end_s)
+        assert found is not None
+        return found[0], found[1] + 3.0 * np.sqrt(np.diag(found[0].covariance))
+
+    monkeypatch.setattr(TransientProblem, "part_way", further)
+    wider = fit_spin_down_run(run, known(campaign))
+    assert all(wider.std[name] > 1.5 * std for name, std in settled.std.items())
+    monkeypatch.setattr(TransientProblem, "part_way", lambda *_: None)
+    with pytest.raises(FitFailed, match="does not tell viscous damping from dry friction"):
+        fit_spin_down_run(run, known(campaign))
 
 
 def test_errors_stay_in_the_tree() -> None:
