@@ -218,22 +218,32 @@ def _about_known(
     structure = _with_terms(structure, known)
     record = replace(record, bent=BentPassage.of(record.drive, known.amplitude_m))
     start = np.r_[_theta(RunUpStart(known.omegas, known.zetas, known.angle_rad, 0.0)), known.terms]
-    record, solution = _with_gains(record, structure, structure.project(start))
-    if slow_roll and solution.chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed bends the motion as well
-        wider = replace(structure, run_out=True, bow=True)
-        found, other = _with_gains(record, wider, structure.project(start))
-        if other.chi2_per_dof < _EXCESS and other.minimum.converged:
-            return found, wider, other
-    return record, structure, solution
+    found = _with_gains(record, structure, structure.project(start))
+    if slow_roll and found[1].chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed bends the motion as well
+        both = replace(structure, run_out=True, bow=True)
+        whole = _afresh(record)  # with both free the imbalance is known too badly for the gains' ratio
+        solution = _solve(whole, both, structure.project(start))
+        if solution.chi2_per_dof < _EXCESS and solution.minimum.converged:
+            for one in (replace(both, run_out=False), replace(both, bow=False)):
+                alone = _with_gains(record, one, solution.minimum.theta)
+                if alone[1].chi2_per_dof < _EXCESS and alone[1].minimum.converged:
+                    return alone[0], one, alone[1]
+            return whole, both, solution
+    return found[0], structure, found[1]
+
+
+def _afresh(record: RunUpRecord) -> RunUpRecord:
+    """The record without what an earlier fit has found of a bent passage."""
+    assert record.bent is not None
+    return replace(record, bent=BentPassage(record.bent.force, record.bent.amplitude_m), recent={})
 
 
 def _with_gains(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> tuple[RunUpRecord, Solution]:
-    """The fit from φ, and the sensors' gains in it."""
+    """The fit from φ, and the gains' ratio with it."""
+    record = _afresh(record)
+    solution = _solve(record, structure, phi)
     bent = record.bent
     assert bent is not None
-    bent = BentPassage(bent.force, bent.amplitude_m)
-    record = replace(record, bent=bent, recent={})
-    solution = _solve(record, structure, phi)
     ratios = [bent.gain_ratio]
     for _ in range(3):  # the amplitudes follow the ratio they are found with nearly wholly: a secant's step at last
         if len(bent.starts) < len(record.channels):

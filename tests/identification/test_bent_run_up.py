@@ -80,7 +80,7 @@ def test_a_bow_without_terms_is_the_linear_answer() -> None:
     assert np.max(np.abs(rest)) < 1e-4 * np.max(np.abs(other))
 
 
-@pytest.mark.parametrize("effects", [["quadratic"], ["cubic=0.03"], ["quadratic", "bow"]])
+@pytest.mark.parametrize("effects", [["quadratic"], ["cubic=0.03"], ["quadratic", "bow"], ["cubic", "bow"]])
 def test_values_at_zero_amplitude(effects: list[str]) -> None:
     """Without the terms ζ2 is 180 standard deviations off, or the passage is not followed at all; a bow that is added
     to a bent passage's motion passes for run-out, and S_P is 360 off.
