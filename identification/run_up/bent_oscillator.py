@@ -1,11 +1,15 @@
 """The response of an oscillator whose rates depend on its motion to a rotating imbalance during a passage.
 
-    q̈ + 2ζω q̇ (1 + Q |q̇|) + ω² d (1 + H d²) = Re(B u),    d = q − Re(W e^{iψ}),    u = (ψ̇² − iψ̈) e^{iψ}
+    q̈ + 2ζω q̇ (1 + Q |q̇|) + ω² d (1 + H d²) = −b̈,    b = Re(B p),    d = q − Re(W p),    p = e^{iψ}
 
 from q = Re F, q̇ = Re(λF) at the drive's begin, with its derivatives by ln ω, ln ζ, B, F, H, Q and, where the shaft may
-be bent, W: each obeys the equation linearised along the motion. Classical Runge–Kutta steps; between grid points a
-quintic Hermite polynomial for the motion and its derivatives by B, F and W, a cubic for the others.
-Source: docs/theory/run_up.md.
+be bent, W: each obeys the equation linearised along the motion. A measured phase is noisy and bears no derivatives, so
+what is marched is s = q + b and r = ṡ − 2ζω b,
+
+    ṡ = r + 2ζω b,    ṙ = −2ζω ṡ − 2ζω Q |q̇| q̇ − ω² d (1 + H d²),
+
+which hold ψ̇ in Q's small part alone, where it is smoothed over a turn. Classical Runge–Kutta steps; between grid points
+a quintic Hermite polynomial for s and its derivatives. Source: docs/theory/run_up.md.
 """
 
 # pyright: reportMissingParameterType=false
@@ -20,8 +24,10 @@ from numba import njit
 
 from identification.ring_down.modes import rate, rate_derivatives
 from identification.run_up.forced_oscillator import Drive
+from identification.run_up.slow_roll import Turning
 
 _SUBSTEPS = 4  # a step of the drive's grid: 64 a turn at the top speed, an error of the frequency of 3e-7 there
+_SMOOTHED = 16 * _SUBSTEPS  # half steps to either side of which ψ̇ is a mean: half a turn at the top speed
 _STRAIGHT, _BOWED = 9, 11  # the motion, its derivatives by ln ω, ln ζ, Re B, Im B, Re F, Im F, H, Q; Re W, Im W
 
 
@@ -50,13 +56,15 @@ class BentResponse:
 
 
 def bent_response(
-    when_s: np.ndarray, spread_s2: np.ndarray, drive: Drive, force: np.ndarray, oscillator: tuple[float, float],
+    spread_s2: np.ndarray, turn: Turning, drive: Drive, force: np.ndarray, oscillator: tuple[float, float],
     terms: tuple[float, float], amplitude: complex, free: complex, bow: complex | None = None,
 ) -> BentResponse:  # fmt: skip
     """The motion of one direction as a sensor's blocks see it.
 
     Args:
-        when_s, spread_s2: blocks' mean times and variances of their samples' times, shape (n,).
+        spread_s2: variances of the times of the blocks' samples, shape (n,).
+        turn: p as the blocks see it.
+        drive: over their span.
         force: of the drive, as forcing has it.
         oscillator: ω, rad/s, and ζ.
         terms: H, 1/m², and Q, s/m.
@@ -66,89 +74,110 @@ def bent_response(
     omega, zeta = oscillator
     unknowns = _STRAIGHT if bow is None else _BOWED
     lam, by_rate = rate(omega, zeta), rate_derivatives(omega, zeta)
+    damp, (p, p_rate) = 2 * zeta * omega, force[0]
     start = np.zeros((unknowns, 2))
-    start[0] = free.real, (lam * free).real
-    start[1, 1], start[2, 1] = ((by * free).real for by in by_rate)
+    b, b_rate = (amplitude * p).real, (amplitude * p_rate).real
+    start[0] = free.real + b, (lam * free).real + b_rate - damp * b
+    start[1, 1], start[2, 1] = ((by * free).real - damp * b for by in by_rate)
+    start[3] = p.real, p_rate.real - damp * p.real
+    start[4] = p.imag, p_rate.imag - damp * p.imag
     start[5] = 1.0, lam.real
     start[6] = 0.0, lam.imag
     grid = np.empty((len(drive.phasor) + 1, unknowns, 3))
     _march(force, drive.step_s / _SUBSTEPS, omega, zeta, terms[0], terms[1], amplitude, bow or 0j, start, grid)
-    out = _seen(when_s, spread_s2, drive.start_s, drive.step_s, grid)
+    out = _seen(turn.when_s, spread_s2, drive.start_s, drive.step_s, grid)
     return BentResponse(
-        out[0], out[unknowns], out[1], out[2], out[3] + 1j * out[4], out[5] + 1j * out[6], (out[7], out[8]),
+        out[0] - (amplitude * turn.phasor).real, out[unknowns] - (amplitude * turn.rate).real, out[1], out[2],
+        out[3] + 1j * out[4] - turn.phasor, out[5] + 1j * out[6], (out[7], out[8]),
         None if bow is None else out[9] + 1j * out[10],
     )  # fmt: skip
 
 
 def forcing(drive: Drive) -> np.ndarray:
-    """u and e^{iψ} at the ends and middles of all Runge–Kutta steps of a drive's grid, shape (n, 2)."""
+    """p and iψ̇p, ψ̇ smoothed, at the ends and middles of all Runge–Kutta steps of a drive's grid, shape (n, 2)."""
     n = 2 * _SUBSTEPS * len(drive.phasor)
     times = drive.start_s + drive.step_s * np.arange(n + 1) / (2 * _SUBSTEPS)
-    psi, speed, acceleration = drive.history.phase(times).T
-    turning = np.exp(1j * psi)
-    return np.stack([(speed**2 - 1j * acceleration) * turning, turning], axis=1)
+    psi = drive.history.phase(times)[:, 0]
+    at = np.arange(n + 1)
+    before, after = np.maximum(at - _SMOOTHED, 0), np.minimum(at + _SMOOTHED, n)
+    speed = (psi[after] - psi[before]) / (times[after] - times[before])
+    p = np.exp(1j * psi)
+    return np.stack([p, 1j * speed * p], axis=1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _rates(y, drive, amplitude, bow, omega, zeta, h, g, out):
-    """Accelerations of all unknowns (n, 2) into out (n,); drive: u and e^{iψ}."""
-    u, p = drive[0], drive[1]
-    q, v = y[0, 0] - (bow * p).real, y[0, 1]
+    """Rates of all unknowns (n, 2) into out (n, 2); drive: p and its rate."""
+    p, turning = drive[0], drive[1]
     w2, damp = omega * omega, 2.0 * zeta * omega
+    b = (amplitude * p).real
+    d = y[0, 0] - b - (bow * p).real
+    s = y[0, 1] + damp * b
+    v = s - (amplitude * turning).real
     fast = abs(v)
-    pull, loss = w2 * q * (1.0 + h * q * q), damp * v * (1.0 + g * fast)
-    k, c = w2 * (1.0 + 3.0 * h * q * q), damp * (1.0 + 2.0 * g * fast)
-    out[0] = (amplitude * u).real - pull - loss
+    pull, extra = w2 * d * (1.0 + h * d * d), damp * g * fast * v
+    k, c = w2 * (1.0 + 3.0 * h * d * d), 2.0 * damp * g * fast
+    out[0, 0], out[0, 1] = s, -damp * s - extra - pull
     for i in range(1, len(y)):
-        out[i] = -k * y[i, 0] - c * y[i, 1]
-    out[1] -= 2.0 * pull + loss
-    out[2] -= loss
-    out[3] += u.real
-    out[4] += u.imag  # T = ∂q/∂Re B − i ∂q/∂Im B: its imaginary part is driven by Im u
-    out[7] -= w2 * q * q * q
-    out[8] -= damp * v * fast
+        by_b, by_turning = 0.0, 0.0
+        out[i, 0] = y[i, 1]
+        if i < 3:  # ln ω, ln ζ
+            out[i, 0] += damp * b
+        elif i == 3:
+            by_b, by_turning = p.real, turning.real
+        elif i == 4:  # T = ∂q/∂Re B − i ∂q/∂Im B: its imaginary part goes with Im p
+            by_b, by_turning = p.imag, turning.imag
+        out[i, 0] += damp * by_b
+        out[i, 1] = -damp * out[i, 0] - c * (out[i, 0] - by_turning) - k * (y[i, 0] - by_b)
+    out[1, 1] -= 2.0 * pull + damp * s + extra
+    out[2, 1] -= damp * s + extra
+    out[7, 1] -= w2 * d * d * d
+    out[8, 1] -= damp * v * fast
     if len(y) == 11:
-        out[9] += k * p.real
-        out[10] += k * p.imag
+        out[9, 1] += k * p.real
+        out[10, 1] += k * p.imag
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _march(drive, step, omega, zeta, h, g, amplitude, bow, start, grid):
-    """All unknowns on the drive's grid: value, rate, acceleration."""
+    """s and its derivatives on the drive's grid: value, rate, acceleration."""
     y, work = start.copy(), np.empty_like(start)
     unknowns = len(start)
-    k = np.empty((4, unknowns))
-    n, substeps = len(grid) - 1, (len(drive) - 1) // (2 * (len(grid) - 1))
+    k = np.empty((4, unknowns, 2))
+    n, substeps, damp = len(grid) - 1, (len(drive) - 1) // (2 * (len(grid) - 1)), 2.0 * zeta * omega
     at = 0
     for i in range(n + 1):
         _rates(y, drive[at], amplitude, bow, omega, zeta, h, g, k[0])
+        turning = drive[at, 1]
+        of_b = damp * (amplitude * turning).real
         for m in range(unknowns):
-            grid[i, m, 0], grid[i, m, 1], grid[i, m, 2] = y[m, 0], y[m, 1], k[0, m]
+            grid[i, m, 0], grid[i, m, 1] = y[m, 0], k[0, m, 0]
+            grid[i, m, 2] = k[0, m, 1] + (of_b if m < 3 else 0.0)
+        grid[i, 3, 2] += damp * turning.real
+        grid[i, 4, 2] += damp * turning.imag
         if i == n:
             break
-        for s in range(substeps):
-            if s > 0:
+        for j in range(substeps):
+            if j > 0:
                 _rates(y, drive[at], amplitude, bow, omega, zeta, h, g, k[0])
             for m in range(unknowns):
-                work[m, 0], work[m, 1] = y[m, 0] + 0.5 * step * y[m, 1], y[m, 1] + 0.5 * step * k[0, m]
+                work[m, 0], work[m, 1] = y[m, 0] + 0.5 * step * k[0, m, 0], y[m, 1] + 0.5 * step * k[0, m, 1]
             _rates(work, drive[at + 1], amplitude, bow, omega, zeta, h, g, k[1])
             for m in range(unknowns):
-                work[m, 0] = y[m, 0] + 0.5 * step * (y[m, 1] + 0.5 * step * k[0, m])
-                work[m, 1] = y[m, 1] + 0.5 * step * k[1, m]
+                work[m, 0], work[m, 1] = y[m, 0] + 0.5 * step * k[1, m, 0], y[m, 1] + 0.5 * step * k[1, m, 1]
             _rates(work, drive[at + 1], amplitude, bow, omega, zeta, h, g, k[2])
             for m in range(unknowns):
-                work[m, 0] = y[m, 0] + step * (y[m, 1] + 0.5 * step * k[1, m])
-                work[m, 1] = y[m, 1] + step * k[2, m]
+                work[m, 0], work[m, 1] = y[m, 0] + step * k[2, m, 0], y[m, 1] + step * k[2, m, 1]
             _rates(work, drive[at + 2], amplitude, bow, omega, zeta, h, g, k[3])
             for m in range(unknowns):
-                y[m, 0] += step * (y[m, 1] + step / 6.0 * (k[0, m] + k[1, m] + k[2, m]))
-                y[m, 1] += step / 6.0 * (k[0, m] + 2.0 * k[1, m] + 2.0 * k[2, m] + k[3, m])
+                for q in range(2):
+                    y[m, q] += step / 6.0 * (k[0, m, q] + 2.0 * (k[1, m, q] + k[2, m, q]) + k[3, m, q])
             at += 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _seen(times, spread, start, step, grid):
-    """Block means of every unknown and, last, the motion's rate, shape (unknowns + 1, n)."""
+    """Block means of s and its derivatives and, last, its rate, shape (unknowns + 1, n)."""
     unknowns = grid.shape[1]
     out = np.empty((unknowns + 1, len(times)))
     last = len(grid) - 2

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from identification.run_up.bent_oscillator import bent_response, forcing
 from identification.run_up.forced_oscillator import Drive, Instants, Response
+from identification.run_up.slow_roll import turning
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -102,22 +103,22 @@ class BentPassage:
         cos, sin = float(np.cos(angle_rad)), float(np.sin(angle_rad))
         share = ((cos, sin), (-sin, cos))[axis]
         amplitude, bowed = complex(c[0], c[1]), complex(c[MOTION], c[MOTION + 1]) if len(c) > MOTION else None
-        n = len(instants[0])
+        n, turn = len(instants[0]), turning(drive, *instants)
         none = np.zeros(n, np.complex128)
         found = Sensed([], [], np.zeros(n), np.zeros((n, 4)), none.copy())
         for mode, oscillator in enumerate(oscillators):
-            turned = (1.0, -1j)[mode]
-            b, bow = amplitude * turned, None if bowed is None else bowed * turned
+            toward = (1.0, -1j)[mode]
+            b, bow = amplitude * toward, None if bowed is None else bowed * toward
             own = mode == axis  # the other mode's free oscillation is seen too weakly to bend it
             at = FREE + 2 * mode
             free = complex(c[at], c[at + 1]) / share[mode] if own else 0j
             scale = 1.0 if own else (self.gain_ratio, 1.0 / self.gain_ratio)[axis]
             own_terms = scale**2 * float(terms[mode]), scale * float(terms[2 + mode])
-            seen = bent_response(*instants, drive, self.force, oscillator, own_terms, b, free, bow)
+            seen = bent_response(instants[1], turn, drive, self.force, oscillator, own_terms, b, free, bow)
             plain = (b * seen.by_drive).real + (free * seen.by_free).real
             if bow is not None and seen.by_bow is not None:
                 plain += (bow * seen.by_bow).real
-                found.bow[:] += share[mode] * turned * seen.by_bow
+                found.bow[:] += share[mode] * toward * seen.by_bow
             found.offset[:] += share[mode] * (seen.motion - plain)
             found.by_terms[:, mode], found.by_terms[:, 2 + mode] = (share[mode] * by for by in seen.by_terms)
             found.whole.append(seen.motion / b)
