@@ -6,8 +6,8 @@ beside it for comparison. Model and estimator: docs/theory/run_up.md.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -18,10 +18,10 @@ from identification.clocks import rate_std_between
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.laser_wander import wander_sentences
-from identification.least_squares import Solution, solve_separable
+from identification.least_squares import Solution
 from identification.ring_down.direction_terms import DirectionTerms
-from identification.run_up.bent_passage import BentPassage, KnownSuspension
-from identification.run_up.choice import Comparison, alike, compare
+from identification.run_up.bent_passage import KnownSuspension
+from identification.run_up.choice import Comparison, compare
 from identification.run_up.design import (
     Design,
     design_at,
@@ -29,19 +29,12 @@ from identification.run_up.design import (
     imbalance_gains,
     phase_noise_covariance,
 )
+from identification.run_up.first_solution import Clocks, about_known, first_structure, from_starts, solve
 from identification.run_up.forced_oscillator import Drive
 from identification.run_up.model import (
-    ANGLE,
-    AXIS_PRIOR_STD,
-    DELAYS,
-    DRIFTS,
-    OMEGAS,
-    PARAMETERS,
     TERMS,
-    ZETAS,
     RunUpRecord,
     Structure,
-    free_structure,
     run_up_blocks,
 )
 from identification.run_up.naive import half_power, vold_kalman
@@ -52,7 +45,6 @@ from identification.run_up.rotor_phase import RotorPhase
 from identification.run_up.sensors import sensor_averages
 from identification.run_up.slow_roll_choice import Doubt
 from identification.run_up.smallest_model import smallest_adequate
-from identification.run_up.start import RunUpStart, run_up_starts
 from identification.rungs import Rung, held_back
 from identification.samples import correlation_inflation
 from identification.setting import Setting, check_setting
@@ -62,28 +54,10 @@ __all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
 DELAY_STD_S = 10e-3  # between devices that keep clocks of their own
 _BLOCKS_PER_TURN = {"fast": 12.0, "balanced": 16.0, "reference": 40.0}
 _LEFT_OVER = 0.1  # share of the signal that marks a model that is none
-_EXCESS = 1.5  # χ²/dof at which other start values are tried
-_MOST_SLOPE = 0.98  # of the ratio found by the one it was found with
-_TERMS_WIDE = 20.0  # standard deviations of a ring-down: what it knows of the terms counts once
-_ALIKE = 4.0  # one resonance as a start is worth a fit when it leaves at most so many times the best start's χ²
-_TRIED = 6
 _TOO_QUIET = 0.85  # residuals over noise; chance keeps 200 of them within 5 %
 _WANDER = 1e-6  # rad²: a phase that walks farther by itself cannot tell whether the sensors lag
 _PAD_S = 0.05
 _WILD, _NEIGHBOURS, _MOST_WILD, _ROUNDS = 6.0, 51, 0.2, 6  # standard deviations, blocks, share, fits
-
-
-@dataclass(frozen=True)
-class _Clocks:
-    """How well the sensors' clocks agree with the phase's: 1 σ of delay (s) and of rate (relative), per sensor."""
-
-    delay_std_s: float
-    drift_std: tuple[float, float]
-
-    @property
-    def apart(self) -> bool:
-        """Whether there is anything to find."""
-        return self.delay_std_s > 0 or max(self.drift_std) > 0
 
 
 @on_one_thread
@@ -124,7 +98,7 @@ def fit_run_up(
     return _fit(
         [(time, signals[:, 0]), (time, signals[:, 1])],
         phase,
-        _Clocks(delay_std_s, (0.0, 0.0)),
+        Clocks(delay_std_s, (0.0, 0.0)),
         setting,
         held_back(without),
     )
@@ -151,12 +125,12 @@ def fit_run_up_run(
         raise NotIdentifiable(f"{run.source}: {error}") from error
     x, y = (rate_std_between(run, axis, "phase") for axis in ("x", "y"))
     # a recording made elsewhere has one clock for all, however well its rate is known
-    clocks = _Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
+    clocks = Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
     return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting, held_back(without), known)
 
 
 def _fit(
-    sensors: list[tuple[np.ndarray, np.ndarray]], phase: RotorPhase, clocks: _Clocks, setting: Setting,
+    sensors: list[tuple[np.ndarray, np.ndarray]], phase: RotorPhase, clocks: Clocks, setting: Setting,
     without: frozenset[Rung],
     known: KnownSuspension | None = None,
 ) -> RunUpFit:  # fmt: skip
@@ -176,17 +150,17 @@ def _fit(
         warnings += told
     record = RunUpRecord(channels[0], channels[1], drive)
     slow_roll = "slow-roll" not in without
-    structure = _structure(drive, clocks)
+    structure = first_structure(drive, clocks)
     if known is None:
-        structure, solution = _from_starts(record, structure, slow_roll)
+        structure, solution = from_starts(record, structure, slow_roll)
     else:
-        record, structure, solution = _about_known(record, structure, known, slow_roll)
+        record, structure, solution = about_known(record, structure, known, slow_roll)
     record, solution, told = _without_wild_blocks(record, structure, solution)
     warnings += told
     quieter, told = _noise_of_residuals(record, solution)
     if told:
         record, warnings = quieter, warnings + told
-        solution = _solve(record, structure, solution.minimum.theta)
+        solution = solve(record, structure, solution.minimum.theta)
     design = design_at(record, structure, solution.minimum.theta)
     lags_known = clocks.apart or phase.wander_density * (end - start) > _WANDER
 
@@ -194,123 +168,9 @@ def _fit(
         return compare(record, at, lags_known, bool(np.isfinite(phase.mark_rad)), setting, without)
 
     solution, design, comparison, doubt = smallest_adequate(
-        record, solution, design, compared, lambda wanted, phi: _solve(record, wanted, phi), slow_roll
+        record, solution, design, compared, lambda wanted, phi: solve(record, wanted, phi), slow_roll
     )
     return _result(record, phase, solution, design, comparison, doubt, warnings, setting)
-
-
-def _structure(drive: Drive, clocks: _Clocks) -> Structure:
-    """Both resonances, turned axes, offset and slope; clocks as far as they are apart."""
-    prior, prior_std = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
-    # so wide that a passed resonance does not feel it; one that is not passed would wander off to infinity
-    prior[list(OMEGAS)], prior_std[list(OMEGAS)] = np.log(drive.top_rad_s), 2.0
-    prior[list(ZETAS)], prior_std[list(ZETAS)] = np.log(0.02), 3.0
-    prior_std[ANGLE] = AXIS_PRIOR_STD
-    # clocks that agree, and ripple, stay at zero unless the data ask for them
-    prior_std[DELAYS], prior_std[DRIFTS] = clocks.delay_std_s, clocks.drift_std
-    return free_structure(prior, prior_std, drift_order=1)
-
-
-def _about_known(
-    record: RunUpRecord, structure: Structure, known: KnownSuspension, slow_roll: bool
-) -> tuple[RunUpRecord, Structure, Solution]:
-    """The fit with the suspension's terms, from what ring-downs have found."""
-    structure = _with_terms(structure, known)
-    record = replace(record, bent=BentPassage.of(record.drive, known.amplitude_m))
-    start = np.r_[_theta(RunUpStart(known.omegas, known.zetas, known.angle_rad, 0.0)), known.terms]
-    found = _with_gains(record, structure, structure.project(start))
-    if slow_roll and found[1].chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed bends the motion as well
-        both = replace(structure, run_out=True, bow=True)
-        whole = _afresh(record)  # with both free the imbalance is known too badly for the gains' ratio
-        solution = _solve(whole, both, structure.project(start))
-        if solution.chi2_per_dof < _EXCESS and solution.minimum.converged:
-            for one in (replace(both, run_out=False), replace(both, bow=False)):
-                alone = _with_gains(record, one, solution.minimum.theta)
-                if alone[1].chi2_per_dof < _EXCESS and alone[1].minimum.converged:
-                    return alone[0], one, alone[1]
-            return whole, both, solution
-    return found[0], structure, found[1]
-
-
-def _afresh(record: RunUpRecord) -> RunUpRecord:
-    """The record without what an earlier fit has found of a bent passage."""
-    assert record.bent is not None
-    return replace(record, bent=BentPassage(record.bent.force, record.bent.amplitude_m), recent={})
-
-
-def _with_gains(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> tuple[RunUpRecord, Solution]:
-    """The fit from φ, and the gains' ratio with it."""
-    record = _afresh(record)
-    solution = _solve(record, structure, phi)
-    bent = record.bent
-    assert bent is not None
-    ratios = [bent.gain_ratio]
-    for _ in range(3):  # the amplitudes follow the ratio they are found with nearly wholly: a secant's step at last
-        if len(bent.starts) < len(record.channels):
-            break
-        ratios.append(bent.found_ratio())
-        if len(ratios) == 3 and abs(ratios[2] - ratios[1]) < _MOST_SLOPE * abs(ratios[1] - ratios[0]):
-            slope = (ratios[2] - ratios[1]) / (ratios[1] - ratios[0])
-            ratios[-1] = ratios[0] + (ratios[1] - ratios[0]) / (1 - slope)
-        elif len(ratios) > 3:
-            break
-        record = replace(record, bent=replace(bent, gain_ratio=ratios[-1]))
-        solution = _solve(record, structure, solution.minimum.theta)
-    return record, solution
-
-
-def _with_terms(structure: Structure, known: KnownSuspension) -> Structure:
-    """With the suspension's terms free where there are any, in a range so wide that the passage decides."""
-    std = _TERMS_WIDE * known.terms_std
-    base = np.r_[structure.base, np.where(std > 0, 0.0, known.terms)]
-    spread = np.zeros((len(base), structure.spread.shape[1]))
-    spread[:PARAMETERS] = structure.spread
-    free = np.eye(len(base))[:, TERMS][:, std > 0]
-    return replace(
-        structure, base=base, spread=np.hstack([spread, free]), prior=np.r_[structure.prior, known.terms[std > 0]],
-        prior_std=np.r_[structure.prior_std, std[std > 0]],
-    )  # fmt: skip
-
-
-def _solve(record: RunUpRecord, structure: Structure, phi: np.ndarray, iterations: int = 40) -> Solution:
-    return solve_separable(
-        lambda p: run_up_blocks(record, structure, p), phi, structure.prior, structure.prior_std, iterations
-    )  # fmt: skip
-
-
-def _from_starts(record: RunUpRecord, structure: Structure, slow_roll: bool) -> tuple[Structure, Solution]:
-    """The best solution; further starts are tried as long as residuals exceed the noise.
-
-    Directions that are alike have no axes: there the angle is left out, as it would wander along a valley.
-    """
-    starts = run_up_starts(record.channels, record.drive)
-    equal = [s for s in starts if s.alike and s.cost < _ALIKE * starts[0].cost]
-    if equal:
-        straight = structure.without(ANGLE)
-        solution = _solve(record, straight, straight.project(_theta(equal[0])))
-        good = solution.minimum.converged and solution.chi2_per_dof < _EXCESS
-        if good and alike(design_at(record, straight, solution.minimum.theta)):
-            return straight, solution
-    best: Solution | None = None
-    for start in _apart(record, starts):
-        solution = _solve(record, structure, structure.project(_theta(start)))
-        if slow_roll and solution.chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed may hide it
-            wider = replace(structure, run_out=True, bow=True)
-            other = _solve(record, wider, solution.minimum.theta)
-            if other.chi2_per_dof < _EXCESS and other.minimum.converged:
-                return wider, other
-        if best is None or solution.chi2_per_dof < best.chi2_per_dof:
-            best = solution
-        if best.chi2_per_dof < _EXCESS and best.minimum.converged:
-            break
-    if best is None:
-        raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
-    if not best.minimum.converged or not np.all(np.isfinite(best.minimum.theta)):
-        raise FitFailed(
-            f"run-up: no convergence in {best.minimum.iterations} iterations, χ²/dof {best.chi2_per_dof:.3g}; "
-            "is the phase the rotor's, and were the pendulums locked?"
-        )
-    return structure, best
 
 
 def _noise_of_residuals(record: RunUpRecord, solution: Solution) -> tuple[RunUpRecord, list[str]]:
@@ -352,28 +212,13 @@ def _without_wild_blocks(
             break
         lost = now
         record = replace(whole, x=whole.channels[0].where(keep[0]), y=whole.channels[1].where(keep[1]), recent={})
-        solution = _solve(record, structure, solution.minimum.theta)
+        solution = solve(record, structure, solution.minimum.theta)
     told = [
         f"{n} blocks of sensor {name} left out, which hold what neither motion nor noise explains"
         for name, n in zip("xy", lost, strict=True)
         if n
     ]
     return record, solution, told
-
-
-def _apart(record: RunUpRecord, starts: list[RunUpStart]) -> Iterator[RunUpStart]:
-    """Starts with two resonances: the best one, and only when that is not enough a thorough search's."""
-    apart = [s for s in starts if not s.alike]
-    yield from apart[:1]
-    thorough = run_up_starts(record.channels, record.drive, thorough=True)
-    yield from [s for s in thorough if not s.alike and s not in apart[:1]][:_TRIED]
-
-
-def _theta(start: RunUpStart) -> np.ndarray:
-    theta = np.zeros(PARAMETERS)
-    theta[list(OMEGAS)], theta[list(ZETAS)] = np.log(start.omegas), np.log(start.zetas)
-    theta[ANGLE] = start.angle_rad
-    return theta
 
 
 def _result(
