@@ -212,11 +212,11 @@ class TransientProblem:
         """Where an iteration from θ has got to that did not settle, and the step that it would still make.
 
         Where a model is not smooth (a friction that stops a pendulum), it creeps along a valley whose end its own
-        linearisation foresees. None where that is far off, or where the iteration has led nowhere.
+        linearisation foresees. None where that is far off, or where θ itself has no motion that can be followed.
         """
-        minimum = self.solve(theta, end_s, _OPENED)
-        if not np.all(np.isfinite(minimum.residual)):
+        if not np.all(np.isfinite(self.residual(theta, end_s))):
             return None
+        minimum = self.solve(theta, end_s, _OPENED)
         step = -minimum.covariance @ (minimum.jacobian.T @ minimum.residual)
         moved = minimum.jacobian @ step
         return (minimum, step) if np.all(np.isfinite(step)) and moved @ moved < _FAR else None

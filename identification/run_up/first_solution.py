@@ -74,10 +74,13 @@ def about_known(
         whole = _afresh(record)  # with both free the imbalance is known too badly for the gains' ratio
         solution = solve(whole, both, structure.project(start))
         if solution.chi2_per_dof < _EXCESS and solution.minimum.converged:
-            for one in (replace(both, run_out=False), replace(both, bow=False)):
-                alone = _with_gains(record, one, solution.minimum.theta)
-                if alone[1].chi2_per_dof < _EXCESS and alone[1].minimum.converged:
-                    return alone[0], one, alone[1]
+            alone = [
+                (*_with_gains(record, narrower, solution.minimum.theta), narrower)
+                for narrower in (replace(both, run_out=False), replace(both, bow=False))
+            ]
+            narrow, fitted, which = min(alone, key=lambda each: each[1].chi2_per_dof)
+            if fitted.chi2_per_dof < _EXCESS and fitted.minimum.converged:
+                return narrow, which, fitted
             return whole, both, solution
     return found[0], structure, found[1]
 

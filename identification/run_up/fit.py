@@ -31,12 +31,7 @@ from identification.run_up.design import (
 )
 from identification.run_up.first_solution import Clocks, about_known, first_structure, from_starts, solve
 from identification.run_up.forced_oscillator import Drive
-from identification.run_up.model import (
-    TERMS,
-    RunUpRecord,
-    Structure,
-    run_up_blocks,
-)
+from identification.run_up.model import TERMS, RunUpRecord, Structure, run_up_blocks
 from identification.run_up.naive import half_power, vold_kalman
 from identification.run_up.profile import intervals
 from identification.run_up.reported import determined, either, reported, slow_roll_sentences
