@@ -52,7 +52,7 @@ def fitted_at(fitted: Fitted, shared: Mapping[str, float], misfit: Misfit) -> Fi
     """
     minimum, held = fitted.minimum, [PLACES[name] for name in shared if name in PLACES]
     knowledge, moved = fitted.release.knowledge, dict(fitted.moved)
-    for name in (*knowledge.numbers, *BOW):
+    for name in (*knowledge.numbers, *BOW, *knowledge.terms):
         if name in shared and name != "imbalance.mass_kg":
             knowledge = knowledge.moved(name, shared[name] - moved.get(name, 0.0))
             moved[name] = shared[name]
