@@ -296,11 +296,15 @@ def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
     command = [sys.executable, "-m", "cli.main", "record", "virtual", "-o", str(log), "--time-scale", str(TIME_SCALE)]
     for setting in virtual_rig.port_settings():
         command += ["--set", setting]
+    told = signal.Signals[name]
+    # tests that were started in the background may have this signal ignored, which a child would inherit
+    before = signal.signal(told, signal.SIG_DFL)
     host = subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True)
+    signal.signal(told, before)
     part, deadline = log.with_name("run.mcap.part"), time.monotonic() + 120
     while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
         time.sleep(0.02)
-    host.send_signal(signal.Signals[name])
+    host.send_signal(told)
     out, _ = host.communicate(timeout=120)
     assert host.returncode == 0
     assert json.loads(out)["log"] == str(log)
