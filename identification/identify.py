@@ -141,7 +141,8 @@ class _Work:
     @property
     def sources(self) -> tuple[KnownSource, ...]:
         """Of uncertainty in what tests take as known."""
-        return self.rig.known.sources + (self.drag.drag.sources if self.drag else ())
+        known, drag = self.rig.known.sources, self.drag.drag if self.drag else None
+        return drag.moved_with(known) + drag.sources if drag else known
 
     @property
     def transients(self) -> dict[str, TransientFit]:
@@ -368,7 +369,8 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     torques = {**kept_friction(work.friction(), work.open_friction()), **(drag.drag.table if drag else {})}
     facts = _provenance(runs, work, rows, torques)
     if drag is not None:
-        shifts = drag.shifts(parameters.values, parameters.std)
+        own = dict(zip(parameters.values, np.sqrt(np.diag(parameters.own_covariance)).tolist(), strict=True))
+        shifts = drag.shifts(parameters.values, own)
         parameters = replace(parameters, shared={**shifts, **parameters.shared})
     angle, std = _axis_angle(work.fits)
     digests = {r.source: str(r.metadata.get("digest", "")) for r in runs}

@@ -9,8 +9,8 @@ them apart. Source: docs/theory/pendulum_damping.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -46,6 +46,7 @@ class Drag:
         values: N m s²/rad², shape (2,).
         covariance: shape (2, 2).
         undecided: whether no release has told yet that it is the air's drag and no friction with the contact force.
+        by_number: number of the rig file → derivative of the values by it, shape (2,).
     Raises:
         ValueError: numbers that are not finite, or a covariance of the wrong shape or with a negative variance.
     """
@@ -53,6 +54,7 @@ class Drag:
     values: Array
     covariance: Array
     undecided: bool = False
+    by_number: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     def __post_init__(self) -> None:
         if self.values.shape != (2,) or self.covariance.shape != (2, 2):
@@ -69,7 +71,8 @@ class Drag:
         if not kept:
             return None
         values = np.array([float(kept["values"][name]) for name in NAMES])
-        return cls(values, np.array(kept["covariance"], np.float64), bool(kept.get("undecided", False)))
+        by_number = {name: np.array(by, np.float64) for name, by in kept.get("by_number", {}).items()}
+        return cls(values, np.array(kept["covariance"], np.float64), bool(kept.get("undecided", False)), by_number)
 
     @property
     def table(self) -> dict[str, Any]:
@@ -79,6 +82,7 @@ class Drag:
                 "values": dict(zip(NAMES, self.values.tolist(), strict=True)),
                 "covariance": self.covariance.tolist(),
                 "undecided": self.undecided,
+                "by_number": {name: by.tolist() for name, by in self.by_number.items()},
             }
         }
 
@@ -94,6 +98,15 @@ class Drag:
         """Its error as two independent ones of what a release takes as known."""
         effects: list[dict[str, float]] = [dict(zip(DRAG, part, strict=True)) for part in self.root.T.tolist()]
         return tuple(_DragSource(label, 1.0, "1", by, "A") for label, by in zip(LABELS, effects, strict=True))
+
+    def moved_with(self, sources: Sequence[KnownSource]) -> tuple[KnownSource, ...]:
+        """Errors of what is taken as known, each with what it does to the drag that was found with it."""
+        return tuple(self._moved_with(source) for source in sources)
+
+    def _moved_with(self, source: KnownSource) -> KnownSource:
+        parts = [self.by_number[number] * step for number, step in source.effects.items() if number in self.by_number]
+        moved = np.sum([np.zeros(2), *parts], axis=0).tolist()
+        return replace(source, effects={**source.effects, **dict(zip(DRAG, moved, strict=True))}) if parts else source
 
     def on(self, physics: RotorParameters) -> RotorParameters:
         """The rig with this drag; none below 0."""

@@ -36,7 +36,11 @@ class FoundDrag:
     correlation: Array
 
     def shifts(self, values: Mapping[str, float], std: Mapping[str, float]) -> dict[str, Array]:
-        """Shift of the values for one standard deviation of each part of the drag's error, by label, shape (n,)."""
+        """Shift of the values for one standard deviation of each part of the drag's error, by label, shape (n,).
+
+        Args:
+            std: of the values, without the errors that tests share: no scale's error goes with a drag's.
+        """
         names = list(values)
         out = {label: np.zeros(len(names)) for label in LABELS}
         for name, row in zip(_DAMPING_NAMES, self.correlation, strict=True):
@@ -61,7 +65,9 @@ def drag_by_spin_down(found: OpenFriction) -> FoundDrag:
     at = [*range(*DAMPING.indices(6)), 4, 5]
     spread = np.sqrt(np.diag(found.covariance)[at])
     together = found.covariance[np.ix_(at, at)] / np.outer(spread, spread)
-    drag = Drag(values, together[2:, 2:] * np.outer(std, std), True)
+    # a heavier or longer pendulum that slows down alike is braked by so much more of every torque
+    by_number = {name: values * by[DAMPING] for name, by in found.by_number.items()}
+    drag = Drag(values, together[2:, 2:] * np.outer(std, std), True, by_number)
     # with LLᵀ the drag's covariance its independent errors are e = L⁻¹ δ, and corr(ln c, e) = corr(ln c, δ/s) (L/s)⁻ᵀ
     return FoundDrag(drag, together[:2, 2:] @ np.linalg.inv(drag.root / std[:, None]).T)
 

@@ -261,7 +261,8 @@ class _Case:
             if name in by_number:
                 by_number[contact] = by_number[name] * speed_rad_s**2
         shared = {label: by @ shift for label, shift in self.identified.shared_with(self.rig.known).items()}
-        for source in self.rig.known.sources:
+        known = self.rig.known.sources
+        for source in drag.moved_with(known) if drag else known:
             parts = [found.slopes[name] * step for name, step in source.effects.items() if name in found.slopes]
             shared[source.label] = np.sum([shared.get(source.label, np.zeros(len(by))), *parts], axis=0)
         for label, shift in zip(LABELS, drag.root.T, strict=True) if drag else ():

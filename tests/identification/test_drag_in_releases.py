@@ -91,6 +91,20 @@ def test_a_spin_down_keeps_what_it_finds_as_one_thing(dragged: World, drag: Drag
     assert np.linalg.eigvalsh(found.own_covariance)[0] >= 0
 
 
+def test_an_error_of_masses_and_lengths_is_no_part_of_what_damping_and_drag_share() -> None:
+    """Taken from all of c's error, the shared part was longer than c's own, and every release blamed c3."""
+    world = draw_world(SEED, Spread.weighed(), with_effect("drag"))
+    tests = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
+    found = identify([record(world, SEED, test) for test in tests], world.rig).parameters
+    own = found.covariance - sum(np.outer(shift, shift) for shift in found.shared.values())
+    assert found.std["c3_Nms_per_rad"] > 1e-3 * found.values["c3_Nms_per_rad"]  # most of it by the lengths
+    assert np.linalg.eigvalsh(own / np.outer(*2 * [[*found.std.values()]]))[0] > -1e-6
+    kept = Drag.of(found.provenance)
+    assert kept is not None
+    share = kept.by_number["pendulums.a.length_m"] / kept.values * world.rig.physics.a.length_m
+    assert share == pytest.approx([2.0, 0.0], abs=0.1)  # torques go with m R²
+
+
 def test_releases_and_a_spin_down_find_the_damping_beside_the_drag(dragged: World) -> None:
     """What the spin-down finds is no dry friction then, and the releases are not left out as hidden by it."""
     before = [record(dragged, SEED, test) for test in ("ring-down-x", "ring-down-y", "run-up", "spin-down")]

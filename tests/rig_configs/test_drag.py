@@ -10,9 +10,10 @@ import pytest
 
 from rig_configs import IdentifiedParameters, load_rig
 from rig_configs.drag import Drag, read_as, spread_between
-from rig_configs.known import KEPT_FRICTION
+from rig_configs.known import DRAG, KEPT_FRICTION, KnownSource
 
-FOUND = Drag(np.array([1.6e-6, 1.8e-6]), np.array([[4e-14, 1e-14], [1e-14, 9e-14]]), undecided=True)
+FOUND = Drag(np.array([1.6e-6, 1.8e-6]), np.array([[4e-14, 1e-14], [1e-14, 9e-14]]), undecided=True,
+             by_number={"pendulums.a.length_m": np.array([6e-5, 0.0])})  # fmt: skip
 
 
 def kept(drag: Drag = FOUND) -> IdentifiedParameters:
@@ -33,6 +34,15 @@ def test_a_parameters_file_keeps_it(tmp_path: Path) -> None:
     assert np.array_equal(found.values, FOUND.values)
     assert np.array_equal(found.covariance, FOUND.covariance)
     assert Drag.of({}) is None
+    assert np.array_equal(found.by_number["pendulums.a.length_m"], FOUND.by_number["pendulums.a.length_m"])
+
+
+def test_an_error_of_a_length_moves_the_drag_that_was_found_with_it() -> None:
+    length = KnownSource("caliper", 2e-5, "m", {"pendulums.a.length_m": 2e-5, "pendulums.b.length_m": 2e-5})
+    mass = KnownSource("rotor.mass_kg", 1e-3, "kg", {"rotor.mass_kg": 1e-3})
+    moved, kept_as_it_was = FOUND.moved_with((length, mass))
+    assert moved.effects == {**length.effects, DRAG[0]: pytest.approx(2e-5 * 6e-5), DRAG[1]: 0.0}
+    assert kept_as_it_was is mass
 
 
 def test_it_acts_on_the_rig_and_a_value_below_zero_does_not() -> None:
