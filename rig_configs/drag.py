@@ -48,7 +48,7 @@ class Drag:
         undecided: whether no release has told yet that it is the air's drag and no friction with the contact force.
         by_number: number of the rig file → derivative of the values by it, shape (2,).
     Raises:
-        ValueError: numbers that are not finite, or a covariance of the wrong shape or with a negative variance.
+        ValueError: numbers that are not finite, of the wrong count, or a negative variance.
     """
 
     values: Array
@@ -59,7 +59,9 @@ class Drag:
     def __post_init__(self) -> None:
         if self.values.shape != (2,) or self.covariance.shape != (2, 2):
             raise ValueError(f"drag: expected 2 values and a 2 × 2 covariance, got {self.values}, {self.covariance}")
-        if not (np.all(np.isfinite(self.values)) and np.all(np.isfinite(self.covariance))):
+        if wrong := [name for name, by in self.by_number.items() if by.shape != (2,)]:
+            raise ValueError(f"drag: expected 2 derivatives by each number, got another count by {', '.join(wrong)}")
+        if not all(np.all(np.isfinite(each)) for each in (self.values, self.covariance, *self.by_number.values())):
             raise ValueError("drag: expected finite numbers")
         if np.any(np.diag(self.covariance) < 0):
             raise ValueError("drag: expected no negative variance")

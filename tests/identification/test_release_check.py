@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,7 +138,7 @@ def test_releases_together_are_met_to_the_noise_by_one_wrong_mass_alone() -> Non
 def test_all_that_tests_share_is_held_where_releases_agree(campaign: Campaign, release_d: Run) -> None:
     """With one of them left behind a release at D ends in a side minimum, χ² 15 each, and has its say from there."""
     found = identified(campaign, 10)
-    known = replace(Knowledge.nominal(found.applied_to(campaign.rig.physics)), terms=TERMS)
+    known = dataclasses.replace(Knowledge.nominal(found.applied_to(campaign.rig.physics)), terms=TERMS)
     release = Release.of(release_d, known, 3 * math.radians(campaign.rig.roles.zero_std_deg), "balanced")
     fitted = Attempts(found, frozenset()).fitted(release)
     shared = {"pendulums.b.mass_kg": 1e-6, BOW[0]: 1e-8, **dict(zip(TERMS, (20.0, -20.0, 0.01, 0.02), strict=True))}

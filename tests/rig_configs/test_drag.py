@@ -37,6 +37,12 @@ def test_a_parameters_file_keeps_it(tmp_path: Path) -> None:
     assert np.array_equal(found.by_number["pendulums.a.length_m"], FOUND.by_number["pendulums.a.length_m"])
 
 
+@pytest.mark.parametrize("by", [np.array([1e-5]), np.array([1e-5, np.nan])])
+def test_derivatives_that_a_damaged_file_has_are_refused(by: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="drag: expected"):
+        replace(FOUND, by_number={"pendulums.a.length_m": by})
+
+
 def test_an_error_of_a_length_moves_the_drag_that_was_found_with_it() -> None:
     length = KnownSource("caliper", 2e-5, "m", {"pendulums.a.length_m": 2e-5, "pendulums.b.length_m": 2e-5})
     mass = KnownSource("rotor.mass_kg", 1e-3, "kg", {"rotor.mass_kg": 1e-3})
