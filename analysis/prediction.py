@@ -42,7 +42,6 @@ QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
 _ACCURACY = 1e-6
-UNKNOWN_AXIS_ANGLE_DEG = (0.0, 3.0)  # value and std when no test has shown it
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def predict_point(
         identified: values with covariance; SI.
         speed_rad_s, speed_std_rad_s: running speed and its standard uncertainty.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty; None for
-            the identified one, 0 ± 3° where no test has shown it.
+            the identified one, as the sensors are mounted where no test has shown it.
         near_rad: measured θ3, θ4; of several stable states (mirror images) the nearest is taken.
     Raises:
         NoStableState: no stable steady state, or the search failed.
@@ -129,7 +128,7 @@ def predict_point(
     if not states:
         raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
     state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
-    beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, axis_angle_deg, rig.roles.turn_deg))
+    beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, rig, axis_angle_deg))
     run_out = shown_run_out(identified.slow_roll)
     terms = uncertain_terms(identified)
     names = [*identified.values, *terms]
@@ -173,18 +172,13 @@ def _shared(
 
 
 def known_axis_angle(
-    identified: IdentifiedParameters, given_deg: tuple[float, float] | None = None, turn_deg: float = 0.0
+    identified: IdentifiedParameters, rig: Rig, given_deg: tuple[float, float] | None = None
 ) -> tuple[float, float]:
-    """The angle and its deviation in degrees: as given, else as identified, else as mounted ± 3°; nan is not given.
-
-    Args:
-        turn_deg: how the sensors stand by the rig file.
-    """
+    """The angle and its deviation in degrees: as given, else as identified, else as mounted; nan is not given."""
     for angle in (given_deg, identified.axis_angle_deg):
         if angle is not None and all(map(math.isfinite, angle)):
             return angle
-    value, std = UNKNOWN_AXIS_ANGLE_DEG
-    return value + turn_deg, std
+    return rig.roles.mounted_deg
 
 
 def _distance(state: SteadyState, near: Sequence[float]) -> float:

@@ -119,7 +119,7 @@ def validate(
     warnings += found.warnings
     warnings += [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
     if given is None and known.axis_angle_deg is None:
-        value, std = known_axis_angle(known, turn_deg=loaded.roles.turn_deg)
+        value, std = known_axis_angle(known, loaded)
         warnings.append(
             f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is taken; identify "
             "again, or give --axis-angle-deg and --axis-angle-std-deg"

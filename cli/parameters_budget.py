@@ -193,7 +193,7 @@ def _predicted(
                 skipped[point] = str(why)
     if not found:
         return None, skipped
-    angle = known_axis_angle(identified, turn_deg=rig.roles.turn_deg)
+    angle = known_axis_angle(identified, rig)
     there = identified.axis_angle_deg is not None
     budgets = predicted_budgets(
         found, list(identified.values), of_parameters.budgets, rig, angle, axis_identified=there,

@@ -24,7 +24,7 @@ def shown_json(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> Ent
     from analysis.prediction import known_axis_angle  # noqa: PLC0415 (numba takes seconds to import)
     from analysis.run_out import shown_run_out  # noqa: PLC0415
 
-    beta = math.radians(known_axis_angle(known, turn_deg=rig.roles.turn_deg)[0])
+    beta = math.radians(known_axis_angle(known, rig)[0])
     x, y = state.x_m, -1j * state.y_m
     motion = (x * math.cos(beta) + y * math.sin(beta), -x * math.sin(beta) + y * math.cos(beta))
     shown = tuple(z + r for z, r in zip(motion, shown_run_out(known.slow_roll), strict=True))

@@ -21,7 +21,7 @@ from identification.joint import ConsistencyRow, combine, joint_estimate
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import told, with_shared_friction, without_known
 from identification.methods import advice, passed_over, runs_for, taken, turns
-from identification.mounting import as_mounted
+from identification.mounting import as_mounted, mounting_remarks
 from identification.pendulums.drag import FoundDrag, found_drag, shown_beside_drag
 from identification.pendulums.friction import Friction, kept_friction
 from identification.pendulums.open_friction import OpenFriction, pooled
@@ -373,6 +373,7 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
         shifts = drag.shifts(parameters.values, own)
         parameters = replace(parameters, shared={**shifts, **parameters.shared})
     angle, std = _axis_angle(work.fits)
+    warnings += mounting_remarks((angle, std), (runs[0].turn_deg, work.rig.roles.mounted_deg[1]))
     digests = {r.source: str(r.metadata.get("digest", "")) for r in runs}
     slow_roll, told = work.slow_roll(digests)
     warnings += told

@@ -3,7 +3,8 @@
 
 A fit of both sensors finds the angle β from stiffness x to sensor x up to whole quarter turns: with a quarter turn more
 the two directions are exchanged, and the motion is the same. The fit names as direction 1 what is nearer to sensor x.
-How the sensors stand, by the rig file, decides which quarter turn it is; for sensors along the axes it is none.
+How the sensors stand, by the rig file, decides which quarter turn it is; for sensors along the axes it is none. An
+angle that its standard uncertainty does not allow is told.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from rig_configs.roles import AXIS_TOLERANCE_DEG
 Fit = TypeVar("Fit", RingDownFit, RunUpFit)
 
 _ANGLE = "axis_angle_deg"
+_DOUBTED = 2.576  # of a normal error, 99 % are within so many standard deviations
 _DOUBTFUL_DEG = 15.0
 _DIRECTION = re.compile(r"\b(f|k|zeta|direction )([12])(?=\b|_)")
 
@@ -52,16 +54,27 @@ def as_mounted(fit: Fit, turn_deg: float) -> Fit:
             values[name] = math.remainder(values[name] + 90.0 * quarters, 360.0)
     shift = {name: values[name] - named.values[name] for name in values}
     intervals = {n: (low + shift.get(n, 0.0), high + shift.get(n, 0.0)) for n, (low, high) in named.intervals.items()}
-    return replace(named, values=values, intervals=intervals, warnings=[*named.warnings, *_doubt(values, turn_deg)])
+    return replace(named, values=values, intervals=intervals)
 
 
-def _doubt(values: dict[str, float], turn_deg: float) -> list[str]:
-    off = values[_ANGLE] - turn_deg
-    if abs(off) <= _DOUBTFUL_DEG:
+def mounting_remarks(found_deg: tuple[float, float], mounted_deg: tuple[float, float]) -> list[str]:
+    """A sentence where the sensors stand otherwise than the rig file can mean; none for an angle that is not known.
+
+    Args:
+        found_deg: from the stiffness x axis to sensor x by the record, and its standard uncertainty; nan: not known.
+        mounted_deg: the same by the rig file.
+    """
+    (angle, std), (mounted, mounted_std) = found_deg, mounted_deg
+    if not abs(angle - mounted) > _DOUBTED * math.hypot(mounted_std, std):
         return []
+    then = (
+        "k1 and k2 are exchanged where they are more than 45° apart"
+        if abs(angle - mounted) > _DOUBTFUL_DEG
+        else "all figures take what was found; turn the sensors, or say in the rig file how they stand"
+    )
     return [
-        f"the sensors stand at {values[_ANGLE]:.1f}° to the stiffness axes by the record, at {turn_deg:g}° by the rig "
-        "file (direction_deg): where they are more than 45° apart, k1 and k2 are exchanged"
+        f"the sensors stand turned: at {angle:.2f} ± {std:.1g}° to the stiffness axes by the record, at "
+        f"{mounted:g} ± {mounted_std:g}° by the rig file (direction_deg, direction_std_deg); {then}"
     ]
 
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, cast
 from pydantic import BeforeValidator, ConfigDict, Field, field_validator
 
 from rig_configs.roles import (
+    USUAL_DIRECTION_STD_DEG,
     USUAL_GAIN_STD,
     USUAL_ZERO_STD_DEG,
     Axis,
@@ -58,6 +59,7 @@ class DisplacementSettings(DeviceSettings):
 
     calibration: ClassVar[tuple[str, ...]] = (
         "range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm", "direction_deg",
+        "direction_std_deg",
     )  # fmt: skip
 
     names_its_channel: ClassVar[bool] = False
@@ -71,6 +73,7 @@ class DisplacementSettings(DeviceSettings):
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
     clock_tolerance_ppm: Positive = 30.0
     direction_deg: Finite | None = None
+    direction_std_deg: NotNegative = USUAL_DIRECTION_STD_DEG
     witness: Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]{0,30})?$")] = ""
 
     @field_validator("witness", mode="after")
@@ -100,7 +103,7 @@ class DisplacementSettings(DeviceSettings):
                 device=device, topic=self.topic, axis=self.axis, rate_Hz=float(self.rate_Hz),
                 range_m=self.range_m, lever_ratio=self.lever_ratio, gain_std=self._total_gain_std,
                 clock_tolerance_ppm=self.clock_tolerance_ppm, witness=bool(self.witness),
-                direction_deg=self.direction_deg,
+                direction_deg=self.direction_deg, direction_std_deg=self.direction_std_deg,
             ),
         )  # fmt: skip
 

@@ -21,7 +21,7 @@ AXIS_TOLERANCE_DEG, SQUARE_TOLERANCE_DEG = 10.0, 3.0
 """How far a sensor may look off its axis before that is more than mounting; how far two may be off a right angle."""
 AT_REST_RPM = 1.0
 """A speed source's reading of a standing rotor may flicker by one count, where nothing else is said of it."""
-USUAL_GAIN_STD, USUAL_ZERO_STD_DEG = 0.001, 0.05
+USUAL_GAIN_STD, USUAL_ZERO_STD_DEG, USUAL_DIRECTION_STD_DEG = 0.001, 0.05, 1.0
 """Of a sensor of which nothing is said: also of one that recorded elsewhere and that the rig file does not know."""
 
 
@@ -39,6 +39,7 @@ class Displacement:
         clock_tolerance_ppm: standard uncertainty of its clock's rate.
         witness: whether another sensor measures the displacement along the axis for the rig, and this one checks it.
         direction_deg: angle from +x, counter-clockwise, of the direction in which its reading grows; None: its axis'.
+        direction_std_deg: standard uncertainty of how it was mounted against the suspension's axes.
     """
 
     role: ClassVar[str] = "displacement"
@@ -53,6 +54,7 @@ class Displacement:
     gain_std: NotNegative = 0.0
     witness: bool = False
     direction_deg: Finite | None = None
+    direction_std_deg: NotNegative = USUAL_DIRECTION_STD_DEG
 
     @property
     def off_axis_deg(self) -> float:
@@ -253,6 +255,12 @@ class Roles:
         """Angle from the x axis to sensor x, and from y to sensor y; of one sensor alone, its own."""
         angles = [sensor.off_axis_deg for sensor in self.displacements]
         return angles[0] + 0.5 * math.remainder(angles[-1] - angles[0], 360.0) if angles else 0.0
+
+    @property
+    def mounted_deg(self) -> tuple[float, float]:
+        """`turn_deg` and its standard uncertainty, one error of both sensors; the usual one where there is none."""
+        stds = [sensor.direction_std_deg for sensor in self.displacements]
+        return self.turn_deg, max(stds, default=USUAL_DIRECTION_STD_DEG)
 
     @property
     def duties(self) -> dict[str, str]:

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from analysis.plots.fit import FitCurve, draw_fit
 from analysis.plots.point import draw_point, simulate_release
 from analysis.plots.stability_map import MapPoint, draw_stability_map
-from analysis.prediction import UNKNOWN_AXIS_ANGLE_DEG, known_axis_angle
+from analysis.prediction import known_axis_angle
 from analysis.report import tables
 from analysis.report.budget_tables import budget_tables
 from analysis.report.campaign import Campaign
@@ -45,7 +45,7 @@ def render(campaign: Campaign) -> str:
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     text = resources.files("analysis.report").joinpath(_TEMPLATE).read_text(encoding="utf-8")
     points = dict(campaign.validation.points) if campaign.validation else {}
-    angle = known_axis_angle(campaign.identification.parameters, campaign.axis_angle_deg)
+    angle = known_axis_angle(campaign.identification.parameters, campaign.rig, campaign.axis_angle_deg)
     names, correlations = tables.correlation_rows(campaign)
     streams, losses = tables.loss_table(campaign)
     return environment.from_string(text).render(
@@ -55,7 +55,7 @@ def render(campaign: Campaign) -> str:
         losses=losses,
         parameters=tables.parameter_rows(campaign),
         axis_angle=tables.with_std(*angle, "°"),
-        axis_angle_known=angle != UNKNOWN_AXIS_ANGLE_DEG,
+        axis_angle_known=angle != campaign.rig.roles.mounted_deg,
         correlation_names=names,
         correlations=correlations,
         estimates=tables.estimate_rows(campaign),
@@ -106,7 +106,9 @@ def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dic
     run = _run_of(campaign, point)
     if point.measurement is not None and run is not None:
         physics = campaign.identification.parameters.applied_to(campaign.rig.physics)
-        beta = math.radians(known_axis_angle(campaign.identification.parameters, campaign.axis_angle_deg)[0])
+        beta = math.radians(
+            known_axis_angle(campaign.identification.parameters, campaign.rig, campaign.axis_angle_deg)[0]
+        )
         simulated = simulate_release(run, point.measurement, physics, beta)
         figure = Markup(draw_point(run, point.measurement, point.prediction, simulated, f"point{index}"))
     return {

@@ -80,7 +80,7 @@ class Effects:
         creep_rpm: speed of the rotor in the spin-down, where an encoder then reads its phase.
         phase_step_deg: an encoder of so coarse steps, read at 1 kHz, in place of the index mark.
         speed_noise_rpm: at the points a noisy speed, read at 1 kHz and integrated, in place of the index mark.
-        turned_deg: by how much the sensors stand turned.
+        turned_deg: how the sensors stand, in place of what is drawn.
         noise_m: white noise of the lasers; counts, encoder_noise_counts: of the encoders; gaps: radio bursts lost.
     """
 
@@ -192,10 +192,11 @@ the beginning, by the standard uncertainty that the rig file states or a laborat
 
 
 def stated(spread: Spread) -> Rig:
-    """The shipped `virtual` rig, whose file states what is drawn of masses, lengths, balance and index angle."""
+    """The shipped `virtual` rig, whose file states what is drawn of masses, lengths, balance, mounting, index."""
     physics = load_rig("virtual").physics
     numbers = physical_numbers(physics)
-    settings = [f"devices.encoder.index_angle_std_deg={spread.index_deg!r}"]
+    settings = [f"devices.{laser}.direction_std_deg={spread.axis_deg!r}" for laser in ("laser_x", "laser_y")]
+    settings.append(f"devices.encoder.index_angle_std_deg={spread.index_deg!r}")
     for name, value in numbers.items():
         share = spread.masses if name.endswith("mass_kg") else spread.lengths
         if share and value:
@@ -246,7 +247,7 @@ def draw_world(
     devices = rng.standard_normal(3) * spread.clock_ppm * 1e-6
     return World(
         seed, mechanics, zeta, (math.radians(spread.zero_deg * near[7]), math.radians(spread.zero_deg * near[8])),
-        math.radians(spread.index_deg * near[9]), math.radians(spread.axis_deg * near[10] + effects.turned_deg),
+        math.radians(spread.index_deg * near[9]), math.radians(effects.turned_deg or spread.axis_deg * near[10]),
         (1 + spread.gain * float(near[11]), 1 + spread.gain * float(near[12])),
         dict(zip(("laser_x", "laser_y", "encoder"), devices.tolist(), strict=True)),
         math.radians(spread.lock_play_deg), rig, effects,

@@ -53,7 +53,7 @@ def found(rig: Rig, identified: IdentifiedParameters) -> PredictedBudgets:
         for name in ("B", "D")
     }
     parameters = parameter_budgets(identified, rig).budgets
-    return predicted_budgets(predictions, list(identified.values), parameters, rig, known_axis_angle(identified))
+    return predicted_budgets(predictions, list(identified.values), parameters, rig, known_axis_angle(identified, rig))
 
 
 def test_the_budgets_hold_the_covariance_of_the_prediction(found: PredictedBudgets) -> None:

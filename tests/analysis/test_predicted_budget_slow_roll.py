@@ -51,7 +51,7 @@ def found(rig: Rig, identified: IdentifiedParameters) -> PredictedBudgets:
     }
     return predicted_budgets(
         predictions, list(identified.values), parameter_budgets(identified, rig).budgets, rig,
-        known_axis_angle(identified), slow_roll=identified.slow_roll,
+        known_axis_angle(identified, rig), slow_roll=identified.slow_roll,
     )  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def test_rows_have_the_sensitivities_of_the_prediction(
     speed = found.predictions["B"].speed_rad_s
     before = predict_point(rig, alone, speed)
     budgets = predicted_budgets(
-        {"B": before}, list(alone.values), parameter_budgets(alone, rig).budgets, rig, known_axis_angle(alone),
+        {"B": before}, list(alone.values), parameter_budgets(alone, rig).budgets, rig, known_axis_angle(alone, rig),
         slow_roll=roll,
     )  # fmt: skip
     row = next(r for r in budget_rows(budgets.budgets["B.theta3_deg"]) if r.source.endswith("bow along 0°"))

@@ -263,4 +263,4 @@ def test_the_axis_angle_of_the_parameters_turns_the_prediction(rig: Rig, drawn: 
     for angle in ((12.0, 0.5), (-7.0, 2.0)):
         assert predicted(angle) == predicted(None, angle) != predicted(None)
         assert predicted((40.0, 9.0), angle) == predicted(angle)  # what is given goes before what was found
-    assert predicted(None) == predicted(None, (0.0, 3.0)) == predicted(None, (math.nan, 1.0))
+    assert predicted(None) == predicted(None, (0.0, 1.0)) == predicted(None, (math.nan, 1.0))

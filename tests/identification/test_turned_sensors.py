@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from synthetic import Campaign
 from analysis.prediction import known_axis_angle
 from daq.signals.run import Run
 from identification import NotIdentifiable, identify
-from identification.mounting import as_mounted
+from identification.mounting import as_mounted, mounting_remarks
 from identification.ring_down.fit import fit_ring_down_runs, ring_down_estimate
-from rig_configs import IdentifiedParameters
+from rig_configs import IdentifiedParameters, load_rig
 
 
 def turned(run: Run, turn_deg: float) -> Run:
@@ -85,8 +86,22 @@ def test_exchanged_directions_keep_their_numbers_together() -> None:
 def test_a_direction_that_the_record_contradicts_is_told() -> None:
     campaign = Campaign(1, axis_angle_deg=25.0)
     fit = fit_ring_down_runs([campaign.ring_down("x")], campaign.truth.total_mass_kg)
-    (warning,) = as_mounted(fit, 45.0).warnings
-    assert "stand at 25.0° to the stiffness axes by the record, at 45° by the rig file" in warning
+    found = as_mounted(fit, 45.0)
+    (warning,) = mounting_remarks((found.values["axis_angle_deg"], found.std["axis_angle_deg"]), (45.0, 1.0))
+    assert "turned: at 24.99 ± 0.04° to the stiffness axes by the record, at 45 ± 1° by the rig file" in warning
+    assert "k1 and k2 are exchanged" in warning
+
+
+@pytest.mark.parametrize(("mounted_std", "told"), [(1.0, 1), (1.3, 0), (0.0, 1)])
+def test_sensors_that_stand_turned_by_more_than_the_rig_file_allows_are_told(mounted_std: float, told: int) -> None:
+    campaign = Campaign(1, axis_angle_deg=3.0)
+    settings = [f"devices.laser_{axis}.direction_std_deg={mounted_std}" for axis in "xy"]
+    rig = load_rig("virtual", settings=settings)
+    found = identify([campaign.ring_down("x")], rig)
+    warnings = [warning for warning in found.warnings if "direction_std_deg" in warning]
+    assert len(warnings) == told
+    assert all(f"at 0 ± {mounted_std:g}° by the rig file" in warning for warning in warnings)
+    assert mounting_remarks((math.nan, math.nan), (0.0, mounted_std)) == []
 
 
 def test_one_turned_laser_alone_shows_no_direction() -> None:
@@ -109,5 +124,7 @@ def test_both_clocks_are_in_what_both_sensors_show() -> None:
 
 def test_an_angle_that_nobody_has_shown_is_that_of_the_mounting() -> None:
     nothing = IdentifiedParameters({"zeta1": 0.02}, np.array([[1e-8]]))
-    assert known_axis_angle(nothing) == (0.0, 3.0)
-    assert known_axis_angle(nothing, turn_deg=-45.0) == (-45.0, 3.0)
+    assert known_axis_angle(nothing, load_rig("virtual")) == (0.0, 1.0)
+    ends = ("x.direction_deg=-45", "y.direction_deg=45", "y.direction_std_deg=3")
+    turned = [f"devices.laser_{end}" for end in ends]
+    assert known_axis_angle(nothing, load_rig("virtual", settings=turned)) == (-45.0, 3.0)
