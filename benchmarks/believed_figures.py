@@ -5,13 +5,14 @@
         [--joint] [--jobs N] [--out FILE.jsonl] [--resume]
 
 Each campaign draws a true rig and its sensors (benchmarks.worlds), records two ring-downs, a spin-down, a run-up and
-releases at the five points, identifies and validates. Printed: coverage of the 95 % intervals with its own binomial
-95 % interval, mean and spread of z, the share of campaigns that pass, the share whose warnings name the effect, alarms
-where nothing is wrong, and median times. `--knowledge` says what the rig file does not know: "exact" nothing, "usual"
-zeros, gains, index and clocks within what it states, "weighed" masses and lengths to 0.05 % too. Effects: cubic,
-quadratic, dry, contact, drag, bow, runout, hum, wander, creep, phase_step, speed_noise, turned, noise, gaps. Wrong: k2,
-zeta1, c3, SP change between the tests and the points, by N of the standard deviations that were found; mass_b,
-length_b, zero_a, gain_x are off from the beginning, by N of those stated.
+releases at the five points, identifies and validates. Printed: coverage of the 95 % intervals, of parameters and of
+what is predicted at the points, with its own binomial 95 % interval, mean and spread of z (|z| of an amplitude of
+nothing), the share of campaigns that pass, the share whose warnings name the effect, alarms where nothing is wrong,
+and median times. `--knowledge` says what the rig file does not know: "exact" nothing, "usual" zeros, gains, index and
+clocks within what it states, "weighed" masses and lengths to 0.05 % too. Effects: cubic, quadratic, dry, contact,
+drag, bow, runout, hum, wander, creep, phase_step, speed_noise, turned, noise, gaps. Wrong: k2, zeta1, c3, SP change
+between the tests and the points, by N of the standard deviations that were found; mass_b, length_b, zero_a, gain_x are
+off from the beginning, by N of those stated.
 """
 
 from __future__ import annotations
@@ -92,9 +93,10 @@ def _verdicts(rows: Sequence[dict[str, Any]]) -> list[str]:
         results = [row["points"][point] for row in rows if point in row["points"]]
         z = {n: [r["z"][n] for r in results if n in r["z"]] for n in dict.fromkeys(n for r in results for n in r["z"])}
         verdicts = {v: sum(r["verdict"] == v for r in results) for v in dict.fromkeys(r["verdict"] for r in results)}
-        spread = "  ".join(f"{n} {np.mean(v):+.1f}±{np.std(v):.1f}" for n, v in z.items())
-        lines.append(f"  {point}: {', '.join(f'{n} {v}' for v, n in verdicts.items())}; z {spread}")
-    return lines
+        lines.append(f"  {point}: {', '.join(f'{n} {v}' for v, n in verdicts.items())}")
+        lines += [_line(f"  {point} {name}", found) for name, found in z.items()]
+    every = [z for row in rows for point in row["points"].values() for z in point["z"].values()]
+    return [*lines, _line("  all predicted", every)] if every else lines
 
 
 def _warnings(rows: Sequence[dict[str, Any]], effects: Effects) -> list[str]:
