@@ -11,11 +11,12 @@ Source: docs/theory/steady_states.md, "Where it ends".
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signals.clock_rates import rate_std_between
 from daq.signals.limit import LEAST_WINDOWS, Limit, limit
 from daq.signals.rounding import rounding_covariance
 from daq.signals.run import Run
@@ -27,6 +28,7 @@ UNEXPLAINED = "unexplained"
 _WINDOW_S = 1.0
 _MOST_WINDOWS = 30
 _LEAST_RAD, _LEAST_M = 1e-9, 1e-12  # a mean's noise is not taken smaller: signals that do not change at all have none
+_HARDLY = 0.1  # of its radius, by which an orbit may change and still be taken as radius and arc
 _NAMES = ("θ3", "θ4", "x", "y")
 
 
@@ -100,7 +102,7 @@ def to_come(run: Run, release_s: float, end_s: float, means: Array, stds: Array)
         means, stds: of the last seconds, shape (6,), with the standard uncertainties that hold where no approach
             explains the means: statistics, rounding and the bound on what is to come.
     """
-    found = _limit(run, release_s, end_s)
+    found = _limit(run, release_s, end_s, means)
     if found is None:
         return ToCome(np.zeros(6), np.diag(stds**2), np.zeros(6), UNEXPLAINED, math.nan, 0)
     shift = found.values - means
@@ -108,7 +110,7 @@ def to_come(run: Run, release_s: float, end_s: float, means: Array, stds: Array)
     return ToCome(shift, found.covariance, found.to_come, found.model, found.rate_per_s, found.windows)
 
 
-def _limit(run: Run, release_s: float, end_s: float) -> Limit | None:
+def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | None:
     """The windows since the release, and where they lead."""
     marks = (run.mark_time_s >= release_s) & (run.mark_time_s <= end_s)
     time, phase = run.mark_time_s[marks], run.mark_phase_rad[marks]
@@ -124,10 +126,47 @@ def _limit(run: Run, release_s: float, end_s: float) -> Limit | None:
     _, a, o = np.intersect1d(angles.edges_s[:, 0], orbit.edges_s[:, 0], return_indices=True)
     if len(a) < LEAST_WINDOWS:
         return None
-    turning, whirling = angles.means[a], orbit.means[o]
-    of_orbit = orbit.noise_covariance(_LEAST_M)[:, o][:, :, o]
-    noise = np.concatenate([_angle_noise(angles, turning), of_orbit])
-    return limit(angles.edges_s[a], np.concatenate([turning, whirling], axis=1), noise)
+    seen = np.concatenate([angles.means[a], orbit.means[o]], axis=1)
+    noise = np.concatenate([_angle_noise(angles, angles.means[a]), orbit.noise_covariance(_LEAST_M)[:, o][:, :, o]])
+    middle = angles.edges_s[a].mean(axis=1)
+    turns = (middle - middle[-1]) * float(phase[-1] - phase[0]) / float(time[-1] - time[0])
+    back, held = np.eye(6), np.ones(6)
+    for signal, at in (("x", slice(2, 4)), ("y", slice(4, 6))):
+        local = _radius_and_arc(seen[:, at], noise[at], means[at], turns * rate_std_between(run, signal, "phase"))
+        if local is not None:
+            seen[:, at], noise[at], back[at, at] = local
+            held[at.stop - 1] = 0.0  # where along the arc it ends is the clocks' affair; the mean stands
+    found = limit(angles.edges_s[a], seen, noise)
+    if found is None:
+        return None
+    return replace(
+        found, values=back @ (held * found.values), covariance=back @ found.covariance @ back.T,
+        to_come=back @ (held * found.to_come),
+    )  # fmt: skip
+
+
+def _radius_and_arc(vectors: Array, noise: Array, mean: Array, turn_std: Array) -> tuple[Array, Array, Array] | None:
+    """A sensor's order-1 vectors as radius and arc beyond the mean's direction, m; None for those that still change.
+
+    Args:
+        vectors: per window, shape (n, 2).
+        noise: of both columns, shape (2, n, n).
+        mean: of the last seconds, shape (2,).
+        turn_std: by how much the clocks may have turned each window, rad, shape (n,).
+    Returns:
+        Radii and arcs (n, 2); their noise, that of the arcs with the clocks' (2, n, n); what takes both back to the
+        vectors' axes (2, 2).
+    """
+    radius = math.hypot(*mean)
+    if not np.max(np.hypot(*(vectors[-LEAST_WINDOWS:] - mean).T)) < _HARDLY * radius:
+        return None
+    c, s = mean / radius
+    back = np.array([[c, -s], [s, c]])
+    along, across = (vectors @ back).T
+    arcs = radius * np.unwrap(np.arctan2(across, along)[::-1])[::-1]
+    own = np.tensordot(back.T**2, noise, 1)
+    own[1] += radius**2 * np.outer(turn_std, turn_std)
+    return np.column_stack([np.hypot(along, across), arcs]), own, back
 
 
 def _angle_noise(seen: WindowMeans, means: Array) -> Array:

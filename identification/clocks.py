@@ -16,19 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signals.clock_rates import clock_of, clock_rate_std
 from daq.signals.run import Run
-
-_UNKNOWN = 20e-6
-
-
-def clock_rate_std(rates: Mapping[str, float], signal: str) -> float:
-    """Relative standard uncertainty of the rate of a signal's clock; 20 ppm when the run does not say."""
-    return float(rates.get(signal, _UNKNOWN))
-
-
-def clock_of(run: Run, signal: str) -> str:
-    """Which clock stamped a signal: its device's, or the recorder's."""
-    return run.clocks.get(signal, signal)
 
 
 def clock_label(clock: str) -> str:
@@ -78,11 +67,3 @@ def joined_rates(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
 def _alike(run: Run, signal: str) -> float:
     """What of the standard uncertainty of a clock's rate all runs of that clock share."""
     return float(run.clock_shared_std.get(signal, clock_rate_std(run.clock_rate_std, signal)))
-
-
-def rate_std_between(run: Run, signal: str, other: str) -> float:
-    """Relative standard uncertainty of one signal's clock against another's; 0 where one clock stamped both."""
-    if clock_of(run, signal) == clock_of(run, other):
-        return 0.0
-    rates = run.clock_rate_std
-    return math.hypot(clock_rate_std(rates, signal), clock_rate_std(rates, other))

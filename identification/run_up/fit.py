@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import median_filter
 
+from daq.signals.clock_rates import rate_std_between
 from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
-from identification.clocks import rate_std_between
 from identification.curve import Curve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.laser_wander import wander_sentences

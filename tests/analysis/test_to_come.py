@@ -111,6 +111,20 @@ def test_what_no_approach_explains_keeps_the_mean_and_the_bound(rig: Rig) -> Non
     assert measured.to_come.to_json()["rate_per_s"] is None
 
 
+@pytest.mark.parametrize(("name", "ppm"), [("A", 60.0), ("D", 60.0), ("D", -20.0), ("B", 60.0)])
+def test_the_clock_of_a_sensor_is_no_approach(rig: Rig, name: str, ppm: float) -> None:
+    """It turns the order-1 vector at a steady rate; the radius is what it was, and as sure."""
+    run = exact_run(rig, name, 0)
+    rates = {"x": 30e-6, "y": 30e-6, "angles": 30e-6, "phase": 30e-6}
+    run = dataclasses.replace(run, clock_rate_std=rates)
+    fast = dataclasses.replace(run, y_time_s=run.y_time_s * (1 + ppm * 1e-6))
+    true, found = measure(run, rig), measure(fast, rig)
+    assert found.to_come.model == true.to_come.model != UNEXPLAINED
+    assert " y moved" not in f" {found.to_come.sentence}"
+    assert found.own[3, 3] == pytest.approx(true.own[3, 3], rel=0.5)
+    assert abs(found.amplitude_y_m.value - true.amplitude_y_m.value) < 2 * math.sqrt(true.own[3, 3])
+
+
 def test_signals_that_never_change_have_limits(rig: Rig) -> None:
     run = exact_run(rig, "D", 0)
     stuck = dataclasses.replace(

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from daq.exchange import import_recording, make_recipe
 from daq.log.file import LogFile
+from daq.signals.clock_rates import rate_std_between
 from daq.signals.run import Run, load_run
-from identification.clocks import clock_errors, rate_std_between
+from identification.clocks import clock_errors
 from identification.identify import Identification, identify
 from rig_configs import load_rig
 from rig_configs.schema import Rig
