@@ -77,8 +77,10 @@ def agreement_faults(agreement: dict[str, Any]) -> list[str]:
     print(f"together: {agreement['why']}")
     parts = {"all points": agreement, **agreement["points"]}
     faults = [f"{name}: p = {found['p']:.2g}: {found}" for name, found in parts.items() if found["p"] < RAREST]
-    largest = max(agreement["cause_z"], key=lambda cause: abs(agreement["cause_z"][cause]))
-    if abs(z := agreement["cause_z"][largest]) > agreement["cause_limit_z"] + 2:
+    beyond = {cause: abs(z) - agreement["cause_limits_z"][cause] for cause, z in agreement["cause_z"].items()}
+    largest = max(beyond, key=lambda cause: beyond[cause])
+    z = agreement["cause_z"][largest]
+    if beyond[largest] > 2:
         faults.append(f"{largest} alone would explain {z:+.1f} standard deviations")
     return faults
 

@@ -4,7 +4,9 @@
 Three questions share the chance of a false alarm, 5 % of campaigns with nothing wrong: whether any single cause
 (a parameter, a mass, a zero, a gain) would explain a significant part (4 %), whether any one point or release stands
 out (0.5 % over all of them), and whether all of them together do (0.5 %). The first is the sharpest against what a rig
-is usually wrong in; the others need no list of causes. Source: docs/theory/validation.md.
+is usually wrong in; the others need no list of causes. Causes share their 4 % by the evidence for each, with the prior
+that ranks explanations: a cause that its own standard uncertainty allows ten thousand times what the points resolve
+needs more than one that it allows hardly more than they resolve. Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -15,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaincc, voigt_profile  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.causes import Cause
 from analysis.differences import Differences
@@ -25,6 +27,8 @@ Array = NDArray[np.float64]
 
 CAUSES_LEVEL, POINTS_LEVEL, TOGETHER_LEVEL = 0.04, 0.005, 0.005
 _DRAWS, _SEED = 20_000, 1
+_SIZES = np.linspace(0.0, 15.0, 1501)
+"""|z| at which evidence is tabulated."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,8 @@ class Agreement:
         cause_z: cause → its best size in standard deviations of what the points would show of it; 0 for a cause that
             cannot be below 0 and would have to be.
         words: cause → what it is, for a reader.
-        cause_limit: the largest |cause_z| of all causes that chance reaches in CAUSES_LEVEL of campaigns.
+        cause_limits: cause → the |cause_z| above which it is significant; chance exceeds any of them in CAUSES_LEVEL of
+            campaigns.
     """
 
     together: Statistic
@@ -65,7 +70,7 @@ class Agreement:
     point_limit: float
     cause_z: Mapping[str, float]
     words: Mapping[str, str]
-    cause_limit: float
+    cause_limits: Mapping[str, float]
 
     @property
     def failing_points(self) -> tuple[str, ...]:
@@ -75,8 +80,8 @@ class Agreement:
     @property
     def significant_causes(self) -> tuple[str, ...]:
         """Causes that would explain more than chance does, the most first."""
-        found = [name for name, z in self.cause_z.items() if abs(z) > self.cause_limit]
-        return tuple(sorted(found, key=lambda name: -abs(self.cause_z[name])))
+        beyond = {name: z**2 - self.cause_limits[name] ** 2 for name, z in self.cause_z.items()}
+        return tuple(sorted((name for name in beyond if beyond[name] > 0), key=lambda name: -beyond[name]))
 
     @property
     def passed(self) -> bool:
@@ -104,7 +109,7 @@ class Agreement:
             "passed": self.passed, "why": self.why, **self.together.to_json(),
             "points": {name: found.to_json() for name, found in self.points.items()},
             "point_limit_p": self.point_limit,
-            "cause_z": dict(self.cause_z), "cause_limit_z": self.cause_limit,
+            "cause_z": dict(self.cause_z), "cause_limits_z": dict(self.cause_limits),
         }  # fmt: skip
 
 
@@ -116,41 +121,85 @@ def agreement(differences: Differences, causes: Sequence[Cause]) -> Agreement:
         causes: of which one alone may be significant.
     """
     points = {name: Statistic.of(differences.of(at)) for name, at in differences.groups.items()}
-    z, correlation = cause_statistics(differences, {cause.name: cause.direction for cause in causes})
     words = {cause.name: cause.words for cause in causes}
-    positive = {cause.name for cause in causes if cause.one_sided}
-    limit = largest_by_chance(correlation, [name in positive for name in z])
-    z = {name: max(0.0, value) if name in positive else value for name, value in z.items()}
-    return Agreement(Statistic.of(differences), points, POINTS_LEVEL / max(1, len(points)), z, words, limit)
+    statistics = cause_statistics(differences, {cause.name: cause.direction for cause in causes})
+    own = {cause.name: cause for cause in causes if cause.name in statistics.z}
+    widths = [own[name].std / statistics.stds[name] for name in statistics.z]
+    limits = limits_by_chance(statistics.correlation, widths, [own[name].one_sided for name in statistics.z])
+    z = {name: max(0.0, value) if own[name].one_sided else value for name, value in statistics.z.items()}
+    level = POINTS_LEVEL / max(1, len(points))
+    named = dict(zip(z, limits.tolist(), strict=True))
+    return Agreement(Statistic.of(differences), points, level, z, words, named)
 
 
-def cause_statistics(differences: Differences, directions: Mapping[str, Array]) -> tuple[dict[str, float], Array]:
-    """Best size of each cause alone over its standard deviation, and these statistics' correlation, shape (k, k)."""
-    shown: dict[str, Array] = {}
+@dataclass(frozen=True)
+class CauseStatistics:
+    """Every cause fitted alone.
+
+    Attributes:
+        z: cause → its best size over its standard deviation.
+        stds: cause → that standard deviation, in the cause's unit.
+        correlation: of the z, shape (k, k).
+    """
+
+    z: Mapping[str, float]
+    stds: Mapping[str, float]
+    correlation: Array
+
+
+def cause_statistics(differences: Differences, directions: Mapping[str, Array]) -> CauseStatistics:
+    """Every cause that the rows show at all, fitted alone.
+
+    Args:
+        directions: cause → change of the rows per unit of it, shape (m,).
+    """
+    units, stds = list[Array](), dict[str, float]()
     for name, direction in directions.items():
         white = differences.whitener @ direction
         length = float(np.linalg.norm(white))
         if length > 0 and math.isfinite(length):
-            shown[name] = white / length
-    if not shown:
-        return {}, np.empty((0, 0))
-    units = np.stack(list(shown.values()))
-    z = units @ (differences.whitener @ differences.values)
-    return dict(zip(shown, z.tolist(), strict=True)), units @ units.T
+            stds[name] = 1 / length
+            units.append(white / length)
+    shown = np.stack(units) if units else np.empty((0, len(differences.values)))
+    z = shown @ (differences.whitener @ differences.values)
+    return CauseStatistics(dict(zip(stds, z.tolist(), strict=True)), stds, shown @ shown.T)
 
 
-def largest_by_chance(correlation: Array, one_sided: Sequence[bool] = (), level: float = CAUSES_LEVEL) -> float:
-    """The largest |z| of all causes that chance exceeds with a probability, from draws; inf without causes.
+def evidence(z: ArrayLike, width: float) -> Array:
+    """Logarithm of how much likelier a statistic is with a cause than without it.
+
+    With it, its size in standard deviations of the points is a Cauchy distribution about 0, so that z, which scatters
+    about it, has Voigt's.
+
+    Args:
+        z: the cause's best size over its standard deviation by the points, any shape.
+        width: scale of the Cauchy distribution: the cause's own standard uncertainty over the same.
+    """
+    z = np.asarray(z, float)
+    density = np.asarray(voigt_profile(z, 1.0, width), float)
+    return np.log(density) + 0.5 * z**2 + 0.5 * math.log(2 * math.pi)
+
+
+def limits_by_chance(
+    correlation: Array, widths: Sequence[float], one_sided: Sequence[bool] = (), level: float = CAUSES_LEVEL
+) -> Array:
+    """|z| of each cause at which the evidence is what the largest of all causes' exceeds by chance, from draws.
 
     Args:
         correlation: of the statistics, shape (k, k).
+        widths: each cause's own standard uncertainty over that by the points.
         one_sided: for each, whether only sizes above 0 count; none where empty.
         level: the probability.
+    Returns:
+        Shape (k,).
     """
     if not len(correlation):
-        return math.inf
+        return np.empty(0)
     sizes, turn = np.linalg.eigh(correlation)
     root = turn * np.sqrt(np.maximum(sizes, 0.0))
     drawn = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(root))) @ root.T
     seen = np.where(np.asarray(one_sided, bool), drawn, np.abs(drawn)) if len(one_sided) else np.abs(drawn)
-    return float(np.quantile(np.max(seen, axis=1), 1 - level))
+    tables = [evidence(_SIZES, width) for width in widths]
+    each: list[Array] = [np.interp(z, _SIZES, table) for z, table in zip(seen.T, tables, strict=True)]
+    limit = float(np.quantile(np.max(each, axis=0), 1 - level))
+    return np.array([float(np.interp(limit, table, _SIZES)) for table in tables])

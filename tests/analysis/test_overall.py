@@ -11,7 +11,7 @@ import pytest
 from analysis_runs import Drawn, draw, point_run
 
 from analysis import validate
-from analysis.agreement import CAUSES_LEVEL, agreement, largest_by_chance
+from analysis.agreement import CAUSES_LEVEL, agreement, evidence, limits_by_chance
 from analysis.causes import Cause
 from analysis.differences import Differences
 from analysis.validation import Validation
@@ -97,26 +97,54 @@ def test_what_the_user_grants_the_model_is_in_every_row(rig: Rig, drawn: Drawn, 
 def test_chance_reaches_the_limit_of_causes_as_often_as_it_says() -> None:
     """Independent causes: the level of the largest of k is 1 − (1 − α)^k of one."""
     rng = np.random.default_rng(3)
-    for k in (1, 5):
-        limit = largest_by_chance(np.eye(k))
-        above = np.mean(np.max(np.abs(rng.standard_normal((100_000, k))), axis=1) > limit)
+    for widths in ([1.0], [1.0] * 5, [0.1, 1.0, 1.0, 30.0, 1e4]):
+        limits = limits_by_chance(np.eye(len(widths)), widths)
+        above = np.mean(np.any(np.abs(rng.standard_normal((100_000, len(widths)))) > limits, axis=1))
         assert above == pytest.approx(CAUSES_LEVEL, abs=0.004)
-    assert largest_by_chance(np.ones((5, 5))) == pytest.approx(largest_by_chance(np.eye(1)), abs=0.03)
+    alike, one = limits_by_chance(np.ones((5, 5)), [1.0] * 5), limits_by_chance(np.eye(1), [1.0])
+    assert alike == pytest.approx(one[0], abs=0.03)
+
+
+def test_evidence_is_the_likelihood_ratio_under_the_prior() -> None:
+    """∫ of the ratio of two normal densities over a Cauchy distribution of sizes, by quadrature."""
+    share = (np.arange(200_000) + 0.5) / 200_000
+    for width in (0.3, 1.0, 40.0):
+        size = width * np.tan(math.pi * (share - 0.5))
+        for z in (0.0, 1.0, 4.0):
+            assert evidence(z, width) == pytest.approx(np.log(np.mean(np.exp(z * size - size**2 / 2))), abs=2e-3)
+
+
+def test_causes_that_the_points_resolve_ten_thousand_times_leave_the_level_to_the_others() -> None:
+    """Ten numbers known to 0.8 of what the points resolve, beside twenty frictions and bows that could be of any size.
+
+    A number that is 5 of its standard uncertainties off shows as z = 4 ± 1. One limit for all, 3.2 for thirty
+    independent causes, finds 79 % of them.
+    """
+    limits = limits_by_chance(np.eye(30), [0.8] * 10 + [1e4] * 20)
+    drawn = np.abs(np.random.default_rng(7).standard_normal((100_000, 30)))
+    assert np.mean(np.any(drawn > limits, axis=1)) == pytest.approx(CAUSES_LEVEL, abs=0.004)
+    found = np.mean(np.random.default_rng(8).normal(4.0, 1.0, 100_000) > limits[0])
+    assert found > 0.84
+    assert np.max(limits) < 5.0  # a torque of 1 % of a pendulum's shows with z of thousands
+
+
+def rows_of(values: list[float]) -> Differences:
+    """Rows with unit covariance that nothing identified moves."""
+    none = np.empty((len(values), 0))
+    rows = tuple(("A release", f"{k}") for k in range(len(values)))
+    return Differences(rows, np.array(values), np.eye(len(values)), none, (), np.empty((0, 0)), none, {}, {})
 
 
 def test_a_cause_that_cannot_be_below_zero_counts_on_its_own_side_only() -> None:
     """Friction that would have to be negative explains nothing; its share of chance goes to the other side."""
-    rows = tuple(("A release", f"{k}") for k in range(4))
     push = np.array([1.0, 2.0, -1.0, 0.5])
     friction = Cause("friction.a_Nm", "dry friction of pendulum A", 0.0, 1.0, push, "%", 1.0, "", one_sided=True)
     for side, significant in ((5.0, ("friction.a_Nm",)), (-5.0, ())):
-        none = np.empty((4, 0))
-        values = side * push / np.linalg.norm(push)
-        found = agreement(Differences(rows, values, np.eye(4), none, (), np.empty((0, 0)), none, {}, {}), (friction,))
+        found = agreement(rows_of((side * push / np.linalg.norm(push)).tolist()), (friction,))
         assert found.significant_causes == significant
         assert found.cause_z["friction.a_Nm"] == pytest.approx(max(side, 0.0))
     rng = np.random.default_rng(5)
-    limit = largest_by_chance(np.eye(2), (True, False))
+    limit, _ = limits_by_chance(np.eye(2), [1.0, 1.0], (True, False))
     drawn = rng.standard_normal((100_000, 2))
     assert np.mean(np.maximum(drawn[:, 0], abs(drawn[:, 1])) > limit) == pytest.approx(CAUSES_LEVEL, abs=0.004)
 
