@@ -3,7 +3,9 @@
 
 A cause of unknown size δ along direction d mends χ² by (dᵀC⁻¹r)²/(dᵀC⁻¹d). Its prior is a Cauchy distribution about 0
 with the cause's own standard uncertainty as scale, so that of two causes that explain alike the one that is less far
-off for itself comes first, and one that is far off is not ruled out. A large size is found by predicting anew with it.
+off for itself comes first, and one that is far off is not ruled out. Ranked is by the likelihood integrated over the
+prior: a cause that may have any of a thousand sizes the points tell apart has a thousandth of it for the one that fits.
+A large size is found by predicting anew with it.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.agreement import evidence
 from analysis.causes import Cause
 from analysis.differences import Differences
 
@@ -42,7 +45,7 @@ class Explanation:
         sizes: how far the truth is above what was taken, in each cause's unit.
         stds: their standard uncertainties by the points.
         chi2: what is left with them.
-        score: chi2 with their priors' part; the smaller the likelier.
+        score: χ² without any cause less twice the logarithm of the evidence for these; the smaller the likelier.
         explained: whether what is left is what chance leaves.
     """
 
@@ -112,7 +115,8 @@ class Explanations:
         first, *others = likely
         settles = " or ".join(dict.fromkeys(cause.settles for cause in first.causes))
         text = [f"best explanation: {first.sentence(self.chi2)}. What settles it: {settles}"]
-        return text + [f"next: {other.sentence(self.chi2)}" for other in others]
+        # without evidence for it a cause is not worth a line, though it came next
+        return text + [f"next: {other.sentence(self.chi2)}" for other in others if other.score < self.chi2]
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -164,7 +168,10 @@ def _left_by_chance(dof: int) -> float:
     return max(dof, 1) * (1 - share + 3.09 * math.sqrt(share)) ** 3
 
 
-def _fitted(differences: Differences, causes: tuple[Cause, ...], limit: float) -> Explanation:
+def _fitted(
+    differences: Differences, causes: tuple[Cause, ...], limit: float, beyond: Sequence[float] = (0.0,)
+) -> Explanation:
+    """Causes fitted to rows that were predicted with sizes `beyond` of them."""
     design = differences.whitener @ np.stack([cause.direction for cause in causes], axis=1)
     white = differences.whitener @ differences.values
     normal = design.T @ design
@@ -172,12 +179,19 @@ def _fitted(differences: Differences, causes: tuple[Cause, ...], limit: float) -
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     sizes = inverse @ (design.T @ white)
     left = white - design @ sizes
-    return _explanation(causes, sizes, np.sqrt(np.diag(inverse)), float(left @ left), limit)
+    return _explanation(causes, sizes + np.array(beyond), inverse, float(left @ left), limit)
 
 
-def _explanation(causes: tuple[Cause, ...], sizes: Array, stds: Array, chi2: float, limit: float) -> Explanation:
-    prior = sum(2 * math.log1p((size / cause.std) ** 2) for size, cause in zip(sizes, causes, strict=True))
-    return Explanation(causes, tuple(sizes.tolist()), tuple(stds.tolist()), chi2, chi2 + prior, chi2 < limit)
+def _explanation(causes: tuple[Cause, ...], sizes: Array, covariance: Array, chi2: float, limit: float) -> Explanation:
+    """An explanation with the score of the sizes' prior: of two, their volume is less by their correlation."""
+    stds = np.sqrt(np.diag(covariance))
+    score = chi2
+    for cause, size, std in zip(causes, sizes, stds, strict=True):
+        if std > 0:  # what the points do not show at all has no evidence
+            score += float((size / std) ** 2 - 2 * evidence(size / std, cause.std / std))
+    if len(causes) > 1:
+        score -= float(np.linalg.slogdet(covariance / np.outer(stds, stds))[1])
+    return Explanation(causes, tuple(sizes.tolist()), tuple(stds.tolist()), chi2, score, chi2 < limit)
 
 
 def _apart(differences: Differences, pair: tuple[Cause, ...]) -> bool:
@@ -208,7 +222,7 @@ def _followed(differences: Differences, one: Explanation, again: Again, limit: f
             return best
         step = float(unit @ (there.whitener @ there.values)) / length**2
         left = there.chi2 - (step * length) ** 2
-        best = _explanation(one.causes, np.array([size + step]), np.array([1 / length]), max(left, 0.0), limit)
+        best = _explanation(one.causes, np.array([size + step]), np.array([[1 / length**2]]), max(left, 0.0), limit)
         size += step
         if abs(step) < _NEAR * std:
             break
@@ -240,9 +254,7 @@ def _with_vector(
             break
         left = _left_by_chance(len(there.values))  # a disk that no longer rests has other rows
         moved = tuple(replace(cause, direction=there.by_slow_roll[cause.name]) for cause in own)
-        step = _fitted(there, moved, left)
-        sizes = np.array(best.sizes) + np.array(step.sizes)
-        best = _explanation(own, sizes, np.array(step.stds), step.chi2, left)
-        if all(abs(by) < _NEAR * std for by, std in zip(step.sizes, step.stds, strict=True)):
+        before, best = best, replace(_fitted(there, moved, left, best.sizes), causes=own)
+        if np.all(np.abs(np.subtract(best.sizes, before.sizes)) < _NEAR * np.array(best.stds)):
             break
     return [*others, best]

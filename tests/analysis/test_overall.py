@@ -14,6 +14,7 @@ from analysis import validate
 from analysis.agreement import CAUSES_LEVEL, agreement, evidence, limits_by_chance
 from analysis.causes import Cause
 from analysis.differences import Differences
+from analysis.explanations import explanations
 from analysis.validation import Validation
 from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig, load_rig
@@ -133,6 +134,31 @@ def rows_of(values: list[float]) -> Differences:
     none = np.empty((len(values), 0))
     rows = tuple(("A release", f"{k}") for k in range(len(values)))
     return Differences(rows, np.array(values), np.eye(len(values)), none, (), np.empty((0, 0)), none, {}, {})
+
+
+def test_a_cause_that_could_have_any_size_comes_after_one_that_explains_nearly_as_much() -> None:
+    """z = 4 of a number known as well as the points resolve it, 4.3 of a bow with 10⁴ sizes that could have been."""
+    along = np.array([4.0, 0.0]) / 4.0
+    nearer = np.array([4.0, 1.6]) / math.hypot(4.0, 1.6)
+    length = Cause("pendulums.b.length_m", "length", math.nan, 1.0, along, "", 1.0, "")
+    bow = Cause("bow along", "bow", math.nan, 1e4, nearer, "", 1.0, "")
+    found = explanations(rows_of([4.0, 1.6]), (bow, length))
+    assert found.singles[1].chi2 < found.singles[0].chi2
+    assert [each.causes for each in found.singles] == [(length,), (bow,)]
+
+
+def test_a_pair_is_ranked_by_its_likelihood_over_both_priors() -> None:
+    """Two causes that move the rows alike to 0.9, held against the double integral on a grid."""
+    a, b, width = np.array([1.0, 0.0]), np.array([0.9, math.sqrt(0.19)]), 8.0
+    causes = tuple(Cause(name, name, math.nan, width, d, "", 1.0, "") for name, d in (("a", a), ("b", b)))
+    values = [9.0, -7.0]
+    (pair,) = explanations(rows_of(values), causes).pairs
+    sizes = np.linspace(-60.0, 80.0, 1401)
+    x, y = np.meshgrid(sizes, sizes, indexing="ij")
+    left = sum((v - a[k] * x - b[k] * y) ** 2 for k, v in enumerate(values))
+    prior = width**2 / (math.pi**2 * (width**2 + x**2) * (width**2 + y**2))
+    likelihood = np.sum(np.exp(-0.5 * left) * prior) * (sizes[1] - sizes[0]) ** 2
+    assert pair.score == pytest.approx(-2 * math.log(likelihood), abs=0.5)
 
 
 def test_a_cause_that_cannot_be_below_zero_counts_on_its_own_side_only() -> None:
