@@ -52,6 +52,7 @@ class Sensed:
         whole: per mode the motion over its amplitude, complex.
         offset: what the sensor shows beside its amplitudes times the responses, m, shape (n,).
         by_terms: derivatives of what it shows by H1, H2, Q1, Q2, shape (n, 4).
+        by_ratio: derivative by ln of the gains' ratio, shape (n,).
         bow: what goes with a change of the bow's amplitude, complex, shape (n,); zero for a straight shaft.
     """
 
@@ -59,6 +60,7 @@ class Sensed:
     whole: list[Complex]
     offset: Array
     by_terms: Array
+    by_ratio: Array
     bow: Complex
 
 
@@ -69,13 +71,11 @@ class BentPassage:
     Attributes:
         force: of the drive, as forcing has it.
         amplitude_m: to start from.
-        gain_ratio: of sensor y over sensor x: a direction's terms are in its own sensor's scale.
         starts: per sensor the linear unknowns last found that the motion depends on, to start from.
     """
 
     force: Complex
     amplitude_m: complex
-    gain_ratio: float = 1.0
     starts: dict[int, Array] = field(default_factory=dict[int, Array])
 
     @classmethod
@@ -83,20 +83,16 @@ class BentPassage:
         """On a drive."""
         return cls(forcing(drive), amplitude_m)
 
-    def found_ratio(self) -> float:
-        """The gains' ratio as the amplitudes last found have it."""
-        x, y = (float(np.hypot(*self.starts[axis][:2])) for axis in range(2))
-        return y / x
-
     def sensed(
         self, drive: Drive, axis: int, angle_rad: float, oscillators: list[tuple[float, float]], terms: Array,
-        instants: Instants, c: Array,
+        gain_ratio: float, instants: Instants, c: Array,
     ) -> Sensed:  # fmt: skip
         """What a sensor sees about the motion of its linear unknowns.
 
         Args:
             axis: 0 for sensor x, 1 for y.
-            terms: H1, H2, Q1, Q2.
+            terms: H1, H2, Q1, Q2, each in its own sensor's scale.
+            gain_ratio: of sensor y over sensor x.
             instants: of its blocks.
             c: amplitude and free oscillations, and the bow's amplitude where the shaft may be bent, shape (6,) or (8,).
         """
@@ -105,22 +101,25 @@ class BentPassage:
         amplitude, bowed = complex(c[0], c[1]), complex(c[MOTION], c[MOTION + 1]) if len(c) > MOTION else None
         n, turn = len(instants[0]), turning(drive, *instants)
         none = np.zeros(n, np.complex128)
-        found = Sensed([], [], np.zeros(n), np.zeros((n, 4)), none.copy())
+        found = Sensed([], [], np.zeros(n), np.zeros((n, 4)), np.zeros(n), none.copy())
         for mode, oscillator in enumerate(oscillators):
             toward = (1.0, -1j)[mode]
             b, bow = amplitude * toward, None if bowed is None else bowed * toward
             own = mode == axis  # the other mode's free oscillation is seen too weakly to bend it
             at = FREE + 2 * mode
             free = complex(c[at], c[at + 1]) / share[mode] if own else 0j
-            scale = 1.0 if own else (self.gain_ratio, 1.0 / self.gain_ratio)[axis]
-            own_terms = scale**2 * float(terms[mode]), scale * float(terms[2 + mode])
-            seen = bent_response(instants[1], turn, drive, self.force, oscillator, own_terms, b, free, bow)
+            powers = (mode - axis) * np.array([2.0, 1.0])  # of the ratio: H goes with its square
+            scale = gain_ratio**powers
+            h, q = (scale * terms[[mode, 2 + mode]]).tolist()
+            seen = bent_response(instants[1], turn, drive, self.force, oscillator, (h, q), b, free, bow)
             plain = (b * seen.by_drive).real + (free * seen.by_free).real
             if bow is not None and seen.by_bow is not None:
                 plain += (bow * seen.by_bow).real
                 found.bow[:] += share[mode] * toward * seen.by_bow
             found.offset[:] += share[mode] * (seen.motion - plain)
-            found.by_terms[:, mode], found.by_terms[:, 2 + mode] = (share[mode] * by for by in seen.by_terms)
+            by_terms = share[mode] * scale[:, None] * np.array(seen.by_terms)
+            found.by_terms[:, [mode, 2 + mode]] = by_terms.T
+            found.by_ratio[:] += (powers * terms[[mode, 2 + mode]]) @ by_terms
             found.whole.append(seen.motion / b)
             found.responses.append(
                 Response(seen.by_drive, seen.rate / b, seen.by_omega / b, seen.by_zeta / b, seen.by_free, none)

@@ -20,7 +20,6 @@ from identification.run_up.model import (
     DRIFTS,
     OMEGAS,
     PARAMETERS,
-    TERMS,
     ZETAS,
     RunUpRecord,
     Structure,
@@ -30,8 +29,8 @@ from identification.run_up.model import (
 from identification.run_up.start import RunUpStart, run_up_starts
 
 _EXCESS = 1.5  # χ²/dof at which other start values are tried
-_MOST_SLOPE = 0.98  # of the ratio found by the one it was found with
 _TERMS_WIDE = 20.0  # standard deviations of a ring-down: what it knows of the terms counts once
+_RATIO_STD = 0.1  # of the sensors' gains, ln: far beyond what calibration leaves
 _ALIKE = 4.0  # one resonance as a start is worth a fit when it leaves at most so many times the best start's χ²
 _TRIED = 6
 
@@ -67,22 +66,14 @@ def about_known(
     """The fit with the suspension's terms, from what ring-downs have found."""
     structure = _with_terms(structure, known)
     record = replace(record, bent=BentPassage.of(record.drive, known.amplitude_m))
-    start = np.r_[_theta(RunUpStart(known.omegas, known.zetas, known.angle_rad, 0.0)), known.terms]
-    found = _with_gains(record, structure, structure.project(start))
-    if slow_roll and found[1].chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed bends the motion as well
-        both = replace(structure, run_out=True, bow=True)
-        whole = _afresh(record)  # with both free the imbalance is known too badly for the gains' ratio
-        solution = solve(whole, both, structure.project(start))
-        if solution.chi2_per_dof < _EXCESS and solution.minimum.converged:
-            alone = [
-                (*_with_gains(record, narrower, solution.minimum.theta), narrower)
-                for narrower in (replace(both, run_out=False), replace(both, bow=False))
-            ]
-            narrow, fitted, which = min(alone, key=lambda each: each[1].chi2_per_dof)
-            if fitted.chi2_per_dof < _EXCESS and fitted.minimum.converged:
-                return narrow, which, fitted
-            return whole, both, solution
-    return found[0], structure, found[1]
+    start = np.r_[_theta(RunUpStart(known.omegas, known.zetas, known.angle_rad, 0.0)), known.terms, 0.0]
+    solution = solve(record, structure, structure.project(start))
+    if slow_roll and solution.chi2_per_dof > _EXCESS:  # what turns with the shaft at any speed bends the motion as well
+        both, whole = replace(structure, run_out=True, bow=True), _afresh(record)
+        other = solve(whole, both, structure.project(start))
+        if other.chi2_per_dof < _EXCESS and other.minimum.converged:
+            return whole, both, other
+    return record, structure, solution
 
 
 def from_starts(record: RunUpRecord, structure: Structure, slow_roll: bool) -> tuple[Structure, Solution]:
@@ -133,36 +124,15 @@ def _afresh(record: RunUpRecord) -> RunUpRecord:
     return replace(record, bent=BentPassage(record.bent.force, record.bent.amplitude_m), recent={})
 
 
-def _with_gains(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> tuple[RunUpRecord, Solution]:
-    """The fit from φ, and the gains' ratio with it."""
-    record = _afresh(record)
-    solution = solve(record, structure, phi)
-    bent = record.bent
-    assert bent is not None
-    ratios = [bent.gain_ratio]
-    for _ in range(3):  # the amplitudes follow the ratio they are found with nearly wholly: a secant's step at last
-        if len(bent.starts) < len(record.channels):
-            break
-        ratios.append(bent.found_ratio())
-        if len(ratios) == 3 and abs(ratios[2] - ratios[1]) < _MOST_SLOPE * abs(ratios[1] - ratios[0]):
-            slope = (ratios[2] - ratios[1]) / (ratios[1] - ratios[0])
-            ratios[-1] = ratios[0] + (ratios[1] - ratios[0]) / (1 - slope)
-        elif len(ratios) > 3:
-            break
-        record = replace(record, bent=replace(bent, gain_ratio=ratios[-1]))
-        solution = solve(record, structure, solution.minimum.theta)
-    return record, solution
-
-
 def _with_terms(structure: Structure, known: KnownSuspension) -> Structure:
-    """With the suspension's terms free where there are any, in a range so wide that the passage decides."""
-    std = _TERMS_WIDE * known.terms_std
-    base = np.r_[structure.base, np.where(std > 0, 0.0, known.terms)]
+    """With the suspension's terms, where there are any, and the gains' ratio free in ranges that the data narrow."""
+    value, std = np.r_[known.terms, 0.0], np.r_[_TERMS_WIDE * known.terms_std, _RATIO_STD]
+    base = np.r_[structure.base, np.where(std > 0, 0.0, value)]
     spread = np.zeros((len(base), structure.spread.shape[1]))
     spread[:PARAMETERS] = structure.spread
-    free = np.eye(len(base))[:, TERMS][:, std > 0]
+    free = np.eye(len(base))[:, PARAMETERS:][:, std > 0]
     return replace(
-        structure, base=base, spread=np.hstack([spread, free]), prior=np.r_[structure.prior, known.terms[std > 0]],
+        structure, base=base, spread=np.hstack([spread, free]), prior=np.r_[structure.prior, value[std > 0]],
         prior_std=np.r_[structure.prior_std, std[std > 0]],
     )  # fmt: skip
 

@@ -29,7 +29,7 @@ from identification.run_up.slow_roll import Turning, bow_answer, turning
 from identification.samples import Averages
 
 OMEGAS, ZETAS, ANGLE, DELAYS, DRIFTS, RIPPLE, PARAMETERS = (0, 2), (1, 3), 4, slice(5, 7), slice(7, 9), slice(9, 13), 13
-TERMS = slice(13, 17)  # of θ where the suspension depends on the motion: H1, H2, Q1, Q2
+TERMS, RATIO = slice(13, 17), 17  # of θ where the suspension depends on the motion: H1, H2, Q1, Q2; ln of gain y over x
 AXIS_PRIOR_STD = np.radians(30.0)  # the data determine β; this only keeps x from being called y
 _SLOW_ROLL = 6  # linear unknowns of a sensor before it: the imbalance's amplitude, free oscillations
 _REMEMBERED = 2  # sets of responses: of the best θ and of the one tried after it
@@ -86,8 +86,8 @@ class Structure:
     """Which model: θ = base + spread @ φ, with a Gaussian prior of φ.
 
     Attributes:
-        base: shape (13,), with the suspension's terms (17,).
-        spread: shape (13 or 17, p), of zeros and ones.
+        base: shape (13,), with the suspension's terms (18,).
+        spread: shape (13 or 18, p), of zeros and ones.
         prior, prior_std: of φ, shape (p,); std inf where nothing is known.
         drift_order: of the sensors' polynomial drift.
         run_out, bow: whether either is in the model.
@@ -189,8 +189,8 @@ def _about(
 ) -> Block:  # fmt: skip
     """A sensor's block about the motion of given linear unknowns, with a share of the suspension's terms."""
     instants = record.when(theta, axis), record.channels[axis].spread_s2
-    own = share * theta[TERMS]
-    sensed = bent.sensed(record.drive, axis, float(theta[ANGLE]), oscillators, own, instants, c)
+    own, ratio = share * theta[TERMS], float(np.exp(theta[RATIO]))
+    sensed = bent.sensed(record.drive, axis, float(theta[ANGLE]), oscillators, own, ratio, instants, c)
     return _sensor_block(record, axis, structure, theta, oscillators, sensed)
 
 
@@ -300,7 +300,7 @@ def _sensor_block(
                 out[row] += (factor * by).real
             out[DELAYS.start + axis] -= (factor * one.rate).real
         if given is not None:
-            out[TERMS] = given.by_terms.T
+            out[TERMS], out[RATIO] = given.by_terms.T, given.by_ratio
         out[DRIFTS.start + axis] = out[DELAYS.start + axis] * from_middle
         return (out.T @ structure.spread) * weight[:, None]
 
