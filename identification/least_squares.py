@@ -15,6 +15,8 @@ import numpy as np
 
 from identification.errors import FitFailed
 
+_LITTLE = 3e-3  # of χ²
+_MOST_BENT = 0.375  # of a step: a larger bend is none of second order (Transtrum and Sethna 2012)
 _SURELY = 1e-9  # a prior's least std: far below what any record tells of an angle, a delay or a logarithm
 
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -30,7 +32,7 @@ class Minimum:
         residual: shape (n,), priors last.
         jacobian: shape (n, p).
         converged: whether the last step was below 1e-3 standard deviations in every direction of θ, or several
-            steps in a row gained nothing.
+            steps in a row gained nothing, or had nothing to gain.
         iterations: evaluations used.
     """
 
@@ -48,7 +50,9 @@ class Minimum:
 
 
 def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
-    """Levenberg–Marquardt with Marquardt's scaling.
+    """Levenberg–Marquardt with Marquardt's scaling, along the valley's curve where the straight step δ is refused.
+
+    The refused trial shows the bending, r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the step that undoes it.
 
     Args:
         evaluate: θ to residual (n,) in standard deviations and Jacobian (n, p). Columns may differ in scale.
@@ -60,27 +64,35 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, pl
     """
     theta = np.array(start, float)
     residual, jacobian = evaluate(theta)
-    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
+    if not _finite(residual, jacobian):
         raise FitFailed(f"the model gives no finite numbers at its start values {np.array2string(theta, precision=4)}")
     damping, converged, used, idle = 1e-4, False, 1, 0
     costs = [float(residual @ residual)]
     while used < max_iterations and not converged:
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
-        normal = (jacobian / scale).T @ (jacobian / scale)
-        gradient = (jacobian / scale).T @ residual
-        step = -np.linalg.solve(normal + damping * np.eye(len(theta)), gradient)
-        trial_residual, trial_jacobian = evaluate(theta + step / scale)
-        used += 1
-        finite = np.all(np.isfinite(trial_residual)) and np.all(np.isfinite(trial_jacobian))
-        better = finite and trial_residual @ trial_residual < residual @ residual
+        scaled = jacobian / scale
+        normal, gradient = scaled.T @ scaled, scaled.T @ residual
+        damped = normal + damping * np.eye(len(theta))
+        step = -np.linalg.solve(damped, gradient)
         # length of the step in standard deviations, which grow with residuals above the noise
-        unit = max(1.0, float(residual @ residual) / len(residual))
+        unit = max(1.0, costs[-1] / len(residual))
+        foreseen = -float((2 * gradient + normal @ step) @ step)
+        trial = evaluate(theta + step / scale)
+        used += 1
+        if foreseen > _LITTLE * unit and _finite(*trial) and trial[0] @ trial[0] >= costs[-1]:
+            bend = -np.linalg.solve(damped, scaled.T @ (trial[0] - residual - scaled @ step))
+            if used < max_iterations and np.linalg.norm(bend) < _MOST_BENT * np.linalg.norm(step):
+                step = step + bend
+                trial = evaluate(theta + step / scale)
+                used += 1
+        better = _finite(*trial) and trial[0] @ trial[0] < costs[-1]
+        gained = costs[-1] - float(trial[0] @ trial[0]) if better else foreseen
+        # a step that is too long is refused although much is to be gained: a shorter one is next
+        idle = idle + 1 if gained < _LITTLE * unit else 0
         converged = bool(step @ normal @ step < 1e-6 * unit and damping < 0.1)
-        gained = float(residual @ residual - trial_residual @ trial_residual) if better else 0.0
-        idle = idle + 1 if gained < 3e-3 * unit else 0
         converged |= idle >= 4  # along a valley that the data do not see
         if better:
-            theta, residual, jacobian = theta + step / scale, trial_residual, trial_jacobian
+            theta, (residual, jacobian) = theta + step / scale, trial
             damping = max(damping / 10, 1e-10)
             costs.append(float(residual @ residual))
             if plateau is not None and len(costs) > 3 and costs[-1] > max(plateau * len(residual), 0.9 * costs[-4]):
@@ -90,6 +102,10 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, pl
             if damping > 1e10:
                 break
     return Minimum(theta, inverse_normal(jacobian), residual, jacobian, converged, used)
+
+
+def _finite(residual: np.ndarray, jacobian: np.ndarray) -> bool:
+    return bool(np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian)))
 
 
 def inverse_normal(jacobian: np.ndarray) -> np.ndarray:

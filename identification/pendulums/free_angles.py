@@ -11,7 +11,7 @@ from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.integrate import fastest_rate
 from dynamics.motions.sensitivities import packed_derivatives
-from identification.pendulums.frictional_motion import frictional_motion
+from identification.pendulums.frictional_motion import frictional_motion, frictional_rates
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 from identification.pendulums.variational import PARAMETER_COLUMNS, free_motion
 from identification.samples import Averages
@@ -93,18 +93,19 @@ def swing(
     packed = physics.packed()
     if dry is None and np.any(packed[[FA, FB]]):
         dry = np.r_[0.0, 0.0, packed[[FA, FB]]]
+    phase = history.phase(start_s)[0]
     if dry is None:
+        rate, (psi, omega, alpha) = np.empty(8), phase
+        rates(start, psi, omega, alpha, packed, 1.0, 1.0, rate)
         states, raw = free_motion(start, start_s, times, step, history.knots_s, history.coefficients, packed, slopes)
     else:
         packed[[FA, FB]] = dry[2:]
+        rate = frictional_rates(start, phase, packed, dry[:2])
         states, raw = frictional_motion(
             start, start_s, times, step, history.knots_s, history.coefficients, packed, dry[:2], slopes
         )
     if not np.all(np.isfinite(states)):
         return None
-    rate = np.empty(8)
-    psi, omega, alpha = history.phase(start_s)[0]
-    rates(start, psi, omega, alpha, packed, 1.0, 1.0, rate)
     if not slopes:
         return FreeMotion(times, states, np.zeros((len(times), 8, 0)), rate)
     derivatives = raw.copy()

@@ -141,6 +141,32 @@ def _over(y, phase, p, torque, mode, i, f, own, whole):
     return own[i, 7], abs(own[i, 7]) - max(0.0, torque[i] + p[FA + i] * phase[1] * phase[1])
 
 
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _begun(y, phase, p, torque, mode, held, f, own, whole):
+    """How each pendulum begins into mode, what one at rest has too much for its friction into held, rates into f."""
+    for i in range(2):
+        mode[i] = 0 if abs(y[6 + i]) <= _ENOUGH else (1 if y[6 + i] > 0 else -1)
+    for _ in range(4):  # one that begins to slide changes the torque that holds the other
+        for i in range(2):
+            if abs(y[6 + i]) <= _ENOUGH:
+                needed, held[i] = _over(y, phase, p, torque, mode, i, f, own, whole)
+                mode[i] = 0 if held[i] <= 0.0 else (1 if needed > 0 else -1)
+    _rates(y, phase, p, torque, mode, f, own, whole)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def frictional_rates(start, phase, p, torque):
+    """ẏ (8,) with which `frictional_motion` begins: of a pendulum that friction holds, of one that slides.
+
+    Args:
+        start, p, torque: as there.
+        phase: ψ, ω, α at the start.
+    """
+    f = np.empty(8)
+    _begun(start, phase, p, torque, np.zeros(2, np.int64), np.zeros(2), f, np.empty((2, 8)), np.empty(WHOLE))
+    return f
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ending(y, out, mode, i, acceleration, h):
     """The share of a step after which a slide ends, by the parabola through the rates; 2 where it does not."""
@@ -219,14 +245,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
     last_y, last_f, waiting = np.empty(8), np.empty(8), 0.0  # the step that the derivatives have still to take, s
     mode, held, kept = np.zeros(2, np.int64), np.zeros(2), np.full(2, -np.inf)
     segment, t, switches = phase_at(start_s, 0, knots, coefficients, at), start_s, 0
-    for i in range(2):
-        mode[i] = 0 if abs(y[6 + i]) <= _ENOUGH else (1 if y[6 + i] > 0 else -1)
-    for _ in range(4):  # one that begins to slide changes the torque that holds the other
-        for i in range(2):
-            if abs(y[6 + i]) <= _ENOUGH:
-                needed, held[i] = _over(y, at, p, torque, mode, i, f, own, whole)
-                mode[i] = 0 if held[i] <= 0.0 else (1 if needed > 0 else -1)
-    _rates(y, at, p, torque, mode, k[0], own, whole)
+    _begun(y, at, p, torque, mode, held, k[0], own, whole)
     _linearised(y, at, p, mode, own, whole, g, d[0])
     for row in range(n):
         while times[row] - t > 1e-12:

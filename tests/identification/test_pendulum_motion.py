@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dynamics.equations.kernels import FA, FB
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.integrate import locked_state, simulate
 from dynamics.motions.sensitivities import packed_derivatives, sensitivities
 from identification.pendulums.free_angles import swing
+from identification.pendulums.frictional_motion import frictional_motion
 from identification.pendulums.locked_start import LockedStart
 from identification.pendulums.variational import PARAMETER_COLUMNS, free_motion
 from identification.samples import block_averages
@@ -72,3 +74,20 @@ def test_without_derivatives_it_is_the_same_motion(dry: np.ndarray | None) -> No
     assert bare is not None
     assert np.array_equal(whole.states, bare.states)
     assert bare.derivatives.shape == (len(bare.time_s), 8, 0)
+
+
+@pytest.mark.parametrize(
+    ("dry", "slides"),
+    [([1.0, 1.0, 0.0, 0.0], [0, 0]), ([2e-5, 1.0, 0.0, 0.0], [1, 0]), ([2e-5, 0.0, 1e-8, 0.0], [1, 1])],
+)
+def test_a_motion_with_dry_friction_begins_with_its_own_rates(dry: list[float], slides: list[int]) -> None:
+    """A pendulum that friction holds has none: a later release changes nothing of it."""
+    rest, step = np.r_[START[:6], 0.0, 0.0], 1e-6
+    motion = swing(RIG, RAMP, rest, 0.0, 0.01, 0.5, np.array(dry))
+    assert motion is not None
+    packed = RIG.packed()
+    packed[[FA, FB]] = dry[2:]
+    given = (RAMP.knots_s, RAMP.coefficients, packed, np.array(dry[:2]), False)
+    later = frictional_motion(rest, 0.0, np.array([step]), step, *given)[0][0]
+    assert motion.start_rates == pytest.approx((later - rest) / step, rel=1e-3, abs=1e-4)
+    assert np.array_equal(motion.start_rates[6:] != 0, np.array(slides, bool))
