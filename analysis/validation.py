@@ -276,9 +276,7 @@ def _judge(
         a, b = np.degrees(measured.locked_rad)
         return "not locked", (f"before release the pendulums stood at {a:.1f}° and {b:.1f}°, not locked at 0° and 180°")
     if measured.state == "not settled":
-        dry = prediction is not None and prediction.held is not None
-        rubs = "; the dry friction that was identified makes the approach a creep" if dry else ""
-        return "not settled", measured.settling.why + rubs
+        return "not settled", measured.settling.why + (_rubbing(prediction) if prediction else "")
     if prediction is None:
         return "fail", f"measured state {measured.state}, but {trouble}"
     return _compare(measured, prediction, expected, scores)
@@ -300,6 +298,15 @@ def _compare(
         f"state {measured.state}, all within {Z_LIMIT:g} standard deviations; "
         f"largest: {NAMES[largest]}, z = {scores[largest].z:.1f}{_moved_on(measured)}"
     )
+
+
+def _rubbing(prediction: Prediction) -> str:
+    """Why known dry friction makes a point settle late: it creeps within the band, or long stood where it started."""
+    if prediction.held is None:
+        return ""
+    if np.any(prediction.held.half_width_rad > 0):
+        return "; the dry friction that was identified makes the approach a creep"
+    return "; the dry friction that was identified lets the pendulums leave their unstable balance late: record longer"
 
 
 def _moved_on(measured: SteadyMeasurement) -> str:

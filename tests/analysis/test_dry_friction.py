@@ -72,6 +72,14 @@ def test_a_wobbling_state_is_predicted_where_friction_moves_it(world: World) -> 
     assert np.all(dry.std[:2] > smooth.std[:2])
 
 
+def test_what_friction_does_to_a_point_that_is_not_settled(world: World) -> None:
+    """It holds nothing at A, where the pulsation exceeds it: the last approach is no creep."""
+    late = judged(world, record(world, 3, "point-A", 20.0), True)
+    assert late.verdict == "not settled"
+    assert "leave their unstable balance late" in late.why
+    assert "creep" not in late.why
+
+
 def test_friction_of_one_test_and_of_all_tests(world: World) -> None:
     of_test = {"tests": [{"friction": {"contact_a_kg_m2": 2e-9}, "friction_std": {"contact_a_kg_m2": 1e-10}}]}
     found = DryFriction.of(dataclasses.replace(identified(world, False), provenance=of_test))
