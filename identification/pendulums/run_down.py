@@ -17,6 +17,7 @@ from identification.least_squares import Minimum, inverse_normal, minimise
 
 VISCOUS, WITH_FRICTION = 3, 4
 _STRAIGHT = 0.2  # share of dry friction up to which h and ln λ are good coordinates
+_SHORT = 1e-3  # of a time constant: below it a series is more exact
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,13 @@ def run_down_angle(time_s: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, n
     start, speed, rate = theta[0], theta[1], float(np.exp(theta[2]))
     share = float(theta[3]) if len(theta) == WITH_FRICTION else 0.0
     t = np.minimum(time_s, stop_time(rate, share))  # at the stop the speed is 0, so its instant's shift does not enter
-    fallen = -np.expm1(-rate * t) / rate
-    shape = (1 + share) * fallen - share * t
-    by_rate = speed * (1 + share) * (t * np.exp(-rate * t) - fallen)  # λ ∂/∂λ
-    return start + speed * shape, np.column_stack([np.ones_like(t), shape, by_rate, speed * (fallen - t)])
+    x = rate * t
+    # 1 − (1 − e^{−x})/x, by its series where that cancels: beside much friction its product with the share counts
+    series, whole = x * (1 / 2 - x * (1 / 6 - x * (1 / 24 - x / 120))), np.maximum(x, _SHORT)
+    lost = np.where(x < _SHORT, series, 1 + np.expm1(-whole) / whole)
+    shape = t * (1 - lost) - share * t * lost
+    by_rate = speed * (1 + share) * t * (np.expm1(-x) + lost)  # λ ∂/∂λ
+    return start + speed * shape, np.column_stack([np.ones_like(t), shape, by_rate, -speed * t * lost])
 
 
 def from_stop(data: RunDown) -> np.ndarray | None:
