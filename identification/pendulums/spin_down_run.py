@@ -140,12 +140,15 @@ def _chosen(
             why = f"would mend χ² by {ask.mended:.3g}, {ask.gain:.3g} in units of chance (limit {ask.limit:.3g})"
             cost = answers[0].cost - ask.mended + 2 * (len(answers[0].theta) + 2)
             rows.append(ModelChoice(name, len(answers[0].theta) + 2, cost, False, why))
-        likely: list[Kind] = [k for k, ask in asks.items() if ask.found and ask.step.max() > 0 and _RUNG[k] not in held]
+        lost = chi2 > _FOLLOWED  # far from a minimum, what it asks for is a poor guide
+        likely: list[Kind] = [
+            k for k, ask in asks.items() if (lost or (ask.found and ask.step.max() > 0)) and _RUNG[k] not in held
+        ]
         tried: list[tuple[float, Kinds, list[Minimum]]] = []
         for kind in likely:
             more: Kinds = tuple(k for k in _KINDS if k in (*kinds, kind))
             starts = [case.extended(a.theta, kinds, more, {kind: asks[kind].step}) for a in answers[:1]]
-            if chi2 > _FOLLOWED:  # far from a minimum, what it asks for is a poor guide
+            if lost:
                 starts += [case.start(more, psi) for psi in angles]
             found = _answers(case, more, starts)
             if case.positive(found[0], more):

@@ -97,9 +97,10 @@ def from_starts(record: RunUpRecord, structure: Structure, slow_roll: bool) -> t
             other = solve(record, wider, solution.minimum.theta)
             if other.chi2_per_dof < _EXCESS and other.minimum.converged:
                 return wider, other
-        if best is None or solution.chi2_per_dof < best.chi2_per_dof:
+        settled = solution.minimum.converged and solution.chi2_per_dof < _EXCESS  # noise is left, by whatever start
+        if settled or best is None or solution.chi2_per_dof < best.chi2_per_dof:
             best = solution
-        if best.chi2_per_dof < _EXCESS and best.minimum.converged:
+        if settled:
             break
     if best is None:
         raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
