@@ -24,7 +24,8 @@ def identified(world: World) -> IdentifiedParameters:
     bow = world.mechanics.bow_m * np.exp(1j * world.mechanics.bow_rad)
     roll = SlowRoll(0j, 0j, complex(bow), np.diag([0.0] * 4 + [1e-14] * 2), (0.5, 0.5))
     covariance = np.diag([(1e-4 * value) ** 2 for value in world.truth.values()])
-    return IdentifiedParameters(world.truth, covariance, slow_roll=roll)
+    angle = (float(np.degrees(world.axis_rad)), 0.01)
+    return IdentifiedParameters(world.truth, covariance, axis_angle_deg=angle, slow_roll=roll)
 
 
 @pytest.fixture(scope="module")
