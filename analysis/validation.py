@@ -123,7 +123,7 @@ def validate(
         rig: physical part, calibration uncertainties, points with the expected states.
         identified: parameters with covariance.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees; None
-            for the identified one, 0 ± 3° where no test has shown it.
+            for the identified one, as the sensors are mounted where no test has shown it.
         releases: what happened right after releases at the points, held against the same parameters.
     Source: docs/theory/validation.md.
     """

@@ -58,8 +58,7 @@ class DisplacementSettings(DeviceSettings):
     """
 
     calibration: ClassVar[tuple[str, ...]] = (
-        "range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm", "direction_deg",
-        "direction_std_deg",
+        "range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm", "direction_deg", "direction_std_deg",
     )  # fmt: skip
 
     names_its_channel: ClassVar[bool] = False

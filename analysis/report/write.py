@@ -106,10 +106,8 @@ def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dic
     run = _run_of(campaign, point)
     if point.measurement is not None and run is not None:
         physics = campaign.identification.parameters.applied_to(campaign.rig.physics)
-        beta = math.radians(
-            known_axis_angle(campaign.identification.parameters, campaign.rig, campaign.axis_angle_deg)[0]
-        )
-        simulated = simulate_release(run, point.measurement, physics, beta)
+        angle = known_axis_angle(campaign.identification.parameters, campaign.rig, campaign.axis_angle_deg)
+        simulated = simulate_release(run, point.measurement, physics, math.radians(angle[0]))
         figure = Markup(draw_point(run, point.measurement, point.prediction, simulated, f"point{index}"))
     return {
         **tables.summary_row(point, name, campaign),
