@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from analysis.errors import AnalysisError, NoStableState, NotEnoughData
-    from analysis.order_tracking import OrderTrack, order_track
     from analysis.prediction import Prediction, predict_point
+    from analysis.quantities.order_tracking import OrderTrack, order_track
     from analysis.results import PointResult
     from analysis.steady_state import SteadyMeasurement, measure
     from analysis.validation import Validation, validate, validate_point
@@ -17,13 +17,13 @@ _HOME = {  # loaded when first used: an error class or one figure need not wait 
     "AnalysisError": "analysis.errors",
     "NoStableState": "analysis.errors",
     "NotEnoughData": "analysis.errors",
-    "OrderTrack": "analysis.order_tracking",
+    "OrderTrack": "analysis.quantities.order_tracking",
     "PointResult": "analysis.results",
     "Prediction": "analysis.prediction",
     "SteadyMeasurement": "analysis.steady_state",
     "Validation": "analysis.validation",
     "measure": "analysis.steady_state",
-    "order_track": "analysis.order_tracking",
+    "order_track": "analysis.quantities.order_tracking",
     "predict_point": "analysis.prediction",
     "validate": "analysis.validation",
     "validate_point": "analysis.validation",

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.errors import NotEnoughData
 from analysis.laser_remarks import laser_remarks
-from analysis.order_tracking import order_track
+from analysis.quantities.order_tracking import order_track
 from analysis.to_come import ToCome, to_come
 from daq.signals.phase_noise import phase_remarks
 from daq.signals.run import Run

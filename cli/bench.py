@@ -104,7 +104,7 @@ def _dynamics(quick: bool) -> _Run:
     page = tables.page(worth_showing(rows), work_precision.targets(rows), machine, notes)
 
     def figure() -> Figure:
-        from analysis.plots.work_precision import draw_work_precision  # noqa: PLC0415 (only where a file is written)
+        from analysis.figures.work_precision import draw_work_precision  # noqa: PLC0415 (only where a file is written)
 
         line = tables.machine_line(machine)
         return draw_work_precision(rows, work_precision.ALL_POINTS, work_precision.RELEASE, line)
@@ -128,7 +128,7 @@ def _identification(quick: bool) -> _Run:
     page = tables.page(rows, precision.targets(rows), where, notes)
 
     def figure() -> Figure:
-        from analysis.plots.identification_precision import Mark, draw_identification_precision  # noqa: PLC0415
+        from analysis.figures.identification_precision import Mark, draw_identification_precision  # noqa: PLC0415
 
         marks = [
             Mark(
@@ -155,7 +155,7 @@ def _measured(stages: dict[str, Callable[[], list[_Row]]], usual_s: dict[str, in
 
 def _write(directory: Path, found: _Run, result: dict[str, Any]) -> list[str]:
     """Table, figure and numbers into a directory; their paths."""
-    from analysis.plots.style import save  # noqa: PLC0415
+    from analysis.figures.style import save  # noqa: PLC0415
     from dynamics.bench.tables import markdown  # noqa: PLC0415
 
     directory.mkdir(parents=True, exist_ok=True)

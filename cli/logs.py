@@ -170,7 +170,7 @@ def _without_nothing(value: Any) -> Any:
 
 
 def _plot(opened: Log, path: Path, facts: dict[str, Any]) -> None:
-    from analysis.plots.log_overview import draw_log_overview  # noqa: PLC0415 (matplotlib takes a second to import)
+    from analysis.figures.log_overview import draw_log_overview  # noqa: PLC0415 (matplotlib takes a second to import)
 
     run = facts["run"]
     words = [Path(facts["log"]).name, *(run[key] for key in ("rig", "test") if run.get(key))]

@@ -66,8 +66,8 @@ def predict(
     outcome = outcomes[0] if outcomes else None
     model = found[0].model if found else choose_model(physics, at_least=at_least)
     if plot is not None:
-        from analysis.plots.steady_states import draw_steady_states  # noqa: PLC0415
-        from analysis.plots.style import save  # noqa: PLC0415
+        from analysis.figures.steady_states import draw_steady_states  # noqa: PLC0415
+        from analysis.figures.style import save  # noqa: PLC0415
 
         title = (
             f"{loaded.name}, Ω = {speed / physics.natural_frequencies_rad_s[0]:.4g} ({speed * 30 / math.pi:.1f} rpm)"
@@ -304,8 +304,8 @@ def map(
             error_estimate=found.error_estimate,
         )
     if plot is not None:
-        from analysis.plots.stability_map import MapPoint, stability_map_figure  # noqa: PLC0415
-        from analysis.plots.style import save  # noqa: PLC0415
+        from analysis.figures.stability_map import MapPoint, stability_map_figure  # noqa: PLC0415
+        from analysis.figures.style import save  # noqa: PLC0415
 
         points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in loaded.points.items()]
         save(plot, stability_map_figure(loaded.physics, found, points))

@@ -217,8 +217,8 @@ def _history_json(found: History, overall: str | None, plot: Path | None) -> dic
 
 
 def _draw(found: History, path: Path, level: float) -> None:
-    from analysis.plots.parameter_history import Value, draw_parameter_history  # noqa: PLC0415 (matplotlib is slow)
-    from analysis.plots.style import save  # noqa: PLC0415
+    from analysis.figures.parameter_history import Value, draw_parameter_history  # noqa: PLC0415 (matplotlib is slow)
+    from analysis.figures.style import save  # noqa: PLC0415
 
     joint, single, marks = [], [], []
     for instant, step in zip(found.instants, found.steps, strict=True):

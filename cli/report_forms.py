@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.plots.fit import FitCurve
+from analysis.figures.fit import FitCurve
 from analysis.report.campaign import ConsistencyCheck, IdentificationResult, TestEstimate
 from identification import Identification
 

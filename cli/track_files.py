@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.plots.style import save
-from analysis.plots.tracked import TrackedDamping, TrackedPicture, TrackedState, draw_tracked
+from analysis.figures.style import save
+from analysis.figures.tracked import TrackedDamping, TrackedPicture, TrackedState, draw_tracked
 from cli.console import plain
 from cli.track_page import Tracking, tracking_json
 from daq.exchange import ExchangeError

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from analysis.plots.fit import FitCurve
+from analysis.figures.fit import FitCurve
 from analysis.validation import Validation
 from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig

@@ -10,9 +10,9 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from analysis.plots.fit import FitCurve, draw_fit
-from analysis.plots.point import draw_point, simulate_release
-from analysis.plots.stability_map import MapPoint, draw_stability_map
+from analysis.figures.fit import FitCurve, draw_fit
+from analysis.figures.point import draw_point, simulate_release
+from analysis.figures.stability_map import MapPoint, draw_stability_map
 from analysis.prediction import known_axis_angle
 from analysis.report import tables
 from analysis.report.budget_tables import budget_tables

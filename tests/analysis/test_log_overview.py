@@ -15,9 +15,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from analysis.errors import BadFigureName
-from analysis.plots import log_overview
-from analysis.plots.log_marks import Marks
-from analysis.plots.log_overview import COLUMNS, Trace, draw_log_overview
+from analysis.figures import log_overview
+from analysis.figures.log_marks import Marks
+from analysis.figures.log_overview import COLUMNS, Trace, draw_log_overview
 from daq.channels import LASER_X, PENDULUMS, TACHO, Channel
 from daq.drivers.items import Batch, Event
 from daq.log import content as log_content

@@ -9,7 +9,7 @@ import pytest
 from analysis_runs import draw, point_run
 
 from analysis import validate
-from analysis.plots.style import bins_for, envelope
+from analysis.figures.style import bins_for, envelope
 from analysis.report import (
     Campaign,
     ConsistencyCheck,

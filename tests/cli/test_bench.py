@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.plots.style import to_svg
-from analysis.plots.work_precision import draw_work_precision
+from analysis.figures.style import to_svg
+from analysis.figures.work_precision import draw_work_precision
 from cli.main import run
 from dynamics.bench import fresh_process, heyoka_runs, tables
 from dynamics.bench.records import Measurement, Target, compared, over_points, worth_showing

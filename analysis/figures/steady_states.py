@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from analysis.plots.style import GOOD, GREY, MODEL, drawing, label
+from analysis.figures.style import GOOD, GREY, MODEL, drawing, label
 from dynamics import RotorParameters, SteadyState
 from dynamics.steady.outcome import ReleaseOutcome
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plots.style import MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
+from analysis.figures.style import MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
 from analysis.prediction import Prediction
 from analysis.steady_state import SteadyMeasurement
 from daq.signals.run import Run

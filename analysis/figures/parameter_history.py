@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 
-from analysis.plots.log_marks import drawable
-from analysis.plots.style import GREY, MEASURED, MODEL, drawing, label
+from analysis.figures.log_marks import drawable
+from analysis.figures.style import GREY, MEASURED, MODEL, drawing, label
 
 _TIMES = 1.96  # standard deviations of a 95 % interval
 _COLUMNS = 2

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from analysis.plots.log_marks import drawable
-from analysis.plots.style import GOOD, GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline
+from analysis.figures.log_marks import drawable
+from analysis.figures.style import GOOD, GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline
 
 Array = NDArray[np.float64]
 

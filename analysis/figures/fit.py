@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.plots.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
+from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
 
 
 @dataclass(frozen=True)

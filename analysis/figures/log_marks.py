@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.font_manager import findfont, get_font
 from numpy.typing import NDArray
 
-from analysis.plots.style import GREY
+from analysis.figures.style import GREY
 from daq.log.content import seconds
 
 _LETTER = 0.0082  # width of one of the size below, of the axes' width

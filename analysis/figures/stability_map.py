@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from analysis.plots.style import MODEL, drawing, label, to_svg
+from analysis.figures.style import MODEL, drawing, label, to_svg
 from dynamics import RotorParameters
 from dynamics.stability.stability_map import StabilityMap, stability_map
 

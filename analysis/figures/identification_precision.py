@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from analysis.plots.style import GREY, drawing, label
-from analysis.plots.work_precision import COLOURS, draw_front
+from analysis.figures.style import GREY, drawing, label
+from analysis.figures.work_precision import COLOURS, draw_front
 
 _COLUMNS, _ROW_IN, _FOOT_IN = 3, 2.7, 1.4
 _OWN_MARKERS, _PEER_MARKERS = "osD", "^vPXh<>*d"

@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from analysis.plots.log_marks import Marks, drawable
-from analysis.plots.style import GREY, MEASURED, MODEL, drawing, label, save
+from analysis.figures.log_marks import Marks, drawable
+from analysis.figures.style import GREY, MEASURED, MODEL, drawing, label, save
 from daq.errors import LogError
 from daq.log import Log
 from daq.log.content import stretches
