@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from analysis.errors import AnalysisError, NoStableState, NotEnoughData
     from analysis.prediction import Prediction, predict_point
+    from analysis.quantities.amplification import Amplification, amplification_factors, principal_axis
+    from analysis.quantities.orbits import OrbitEllipse, forward_backward, orbit_ellipse
+    from analysis.quantities.order_maps import OrderMap, order_map, resampled_order_track
     from analysis.quantities.order_tracking import OrderTrack, order_track
+    from analysis.quantities.rotor_phase import phase_at, speed_at
+    from analysis.quantities.slip import SlipTrack, slip_track
+    from analysis.quantities.slow_roll import slow_roll_vector, without_slow_roll
+    from analysis.quantities.spectra import Spectrum, amplitude_spectrum, full_spectrum, power_density
     from analysis.results import PointResult
     from analysis.steady_state import SteadyMeasurement, measure
     from analysis.validation import Validation, validate, validate_point
@@ -27,22 +34,60 @@ _HOME = {  # loaded when first used: an error class or one figure need not wait 
     "predict_point": "analysis.prediction",
     "validate": "analysis.validation",
     "validate_point": "analysis.validation",
+    "OrbitEllipse": "analysis.quantities.orbits",
+    "orbit_ellipse": "analysis.quantities.orbits",
+    "forward_backward": "analysis.quantities.orbits",
+    "Spectrum": "analysis.quantities.spectra",
+    "power_density": "analysis.quantities.spectra",
+    "amplitude_spectrum": "analysis.quantities.spectra",
+    "full_spectrum": "analysis.quantities.spectra",
+    "OrderMap": "analysis.quantities.order_maps",
+    "order_map": "analysis.quantities.order_maps",
+    "resampled_order_track": "analysis.quantities.order_maps",
+    "SlipTrack": "analysis.quantities.slip",
+    "slip_track": "analysis.quantities.slip",
+    "Amplification": "analysis.quantities.amplification",
+    "amplification_factors": "analysis.quantities.amplification",
+    "principal_axis": "analysis.quantities.amplification",
+    "slow_roll_vector": "analysis.quantities.slow_roll",
+    "without_slow_roll": "analysis.quantities.slow_roll",
+    "phase_at": "analysis.quantities.rotor_phase",
+    "speed_at": "analysis.quantities.rotor_phase",
 }
 
 __all__ = [
+    "Amplification",
     "AnalysisError",
     "NoStableState",
     "NotEnoughData",
+    "OrbitEllipse",
+    "OrderMap",
     "OrderTrack",
     "PointResult",
     "Prediction",
+    "SlipTrack",
+    "Spectrum",
     "SteadyMeasurement",
     "Validation",
+    "amplification_factors",
+    "amplitude_spectrum",
+    "forward_backward",
+    "full_spectrum",
     "measure",
+    "orbit_ellipse",
+    "order_map",
     "order_track",
+    "phase_at",
+    "power_density",
     "predict_point",
+    "principal_axis",
+    "resampled_order_track",
+    "slip_track",
+    "slow_roll_vector",
+    "speed_at",
     "validate",
     "validate_point",
+    "without_slow_roll",
 ]
 
 

@@ -1,0 +1,390 @@
+# pyright: strict, reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
+"""Order envelopes that change with time: Vold–Kalman filtering whose bandwidths the data choose.
+
+A signal is o(t) + Σ_k Re A_k(t) e^{ikψ(t)} + noise. Each envelope is a cubic spline with a knot every h seconds whose
+third differences are drawn from a normal distribution of unknown variance: Vold and Leuridan's structural equation with
+the data equation in its exact form, for all orders together. The variances, which are the filters' bandwidths, and that
+of the noise maximise the restricted likelihood (Fellner–Schall steps), so that no bandwidth is asked for, and the
+envelopes' posterior covariance is their uncertainty. Derivation: docs/theory/order_tracking.md.
+
+The moments Σ u^p e^{ijψ} of each knot interval are all that is taken of the samples: the normal equations of any number
+of iterations follow from these, are banded, and so is what is wanted of their inverse.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.ndimage import gaussian_filter1d
+
+Array = NDArray[np.float64]
+
+_BASIS = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6.0
+"""Cubic B-splines by powers of u within one interval: row a is the spline that began a intervals before … at it."""
+_PENALTY = np.array([-1.0, 3.0, -3.0, 1.0])
+_STEPS = 40
+_SETTLED = 0.1
+_STIFFEST = 1e7
+_RESOLVED = 300.0
+_AROUND_KNOTS = 8.0
+
+
+@dataclass(frozen=True)
+class Envelopes:
+    """Envelopes of one signal, by knots.
+
+    Attributes:
+        start_s, knot_s: first knot and their distance, s.
+        coefficients: of the splines, shape (knots + 3, 1 + 2 K): offset, then real and imaginary parts of each order.
+        blocks: covariance of the coefficients of four neighbouring splines, shape (knots, 4 m, 4 m), m = 1 + 2 K.
+        noise: standard deviation of one sample.
+        freedom: effective degrees of freedom of the offset and of each order, shape (1 + K,).
+        roughness: of each coefficient's envelope about each knot by what it is on the whole, shape (m, knots).
+    """
+
+    start_s: float
+    knot_s: float
+    coefficients: Array
+    blocks: Array
+    noise: float
+    freedom: Array
+    roughness: Array
+
+    def values_at(self, time_s: Array) -> Array:
+        """Offset, then real and imaginary parts of each order at times, shape (n, m)."""
+        interval, weights = self._place(time_s)
+        out = weights[:, :1] * self.coefficients[interval]
+        for a in range(1, 4):
+            out += weights[:, a : a + 1] * self.coefficients[interval + a]
+        return out
+
+    def at(self, time_s: Array) -> tuple[Array, Array]:
+        """Values at times and their variances, shapes (n, m).
+
+        Of a posterior variance 5/6 is the noise that passes the filter and 1/6 what the filter takes off the envelope,
+        on the whole (theory/order_tracking.md); the latter goes with the envelope's roughness about the time.
+        """
+        interval, weights = self._place(time_s)
+        m = self.coefficients.shape[1]
+        blocks = self.blocks[interval].reshape(-1, 4, m, 4, m)
+        variance = np.einsum("na,namcm,nc->nm", weights, blocks, weights)
+        return self.values_at(time_s), np.maximum(variance, 0.0) * (5.0 + self.roughness[:, interval].T) / 6.0
+
+    def residuals(self, time_s: Array, signal: Array, phase_rad: Array) -> Array:
+        """What the envelopes leave of samples, shape (n,)."""
+        return _residuals(time_s, signal, phase_rad, self.start_s, self.knot_s, self.coefficients)
+
+    def _place(self, time_s: Array) -> tuple[NDArray[np.int64], Array]:
+        place = (np.asarray(time_s) - self.start_s) / self.knot_s
+        interval = np.clip(place.astype(np.int64), 0, len(self.blocks) - 1)
+        return interval, np.vander(place - interval, 4, increasing=True) @ _BASIS.T
+
+
+def fit_envelopes(
+    time_s: Array, signal: Array, phase_rad: Array, orders: int, knot_s: float, widths: Array, *,
+    least_noise: float = 0.0,
+) -> Envelopes:  # fmt: skip
+    """Envelopes of the offset and of orders 1 … `orders`.
+
+    Args:
+        time_s, signal, phase_rad: finite samples in order of time, shapes (n,); s, any unit, rad.
+        orders: highest order.
+        knot_s: distance wanted of the knots.
+        widths: of the offset's and each order's filter at most, in orders, shape (1 + `orders`,).
+        least_noise: standard deviation of one sample at least, where noise near the orders is known to be more.
+    Raises:
+        ValueError: the samples do not tell the orders apart.
+    """
+    duration = float(time_s[-1] - time_s[0])
+    scale, middle = float(np.std(signal)) or 1.0, float(np.mean(signal))
+    normalised = (signal - middle) / scale
+    m = 1 + 2 * orders
+    begin: Array | None = None
+    found_step = 1.0
+    for finer in (25, 5, 1):  # a coarse grid finds the bandwidths where a step costs little, and may be fine enough
+        knots = max(8, math.ceil(duration / (finer * knot_s)))
+        step = duration / knots * (1 + 1e-12)
+        phasors, products = _moments(time_s, normalised, phase_rad, float(time_s[0]), step, knots, orders)
+        equations = Equations(
+            *_normal_equations(phasors, products, orders), float(normalised @ normalised), len(signal),
+            (least_noise / scale) ** 2,
+        )  # fmt: skip
+        turns = np.abs(np.diff(np.interp(time_s[0] + step * np.arange(knots + 1), time_s, phase_rad))) / (2 * np.pi)
+        least = np.stack([_least_weights(turns, width) for width in widths])
+        if begin is not None:
+            begin = begin * (found_step / step) ** 5
+        found, begin, resolved = _restricted_likelihood(equations, least, m, begin)
+        found_step = step
+        if resolved:
+            break
+    coefficients = found.coefficients.reshape(knots + 3, m) * scale
+    coefficients[:, 0] += middle
+    blocks = _blocks(found.inverse, knots, m) * found.variance * scale**2
+    roughness = np.repeat(_roughness(found.free, found.taken), [1] + [2] * orders, axis=0)
+    noise = scale * math.sqrt(found.variance)
+    return Envelopes(float(time_s[0]), step, coefficients, blocks, noise, found.freedom, roughness)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations: lower band of XᵀX by columns (N, 4 m), Xᵀx (N,), xᵀx, number of samples, variance at least."""
+
+    gram: Array
+    right: Array
+    total: float
+    samples: int
+    least_variance: float
+
+
+@dataclass(frozen=True)
+class _Posterior:
+    """The envelopes at given weights: coefficients and the band of their covariance, and what these ask of the weights.
+
+    Attributes:
+        freedom: effective degrees of freedom of each part.
+        free, taken: of each part and knot, the degrees of freedom of its third difference that the data have found, and
+            its square by its prior variance; their sums are alike where the restricted likelihood is largest.
+    """
+
+    coefficients: Array
+    inverse: Array
+    variance: float
+    freedom: Array
+    free: Array
+    taken: Array
+
+
+def _least_weights(turns: Array, width: float) -> Array:
+    """Weight of each third difference, by that of the data, which ends a filter at 0.4 of the rotor's frequency.
+
+    Beyond half of it an envelope could be one of the next order, or the offset.
+
+    Args:
+        turns: of the rotor from knot to knot, shape (n,).
+    """
+    edge = 2 * np.sin(np.pi * np.clip(width * turns, 0.0, 0.5))
+    return np.clip(edge, 0.05, 2.0) ** -6
+
+
+def _restricted_likelihood(
+    equations: Equations, least: Array, m: int, begin: Array | None
+) -> tuple[_Posterior, Array, bool]:
+    """The envelopes at the weights that maximise the restricted likelihood, these, and whether knots are enough.
+
+    Args:
+        least: weight of each third difference by that of the data, at least, shape (parts, knots).
+        begin: weights to begin with, shape (parts,).
+    """
+    owner = np.concatenate([[0], np.repeat(np.arange(1, (m + 1) // 2), 2)])  # offset, then two columns an order
+    diagonal = equations.gram[:, 0].reshape(-1, m)
+    data = np.array([diagonal[:, owner == j].mean() for j in range(len(least))])
+    floor = data[:, None] * least
+    weights = data if begin is None else begin
+    found = _posterior(equations, weights, floor, owner)
+    old = np.zeros(len(data))
+    for _ in range(_STEPS):
+        change = np.log(np.maximum(found.free.sum(axis=1), 1e-3) / np.maximum(found.taken.sum(axis=1), 1e-30))
+        change = np.log(np.clip(weights * np.exp(change), data / _STIFFEST**2, data * _STIFFEST) / weights)
+        if np.abs(change).max() < _SETTLED:
+            break
+        longer = weights * np.exp(np.where(change * old > 0, 1.6, 1.0) * change)  # steps of one sense are too short
+        weights, old = np.clip(longer, data / _STIFFEST**2, data * _STIFFEST), change
+        found = _posterior(equations, weights, floor, owner)
+    return found, weights, bool((weights > _RESOLVED * data).all())
+
+
+def _posterior(equations: Equations, weights: Array, floor: Array, owner: NDArray[np.int64]) -> _Posterior:
+    """The envelopes at weights of their parts, (parts,), above a floor, (parts, knots)."""
+    own = weights[:, None] + floor
+    m, columns = len(owner), np.bincount(owner)
+    matrix = equations.gram + _penalty_band(own[owner])
+    try:
+        factor = cholesky_banded(matrix.T, lower=True, check_finite=False)
+    except LinAlgError as fault:
+        raise ValueError("order tracking: the samples do not tell the orders apart") from fault
+    beta = cho_solve_banded((factor, True), equations.right, check_finite=False)
+    inverse = _band_of_inverse(np.ascontiguousarray(factor.T))
+    spread, energy = _differences(inverse, beta, owner, m, len(columns))
+    freedom = columns * (own.shape[1] + 3) - (own * spread).sum(axis=1)
+    rest = equations.total - float(beta @ equations.right) - float((own * energy).sum())
+    variance = max(rest, 1e-28 * equations.total) / max(equations.samples - float(freedom.sum()), 1.0)
+    variance = max(variance, equations.least_variance)
+    free = np.maximum(columns[:, None] / own - spread, 0.0) * weights[:, None]
+    return _Posterior(beta, inverse, variance, freedom, free, weights[:, None] * energy / variance)
+
+
+def _roughness(free: Array, taken: Array) -> Array:
+    """How rough each part is about each knot, by what its one weight supposes: 1 on the whole; shape (parts, knots)."""
+    around = _AROUND_KNOTS
+    return (gaussian_filter1d(taken, around, axis=1) + 1e-9) / (gaussian_filter1d(free, around, axis=1) + 1e-9)
+
+
+def _penalty_band(rows: Array) -> Array:
+    """Lower band of Dᵀ W D by columns, shape (N, 4 m), for third differences over knots; weights (m, knots)."""
+    m, knots = rows.shape
+    band = np.zeros((knots + 3, m, 4, m))
+    for a in range(4):
+        for c in range(a, 4):
+            band[a : knots + a, :, c - a, 0] += _PENALTY[a] * _PENALTY[c] * rows.T
+    return band.reshape((knots + 3) * m, 4 * m)
+
+
+@njit(cache=True, nogil=True)
+def _residuals(
+    time: Array, signal: Array, phase: Array, start: float, step: float, coefficients: Array
+) -> Array:  # pragma: no cover (compiled)
+    """Signal without offset and orders."""
+    out = np.empty(len(time))
+    knots, m = len(coefficients) - 3, coefficients.shape[1]
+    for i in range(len(time)):
+        place = (time[i] - start) / step
+        at = min(int(place), knots - 1)
+        u = place - at
+        c, s = math.cos(phase[i]), math.sin(phase[i])
+        w0, w3 = (1.0 - u) ** 3 / 6.0, u**3 / 6.0
+        w1, w2 = (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0, (1.0 + 3.0 * u + 3.0 * u**2 - 3.0 * u**3) / 6.0
+        near = coefficients[at : at + 4]
+        value = w0 * near[0, 0] + w1 * near[1, 0] + w2 * near[2, 0] + w3 * near[3, 0]
+        real, imaginary = c, s
+        for k in range(1, m, 2):
+            value += (w0 * near[0, k] + w1 * near[1, k] + w2 * near[2, k] + w3 * near[3, k]) * real
+            k1 = k + 1
+            value -= (w0 * near[0, k1] + w1 * near[1, k1] + w2 * near[2, k1] + w3 * near[3, k1]) * imaginary
+            real, imaginary = real * c - imaginary * s, real * s + imaginary * c
+        out[i] = signal[i] - value
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _differences(
+    inverse: Array, beta: Array, owner: NDArray[np.int64], m: int, parts: int
+) -> tuple[Array, Array]:  # pragma: no cover (compiled)
+    """Of each third difference, the variance (in that of the noise) and the square, summed over a part's columns."""
+    knots = len(beta) // m - 3
+    spreads, energies = np.zeros((parts, knots)), np.zeros((parts, knots))
+    for row in range(knots):
+        for r in range(m):
+            value, spread = 0.0, 0.0
+            for a in range(4):
+                j = (row + a) * m + r
+                value += _PENALTY[a] * beta[j]
+                spread += _PENALTY[a] ** 2 * inverse[j, 0]
+                for c in range(a + 1, 4):
+                    spread += 2.0 * _PENALTY[a] * _PENALTY[c] * inverse[j, (c - a) * m]
+            spreads[owner[r], row] += spread
+            energies[owner[r], row] += value * value
+    return spreads, energies
+
+
+@njit(cache=True, nogil=True)
+def _band_of_inverse(factor: Array) -> Array:  # pragma: no cover (compiled)
+    """Lower band of (L Lᵀ)⁻¹ by columns, from that of L, both of shape (N, width) (Takahashi's recursion)."""
+    total, width = factor.shape
+    out = np.zeros((total, width))
+    for j in range(total - 1, -1, -1):
+        last = min(width - 1, total - 1 - j)
+        own = 1.0 / factor[j, 0]
+        for d in range(1, last + 1):
+            out[j, d] = 0.0
+        for e in range(1, last + 1):  # Z_ij = −Σ_k L_kj Z_ik / L_jj, both halves of Z_ik from its lower band
+            weight = factor[j, e] * own
+            for d in range(e, last + 1):
+                out[j, d] -= weight * out[j + e, d - e]
+            for d in range(1, e):
+                out[j, d] -= weight * out[j + d, e - d]
+        value = own
+        for e in range(1, last + 1):
+            value -= factor[j, e] * out[j, e]
+        out[j, 0] = value * own
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _moments(
+    time: Array, signal: Array, phase: Array, start: float, step: float, knots: int, orders: int
+) -> tuple[Array, Array]:  # pragma: no cover (compiled)
+    """Of each interval Σ u^p cos jψ and Σ u^p sin jψ (j to 2 K, p to 6), and Σ u^p x r (p to 3)."""
+    highest = 2 * orders
+    phasors = np.zeros((knots, highest + 1, 2, 7))
+    products = np.zeros((knots, 2 * orders + 1, 4))
+    for i in range(len(time)):
+        place = (time[i] - start) / step
+        at = min(int(place), knots - 1)
+        u = place - at
+        c, s = math.cos(phase[i]), math.sin(phase[i])
+        real, imaginary = 1.0, 0.0
+        for j in range(highest + 1):
+            power = 1.0
+            for p in range(7):
+                phasors[at, j, 0, p] += power * real
+                phasors[at, j, 1, p] += power * imaginary
+                power *= u
+            if j <= orders:
+                power = signal[i]
+                for p in range(4):
+                    if j == 0:
+                        products[at, 0, p] += power
+                    else:
+                        products[at, 2 * j - 1, p] += power * real
+                        products[at, 2 * j, p] -= power * imaginary
+                    power *= u
+            real, imaginary = real * c - imaginary * s, real * s + imaginary * c
+    return phasors, products
+
+
+def _normal_equations(phasors: Array, products: Array, orders: int) -> tuple[Array, Array]:
+    """Lower band of XᵀX by columns, (N, 4 m), and Xᵀx, (N,); unknowns knot by knot, regressors 1, cos kψ, −sin kψ."""
+    knots, m = len(phasors), 1 + 2 * orders
+    pair = np.zeros((4, 4, 7))  # powers of u in the product of two splines
+    for a in range(4):
+        for c in range(4):
+            pair[a, c] = np.convolve(_BASIS[a], _BASIS[c])
+    by_order = np.einsum("kjqp,acp->kjqac", phasors, pair)
+    local = np.zeros((knots, 4, m, 4, m))
+    for r, (k, kind) in enumerate(_regressors(orders)):
+        for s, (n, other) in enumerate(_regressors(orders)):
+            local[:, :, r, :, s] = _product(by_order, k, kind, n, other)
+    gram = np.zeros(((knots + 3) * m, 4 * m))
+    dense = local.reshape(knots, 4 * m, 4 * m)
+    for column in range(4 * m):
+        for row in range(column, 4 * m):
+            gram[column : column + knots * m : m, row - column] += dense[:, row, column]
+    right = np.zeros((knots + 3, m))
+    weighted = np.einsum("krp,ap->kar", products, _BASIS)
+    for a in range(4):
+        right[a : a + knots] += weighted[:, a]
+    return gram, right.ravel()
+
+
+def _regressors(orders: int) -> list[tuple[int, str]]:
+    return [(0, "cos")] + [(k, kind) for k in range(1, orders + 1) for kind in ("cos", "sin")]
+
+
+def _product(by_order: Array, k: int, kind: str, n: int, other: str) -> Array:
+    """Σ of the product of two regressors, cos kψ or −sin kψ, from the sums of cos jψ and sin jψ."""
+    low, high = abs(k - n), k + n
+    sign = 1.0 if k >= n else -1.0
+    if kind == other == "cos":
+        return 0.5 * (by_order[:, low, 0] + by_order[:, high, 0])
+    if kind == other == "sin":
+        return 0.5 * (by_order[:, low, 0] - by_order[:, high, 0])
+    if kind == "sin":  # −sin kψ cos nψ
+        return -0.5 * (by_order[:, high, 1] + sign * by_order[:, low, 1])
+    return -0.5 * (by_order[:, high, 1] - sign * by_order[:, low, 1])
+
+
+def _blocks(inverse: Array, knots: int, m: int) -> Array:
+    """Of each interval the covariance of its four splines' coefficients, shape (knots, 4 m, 4 m)."""
+    out = np.zeros((knots, 4 * m, 4 * m))
+    for column in range(4 * m):
+        for row in range(column, 4 * m):
+            band = inverse[column : column + knots * m : m, row - column]
+            out[:, row, column] = band
+            out[:, column, row] = band
+    return out
