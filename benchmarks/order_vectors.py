@@ -3,7 +3,7 @@
     python -m benchmarks.order_vectors [--runs 20] [--rate 4000]
 
 Truths: the exact motion of one resonance (its free vibration too), and its steady response to each speed. 60 s from 60
-or 300 rpm at 10 rpm/s, offset and second order beside it. Printed per cell: share of rows inside 1.96 stated deviations,
+or 300 rpm at 10 rpm/s, offset and second order beside it. Printed per cell: share of rows inside 1.96 deviations,
 largest error of size and angle where the vector exceeds 0.3 of its peak, milliseconds for one signal; the same of
 angular resampling over four turns.
 """
