@@ -14,6 +14,7 @@ from unicodedata import category
 from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 from cli import answer
 
@@ -168,6 +169,17 @@ def wait_for_compilation(what: str) -> Iterator[None]:
         yield
     if listener.seconds > 0:
         say(f"compiled in {listener.seconds:.0f} s; the next run finds it ready")
+
+
+@contextmanager
+def step_told(first: str) -> Iterator[Callable[[str], None]]:
+    """On a terminal one line with what is being worked on, the latest that was told; elsewhere a line each."""
+    if not STDERR.is_terminal:
+        say(first)
+        yield say
+        return
+    with STDERR.status(Text(harmless(first))) as status:
+        yield lambda text: status.update(Text(harmless(text)))
 
 
 @contextmanager

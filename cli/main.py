@@ -45,6 +45,9 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "identify": "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.",
         "validate": "Compare steady states and releases at points with the model; exit 1 when a point does not pass.",
     },
+    "cli.report": {
+        "report": "Write the report of a campaign's logs, at any time; exit 1 when a point fails.",
+    },
     "cli.track": {"track": "States and pendulum damping of a logged run over time, with uncertainty."},
     "cli.logs": {
         "log": "What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or "
@@ -85,6 +88,7 @@ _USE_COMPILED = {
     "identify",
     "track",
     "validate",
+    "report",
     "driver",
 }
 

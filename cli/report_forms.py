@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.figures.fit import FitCurve
-from analysis.report.campaign import ConsistencyCheck, IdentificationResult, TestEstimate
+from analysis.report.campaign import Changes, ConsistencyCheck, IdentificationResult, ParameterChange, TestEstimate
+from daq.signals.run import point_of
 from identification import Identification
+from identification.compare import compare, in_words
+from rig_configs import IdentifiedParameters
 
 
 def report_identification(found: Identification) -> IdentificationResult:
@@ -21,7 +24,13 @@ def report_identification(found: Identification) -> IdentificationResult:
     ]
     fits = [
         FitCurve(
-            f"{named.test}: {curve.label}", curve.time_s, curve.measured * scale, curve.fitted * scale, unit, label
+            title=f"{named.test}: {curve.label}",
+            time_s=curve.time_s,
+            measured=curve.measured * scale,
+            fitted=curve.fitted * scale,
+            unit=unit,
+            y_label=label,
+            aside=bool(point_of(named.test)),
         )
         for named in found.fits
         for curve in named.fit.curves
@@ -32,3 +41,17 @@ def report_identification(found: Identification) -> IdentificationResult:
 
 def _shown(unit: str) -> tuple[float, str, str]:
     return {"m": (1e3, "mm", "displacement"), "rad": (180 / np.pi, "°", "angle")}.get(unit, (1.0, unit, "value"))
+
+
+def report_changes(label: str, old: IdentifiedParameters, new: IdentifiedParameters) -> Changes:
+    """What changed since an earlier identification, in the report's own types.
+
+    Args:
+        label: how the earlier one is called in the report.
+    """
+    found = compare(old, new)
+    rows = [ParameterChange(c.name, c.old, c.new, c.change, c.std, c.p_holm) for c in found.changes]
+    return Changes(label, in_words(found, _LEVEL), rows, found.notes)
+
+
+_LEVEL = 0.01

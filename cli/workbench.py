@@ -84,40 +84,18 @@ def _refine(rig: Rig, log: Path) -> None:
 
 def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
     """Validate the points with what was identified before them, write joint parameters and report."""
-    from analysis.report.campaign import Campaign  # noqa: PLC0415
-    from analysis.report.write import write_report  # noqa: PLC0415
-    from analysis.validation import validate  # noqa: PLC0415
     from cli import results  # noqa: PLC0415
-    from cli.parameters_budget import all_budgets  # noqa: PLC0415
-    from cli.report_forms import report_identification  # noqa: PLC0415
+    from cli.reporting import reported, validated  # noqa: PLC0415
     from cli.runs import keep_verdicts  # noqa: PLC0415
     from daq.guided_tests.test_inputs import possible_tests  # noqa: PLC0415
-    from identification.release_check import check_releases  # noqa: PLC0415
 
     runs, before, joint = _found["runs"], _found["before"], _found["joint"]
     points = {test.removeprefix("point-") for test in possible_tests(rig)}
     seen = rig.model_copy(update={"points": {name: known for name, known in rig.points.items() if name in points}})
-    releases = check_releases(runs, seen, before.parameters, _tell) if rig.validation.releases else []
-    validation = validate(runs, seen, before.parameters, releases=releases)
+    validation = validated(runs, seen, before.parameters, _tell)
     keep_verdicts(validation, runs, facts["validated_with"])
     results.with_version(joint.parameters).save(out)
-    identities = runs[0].metadata.get("identities", {})
-    devices = {name: {k: str(v) for k, v in identity.items()} for name, identity in identities.items()}
-    campaign = Campaign(
-        title=f"Campaign on {rig.name}",
-        rig=rig,
-        runs=runs,
-        identification=report_identification(joint),
-        validation=validation,
-        axis_angle_deg=before.parameters.axis_angle_deg,
-        devices=devices,
-        truth=facts["truth"],
-        notes=facts["notes"],
-        software_version=results.software_version(),
-        seed=facts["seed"],
-        budgets=all_budgets(seen, joint.parameters),
-    )
-    write_report(report, campaign)
+    reported(report, seen, runs, before.parameters, joint, validation, facts=facts)
     losses = {Path(run.source).name: dict(run.losses) for run in runs}
     return {
         **results.identification_json(joint),

@@ -19,6 +19,7 @@ class FitCurve:
         unit: unit of the values, for example "mm".
         y_label: what the values are.
         notes: a sentence for the caption.
+        aside: whether it belongs behind the main figures, as a release at a point does.
     """
 
     title: str
@@ -28,6 +29,7 @@ class FitCurve:
     unit: str
     y_label: str
     notes: str = ""
+    aside: bool = False
 
     @property
     def residual_rms(self) -> float:
@@ -55,8 +57,8 @@ def draw_fit(curve: FitCurve, name: str) -> str:
             label(top, title=title)
             label(bottom, "time, s")
         label(grid[0, 0], y=f"{curve.y_label}, {curve.unit}")
-        label(grid[1, 0], y="residual")
-        grid[0, 0].legend(loc="upper right", ncols=2, fontsize=8)
+        label(grid[1, 0], y=f"residual, {curve.unit}")
+        grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, fontsize=8, borderaxespad=0.2)
         figure.align_ylabels(grid[:, 0])
         return to_svg(figure, name, f"Measured and fitted curve of {curve.title} with residuals")
 

@@ -60,9 +60,9 @@ def draw_point(
     """SVG of x, y, θ3, θ4 from 3 s before release (left) and at the end (right)."""
     zero, end = measured.release_s, measured.to_s
     close = end - 2 * np.pi * _TURNS_SHOWN / measured.speed_rad_s.value
-    with drawing(8.6, 6.2) as figure:
+    with drawing(8.6, 4.7) as figure:
         grid = figure.subplots(4, 2, width_ratios=(2.6, 1), sharex="col")
-        figure.subplots_adjust(left=0.1, right=0.975, top=0.9, bottom=0.075, wspace=0.16, hspace=0.14)
+        figure.subplots_adjust(left=0.1, right=0.975, top=0.89, bottom=0.1, wspace=0.16, hspace=0.14)
         bins = bins_for((end - zero) * measured.speed_rad_s.value / (2 * np.pi))
         for row, (time, values, model, text) in enumerate(_displacements(run, measured, simulated)):
             for axes, start in zip(grid[row], (zero - _BEFORE_S, close), strict=True):
@@ -124,7 +124,8 @@ def _angle_row(
 ) -> None:  # fmt: skip
     """One pendulum's angle, both columns; right with the predicted steady value and its ± 2 deviations."""
     zero, close, end = times
-    base = 2 * np.pi * np.round((measured.locked_rad[j] - (0.0, np.pi)[j]) / (2 * np.pi))
+    settled = run.angle_rad[(run.angle_time_s >= measured.from_s) & (run.angle_time_s <= end), j]
+    base = 2 * np.pi * np.floor(np.nanmean(settled) / (2 * np.pi))  # both end between 0 and 360°
     angle = np.degrees(run.angle_rad[:, j] - base)
     model = None if simulated is None else np.degrees(simulated.angle_rad[:, j] - base)
     for axis, start in zip(axes, (zero - _BEFORE_S, close), strict=True):

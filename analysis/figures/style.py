@@ -119,17 +119,17 @@ def bins_for(cycles: float, most: int = 400) -> int:
 def band(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
     """Measured samples: all of them when few, otherwise the band they fill (see `bins_for`)."""
     if len(time) <= 2 * bins:
-        axes.plot(time, values, color=colour, lw=1.7, alpha=0.6, label=name)
+        axes.plot(time, values, color=colour, lw=2.6, alpha=0.55, label=name)
         return
     middle, low, high = envelope(time, values, bins)
-    axes.fill_between(middle, low, high, color=colour, alpha=0.55, lw=0.7, label=name)
+    axes.fill_between(middle, low, high, color=colour, alpha=0.5, lw=2.0, label=name)
 
 
 def outline(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
     """A computed motion over a measured band: its envelope as two lines, or the curve itself when smooth."""
     if len(time) <= 2 * bins:
-        axes.plot(time, values, color=colour, lw=1.1, label=name)
+        axes.plot(time, values, color=colour, lw=0.9, label=name)
         return
     middle, low, high = envelope(time, values, bins)
-    axes.plot(middle, low, color=colour, lw=1.1, label=name)
-    axes.plot(middle, high, color=colour, lw=1.1)
+    axes.plot(middle, low, color=colour, lw=0.9, label=name)
+    axes.plot(middle, high, color=colour, lw=0.9)

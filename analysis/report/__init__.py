@@ -1,16 +1,28 @@
 """The report: one HTML file with all a campaign found, readable without anything beside it."""
 
 from analysis.figures.fit import FitCurve
-from analysis.report.campaign import Campaign, ConsistencyCheck, Identification, IdentificationResult, TestEstimate
+from analysis.report.campaign import (
+    Campaign,
+    Changes,
+    ConsistencyCheck,
+    Identification,
+    IdentificationResult,
+    ParameterChange,
+    TestEstimate,
+)
+from analysis.report.twin import twin
 from analysis.report.write import render, write_report
 
 __all__ = [
     "Campaign",
+    "Changes",
     "ConsistencyCheck",
     "FitCurve",
     "Identification",
     "IdentificationResult",
+    "ParameterChange",
     "TestEstimate",
     "render",
+    "twin",
     "write_report",
 ]

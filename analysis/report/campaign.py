@@ -34,6 +34,36 @@ class ConsistencyCheck:
     text: str = ""
 
 
+@dataclass(frozen=True)
+class ParameterChange:
+    """One parameter against an earlier identification: values, change and its standard deviation, SI; chance of one as
+    large where nothing has changed, all parameters having been looked at."""
+
+    name: str
+    old: float
+    new: float
+    change: float
+    std: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What changed since an earlier identification.
+
+    Attributes:
+        since: what the earlier one is called.
+        words: the verdict, a sentence.
+        rows: parameter by parameter.
+        notes: what was taken as common to both.
+    """
+
+    since: str
+    words: str
+    rows: Sequence[ParameterChange]
+    notes: Sequence[str] = ()
+
+
 class Identification(Protocol):
     """What the report needs of an identification's result."""
 
@@ -92,6 +122,7 @@ class Campaign:
         notes: paragraphs of the operator.
         software_version, seed: as recorded with the logs.
         budgets: of the parameters and of what the model predicts at the points, by source.
+        changes: against an earlier identification; None where none was given.
         what_if: settings laid over rig file and parameters; the report then answers a question and is marked so.
     """
 
@@ -109,3 +140,4 @@ class Campaign:
     seed: int | None = None
     what_if: Sequence[str] = ()
     budgets: Budgets | None = None
+    changes: Changes | None = None

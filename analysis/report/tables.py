@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from analysis.noticed import Noticed
-from analysis.report.campaign import Campaign
+from analysis.report.campaign import Campaign, ParameterChange
 from analysis.report.rounding import plain, signed, with_std
 from analysis.results import PointResult
 from analysis.scores import Z_LIMIT, Score
@@ -30,6 +30,7 @@ _QUANTITIES = (
     ("amplitude", "rms radius", "amplitude_mm", "mm"),
 )
 _EXAMPLE, _SEEN, _NONE = 1e-3, 0.05, 1e4
+_CHANGED = 0.01
 CLASSES = {"pass": "good", "fail": "bad"}
 
 
@@ -64,10 +65,22 @@ def loss_table(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[str]
     return streams, [(Path(log).name, [str(row.get(s, "–")) for s in streams]) for log, row in losses.items()]
 
 
+def lost_words(campaign: Campaign) -> list[str]:
+    """How much each stream lost over all logs, the most first: "lasers.x: samples 12"."""
+    losses = campaign.losses if campaign.losses is not None else {run.source: run.losses for run in campaign.runs}
+    total: dict[str, int] = {}
+    for row in losses.values():
+        for stream, lost in row.items():
+            total[stream] = total.get(stream, 0) + lost
+    named = sorted(((lost, stream) for stream, lost in total.items() if lost), reverse=True)
+    return [f"{lost} {stream.replace('.', ' ').replace('_', ' ')}" for lost, stream in named]
+
+
 def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:
     """Identified values with 95 % intervals, against the rig file and, where known, the truth."""
     known = campaign.identification.parameters
     file = campaign.rig.physics.identified()
+    changes = {c.name: c for c in campaign.changes.rows} if campaign.changes else {}
     rows = []
     for name, value in known.values.items():
         std, unit = known.std[name], PARAMETER_UNITS[name]
@@ -79,11 +92,20 @@ def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:
                 "relative": f"{100 * std / abs(value):.2g} %" if value else "–",
                 "file": plain(file[name]),
                 "change": f"{signed(100 * (value / file[name] - 1), 2)} %" if file[name] else "–",
+                "since": _since(changes.get(name)),
+                "changed": "yes" if name in changes and changes[name].p < _CHANGED else "",
                 "truth": "" if truth is None else plain(truth),
                 "truth_z": "" if truth is None or std <= 0 else signed((value - truth) / std),
             }
         )
     return rows
+
+
+def _since(change: ParameterChange | None) -> str:
+    """A change since the earlier identification, in percent."""
+    if change is None or not change.old or change.std <= 1e-9 * abs(change.old):  # of logs that both rest on
+        return "–"
+    return f"{signed(100 * change.change / abs(change.old), 3)} ± {plain(100 * change.std / abs(change.old), 2)} %"
 
 
 def correlation_rows(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[tuple[str, float]]]]]:
@@ -124,7 +146,7 @@ def consistency_rows(campaign: Campaign) -> list[dict[str, str]]:
     ]
 
 
-def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, str]:
+def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, Any]:
     """A point in one line."""
     values = point.to_json()
     measured = values["measured"]
@@ -145,7 +167,16 @@ def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, 
         "verdict": point.verdict,
         "class": CLASSES.get(point.verdict, "open"),
         "why": point.why,
+        "cells": [_cell(row) for row in quantity_rows(point)[:4]] if measured["speed_rpm"] is not None else _NO_CELLS,
     }
+
+
+_NO_CELLS = [{"measured": "–", "predicted": "–", "class": ""}] * 4
+
+
+def _cell(row: Mapping[str, Any]) -> dict[str, str]:
+    """Measured and predicted in the table of all points; where none is predicted, what noise would show."""
+    return {"measured": row["measured"], "predicted": row["predicted"].partition(", noise")[0], "class": row["class"]}
 
 
 def noticed_rows(campaign: Campaign) -> list[dict[str, Any]]:
@@ -154,6 +185,7 @@ def noticed_rows(campaign: Campaign) -> list[dict[str, Any]]:
     return [
         {
             "cause": one.cause.words,
+            "names": list(one.sizes),
             "points": [_size(size, one) for size in one.sizes.values()],
             "together": _size(one.together, one),
         }

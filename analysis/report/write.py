@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from importlib import resources
 from pathlib import Path
@@ -18,16 +19,17 @@ from analysis.report import tables
 from analysis.report.budget_tables import budget_tables
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
+from analysis.report.twin import twin
 from analysis.results import PointResult
 from analysis.scores import Z_LIMIT
 from daq.signals.run import Run, point_of
 from dynamics.errors import DynamicsError
 
-_TEMPLATE = "template.html.j2"
+_TEMPLATE, _SCRIPT = "template.html.j2", "page.js"
 
 
 def write_report(path: str | Path, campaign: Campaign) -> Path:
-    """Write a campaign's report as one HTML file that needs nothing beside it.
+    """Write a campaign's report as one HTML file that needs nothing beside it, and its numbers as JSON beside it.
 
     Args:
         path: the file to write; its folder must exist.
@@ -37,13 +39,22 @@ def write_report(path: str | Path, campaign: Campaign) -> Path:
     """
     path = Path(path)
     path.write_text(render(campaign), encoding="utf-8")
+    numbers = json.dumps(twin(campaign), ensure_ascii=False, indent=1, allow_nan=False)
+    twin_path(path).write_text(numbers + "\n", encoding="utf-8")
     return path
+
+
+def twin_path(report: str | Path) -> Path:
+    """Where a report's numbers are: its own name, ending in .json."""
+    return Path(report).with_suffix(".json")
 
 
 def render(campaign: Campaign) -> str:
     """The report's HTML. The same campaign gives the same text."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    text = resources.files("analysis.report").joinpath(_TEMPLATE).read_text(encoding="utf-8")
+    folder = resources.files("analysis.report")
+    text = folder.joinpath(_TEMPLATE).read_text(encoding="utf-8")
+    script = folder.joinpath(_SCRIPT).read_text(encoding="utf-8")
     points = dict(campaign.validation.points) if campaign.validation else {}
     angle = known_axis_angle(campaign.identification.parameters, campaign.rig, campaign.axis_angle_deg)
     names, correlations = tables.correlation_rows(campaign)
@@ -72,6 +83,8 @@ def render(campaign: Campaign) -> str:
         start_ups=[series.sentences for series in campaign.validation.start_ups] if campaign.validation else [],
         stability=_map(campaign, points),
         z_limit=f"{Z_LIMIT:g}",
+        lost=tables.lost_words(campaign),
+        script=Markup(script),
     )
 
 
@@ -93,6 +106,7 @@ def _explained(campaign: Campaign) -> list[str]:
 def _fit(curve: FitCurve, index: int) -> dict[str, Any]:
     return {
         "title": curve.title,
+        "aside": curve.aside,
         "notes": curve.notes,
         "rms": plain(curve.residual_rms, 2),
         "unit": curve.unit,

@@ -49,3 +49,18 @@ def test_a_browser_draws_every_figure_and_fetches_nothing(tmp_path: Path) -> Non
         "figures": figures, "drawn": figures, "wider": False, "asked": 0, "heading": seen["heading"],
     }  # fmt: skip
     assert seen["heading"]
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+def test_without_its_appendix_it_prints_on_eight_pages(tmp_path: Path) -> None:
+    page = write_report(tmp_path / "report.html", campaign())
+    text = page.read_text(encoding="utf-8")
+    page.write_text(text[: text.index('<section id="appendix">')] + "</body></html>", encoding="utf-8")
+    paper = tmp_path / "report.pdf"
+    subprocess.run(
+        [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer",
+         f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={paper}", page.as_uri()],
+        capture_output=True, timeout=120, check=True,
+    )  # fmt: skip
+    pages = len(re.findall(rb"/Type\s*/Page\b", paper.read_bytes()))
+    assert 3 <= pages <= 8

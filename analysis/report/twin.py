@@ -1,0 +1,84 @@
+# pyright: strict
+"""The report's numbers for machines: one JSON object beside the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, cast
+
+from analysis.report.campaign import Campaign, Changes
+from rig_configs import PARAMETER_UNITS
+
+
+def twin(campaign: Campaign) -> dict[str, Any]:
+    """What the report shows, as plain values with their units in the keys, ready for json.dumps."""
+    known = campaign.identification.parameters
+    found = campaign.validation
+    angle = known.axis_angle_deg
+    return plain_json(
+        {
+            "title": campaign.title,
+            "rig": campaign.rig.name,
+            "software": campaign.software_version,
+            "seed": campaign.seed,
+            "what_if": list(campaign.what_if),
+            "passed": None if found is None else found.passed,
+            "parameters": {
+                name: {"value": value, "std": known.std[name], "unit": PARAMETER_UNITS[name]}
+                for name, value in known.values.items()
+            },
+            "correlation": {"order": list(known.values), "matrix": known.correlation.tolist()},
+            "axis_angle_deg": None if angle is None else {"value": angle[0], "std": angle[1]},
+            "truth": dict(campaign.truth) if campaign.truth is not None else None,
+            "changes": None if campaign.changes is None else _changes(campaign.changes),
+            "estimates": [
+                {"test": e.test, "log": Path(e.source).name, "values": dict(e.values), "std": dict(e.std)}
+                for e in campaign.identification.estimates
+            ],
+            "fits": [
+                {"title": fit.title, "residual_rms": fit.residual_rms, "unit": fit.unit}
+                for fit in campaign.identification.fits
+            ],
+            "warnings": list(
+                dict.fromkeys([*campaign.identification.warnings, *([] if found is None else found.warnings)])
+            ),
+            **({} if found is None else found.to_json()),
+            "runs": [
+                {
+                    "test": run.test,
+                    "log": Path(run.source).name,
+                    "start": _time(run.start_s),
+                    "losses": dict(run.losses),
+                }
+                for run in campaign.runs
+            ],
+            "losses": {Path(log).name: dict(row) for log, row in (campaign.losses or {}).items()} or None,
+            "notes": list(campaign.notes),
+        }
+    )
+
+
+def _changes(changes: Changes) -> dict[str, Any]:
+    rows = {
+        c.name: {"old": c.old, "new": c.new, "change": c.change, "std": c.std, "p_all_looks_counted": c.p}
+        for c in changes.rows
+    }
+    return {"since": changes.since, "words": changes.words, "parameters": rows, "notes": list(changes.notes)}
+
+
+def _time(start_s: float) -> str:
+    return datetime.fromtimestamp(start_s, UTC).isoformat(timespec="seconds")
+
+
+def plain_json(value: Any) -> Any:
+    """Numbers that are no JSON (NaN, infinite) become null, everywhere in a value."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain_json(each) for key, each in cast("Mapping[Any, Any]", value).items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(each) for each in cast("list[Any]", value)]
+    return value
