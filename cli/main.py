@@ -70,6 +70,9 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "plan": "Say which experiments reach a wanted uncertainty: how long, what amplitude, what rate; exit 1 when "
         "none can.",
     },
+    "cli.completion": {
+        "completion": "Print the script with which a shell completes commands and options of rig.",
+    },
     "cli.bench": {"bench": "Time against true error for every method on offer, with peers in the same run."},
 }
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # the disk, this person's share of it, what one file may hold
