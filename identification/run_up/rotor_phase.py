@@ -19,6 +19,7 @@ _FEW = 80  # fifth differences
 _SKIPPED_MARKS = 2  # the spline's end piece has no neighbour to hold it
 _BEYOND_WHITE = 1.5  # the speed's noise over what the phase's white noise explains; chance is a tenth of the excess
 _SLOWEST = np.pi / 10  # rad a turn
+_WILD, _EVEN = 6.0, 0.3  # standard deviations; of the usual change of a turn's time
 _FIFTH, _FOURTH = 252.0, 70.0  # variance of a fifth and a fourth difference of white noise
 _TRIMMED = (
     0.6616  # root mean square of the smaller four fifths of a Gaussian's values; stamps are too coarse for a median
@@ -229,10 +230,24 @@ def _mark_noise(time_s: np.ndarray, phase_rad: np.ndarray) -> tuple[float, float
     whole, span = whole[quick], span[quick]
     white = _trimmed_rms(fifth[whole]) / np.sqrt(_FIFTH)
     walk = _trimmed_rms(fifth[whole] * abs(step) / span**1.5) ** 2 / _FOURTH
-    together = max(np.split(whole, np.flatnonzero(np.diff(whole) > 1) + 1), key=len)
+    together = _even_stretch(time_s, fifth, whole, white)
     if len(together) < _FEW:  # too few to tell the two apart: both are taken for real
         return white, walk
     return (0.0, walk) if _is_walk(fifth[together]) else (white, 0.0)
+
+
+def _even_stretch(time_s: np.ndarray, fifth: np.ndarray, whole: np.ndarray, white: float) -> np.ndarray:
+    """The longest stretch of fifth differences, of those at `whole`, over which the turns change evenly.
+
+    Where a ramp ends the speed has a kink, which looks like a walk: no difference counts that shares a mark with one
+    that is wild, or over which a turn's time changes by less than a part of what is usual.
+    """
+    bend = (time_s[5:] - time_s[4:-1] - time_s[1:-4] + time_s[:-5]) / 4
+    usual = float(np.median(bend[whole]))
+    apart = np.abs(fifth) > _WILD * white * np.sqrt(_FIFTH)
+    apart |= bend * np.sign(usual) < _EVEN * abs(usual) - 2 * white
+    even = whole[~np.convolve(apart, np.ones(11), "same").astype(bool)[whole]]
+    return max(np.split(even, np.flatnonzero(np.diff(even) > 1) + 1), key=len)
 
 
 def _is_walk(fifth: np.ndarray) -> bool:

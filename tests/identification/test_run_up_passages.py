@@ -491,10 +491,13 @@ def test_jitter_of_marks_is_measured() -> None:
 
 
 def test_white_errors_of_marks_and_a_walk_of_the_phase_are_told_apart() -> None:
-    """A passage to 900 rpm in 40 s; taking one for the other makes damping four times as uncertain, or too sure."""
+    """A passage to 900 rpm in 40 s, and a second there; mistaken, damping is four times as uncertain, or too sure."""
     rng, slope = np.random.default_rng(2), 900 * np.pi / 30 / 40
     turns = 2 * np.pi * np.arange(1, 300)
     marks = np.sqrt(2 * turns / slope)
+    end, after = np.sqrt(2 * 2 * np.pi * 299.5 / slope), np.arange(1, 14)  # at the top from the middle of a turn on
+    at_top = end + (after - 0.5) * 2 * np.pi / (slope * end)
+    marks, turns = np.r_[marks, at_top], np.r_[turns, turns[-1] + 2 * np.pi * after]
     white, walks = list[RotorPhase](), list[RotorPhase]()
     for _ in range(100):
         white.append(RotorPhase.from_marks(marks + 1e-6 * rng.normal(size=len(marks)), turns))
