@@ -14,14 +14,15 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 from scipy.fft import next_fast_len
+from scipy.ndimage import median_filter
 
 from identification.samples import usual_interval
 
 _HIGHEST_RATE_Hz = 1000.0  # of the grid that is searched; faster records are averaged to it
 _LEAST_SAMPLES = 400
 _LOBE = 4  # bins from a peak's middle to the window's first zero
-_GROUP = 24  # bins whose median is the local level
-_PROMINENT = 50.0  # power over that median; noise's largest of 10⁵ ordinates stays below 17
+_GROUP, _GROUPS = 24, 5  # bins whose median is a level; groups whose levels' median a level is not below
+_PROMINENT = 50.0  # power over that level; in 10 000 records noise of 60 000 samples stays below 40
 _MOST_LINES, _MOST_LOOKED_AT = 12, 40
 _CENTRES = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)  # of the windows that tell a decay, a third of the span each
 _UNEVEN = 0.2  # scatter of their amplitudes that a steady line may show
@@ -166,10 +167,21 @@ def _spectrum(span: Span) -> tuple[np.ndarray, np.ndarray, float]:
     size = int(next_fast_len(n, real=True) or n)
     spectrum = np.fft.rfft(span.value * smooth_window(n), size)
     power = spectrum.real**2 + spectrum.imag**2
+    return power, local_level(power), 1 / (size * span.step_s)
+
+
+def local_level(power: np.ndarray) -> np.ndarray:
+    """What a windowed spectrum's power is near each ordinate, shape (n,): the median of a group of them.
+
+    Neighbouring ordinates are correlated: such a median is down to a fifth of the mean once in a few thousand groups,
+    and noise beside it would stand out as a line. It is therefore taken for no less than the median of the medians of
+    the groups about it; where those differ, as beside a mode, its own may be more.
+    """
     count = -(-len(power) // _GROUP)
     padded = np.concatenate([power, np.full(count * _GROUP - len(power), power[-_GROUP:].mean())])
-    level = np.partition(padded.reshape(count, _GROUP), _GROUP // 2, axis=1)[:, _GROUP // 2]
-    return power, np.repeat(level, _GROUP)[: len(power)], 1 / (size * span.step_s)
+    own = np.partition(padded.reshape(count, _GROUP), _GROUP // 2, axis=1)[:, _GROUP // 2]
+    about = median_filter(own, _GROUPS, mode="nearest")
+    return np.repeat(np.maximum(own, about), _GROUP)[: len(power)]
 
 
 def _peaks(span: Span) -> Iterable[tuple[float, float]]:

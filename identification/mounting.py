@@ -24,7 +24,7 @@ from rig_configs.roles import AXIS_TOLERANCE_DEG
 Fit = TypeVar("Fit", RingDownFit, RunUpFit)
 
 _ANGLE = "axis_angle_deg"
-_DOUBTED = 2.576  # of a normal error, 99 % are within so many standard deviations
+_DOUBTED = 2.968  # of a normal error, 99.7 % are within so many standard deviations
 _DOUBTFUL_DEG = 15.0
 _DIRECTION = re.compile(r"\b(f|k|zeta|direction )([12])(?=\b|_)")
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from identification.errors import NotIdentifiable
 
 _INTERVALS = 20_000
+_NOT_WHITE = 5e-4  # chance that white residuals are called correlated
 _AWAY = 0.05  # of the range: how far a motion goes between two visits to a rail
 
 
@@ -160,11 +162,12 @@ def correlation_inflation(residual: np.ndarray, window: int = 16) -> float:
     Args:
         residual: shape (n,), in time order.
     Returns:
-        1 unless the excess is beyond chance (three standard deviations of the ratio's own scatter).
+        1 unless the excess is beyond chance: white residuals exceed it in one record of 2000. Of n windows the ratio is
+        χ² of n degrees of freedom over n, skewed to large values where they are few.
     """
     n = len(residual) // window
     if n < 8:
         return 1.0
     means = residual[: n * window].reshape(n, window).mean(axis=1)
     ratio = float(np.mean(means**2) * window / max(np.mean(residual**2), 1e-300))
-    return float(np.sqrt(ratio)) if ratio > 1 + 3 * np.sqrt(2.0 / n) else 1.0
+    return float(np.sqrt(ratio)) if ratio > chdtri(n, _NOT_WHITE) / n else 1.0

@@ -13,7 +13,7 @@ from scipy.fft import next_fast_len
 
 from identification.colour import Colour, colour_of
 from identification.least_squares import solve_separable
-from identification.lines import Line, smooth_window, steady_lines
+from identification.lines import Line, local_level, smooth_window, steady_lines
 from identification.ring_down.decay import Decay, Fitted
 from identification.ring_down.model import DecayModel, DecayRecord
 from identification.ring_down.modes import averaged_decay, rate
@@ -29,7 +29,7 @@ _WEAKER = 0.5  # of the stronger mode's amplitude
 _FOREIGN_GAIN = 60.0  # of χ², by an amplitude of its own across
 _SUSPECT = 6.0  # standard deviations of χ²/dof
 _ACROSS = 0.2  # of a mode's amplitude; beyond what sensors 5° out of square and a sensor's crosstalk show
-_GROUP, _PROMINENT = 24, 40.0  # ordinates of a level; power over its median
+_FEWEST, _PROMINENT = 200, 40.0  # values that are looked at; power over its local level
 _OWN_BAND, _LOBE = 3.0, 4.0  # half-bandwidths, and ordinates, next to a mode in which what decays is its misfit
 _TRIED, _MOST_DAMPED = 3, 0.1
 _LEAST_SHARE = 2e-5  # of a mode's amplitude
@@ -151,15 +151,12 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     """Narrow peaks of a channel's residuals: power over the local level, and frequency in Hz."""
     step = float(np.median(np.diff(t)))
     grid = np.arange(t[0], t[-1] + 0.5 * step, step)
-    if len(grid) < 8 * _GROUP:
+    if len(grid) < _FEWEST:
         return []
     even = np.interp(grid, t, residual) if len(grid) != len(t) else residual
     size = int(next_fast_len(len(even), real=True) or len(even))
     power = np.abs(np.fft.rfft((even - even.mean()) * smooth_window(len(even)), size)) ** 2
-    count = len(power) // _GROUP
-    level = np.repeat(np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1), _GROUP)
-    level = np.r_[level, np.full(len(power) - len(level), level[-1])]
-    prominence = power[1:-1] / np.maximum(level[1:-1], 1e-300)
+    prominence = power[1:-1] / np.maximum(local_level(power)[1:-1], 1e-300)
     frequency = np.arange(1, len(power) - 1) / (size * step)
     top = (prominence > _PROMINENT) & (power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])
     top &= frequency > 6 / (grid[-1] - grid[0])

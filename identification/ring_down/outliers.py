@@ -2,7 +2,8 @@
 
 Outliers are masked by hard trimming, repeated until nothing changes: redescending like Tukey's biweight, but with the
 plain least-squares covariance valid for what is left. The threshold follows the *local* scatter, so a model that does
-not fit at large amplitudes cannot hide its misfit as outliers.
+not fit at large amplitudes cannot hide its misfit as outliers. Whether there are any to mask or to name depends on how
+many samples there are: of 100 000 good ones the farthest lies beyond 4.5 standard deviations in every second record.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numba import njit
 from scipy.ndimage import median_filter
+from scipy.special import gammainc, ndtr, ndtri
 
 from identification.ring_down.backbone import course
 from identification.ring_down.decay import Fitted, once_per_fit
@@ -22,7 +24,8 @@ from identification.ring_down.modes import rate
 from identification.ring_down.record import Channel, farthest_from_taylor, sample_noise, taylor_at_samples
 
 _THRESHOLD = 4.5  # standard deviations; 7 of a million good samples are lost
-_SUSPECT = 5.5  # one sample in 26 million
+_SUSPECT = 5.5  # least; one sample in 26 million
+_CHANCE = 3e-4  # of a fit's good samples that noise alone passes for an outlier
 _NORMAL = 1.4826
 _SCATTER_SAMPLES = 20_000  # know a scatter to 1 %
 _STRETCH_SAMPLES = 1000  # to 4 %
@@ -123,15 +126,33 @@ def _bent_pieces(fitted: Fitted, record: int, axis: int, mode: int, t: np.ndarra
     return out
 
 
+def farthest_by_chance(samples: int) -> float:
+    """How many standard deviations off the farthest of so many good samples is by chance, in _CHANCE of the cases."""
+    return max(_SUSPECT, float(-ndtri(0.5 * _CHANCE / max(samples, 1))))
+
+
+def explained_by_noise(masked: int, samples: int, farthest: float) -> bool:
+    """Whether noise alone may be all that trimming has masked: neither too far off nor too many.
+
+    Args:
+        masked: samples beyond the trimming's threshold.
+        samples: that were looked at.
+        farthest: of these, in standard deviations.
+    """
+    usual = 2 * samples * float(ndtr(-_THRESHOLD))
+    return masked == 0 or (farthest < farthest_by_chance(samples) and float(gammainc(masked, usual)) > _CHANCE)
+
+
 def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[list[tuple[Channel, ...]], int, bool]:
     """Channels of a fit with outliers masked anew and their noise re-estimated.
 
     Args:
         valid: per record and channel the samples that may be used at all, whatever was masked since.
     Returns:
-        The channels, how many samples are masked as outliers, and whether any mask changed.
+        The channels, how many samples are masked as outliers (0 where noise may have put them all there), and whether
+        any mask changed.
     """
-    out, count, changed = [], 0, False
+    out, count, changed, samples, farthest = [], 0, False, 0, 0.0
     for r, channels in enumerate(fitted.decay.records):
         own = []
         for axis, channel in enumerate(channels):
@@ -139,24 +160,26 @@ def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[
             residual, model = sample_residuals(fitted, r, axis, channel, first, last)
             usable = valid[r][axis][first:last] & _inside_rail(model, channel)
             cycle = 2 * np.pi / float(np.min(fitted.omegas))
-            good, squares = _inlying(residual, usable, channel.time_s[first:last], 3 * cycle)
+            good, squares, off = _inlying(residual, usable, channel.time_s[first:last], 3 * cycle)
             keep = channel.keep.copy()
             changed |= not np.array_equal(keep[first:last], good)
             keep[first:last] = good
             used = int(np.count_nonzero(good))
-            count += int(np.count_nonzero(usable)) - used
+            looked_at = int(np.count_nonzero(usable))
+            count, samples, farthest = count + looked_at - used, samples + looked_at, max(farthest, off)
             noise = channel.noise
             if used >= 40:
                 # differences know nothing of the model, so a misfit does not pass for noise
                 noise = min(float(np.sqrt(squares / used)), sample_noise(channel.value_m[first:last][good]))
             own.append(replace(channel, keep=keep, noise=noise))
         out.append(tuple(own))
-    return out, count, changed
+    return out, 0 if explained_by_noise(count, samples, farthest) else count, changed
 
 
 @once_per_fit
 def suspicious(fitted: Fitted) -> bool:
     """Whether any kept sample is farther from the model than noise goes, or the rail cuts samples off."""
+    suspect = farthest_by_chance(sum(c.keep.sum() for channels in fitted.decay.records for c in channels))
     for r, channels in enumerate(fitted.decay.records):
         for axis, channel in enumerate(channels):
             first, last = np.searchsorted(channel.time_s, (fitted.decay.begins[r], fitted.decay.ends[r]))
@@ -168,7 +191,7 @@ def suspicious(fitted: Fitted) -> bool:
                 return True
             some = slice(None, None, _every(time))
             residual = value[some] - taylor_at_samples(time[some], *pieces)
-            if _scatter_below(residual, kept[some], largest / _SUSPECT):
+            if _scatter_below(residual, kept[some], largest / suspect):
                 return True
     return False
 
@@ -201,21 +224,26 @@ def _scale(residual: np.ndarray, kept: np.ndarray) -> float:
     return max(_NORMAL * float(np.median(values)), 1e-300) if len(values) else np.inf
 
 
-def _inlying(residual: np.ndarray, usable: np.ndarray, time: np.ndarray, span_s: float) -> tuple[np.ndarray, float]:
-    """Usable samples within the threshold, shape (n,), and their sum of squares.
+def _inlying(
+    residual: np.ndarray, usable: np.ndarray, time: np.ndarray, span_s: float
+) -> tuple[np.ndarray, float, float]:
+    """Usable samples within the threshold, shape (n,), their sum of squares, and how far off the farthest usable is.
 
     The scatter is the larger of the record's and that of a stretch of a few cycles.
     """
     scale = _scale(residual, usable)
     count = int((time[-1] - time[0]) / span_s) + 1
     edges = np.searchsorted(time, time[0] + span_s * np.arange(1, count))
-    good, squares = np.empty(len(residual), bool), 0.0
+    good, squares, farthest = np.empty(len(residual), bool), 0.0, 0.0
     for a, b in pairwise([0, *edges.tolist(), len(time)]):
         off, within = np.abs(residual[a:b]), usable[a:b]
         step = max(1, (b - a) // _STRETCH_SAMPLES)
         values = off[::step][within[::step]]
         local = _NORMAL * float(np.median(values)) if len(values) >= 12 else 0.0
-        np.logical_and(within, off <= _THRESHOLD * max(scale, local), out=good[a:b])
+        limit = _THRESHOLD * max(scale, local)
+        np.logical_and(within, off <= limit, out=good[a:b])
         kept = off[good[a:b]]
         squares += float(kept @ kept)
-    return good, squares
+        if len(kept) < np.count_nonzero(within):
+            farthest = max(farthest, _THRESHOLD * float(np.max(off[within])) / limit)
+    return good, squares, farthest

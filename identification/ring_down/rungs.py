@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtri  # pyright: ignore[reportMissingTypeStubs]
 
 from identification.errors import FitFailed
 from identification.least_squares import solve_separable
@@ -25,6 +26,7 @@ from identification.ring_down.residuals import gain_of
 from identification.ring_down.scores import known_columns, stretches
 
 _WORTH = 2.0  # of BIC, beyond 0: a term that is missed biases more than one that is not there costs
+_CHANCE = 1e-3  # that noise alone is worth a term, in a fit
 _CERTAIN = 3.0  # standard deviations
 _ALIKE = 2.0  # times one direction's term: what the other one's is likely to be at most
 _APART = 3.0  # half-bandwidths; of nearer modes a beat looks like rates that change
@@ -120,7 +122,7 @@ def _taken(fitted: Fitted) -> Taken:
 
 def _next(fitted: Fitted, priors: Priors) -> Fitted | None:
     """The fit with the one more term that explains most; None where none is worth it."""
-    price = float(np.log(fitted.count)) + _WORTH
+    price = max(float(np.log(fitted.count)) + _WORTH, float(chdtri(1, _CHANCE / (2 * fitted.model.modes))))
     gains, taken = _gains(fitted), _taken(fitted)
     noise = max(1.0, fitted.solution.chi2_per_dof)
     worth = [i for i, gain in enumerate(gains) if not taken[i] and gain / noise > price]

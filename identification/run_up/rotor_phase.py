@@ -18,6 +18,8 @@ _MOST = 0.98  # of the samples; a few may be gaps
 _FEW = 80  # fifth differences
 _SKIPPED_MARKS = 2  # the spline's end piece has no neighbour to hold it
 _BEYOND_WHITE = 1.5  # the speed's noise over what the phase's white noise explains; chance is a tenth of the excess
+_SLOWEST = np.pi / 10  # rad a turn
+_WILD, _EVEN = 6.0, 0.3  # standard deviations; of the usual change of a turn's time
 _FIFTH, _FOURTH = 252.0, 70.0  # variance of a fifth and a fourth difference of white noise
 _TRIMMED = (
     0.6616  # root mean square of the smaller four fifths of a Gaussian's values; stamps are too coarse for a median
@@ -215,27 +217,51 @@ def _mark_noise(time_s: np.ndarray, phase_rad: np.ndarray) -> tuple[float, float
     """White error of a mark's time (s) and density of a random walk in the phase (rad²/s); zero is what it is not.
 
     From fifth differences over neighbouring turns: a smooth passage leaves nothing there; wander that the marks are too
-    sparse to follow does, and counts as the error that interpolation then makes. Over every second turn white errors
-    stay what they were, a random walk doubles.
+    sparse to follow does, and counts as the error that interpolation then makes. Their spectrum tells which it is.
     """
     step = np.median(np.diff(phase_rad))
-    sizes: list[tuple[float, float]] = []
-    whole = np.empty(0, int)
-    for stride in (1, 2):
-        shifted = [np.roll(time_s, -stride * k) for k in range(6)]
-        fifth = np.array([-1.0, 5.0, -10.0, 10.0, -5.0, 1.0]) @ shifted
-        turns = (np.roll(phase_rad, -5 * stride) - phase_rad) / step
-        whole = np.flatnonzero(np.abs(turns - 5 * stride) < 1e-3 * stride)
-        if len(whole) < 10:
-            return 0.0, 0.0
-        span = (time_s[whole + 5 * stride] - time_s[whole]) / (5 * stride)
-        quick = span <= np.median(span)  # where slow wander is slowest against the turns
-        whole, span = whole[quick], span[quick]
-        sizes.append((_trimmed_rms(fifth[whole]), _trimmed_rms(fifth[whole] * abs(step) / span**1.5)))
-    white, walk = sizes[0][0] / np.sqrt(_FIFTH), sizes[0][1] ** 2 / _FOURTH
-    if len(whole) < _FEW:  # too few to tell the two apart: both are taken for real
+    fifth = np.diff(time_s, 5)
+    turns = (phase_rad[5:] - phase_rad[:-5]) / step
+    whole = np.flatnonzero(np.abs(turns - 5) < 1e-3)
+    if len(whole) < 10:
+        return 0.0, 0.0
+    span = (time_s[whole + 5] - time_s[whole]) / 5
+    quick = span <= np.median(span)  # where slow wander is slowest against the turns
+    whole, span = whole[quick], span[quick]
+    white = _trimmed_rms(fifth[whole]) / np.sqrt(_FIFTH)
+    walk = _trimmed_rms(fifth[whole] * abs(step) / span**1.5) ** 2 / _FOURTH
+    together = _even_stretch(time_s, fifth, whole, white)
+    if len(together) < _FEW:  # too few to tell the two apart: both are taken for real
         return white, walk
-    return (0.0, walk) if sizes[1][0] ** 2 > 1.5 * sizes[0][0] ** 2 else (white, 0.0)
+    return (0.0, walk) if _is_walk(fifth[together]) else (white, 0.0)
+
+
+def _even_stretch(time_s: np.ndarray, fifth: np.ndarray, whole: np.ndarray, white: float) -> np.ndarray:
+    """The longest stretch of fifth differences, of those at `whole`, over which the turns change evenly.
+
+    Where a ramp ends the speed has a kink, which looks like a walk: no difference counts that shares a mark with one
+    that is wild, or over which a turn's time changes by less than a part of what is usual.
+    """
+    bend = (time_s[5:] - time_s[4:-1] - time_s[1:-4] + time_s[:-5]) / 4
+    usual = float(np.median(bend[whole]))
+    apart = np.abs(fifth) > _WILD * white * np.sqrt(_FIFTH)
+    apart |= bend * np.sign(usual) < _EVEN * abs(usual) - 2 * white
+    even = whole[~np.convolve(apart, np.ones(11), "same").astype(bool)[whole]]
+    return max(np.split(even, np.flatnonzero(np.diff(even) > 1) + 1), key=len)
+
+
+def _is_walk(fifth: np.ndarray) -> bool:
+    """Whether fifth differences of evenly spaced values are likelier those of a random walk than of white noise.
+
+    Their power goes with (2 sin(ω/2))^8 and with its tenth power; Whittle's likelihood holds both against the spectrum.
+    Of 150 differences one in a thousand is mistaken. What is slower than twenty turns is the passage's own.
+    """
+    power = np.abs(np.fft.rfft(fifth * np.hanning(len(fifth) + 2)[1:-1])) ** 2
+    frequency = 2 * np.pi * np.fft.rfftfreq(len(fifth))
+    above = frequency >= _SLOWEST
+    power, bend = power[above], (2 * np.sin(frequency[above] / 2)) ** 2
+    as_white, as_walk = np.mean(power / bend**5), np.mean(power / bend**4)
+    return bool(len(power) * np.log(as_white / as_walk) + np.sum(np.log(bend)) > 0)
 
 
 def _trimmed_rms(value: np.ndarray) -> float:

@@ -490,6 +490,24 @@ def test_jitter_of_marks_is_measured() -> None:
     assert quiet.noise_density.max() < 1e-3 * noisy.noise_density.max()
 
 
+def test_white_errors_of_marks_and_a_walk_of_the_phase_are_told_apart() -> None:
+    """A passage to 900 rpm in 40 s, and a second there; mistaken, damping is four times as uncertain, or too sure."""
+    rng, slope = np.random.default_rng(2), 900 * np.pi / 30 / 40
+    turns = 2 * np.pi * np.arange(1, 300)
+    marks = np.sqrt(2 * turns / slope)
+    end, after = np.sqrt(2 * 2 * np.pi * 299.5 / slope), np.arange(1, 14)  # at the top from the middle of a turn on
+    at_top = end + (after - 0.5) * 2 * np.pi / (slope * end)
+    marks, turns = np.r_[marks, at_top], np.r_[turns, turns[-1] + 2 * np.pi * after]
+    white, walks = list[RotorPhase](), list[RotorPhase]()
+    for _ in range(100):
+        white.append(RotorPhase.from_marks(marks + 1e-6 * rng.normal(size=len(marks)), turns))
+        walk = np.cumsum(np.sqrt(1e-8 * np.diff(marks, prepend=0.0)) * rng.normal(size=len(marks)))
+        walks.append(RotorPhase.from_marks(marks - walk / (slope * marks), turns))
+    assert sum(one.wander_density == 0.0 for one in white) >= 96
+    assert sum(one.wander_density > 0.0 for one in walks) >= 98
+    assert np.median([one.wander_density for one in walks]) == pytest.approx(1e-8, rel=0.1)
+
+
 def test_wander_of_the_lasers_is_named_and_covered() -> None:
     """1/f noise of 20 µm rms: intervals hold the truth, and the quiet resonance is not blamed for what is slow."""
     z = []
