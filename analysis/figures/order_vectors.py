@@ -1,0 +1,182 @@
+# pyright: strict
+"""Once-per-revolution vectors of a run over speed, measured and of the model, for Bode and polar plots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.errors import NotEnoughData
+from analysis.quantities.order_tracking import order_track
+from analysis.rig_model import RigModel
+from analysis.simulated_run import SimulatedRun, locked_angles, simulate_run, speed_history
+from daq.signals.run import Run
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+RPM = 30 / math.pi
+_REVOLUTIONS = 2  # a window: a run-up passes a resonance within few
+_SPREAD = 0.05  # of the mean speed: below it a run has one speed
+_STEADY_POINTS = 1500
+_SEEN = 3.0  # standard deviations above which a vector has a phase
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """Complex 1× amplitudes of one displacement over speed.
+
+    Attributes:
+        speed_rad_s: shape (n,).
+        amplitude_m: complex, shape (n,), x = Re(X e^{iψ}).
+        std_m: of real and imaginary part each, shape (n,); 0 for a model's.
+    """
+
+    speed_rad_s: Array
+    amplitude_m: Complex
+    std_m: Array
+
+    def phase_deg(self, near: Vectors | None = None) -> Array:
+        """Phase, unwrapped along the speed; nan where the amplitude is lost in its noise.
+
+        Args:
+            near: vectors whose turn is taken, so that both lie in the same turn.
+        """
+        phase = np.degrees(np.unwrap(np.angle(self.amplitude_m)))
+        if near is not None and len(near.speed_rad_s):
+            level = np.interp(self.speed_rad_s, near.speed_rad_s, near.phase_deg())
+            phase = level + (np.degrees(np.angle(self.amplitude_m)) - level + 180.0) % 360.0 - 180.0
+        else:
+            phase -= 360.0 * np.round(phase[np.isfinite(phase)][:1] / 360.0) if np.isfinite(phase).any() else 0.0
+        return np.where(np.abs(self.amplitude_m) > _SEEN * self.std_m, phase, np.nan)
+
+
+@dataclass(frozen=True)
+class PassedVectors:
+    """x's and y's vectors in one run: measured, of the same run simulated, and of steady motions at each speed."""
+
+    measured: tuple[Vectors, Vectors]
+    simulated: tuple[Vectors, Vectors] | None
+    steady: tuple[Vectors, Vectors] | None
+
+
+def lag_words(found: PassedVectors) -> list[str]:
+    """How much later than the rotor's phase each displacement is stamped, by the simulated run, as sentences.
+
+    The lag is a straight line through the origin of phase against speed, weighted by the amplitudes.
+    """
+    if found.simulated is None:
+        return []
+    lags: list[str] = []
+    for name, measured, model in zip("xy", found.measured, found.simulated, strict=True):
+        beside = _complex_interp(measured.speed_rad_s, model)
+        ahead = np.angle(measured.amplitude_m * np.conj(beside))
+        weight = np.abs(beside) * np.abs(measured.amplitude_m) * measured.speed_rad_s
+        good = np.isfinite(ahead) & np.isfinite(weight)
+        lag = -np.sum((weight * ahead)[good]) / np.sum((weight * measured.speed_rad_s)[good])
+        lags.append(f"{name} {1e3 * lag:+.2f} ms")
+    return [
+        f"Lag of the displacements' stamps behind the rotor's phase by this comparison: {', '.join(lags)}. It is in the "
+        "measured phase; fits leave it free."
+    ]
+
+
+def _complex_interp(speed: Array, found: Vectors) -> Complex:
+    order = np.argsort(found.speed_rad_s)
+    at, values = found.speed_rad_s[order], found.amplitude_m[order]
+    return np.interp(speed, at, values.real) + 1j * np.interp(speed, at, values.imag)
+
+
+def speed_range(run: Run) -> tuple[float, float]:
+    """Least and largest speed between marks, rad/s.
+
+    Raises:
+        NotEnoughData: fewer than three marks.
+    """
+    if len(run.mark_time_s) < 3:
+        raise NotEnoughData(f"{run.source}: the rotor's index passed {len(run.mark_time_s)} times, at least 3 needed")
+    speeds = np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)
+    return float(np.min(speeds)), float(np.max(speeds))
+
+
+def changes_speed(run: Run) -> bool:
+    """Whether a run goes through speeds rather than staying at one."""
+    low, high = speed_range(run)
+    return high - low > _SPREAD * 0.5 * (high + low)
+
+
+def need_speeds(run: Run, what: str) -> None:
+    """Refuse a run at one speed.
+
+    Raises:
+        NotEnoughData: it stays at one speed, or does not turn.
+    """
+    low, high = speed_range(run)
+    if not changes_speed(run):
+        raise NotEnoughData(
+            f"{run.source}: expected a run through speeds for {what}, its speed stays between {low * RPM:.1f} and "
+            f"{high * RPM:.1f} rpm; give the log of a run-up"
+        )
+
+
+def vectors_of(run: Run) -> tuple[Vectors, Vectors]:
+    """Measured 1× vectors of x and y.
+
+    Raises:
+        NotEnoughData: no marks, or too few samples between them.
+    """
+    history = speed_history(run)
+    if history is None:
+        raise NotEnoughData(f"{run.source}: no 1× vectors without the rotor's index: {len(run.mark_time_s)} marks")
+
+    def along(time: Array, values: Array) -> Vectors:
+        inside = (time >= run.mark_time_s[0]) & (time <= run.mark_time_s[-1])
+        phase, _, _ = history.phase(time[inside]).T
+        return _tracked(run.source, time[inside], values[inside], phase)
+
+    return along(run.x_time_s, run.x_m), along(run.y_time_s, run.y_m)
+
+
+def simulated_vectors(simulated: SimulatedRun) -> tuple[Vectors, Vectors]:
+    """The same of a simulated run, tracked in the same way."""
+    x, y = (
+        _tracked("simulated run", simulated.time_s, values, simulated.phase_rad)
+        for values in (simulated.x_m, simulated.y_m)
+    )
+    return x, y
+
+
+def _tracked(source: str, time: Array, values: Array, phase: Array) -> Vectors:
+    try:
+        track = order_track(time, values, phase, (1,), revolutions=_REVOLUTIONS)
+    except ValueError as error:
+        raise NotEnoughData(f"{source}: {error}") from error
+    speed = np.interp(track.time_s, time, np.gradient(phase, time))
+    return Vectors(speed, track.amplitude_m[:, 0], track.std_m[:, 0])
+
+
+def steady_vectors(model: RigModel, run: Run) -> tuple[Vectors, Vectors]:
+    """The model's steady 1× vectors with the pendulums where the run's locks hold them, over the run's speeds."""
+    low, high = speed_range(run)
+    speed = np.linspace(max(low, 1e-3 * high), high, _STEADY_POINTS)
+    x, y = model.locked(speed, locked_angles(run))
+    return tuple(Vectors(speed[np.isfinite(v)], v[np.isfinite(v)], np.zeros(int(np.isfinite(v).sum()))) for v in (x, y))  # pyright: ignore[reportReturnType]
+
+
+def passed_vectors(run: Run, model: RigModel | None) -> PassedVectors:
+    """All vectors that a Bode or polar plot of one run shows.
+
+    Raises:
+        NotEnoughData: the run does not go through speeds.
+    """
+    need_speeds(run, "1× vectors over speed")
+    measured = vectors_of(run)
+    if model is None:
+        return PassedVectors(measured, None, None)
+    simulated = simulate_run(run, model)
+    return PassedVectors(
+        measured, None if simulated is None else simulated_vectors(simulated), steady_vectors(model, run)
+    )
