@@ -74,7 +74,9 @@ def figures_of(
         raise RigFileError(f"rig plot {kind}: --over {over}: expected one of {names}, which take a second log")
     source = _Model(model, known, settings)
     if found.of == "all":
-        draw = {"map": _map, "residuals": _residuals, "history": _history}[kind]
+        draw = {
+            "map": _map, "residuals": _residuals, "history": _history, "slip": _slip, "multipliers": _multipliers,
+        }[kind]  # fmt: skip
         return Wanted((_stem(logs[0]) if len(logs) == 1 else kind,), (partial(draw, logs, source),))
     if found.of == "log":
         return Wanted(tuple(map(_stem, logs)), tuple(partial(_health, log) for log in logs))
@@ -109,12 +111,37 @@ def _health(log: Path) -> Drawn:
 
 
 def _map(logs: Sequence[Path], source: _Model) -> Drawn:
-    from analysis.figures.stability_map import draw_map  # noqa: PLC0415
+    from analysis.errors import NotEnoughData  # noqa: PLC0415
+    from analysis.figures.stability_map import MapPoint, draw_points_on_map  # noqa: PLC0415
+    from analysis.steady_state import measure  # noqa: PLC0415
 
-    runs = [load_run(log) for log in logs]
+    model, points, warnings = source.of(logs[0]), list[MapPoint](), list[str]()
+    for log in logs:
+        run = load_run(log)
+        try:
+            found = measure(run, model.rig)
+        except NotEnoughData as error:
+            warnings.append(f"{log.name} is no point on the map: {error}")
+            continue
+        ratio = found.speed_rad_s.value / model.speeds_rad_s[0]
+        points.append(MapPoint(point_of(run.test) or run.test, ratio, found.state))
+    figure = draw_points_on_map(model.physics, points, f"Stability map: {model.rig.name}, {model.name}")
+    return figure, {**_facts("map", logs, model.name), "warnings": warnings}
+
+
+def _slip(logs: Sequence[Path], source: _Model) -> Drawn:
+    from analysis.figures.slip import draw_slip  # noqa: PLC0415
+
     model = source.of(logs[0])
-    points = [(point_of(run.test) or run.test, run) for run in runs]
-    return draw_map(points, model), _facts("map", logs, model.name)
+    return draw_slip([load_run(log) for log in logs], model), _facts("slip", logs, model.name)
+
+
+def _multipliers(logs: Sequence[Path], source: _Model) -> Drawn:
+    from analysis.figures.multipliers import draw_multipliers, speed_point  # noqa: PLC0415
+
+    model = source.of(logs[0])
+    points = [speed_point(load_run(log)) for log in logs]
+    return draw_multipliers(points, model), _facts("multipliers", logs, model.name)
 
 
 def _residuals(logs: Sequence[Path], source: _Model) -> Drawn:

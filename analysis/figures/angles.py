@@ -29,7 +29,7 @@ def whole_turns(time_s: Array, angle_rad: Array) -> Array:
 
 def degree_ticks(low_deg: float, high_deg: float) -> tuple[Array, tuple[float, float]]:
     """Ticks at 45°, 90°, 180° or whole turns, four to seven of them, and limits of the axis with a margin."""
-    steps = np.array([10.0, 15.0, 30.0, 45.0, 90.0, 180.0, 360.0, 720.0, 1800.0, 3600.0, 18000.0])
+    steps = np.array([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 45.0, 90.0, 180.0, 360.0, 720.0, 1800.0, 3600.0, 18000.0])
     step = float(steps[min(int(np.searchsorted(steps, (high_deg - low_deg) / 5.0)), len(steps) - 1)])
     low, high = step * math.floor(low_deg / step), step * math.ceil(high_deg / step)
     if high <= low:

@@ -74,7 +74,6 @@ def _scales(axes: Axes, top: float) -> None:
     axes.set_xticks(np.radians(np.arange(0, 360, 45)))
     axes.set_rlabel_position(112.5)
     axes.tick_params(labelsize=8)
-    axes.yaxis.get_major_locator().set_params(nbins=4)  # pyright: ignore[reportAttributeAccessIssue]
     axes.spines["polar"].set_visible(True)
 
 

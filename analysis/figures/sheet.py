@@ -58,7 +58,7 @@ def sheet(width_in: float, height_in: float, title: str, foot: Sequence[str] = (
         notes = [line for each in foot for line in textwrap.wrap(drawable(each), int(width_in * _FOOT_LETTERS))]
         title_in = len(titles) * _TITLE_PT * _LINE / 72
         legend_in = legend.get_window_extent().height / figure.dpi if legend else 0.0
-        head_in = _MARGIN_IN + title_in + (_GAP_IN + legend_in if legend else 0.0) + _GAP_IN / 2
+        head_in = _MARGIN_IN + title_in + (_GAP_IN + legend_in if legend else 0.0) + 1.5 * _GAP_IN
         foot_in = _MARGIN_IN + len(notes) * _FOOT_PT * _LINE / 72 if notes else 0.0
         whole_in = height_in + head_in + foot_in
         figure.set_size_inches(width_in, whole_in)
