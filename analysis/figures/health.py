@@ -30,6 +30,7 @@ _LOOKS: tuple[Look, ...] = (
     {"color": "#444444", "ls": ":"}, {"color": "#CC79A7", "ls": (0, (6, 1.5, 1, 1.5))},
     {"color": "#8C6D1F", "ls": (0, (1, 2.5))},
 )  # fmt: skip
+_LEAST_COUNT = 20
 _GAPS = ("gap", "damage", "silence")
 _UNUSABLE = ("invalid", "suspect")
 _FOOT = (
@@ -116,7 +117,7 @@ def _rates(axes: Axes, found: _Gathered) -> None:
     lowest = 90.0
     for look, (topic, stream) in zip(_LOOKS, found.streams.items(), strict=False):
         usual = float(np.median(stream.count[1:-1])) if len(stream.count) > 2 else float(stream.count.max())
-        if usual < 3:  # marks of a slow rotor: no rate to speak of
+        if usual < _LEAST_COUNT:  # marks of the rotor, say: one more or less in a stretch means nothing
             continue
         share = 100 * stream.count / usual
         axes.plot(middle, share, drawstyle="steps-mid", lw=1.4, label=f"{topic}, {usual / width:.4g} a second", **look)
@@ -154,17 +155,23 @@ def _losses(axes: Axes, found: _Gathered, origin_ns: int) -> None:
     """Counts of what was lost, device by device; what a sensor called invalid did arrive and is left out."""
     time = np.array([(report["time_ns"] - origin_ns) * 1e-9 for report in found.reports])
     devices = sorted({str(name) for report in found.reports for name in report.get("losses", {})})
-    most = 0
+    most, whole = 0, list[str]()
     for look, device in zip(_LOOKS, devices, strict=False):
         counts = [
             sum(int(n) for kind, n in report.get("losses", {}).get(device, {}).items() if kind not in _UNUSABLE)
             for report in found.reports
         ]
         most = max([most, *counts])
-        axes.step(time, counts, where="post", lw=1.4, label=f"lost, {device}", **look)
-    axes.set_ylim(-0.04 * max(most, 1), 1.15 * max(most, 1))
+        if not any(counts):
+            whole.append(device)
+            continue
+        axes.step(time, counts, where="post", lw=1.0, marker="o", ms=3, label=f"lost, {device}", **look)
+    axes.set_ylim(-0.04 * max(most, 1), 1.5 * max(most, 1))
     if not most:
         axes.set_yticks([0])
+    if whole:
+        axes.text(0.006, 0.96, f"nothing lost: {', '.join(whole)}", transform=axes.transAxes, fontsize=8, va="top",
+                  color="#444444", parse_math=False)  # fmt: skip
     label(axes, y="lost, counts")
 
 

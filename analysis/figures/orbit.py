@@ -24,7 +24,9 @@ from analysis.figures.order_vectors import (
 from analysis.figures.sheet import MODEL_LOOK, OVER_LOOK, WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import steady_part
 from analysis.figures.style import GREY, MEASURED, label
+from analysis.quantities.orbits import OrbitEllipse, orbit_ellipse
 from analysis.quantities.order_tracking import order_track
+from analysis.quantities.rotor_phase import phase_at
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
 
@@ -32,8 +34,10 @@ Array = NDArray[np.float64]
 
 _ELLIPSE_LOOK: Look = {"color": MEASURED, "ls": "-", "lw": 2.6, "alpha": 0.6}
 _RAW_TURNS = 3
+_RAW_POINTS = 500  # drawn of them
+_WINDOW_TURNS = 4
 _PANELS = 6
-_ROUND = 1e-3  # |backward| over |forward| below which an orbit has no inclination worth a number
+_ROUND = 2e-3  # difference of the axes over the major one below which an orbit has no inclination worth a number
 _AT_REST_M = 1e-8
 _FOOT = (
     "Index mark (filled measured, hollow model): where the disk centre is when the imbalance points along +x. Arrow: "
@@ -42,48 +46,14 @@ _FOOT = (
 
 
 @dataclass(frozen=True)
-class Orbit:
-    """A 1× orbit: x = Re(X e^{iψ}), y = Re(Y e^{iψ}), m."""
-
-    x_m: complex
-    y_m: complex
-
-    def path(self, phase_rad: Array) -> tuple[Array, Array]:
-        """x and y in mm at the phases."""
-        turn = np.exp(1j * phase_rad)
-        return 1e3 * (self.x_m * turn).real, 1e3 * (self.y_m * turn).real
-
-    @property
-    def forward_m(self) -> complex:
-        """Of what turns with the rotor in x + iy."""
-        return (self.x_m + 1j * self.y_m) / 2
-
-    @property
-    def backward_m(self) -> complex:
-        """Of what turns against it."""
-        return (self.x_m - 1j * self.y_m).conjugate() / 2
-
-    @property
-    def words(self) -> str:
-        """Axes, inclination and sense in a line."""
-        a, b = abs(self.forward_m), abs(self.backward_m)
-        if a + b < _AT_REST_M:
-            return "at rest"
-        tilt = math.degrees((np.angle(self.forward_m) + np.angle(self.backward_m)) / 2) % 180
-        sense = "forward" if a >= b else "backward"
-        at = f" at {tilt:.0f}°" if min(a, b) > _ROUND * max(a, b) else ""
-        return f"{1e3 * (a + b):.3g} × {1e3 * abs(a - b):.3g} mm{at}, {sense}"
-
-
-@dataclass(frozen=True)
 class OrbitPanel:
     """One speed's orbit: measured samples of some revolutions (mm) and 1× ellipses."""
 
     speed_rad_s: float
     raw_mm: tuple[Array, Array]
-    measured: Orbit
-    model: Orbit | None
-    over: Orbit | None = None
+    measured: OrbitEllipse
+    model: OrbitEllipse | None
+    over: OrbitEllipse | None = None
 
 
 def draw_orbit(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
@@ -121,24 +91,26 @@ _FOOT_LINES: Sequence[str] = (_FOOT,)
 
 def _steady(run: Run, model: RigModel | None) -> OrbitPanel:
     part = steady_part(run)
-    found: list[complex] = []
+    found: list[tuple[complex, float]] = []
     for time, values in ((run.x_time_s, run.x_m), (run.y_time_s, run.y_m)):
         t, v = part.cut(time, values)
         try:
-            track = order_track(t, v, np.interp(t, run.mark_time_s, run.mark_phase_rad), (1,))
+            track = order_track(t, v, phase_at(run, t), revolutions=_WINDOW_TURNS)
         except ValueError as error:
             raise NotEnoughData(f"{run.source}: {error}") from error
-        found.append(track.mean(1)[0])
+        found.append(track.mean(1))
     orbit = None
     if model is not None and run.releases:
         _, angles = part.cut(run.angle_time_s, run.angle_rad)
         state = model.steady_state(part.speed_rad_s, angles.mean(axis=0).tolist() if len(angles) else None)
-        orbit = None if state is None else Orbit(*model.shown_orders(state.x_m, -1j * state.y_m))
+        orbit = None if state is None else orbit_ellipse(*model.shown_orders(state.x_m, -1j * state.y_m))
     elif model is not None:
-        x, y = model.locked(np.array([part.speed_rad_s]))
-        orbit = Orbit(complex(x[0]), complex(y[0])) if np.isfinite(x[0]) else None
+        held_x, held_y = model.locked(np.array([part.speed_rad_s]))
+        orbit = orbit_ellipse(complex(held_x[0]), complex(held_y[0])) if np.isfinite(held_x[0]) else None
+    (x, x_std), (y, y_std) = found
+    measured = orbit_ellipse(x, y, x_std, y_std)
     last = part.last_turns(_RAW_TURNS)
-    return OrbitPanel(part.speed_rad_s, _raw(run, last.from_s, last.to_s), Orbit(found[0], found[1]), orbit)
+    return OrbitPanel(part.speed_rad_s, _raw(run, last.from_s, last.to_s), measured, orbit)
 
 
 def _raw(run: Run, start: float, end: float) -> tuple[Array, Array]:
@@ -146,7 +118,8 @@ def _raw(run: Run, start: float, end: float) -> tuple[Array, Array]:
     inside = (run.x_time_s >= start) & (run.x_time_s <= end)
     times = run.x_time_s[inside]
     x, y = run.x_m[inside], np.interp(times, run.y_time_s, run.y_m)
-    return 1e3 * (x - np.nanmean(x)), 1e3 * (y - np.nanmean(y))
+    step = max(1, len(times) // _RAW_POINTS)
+    return 1e3 * (x - np.nanmean(x))[::step], 1e3 * (y - np.nanmean(y))[::step]
 
 
 def _passing(run: Run, model: RigModel | None) -> list[OrbitPanel]:
@@ -163,8 +136,8 @@ def _passing(run: Run, model: RigModel | None) -> list[OrbitPanel]:
     for speed in speeds.tolist():
         at = int(np.argmin(np.abs(marks - speed)))
         raw = _raw(run, float(run.mark_time_s[max(at - 1, 0)]), float(run.mark_time_s[min(at + 2, len(marks))]))
-        shown = None if beside is None else Orbit(_at(beside[0], speed), _at(beside[1], speed))
-        panels.append(OrbitPanel(speed, raw, Orbit(_at(x, speed), _at(y, speed)), shown))
+        shown = None if beside is None else orbit_ellipse(_at(beside[0], speed), _at(beside[1], speed))
+        panels.append(OrbitPanel(speed, raw, orbit_ellipse(_at(x, speed), _at(y, speed)), shown))
     return panels
 
 
@@ -184,16 +157,30 @@ def _panel(axes: Axes, panel: OrbitPanel, model: str, over: str) -> None:
         _ellipse(axes, panel.over, OVER_LOOK, over, filled=True)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.12)
-    words = f"{RPM * panel.speed_rad_s:.1f} rpm\n{panel.measured.words}"
+    words = f"{RPM * panel.speed_rad_s:.1f} rpm\n{_words(panel.measured)}"
     axes.set_title(words, fontsize=8.5, parse_math=False)
 
 
-def _ellipse(axes: Axes, orbit: Orbit, look: Look, text: str, *, filled: bool) -> None:
+def _words(orbit: OrbitEllipse) -> str:
+    """Semi-axes, inclination and sense in a line."""
+    if orbit.major_m < _AT_REST_M:
+        return "at rest"
+    at = f" at {math.degrees(orbit.inclination_rad):.0f}°" if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m else ""
+    return f"{1e3 * orbit.major_m:.3g} × {1e3 * abs(orbit.minor_m):.3g} mm{at}, {orbit.precession}"
+
+
+def _path(orbit: OrbitEllipse, phase: Array) -> tuple[Array, Array]:
+    """x and y at phases, mm."""
+    x, y = orbit.points(phase)
+    return 1e3 * x, 1e3 * y
+
+
+def _ellipse(axes: Axes, orbit: OrbitEllipse, look: Look, text: str, *, filled: bool) -> None:
     turn = np.linspace(0, 2 * math.pi, 361)
-    axes.plot(*orbit.path(turn), label=text, **look)
+    axes.plot(*_path(orbit, turn), label=text, **look)
     colour = look["color"]
-    mark = orbit.path(np.zeros(1))
+    mark = _path(orbit, np.zeros(1))
     axes.plot(*mark, marker="o" if filled else "s", ms=6.5, mfc=colour if filled else "white", mec=colour, ls="", zorder=5)
     if filled:
-        (x0, x1), (y0, y1) = (c.tolist() for c in orbit.path(np.array([0.9, 1.0])))
+        (x0, x1), (y0, y1) = (c.tolist() for c in _path(orbit, np.array([0.9, 1.0])))
         axes.annotate("", (x1, y1), (x0, y0), arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.4})

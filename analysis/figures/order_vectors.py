@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.quantities.order_tracking import order_track
+from analysis.quantities.rotor_phase import phase_at
 from analysis.rig_model import RigModel
-from analysis.simulated_run import SimulatedRun, locked_angles, simulate_run, speed_history
+from analysis.simulated_run import SimulatedRun, locked_angles, simulate_run
 from daq.signals.run import Run
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 RPM = 30 / math.pi
-_REVOLUTIONS = 2  # a window: a run-up passes a resonance within few
 _SPREAD = 0.05  # of the mean speed: below it a run has one speed
 _STEADY_POINTS = 1500
 _SEEN = 3.0  # standard deviations above which a vector has a phase
@@ -123,39 +123,31 @@ def need_speeds(run: Run, what: str) -> None:
 
 
 def vectors_of(run: Run) -> tuple[Vectors, Vectors]:
-    """Measured 1× vectors of x and y.
+    """Measured 1× vectors of x and y, one a revolution.
 
     Raises:
         NotEnoughData: no marks, or too few samples between them.
     """
-    history = speed_history(run)
-    if history is None:
-        raise NotEnoughData(f"{run.source}: no 1× vectors without the rotor's index: {len(run.mark_time_s)} marks")
-
-    def along(time: Array, values: Array) -> Vectors:
-        inside = (time >= run.mark_time_s[0]) & (time <= run.mark_time_s[-1])
-        phase, _, _ = history.phase(time[inside]).T
-        return _tracked(run.source, time[inside], values[inside], phase)
-
-    return along(run.x_time_s, run.x_m), along(run.y_time_s, run.y_m)
+    return (
+        _tracked(run.source, run.x_time_s, run.x_m, phase_at(run, run.x_time_s)),
+        _tracked(run.source, run.y_time_s, run.y_m, phase_at(run, run.y_time_s)),
+    )
 
 
 def simulated_vectors(simulated: SimulatedRun) -> tuple[Vectors, Vectors]:
     """The same of a simulated run, tracked in the same way."""
-    x, y = (
-        _tracked("simulated run", simulated.time_s, values, simulated.phase_rad)
-        for values in (simulated.x_m, simulated.y_m)
+    return (
+        _tracked("simulated run", simulated.time_s, simulated.x_m, simulated.phase_rad),
+        _tracked("simulated run", simulated.time_s, simulated.y_m, simulated.phase_rad),
     )
-    return x, y
 
 
 def _tracked(source: str, time: Array, values: Array, phase: Array) -> Vectors:
     try:
-        track = order_track(time, values, phase, (1,), revolutions=_REVOLUTIONS)
+        track = order_track(time, values, phase)
     except ValueError as error:
         raise NotEnoughData(f"{source}: {error}") from error
-    speed = np.interp(track.time_s, time, np.gradient(phase, time))
-    return Vectors(speed, track.amplitude_m[:, 0], track.std_m[:, 0])
+    return Vectors(track.speed_rad_s, *track.of(1))
 
 
 def steady_vectors(model: RigModel, run: Run) -> tuple[Vectors, Vectors]:

@@ -51,7 +51,7 @@ def sheet(width_in: float, height_in: float, title: str, foot: Sequence[str] = (
     """
     with drawing(width_in, height_in) as figure:
         FigureCanvasAgg(figure)
-        figure.set_layout_engine("constrained", w_pad=0.05, h_pad=0.04, wspace=0.03, hspace=0.03)
+        figure.set_layout_engine("constrained", w_pad=0.06, h_pad=0.05, wspace=0.0, hspace=0.0)
         yield figure
         legend = _legend(figure, width_in - 2 * _MARGIN_IN)
         titles = textwrap.wrap(drawable(title), int(width_in * _TITLE_LETTERS)) if title else []
