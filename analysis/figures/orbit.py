@@ -165,7 +165,7 @@ def _words(orbit: OrbitEllipse) -> str:
     """Semi-axes, inclination and sense in a line."""
     if orbit.major_m < _AT_REST_M:
         return "at rest"
-    at = f" at {math.degrees(orbit.inclination_rad):.0f}°" if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m else ""
+    at = f" at {math.degrees(orbit.inclination_rad):.0f}°".replace("-", "−") if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m else ""
     return f"{1e3 * orbit.major_m:.3g} × {1e3 * abs(orbit.minor_m):.3g} mm{at}, {orbit.precession}"
 
 

@@ -77,7 +77,7 @@ def lag_words(found: PassedVectors) -> list[str]:
         weight = np.abs(beside) * np.abs(measured.amplitude_m) * measured.speed_rad_s
         good = np.isfinite(ahead) & np.isfinite(weight)
         lag = -np.sum((weight * ahead)[good]) / np.sum((weight * measured.speed_rad_s)[good])
-        lags.append(f"{name} {1e3 * lag:+.2f} ms")
+        lags.append(f"{name} {1e3 * lag:+.2f} ms".replace("-", "−"))
     return [
         f"Measured less simulated phase is a straight line through 0 at standstill: stamps late by {', '.join(lags)} "
         "against the rotor's phase. Every fit leaves this lag between the devices free."

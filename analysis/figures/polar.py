@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from analysis.figures.order_vectors import RPM, Vectors, lag_words, passed_vectors
 from analysis.figures.sheet import (
@@ -26,6 +28,9 @@ from analysis.figures.style import label
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
 
+Complex = NDArray[np.complex128]
+
+_MANY, _BETWEEN = 1200, 8
 _NICE_RPM = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
 _APART = 0.17  # of the radius, between two speeds that are written
 _BESIDE = 0.085  # of the radius, from the curve to its speed's number
@@ -64,8 +69,18 @@ def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None)
 
 
 def _curve(axes: Axes, found: Vectors, look: Look, text: str, top: float) -> None:
-    radius = 1e3 * np.abs(found.amplitude_m)
-    axes.plot(np.angle(found.amplitude_m), np.where(radius <= top, radius, np.nan), label=text, **look)
+    vectors = _smooth(found.amplitude_m)
+    radius = 1e3 * np.abs(vectors)
+    axes.plot(np.unwrap(np.angle(vectors)), np.where(radius <= top, radius, np.nan), label=text, **look)
+
+
+def _smooth(vectors: Complex) -> Complex:
+    """Vectors of each revolution with some between them: the envelope they are of is a spline."""
+    if not 4 <= len(vectors) <= _MANY:
+        return vectors
+    at = np.arange(len(vectors))
+    between = np.linspace(0, len(vectors) - 1, _BETWEEN * len(vectors))
+    return np.asarray(CubicSpline(at, vectors)(between), np.complex128)
 
 
 def _scales(axes: Axes, top: float) -> None:

@@ -27,15 +27,15 @@ Array = NDArray[np.float64]
 _AVERAGES = 4  # windows overlapping by half: so many lengths of half a window and one more
 _LEAST_AROUND_Hz = 15.0
 _ORDERS_SHOWN = 3.5
+_LOG_POINTS = 700
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A stretch of a run whose spectrum is drawn: samples of x and y, 1× in Hz (nan: at rest or changing)."""
+    """A stretch of a run whose spectrum is drawn: x's and y's times and samples, 1× in Hz (nan: at rest or changing)."""
 
-    time_s: Array
-    x_m: Array
-    y_m: Array
+    x: tuple[Array, Array]
+    y: tuple[Array, Array]
     turns_Hz: float
     words: str
     steady: SteadyPart | None
@@ -89,16 +89,23 @@ def _part(run: Run) -> _Part:
     else:
         start, end, turns = float(run.x_time_s[0]), float(run.x_time_s[-1]), math.nan
         words = f"the whole run, {end - start:.1f} s"
-    inside = (run.x_time_s >= start) & (run.x_time_s <= end)
-    time = run.x_time_s[inside]
-    y = np.interp(time, run.y_time_s, run.y_m)
-    return _Part(time, run.x_m[inside], y, turns, words, steady)
+    x, y = (_within(t, v, start, end) for t, v in ((run.x_time_s, run.x_m), (run.y_time_s, run.y_m)))
+    return _Part(x, y, turns, words, steady)
+
+
+def _within(time: Array, values: Array, start: float, end: float) -> tuple[Array, Array]:
+    inside = (time >= start) & (time <= end)
+    return time[inside], values[inside]
+
+
+def _window_s(part: _Part) -> float:
+    return 2 * float(part.x[0][-1] - part.x[0][0]) / (_AVERAGES + 1)
 
 
 def _full(axes: Axes, part: _Part, around: float, colour: str, text: str) -> None:
-    window_s = 2 * float(part.time_s[-1] - part.time_s[0]) / (_AVERAGES + 1)
+    time, x = part.x  # y at x's instants: the straight line between y's samples is good far beyond what is shown
     try:
-        found = full_spectrum(part.time_s, part.x_m, part.y_m, window_s=window_s)
+        found = full_spectrum(time, x, np.interp(time, *part.y), window_s=_window_s(part))
     except ValueError as error:
         raise NotEnoughData(f"full spectrum of {part.words}: {error}") from error
     shown = np.abs(found.frequency_Hz) <= around
@@ -111,13 +118,19 @@ def _full(axes: Axes, part: _Part, around: float, colour: str, text: str) -> Non
 def _densities(axes: Axes, part: _Part, names: tuple[str, str], *, over: bool = False) -> None:
     looks = (({"color": OVER_LOOK["color"], "ls": "-."}, {"color": "#8C6D1F", "ls": ":"}) if over
              else ({"color": MEASURED, "ls": "-"}, {"color": "#444444", "ls": "--"}))  # fmt: skip
-    for values, name, look in zip((part.x_m, part.y_m), names, looks, strict=True):
-        found: Spectrum = power_density(
-            part.time_s, values, window_s=2 * float(part.time_s[-1] - part.time_s[0]) / (_AVERAGES + 1)
-        )
-        axes.plot(found.frequency_Hz[1:], 1e6 * found.values[1:], lw=1.1, label=f"power density, {name}", **look)
+    for (time, values), name, look in zip((part.x, part.y), names, looks, strict=True):
+        found = power_density(time, values, window_s=_window_s(part))
+        axes.plot(*_by_octaves(found), lw=1.1, label=f"power density, {name}", **look)
     axes.set_xscale("log")
     axes.set_yscale("log")
+
+
+def _by_octaves(found: Spectrum) -> tuple[Array, Array]:
+    """Frequencies and mm²/Hz; means where many lines share a pixel of the logarithmic axis."""
+    frequency, values = found.frequency_Hz[1:], 1e6 * found.values[1:]
+    edges = np.unique(np.searchsorted(frequency, np.geomspace(frequency[0], frequency[-1], _LOG_POINTS)))
+    count = np.diff(np.append(edges, len(frequency)))
+    return np.add.reduceat(frequency, edges) / count, np.add.reduceat(values, edges) / count
 
 
 def _model(axes: Axes, part: _Part, model: RigModel, run: Run) -> None:

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _SPECTRA = 30
 _TALLEST = 0.28  # of the axis, the largest line
 _ORDERS = (1, 2, 3)
+_RIGHTMOST = 0.82  # of the frequency axis, for what is written at the top; beyond is the scale
 _ORDER_SHARE = 2.6  # how far the frequency axis goes beyond 1× at the top
 _CHIRP = 1.6  # window by 1/√(change of frequency per second): the shortest that a passing line fills
 _WINDOW_S = (0.6, 8.0)
@@ -120,7 +121,7 @@ def _draw(axes: Axes, cascade: _Cascade, tallest: float, colour: str) -> None:
         axes.fill_between(cascade.frequency_Hz, level, level + scale * row, fc="white", ec="none", alpha=0.85, zorder=order)
         axes.plot(cascade.frequency_Hz, level + scale * row, color=colour, lw=0.9, zorder=order + 0.001)
     axes.set_xlim(0, float(cascade.frequency_Hz[-1]))
-    axes.set_ylim(low - 0.03 * (high - low), high + (_TALLEST + 0.06) * (high - low))
+    axes.set_ylim(low - 0.03 * (high - low), high + (_TALLEST + 0.16) * (high - low))
     step = 10 ** math.floor(math.log10(tallest))
     bar = step * max(f for f in (1, 2, 5) if f * step <= tallest)
     at = 0.965 * float(cascade.frequency_Hz[-1])
@@ -138,11 +139,19 @@ def _lines(axes: Axes, passage: Passage, model: RigModel | None, top_Hz: float) 
     for k in _ORDERS:
         axes.plot(k * turns[rising], level[rising], color="#555555", lw=0.8, ls=(0, (4, 3)), zorder=1.5)
         end = float(k * turns[rising][-1])
-        if end < top_Hz * 0.93:
-            axes.text(end, float(level[rising][-1]) + 0.31 * (top - bottom), f"{k}×", fontsize=8, ha="center", va="top")
+        if end < _RIGHTMOST * top_Hz:
+            _above(axes, end, f"{k}×", row=1)
     natural: Sequence[float] = () if model is None else [w / (2 * math.pi) for w in model.speeds_rad_s]
     for i, value in enumerate(natural):
-        axes.axvline(value, color="#555555", lw=0.8, ls=":", zorder=1.5)
-        axes.annotate(f"f{i + 1}", (value, 0), (2, 2), xycoords=("data", "axes fraction"), textcoords="offset points",
-                      fontsize=LEAST_FONT_PT, color="#333333", zorder=6)  # fmt: skip
+        if value < _RIGHTMOST * top_Hz:
+            axes.axvline(value, color="#555555", lw=0.8, ls=":", zorder=1.5)
+            _above(axes, value, f"f{i + 1}", row=0)
     axes.set_ylim(bottom, top)
+
+
+def _above(axes: Axes, frequency_Hz: float, text: str, row: int) -> None:
+    """What a line is, at the top of the plot where no spectrum reaches; natural frequencies in a row of their own."""
+    axes.annotate(
+        text, (frequency_Hz, 1), (2, -1 - 11 * row), xycoords=("data", "axes fraction"), textcoords="offset points",
+        fontsize=LEAST_FONT_PT, va="top", color="#333333", zorder=6,
+    )  # fmt: skip
