@@ -57,9 +57,7 @@ class RigModel:
         """Both natural frequencies of the column, rad/s."""
         return self.physics.natural_frequencies_rad_s
 
-    def locked(
-        self, speed_rad_s: Array, theta_rad: tuple[float, float] = LOCKED_RAD
-    ) -> tuple[Complex, Complex]:
+    def locked(self, speed_rad_s: Array, theta_rad: tuple[float, float] = LOCKED_RAD) -> tuple[Complex, Complex]:
         """Steady order-1 amplitudes of x and y with locked pendulums, run-out included; nan where there is none.
 
         Args:

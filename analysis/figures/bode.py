@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Bode plot: 1× amplitude and phase of x and y over speed, with the model's run-up and its steady response."""
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
     other = passed_vectors(over, None) if over is not None else None
     foot = [PHASE_FOOT]
     if own.steady is not None:
-        foot.append("Steady response: what the model would show at rest at each speed; a run-up's peak is lower and late.")
+        foot.append(
+            "Steady response: what the model would show at rest at each speed; a run-up's peak is lower and late."
+        )
     foot += lag_words(own)
     with sheet(WIDTH_IN, 4.3, f"Bode plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
         grid = figure.subplots(2, 2, sharex=True, height_ratios=(1, 1.5))

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Pendulum dial: where the pendulums stand on the rotor, held, measured at the end and predicted."""
 
 from __future__ import annotations
@@ -57,8 +57,9 @@ def draw_dial(run: Run, model: RigModel | None = None, over: Run | None = None) 
     other = None if over is None else _measured(over, model)
     title = f"Pendulum dial: {Path(run.source).name} ({run.test}), {RPM * speed:.1f} rpm"
     foot = [ANGLE_FOOT, "Circle: pendulum A (θ3), square: pendulum B (θ4). Arcs: 95 % intervals."]
-    with sheet(7.2, 3.9, title, foot) as figure:
-        grid = figure.add_gridspec(1, 2, width_ratios=(1.35, 1))
+    extra = 1.4 if other is not None and predicted is not None else 0.0
+    with sheet(7.2 + extra, 3.9, title, foot) as figure:
+        grid = figure.add_gridspec(1, 2, width_ratios=(4.1, 3.1 + extra))
         axes = figure.add_subplot(grid[0], projection="polar")
         _rotor(axes)
         _hands(axes, _Hands(locked_angles(run), (math.nan, math.nan), ""), GREY, "held before release", "held")
@@ -142,7 +143,9 @@ def _numbers(axes: Axes, own: _Hands, predicted: _Hands | None, other: _Hands | 
     for j, name in enumerate(("θ3", "θ4")):
         rows.append((name, [_with_width(hands.theta[j], hands.half_width[j]) for _, hands in shown]))
     if predicted is not None:
-        off = [math.degrees(math.remainder(a - b, 2 * math.pi)) for a, b in zip(own.theta, predicted.theta, strict=True)]
+        off = [
+            math.degrees(math.remainder(a - b, 2 * math.pi)) for a, b in zip(own.theta, predicted.theta, strict=True)
+        ]
         for name, value in zip(("Δθ3", "Δθ4"), off, strict=True):
             rows.append((name, [f"{value:+.2f}°", *[""] * (len(shown) - 1)]))
     step = 0.1

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Stream health of a log over time: rates, gaps, ages of the samples, losses counted, what waits for the disk."""
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ _LEAST_COUNT = 20
 _GAPS = ("gap", "damage", "silence")
 _UNUSABLE = ("invalid", "suspect")
 _FOOT = (
-    "Rate: samples in each stretch over the stream's median stretch. Age: from a sample's own time on the common clock until "
-    "the host had it, largest of each stretch; a little below 0 while the clock map learns. Lost: counted while recording."
+    "Rate: samples in each stretch over the stream's median stretch. Age: from a sample's own time on the common clock "
+    "until the host had it, largest of each stretch; a little below 0 while the clock map learns. Lost: counted while "
+    "recording."
 )
 
 
@@ -53,7 +54,9 @@ class _Gathered:
 
     edges_s: Array
     streams: dict[str, _Stream] = field(default_factory=dict[str, _Stream])
-    gaps: dict[str, list[tuple[float, float]]] = field(default_factory=lambda: defaultdict[str, list[tuple[float, float]]](list))
+    gaps: dict[str, list[tuple[float, float]]] = field(
+        default_factory=lambda: defaultdict[str, list[tuple[float, float]]](list)
+    )
     reports: list[Mapping[str, Any]] = field(default_factory=list[Mapping[str, Any]])
 
     def add(self, part: Log, origin_ns: int) -> None:
@@ -179,7 +182,7 @@ def _disk(axes: Axes, found: _Gathered, origin_ns: int) -> None:
     rows = [report for report in found.reports if isinstance(report.get("disk"), Mapping)]
     time = np.array([(report["time_ns"] - origin_ns) * 1e-9 for report in rows])
     waiting = np.array([float(report["disk"].get("backlog_bytes", np.nan)) for report in rows])
-    if len(rows):
+    if rows:
         axes.plot(time, 1e-3 * waiting, color="#444444", lw=1.4)
         axes.set_ylim(0, 1.15e-3 * max(float(np.nanmax(waiting)), 1.0))
     else:

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Multipliers over one revolution: in the plane at the runs' speeds, and the largest ones along the speed."""
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from analysis.figures.order_vectors import RPM
-from analysis.figures.sheet import WIDTH_IN, sheet
+from analysis.figures.sheet import WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import steady_part
 from analysis.figures.steady_sweep import SweptState, steady_sweep
 from analysis.figures.style import GREY, label
@@ -25,7 +25,11 @@ from dynamics.errors import DynamicsError
 _SPEEDS = 90
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444")
 _MARKERS = "os^DvPX"
-_STYLES = {"I": ("black", "-", "balanced (I)"), "II": (GREY, ":", "opposed (II)"), "III": ("#D55E00", "--", "together (III)")}
+_STYLES = {
+    "I": ("black", "-", "balanced (I)"),
+    "II": (GREY, ":", "opposed (II)"),
+    "III": ("#D55E00", "--", "together (III)"),
+}
 _TOP = 3.0  # largest multiplier shown
 
 
@@ -64,14 +68,21 @@ def draw_multipliers(points: Sequence[SpeedPoint], model: RigModel) -> Figure:
     top = max([1.1 * p.speed_rad_s for p in points] + [1.5 * model.speeds_rad_s[1]])
     swept = steady_sweep(model, np.linspace(0.35 * first, top, _SPEEDS))
     shown = [(point, state) for point in points if (state := _state(model, point)) is not None]
-    foot = ["Over one revolution. Inside the unit circle (modulus below 1) a motion is stable. Crosses: resonances of the column."]
+    foot = ["Over one revolution. Inside the unit circle (modulus below 1) a motion is stable. Crosses: resonances."]
     with sheet(WIDTH_IN, 3.9, f"Multipliers: {model.rig.name}, {model.name}", foot) as figure:
         grid = figure.add_gridspec(1, 2, width_ratios=(1, 1.35))
         plane, along = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
         _along(along, swept, model, top)
         plane.add_patch(Circle((0, 0), 1.0, fill=False, ec="#333333", lw=1.2))
         for i, (point, state) in enumerate(shown):
-            look = {"marker": _MARKERS[i % 7], "ls": "", "mfc": "none", "mec": _COLOURS[i % 7], "mew": 1.5, "ms": 6.5}
+            look: Look = {
+                "marker": _MARKERS[i % 7],
+                "ls": "",
+                "mfc": "none",
+                "mec": _COLOURS[i % 7],
+                "mew": 1.5,
+                "ms": 6.5,
+            }
             text = f"{point.name}: {state.type}, {RPM * point.speed_rad_s:.0f} rpm, |μ| {state.multiplier_max:.3f}"
             plane.plot(state.multipliers.real, state.multipliers.imag, label=text, **look)
             along.plot([RPM * point.speed_rad_s], [state.multiplier_max], zorder=5, **look)

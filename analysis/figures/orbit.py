@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Orbits: the disk centre's path with the index mark, measured beside the model's ellipse."""
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ def draw_orbit(run: Run, model: RigModel | None = None, over: Run | None = None)
     passing = changes_speed(run)
     panels = _passing(run, model) if passing else [_steady(run, model)]
     if over is not None and not passing:
-        panels = [OrbitPanel(p.speed_rad_s, p.raw_mm, p.measured, p.model, _steady(over, None).measured) for p in panels]
+        panels = [
+            OrbitPanel(p.speed_rad_s, p.raw_mm, p.measured, p.model, _steady(over, None).measured) for p in panels
+        ]
     rows, columns = (2, 3) if passing else (1, 1)
     size = (WIDTH_IN, 6.0) if passing else (5.6, 4.9)
     what = "model's ellipse, same run-up" if passing else "model's ellipse"
@@ -119,7 +121,7 @@ def _raw(run: Run, start: float, end: float) -> tuple[Array, Array]:
     times = run.x_time_s[inside]
     x, y = run.x_m[inside], np.interp(times, run.y_time_s, run.y_m)
     step = max(1, len(times) // _RAW_POINTS)
-    return 1e3 * (x - np.nanmean(x))[::step], 1e3 * (y - np.nanmean(y))[::step]
+    return 1e3 * (x - float(np.nanmean(x)))[::step], 1e3 * (y - float(np.nanmean(y)))[::step]
 
 
 def _passing(run: Run, model: RigModel | None) -> list[OrbitPanel]:
@@ -165,7 +167,11 @@ def _words(orbit: OrbitEllipse) -> str:
     """Semi-axes, inclination and sense in a line."""
     if orbit.major_m < _AT_REST_M:
         return "at rest"
-    at = f" at {math.degrees(orbit.inclination_rad):.0f}°".replace("-", "−") if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m else ""
+    at = (
+        f" at {math.degrees(orbit.inclination_rad):.0f}°".replace("-", "−")
+        if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m
+        else ""
+    )
     return f"{1e3 * orbit.major_m:.3g} × {1e3 * abs(orbit.minor_m):.3g} mm{at}, {orbit.precession}"
 
 
@@ -180,7 +186,9 @@ def _ellipse(axes: Axes, orbit: OrbitEllipse, look: Look, text: str, *, filled: 
     axes.plot(*_path(orbit, turn), label=text, **look)
     colour = look["color"]
     mark = _path(orbit, np.zeros(1))
-    axes.plot(*mark, marker="o" if filled else "s", ms=6.5, mfc=colour if filled else "white", mec=colour, ls="", zorder=5)
+    axes.plot(
+        *mark, marker="o" if filled else "s", ms=6.5, mfc=colour if filled else "white", mec=colour, ls="", zorder=5
+    )
     if filled:
         (x0, x1), (y0, y1) = (c.tolist() for c in _path(orbit, np.array([0.9, 1.0])))
         axes.annotate("", (x1, y1), (x0, y0), arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.4})

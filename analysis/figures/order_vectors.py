@@ -103,9 +103,12 @@ def speed_range(run: Run) -> tuple[float, float]:
 
 
 def changes_speed(run: Run) -> bool:
-    """Whether a run goes through speeds rather than staying at one."""
-    low, high = speed_range(run)
-    return high - low > _SPREAD * 0.5 * (high + low)
+    """Whether a run goes through speeds rather than staying at one; a stop at its end is none."""
+    speed_range(run)
+    time = np.linspace(float(run.mark_time_s[0]), float(run.mark_time_s[-1]), 400)
+    speeds = np.diff(np.interp(time, run.mark_time_s, run.mark_phase_rad))
+    low, middle, high = np.quantile(speeds, [0.1, 0.5, 0.9]).tolist()
+    return high - low > _SPREAD * middle
 
 
 def need_speeds(run: Run, what: str) -> None:

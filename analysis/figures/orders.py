@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Order map: amplitude over order and speed (time at one speed), measured beside the model's run."""
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.passages import Displacement, Passage, passages
@@ -18,10 +19,11 @@ from analysis.quantities.order_maps import OrderMap, order_map
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
 
+Array = NDArray[np.float64]
+
 _HIGHEST = 4.0
 _REVOLUTIONS = 8
 _DECADES = 3.5  # of the colours, below the largest amplitude
-_FINE = 4.0  # columns of the picture for each order step
 
 
 def draw_orders(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
@@ -48,7 +50,7 @@ def draw_orders(run: Run, model: RigModel | None = None, over: Run | None = None
             top = 1e3 * max(float(np.max(found.amplitude_m)) for found in maps)
             norm = LogNorm(top / 10**_DECADES, top)
             for axes, passage, found in zip(row, columns, maps, strict=True):
-                level = passage.level(found.time_s)
+                level = _rising(passage.level(found.time_s))
                 shown = np.clip(1e3 * found.amplitude_m, norm.vmin, None)
                 picture = axes.pcolormesh(level, found.order, shown.T, norm=norm, cmap="cividis", shading="nearest",
                                           rasterized=True)  # fmt: skip
@@ -66,6 +68,14 @@ def draw_orders(run: Run, model: RigModel | None = None, over: Run | None = None
     return figure
 
 
+def _rising(level: Array) -> Array:
+    """Levels that rise: on a plateau at the end of a run-up the speed goes up and down by nothing."""
+    if level[-1] < level[0]:
+        return -_rising(-level)
+    least = 1e-6 * max(float(np.ptp(level)), 1e-9) * np.arange(len(level))
+    return np.asarray(np.maximum.accumulate(level) + least, np.float64)
+
+
 def _map(passage: Passage, signal: Displacement) -> OrderMap:
     try:
         return order_map(
@@ -75,7 +85,7 @@ def _map(passage: Passage, signal: Displacement) -> OrderMap:
         raise NotEnoughData(f"{passage.run.source}: {error}") from error
 
 
-def _naturals(axes: Axes, passage: Passage, model: RigModel | None, level: np.ndarray) -> None:
+def _naturals(axes: Axes, passage: Passage, model: RigModel | None, level: Array) -> None:
     """Orders at which the column's natural frequencies lie."""
     if model is None:
         return

@@ -1,8 +1,9 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Polar plot: the 1× vectors of x and y in the plane, speeds along the curve, beside the model's."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.figures.order_vectors import RPM, Vectors, lag_words, passed_vectors
 from analysis.figures.sheet import (
@@ -30,6 +31,7 @@ from daq.signals.run import Run
 
 Complex = NDArray[np.complex128]
 
+_RAYS = tuple(22.5 + 45.0 * k for k in range(8))
 _MANY, _BETWEEN = 1200, 8
 _NICE_RPM = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
 _APART = 0.17  # of the radius, between two speeds that are written
@@ -48,7 +50,10 @@ def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None)
     """
     own = passed_vectors(run, model)
     other = None if over is None else passed_vectors(over, None)
-    foot = ["Radius: 1× amplitude, mm (0–peak). Angle: phase, °, counterclockwise lead. Dots: speed in rpm.", PHASE_FOOT]
+    foot = [
+        "Radius: 1× amplitude, mm (0–peak). Angle: phase, °, counterclockwise lead. Dots: speed in rpm.",
+        PHASE_FOOT,
+    ]
     named = "" if model is None else model.name
     with sheet(WIDTH_IN, 4.3, f"Polar plot, 1×: {Path(run.source).name} ({run.test})", foot + lag_words(own)) as figure:
         for column, name in enumerate("xy"):
@@ -62,8 +67,7 @@ def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None)
                 _curve(axes, own.steady[column], STEADY_LOOK, f"steady response, {named}", top)
             if other is not None and over is not None:
                 _curve(axes, other.measured[column], OVER_LOOK, f"measured, {Path(over.source).name}", top)
-            _speeds(axes, measured, top)
-            _scales(axes, top)
+            _scales(axes, top, _speeds(axes, measured, top))
             label(axes, title=f"{name}, mm")
     return figure
 
@@ -83,17 +87,23 @@ def _smooth(vectors: Complex) -> Complex:
     return np.asarray(CubicSpline(at, vectors)(between), np.complex128)
 
 
-def _scales(axes: Axes, top: float) -> None:
+def _scales(axes: Axes, top: float, written: Sequence[complex]) -> None:
+    """Radius and angle; the radii are written along the ray that is farthest from the speeds."""
     assert isinstance(axes, PolarAxes)
     axes.set_ylim(0, top)
     axes.set_xticks(np.radians(np.arange(0, 360, 45)))
-    axes.set_rlabel_position(112.5)
+    along = np.linspace(0.2, 1.0, 9)
+    free = {
+        ray: min((float(np.min(np.abs(along * np.exp(1j * np.radians(ray)) - at))) for at in written), default=1.0)
+        for ray in _RAYS
+    }
+    axes.set_rlabel_position(max(free, key=lambda ray: free[ray]))
     axes.tick_params(labelsize=8)
     axes.spines["polar"].set_visible(True)
 
 
-def _speeds(axes: Axes, found: Vectors, top: float) -> None:
-    """Speeds along the curve wherever their numbers do not touch."""
+def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
+    """Speeds along the curve wherever their numbers do not touch; where these are, by the radius."""
     speed = RPM * found.speed_rad_s
     if speed[-1] < speed[0]:
         speed, vectors = speed[::-1], found.amplitude_m[::-1]
@@ -103,12 +113,13 @@ def _speeds(axes: Axes, found: Vectors, top: float) -> None:
     written: list[complex] = []
     for rpm in np.arange(step * np.ceil(speed[0] / step), speed[-1], step).tolist():
         at = complex(np.interp(rpm, speed, vectors.real), np.interp(rpm, speed, vectors.imag)) * 1e3 / top
-        if any(abs(at - other) < _APART for other in written):
-            continue
-        written.append(at)
-        axes.plot([np.angle(at)], [abs(at) * top], marker="o", ms=3.5, color="black", ls="", zorder=6)
         out = at * (1 + _BESIDE / abs(at)) if abs(at) > _APART else at + _BESIDE
+        if any(abs(out - other) < _APART for other in written):
+            continue
+        written.append(out)
+        axes.plot([np.angle(at)], [abs(at) * top], marker="o", ms=3.5, color="black", ls="", zorder=6)
         axes.text(
             float(np.angle(out)), abs(out) * top, f"{rpm:.0f}", fontsize=LEAST_FONT_PT, ha="center", va="center",
             bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}, zorder=7,
         )  # fmt: skip
+    return written

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Fit residuals: what identification fitted to each test, measured under fitted, and what it left, with units."""
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 _CLOSE_CYCLES = 8
 _CLOSE_SAMPLES = 900
-_HEIGHT_IN = 2.3
+_HEIGHT_IN = 2.6
+_LONGEST = 14  # letters of a label
 _FINE = 1e3  # a residual so much smaller than its curve is shown in thousandths of the unit
 _SMALLER = {"mm": ("µm", 1e3), "°": ("m°", 1e3)}
 
@@ -70,13 +71,13 @@ def _block(upper: Axes, lower: Axes, curve: FitCurve, *, close: bool) -> None:
     outline(upper, time[part], fitted[part], MODEL, "fitted", bins=bins)
     for line in upper.get_lines()[before:]:
         line.set_linestyle((0, (5, 2)))
-    band(lower, time[part], scale * rest[part], GREY, "measured − fitted", bins=bins)
+    band(lower, time[part], scale * rest[part], GREY, "rest: measured − fitted", bins=bins)
     lower.axhline(0.0, color="black", lw=0.7)
     reach = 1.15 * scale * float(np.nanmax(np.abs(rest))) or 1.0
     lower.set_ylim(-reach, reach)
     if not close:
-        label(upper, y=f"{curve.y_label}, {curve.unit}", title=curve.title)
-        label(lower, y=f"residual, {unit}")
+        label(upper, y=f"{curve.y_label[:_LONGEST]}, {curve.unit}", title=curve.title)
+        label(lower, y=f"rest, {unit}")
     else:
         label(upper, title=f"rms {scale * curve.residual_rms:.3g} {unit}")
 

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """A figure with its head and foot: title, a legend that covers no curve, and what its axes mean.
 
 The plots keep the size asked for; head and foot add to it as much as their text needs.
@@ -7,13 +7,14 @@ The plots keep the size asked for; head and foot add to it as much as their text
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
 
 from analysis.figures.log_marks import drawable
@@ -27,7 +28,7 @@ PHASE = "phase, ° (lead positive)"
 """Label of every axis of phase; `PHASE_FOOT` is its long form."""
 PHASE_FOOT = (
     "Phase: x = Re(X e^{iψ}), ψ = 0 where the imbalance (index mark) points along +x; positive: the displacement's "
-    "peak leads the mark. Displacements are positive as the rig file counts them; a laser's distance grows away from it."
+    "peak leads the mark. Displacements count as in the rig file; a laser's distance grows away from it."
 )
 AMPLITUDE = "amplitude, mm (0–peak)"
 
@@ -44,7 +45,7 @@ _LINE = 1.3  # height of a line in its letters' size
 
 
 @contextmanager
-def sheet(width_in: float, height_in: float, title: str, foot: Sequence[str] = ()) -> Iterator[Figure]:
+def sheet(width_in: float, height_in: float, title: str, foot: Sequence[str] = ()) -> Generator[Figure]:
     """A figure whose plots take the size asked for; on leaving the block title, legend and foot are put around them.
 
     The legend holds every labelled artist of all axes once, in their order.
@@ -71,7 +72,7 @@ def sheet(width_in: float, height_in: float, title: str, foot: Sequence[str] = (
             figure.text(_MARGIN_IN / width_in, _MARGIN_IN / 2 / whole_in, "\n".join(notes), fontsize=_FOOT_PT,
                         va="bottom", color=GREY, linespacing=_LINE, parse_math=False)  # fmt: skip
         engine = figure.get_layout_engine()
-        assert engine is not None
+        assert isinstance(engine, ConstrainedLayoutEngine)
         engine.set(rect=(0, foot_in / whole_in, 1, 1 - (foot_in + head_in) / whole_in))
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # as it is now, wherever it is drawn

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Pendulum angles and slip order over speed: where runs end, and the model's steady states along the speed."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.order_vectors import RPM, changes_speed, speed_range
-from analysis.figures.sheet import MODEL_LOOK, WIDTH_IN, sheet
+from analysis.figures.sheet import MODEL_LOOK, WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import steady_part
 from analysis.figures.steady_sweep import SweptState, steady_sweep
 from analysis.figures.style import GREY, MEASURED, label
@@ -26,17 +26,15 @@ Array = NDArray[np.float64]
 
 _SPEEDS = 48
 _BELOW, _ABOVE = 0.6, 1.12  # how far the model's curves go beyond the runs' speeds
-_MOST_JUMP = 4.0  # a branch is broken where the next state is further away than so many steps allow
-_BRANCH_DEG = 25.0
 _FOOT = (
-    "Slip order: a pendulum's speed against the rotor, turns a revolution; 0 stands still on the rotor, −1 stands still in "
-    "the laboratory. Angles: 0° at the imbalance, both within 0…360°. Bars: swing over a revolution and what is still to come."
+    "Slip order: a pendulum's speed against the rotor, turns a revolution; 0 stands still on the rotor, −1 stands "
+    "still in the laboratory. Angles: 0° at the imbalance, both within 0…360°. Bars: swing in the last seconds."
 )
 
 
 @dataclass(frozen=True)
 class _End:
-    """How a run at one speed ends: mean angles (rad, [0, 2π)), their spread (rad) and slip orders in the last seconds."""
+    """How a run at one speed ends: mean angles ([0, 2π)) and their swing, rad, and slip orders of the last seconds."""
 
     name: str
     speed_rad_s: float
@@ -83,7 +81,9 @@ def slip_over_time(run: Run) -> tuple[Array, Array, Array]:
     time, angles = run.angle_time_s[whole], run.angle_rad[whole]
     if len(marks) < 3 or not len(time):
         return np.empty(0), np.empty((0, 2)), np.empty((0, 2))
-    running = np.vstack([np.zeros((1, 2)), np.cumsum(0.5 * np.diff(time)[:, None] * (angles[1:] + angles[:-1]), axis=0)])
+    running = np.vstack(
+        [np.zeros((1, 2)), np.cumsum(0.5 * np.diff(time)[:, None] * (angles[1:] + angles[:-1]), axis=0)]
+    )
     sums = np.column_stack([np.interp(marks, time, running[:, j]) for j in range(2)])
     means = np.diff(sums, axis=0) / np.diff(marks)[:, None]
     middle = 0.5 * (marks[1:] + marks[:-1])
@@ -122,7 +122,15 @@ def _branches(grid: Sequence[Axes], found: Sequence[SweptState], name: str) -> N
 
 def _point(grid: Sequence[Axes], end: _End) -> None:
     speed = RPM * end.speed_rad_s
-    look = {"marker": "D", "ms": 8, "mfc": "none", "mew": 1.8, "color": MEASURED, "ls": "", "label": "measured, end of run"}
+    look: Look = {
+        "marker": "D",
+        "ms": 8,
+        "mfc": "none",
+        "mew": 1.8,
+        "color": MEASURED,
+        "ls": "",
+        "label": "measured, end of run",
+    }
     for j in range(2):
         theta = math.degrees(end.theta[j])
         grid[j].errorbar([speed], [theta], [math.degrees(end.spread[j])], capsize=3, zorder=5, **look)

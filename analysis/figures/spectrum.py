@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Spectra of a run's end: the full spectrum, forward and backward, and the power densities of x and y."""
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.order_vectors import changes_speed
-from analysis.figures.sheet import OVER_LOOK, WIDTH_IN, sheet
+from analysis.figures.sheet import OVER_LOOK, WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import SteadyPart, steady_part
 from analysis.figures.style import MEASURED, MODEL, label
 from analysis.quantities.orbits import orbit_ellipse
@@ -32,7 +32,7 @@ _LOG_POINTS = 700
 
 @dataclass(frozen=True)
 class _Part:
-    """A stretch of a run whose spectrum is drawn: x's and y's times and samples, 1× in Hz (nan: at rest or changing)."""
+    """What spectra are drawn of: times and samples of x and y, 1× in Hz (nan: at rest or changing)."""
 
     x: tuple[Array, Array]
     y: tuple[Array, Array]
@@ -116,7 +116,7 @@ def _full(axes: Axes, part: _Part, around: float, colour: str, text: str) -> Non
 
 
 def _densities(axes: Axes, part: _Part, names: tuple[str, str], *, over: bool = False) -> None:
-    looks = (({"color": OVER_LOOK["color"], "ls": "-."}, {"color": "#8C6D1F", "ls": ":"}) if over
+    looks: tuple[Look, Look] = (({"color": OVER_LOOK["color"], "ls": "-."}, {"color": "#8C6D1F", "ls": ":"}) if over
              else ({"color": MEASURED, "ls": "-"}, {"color": "#444444", "ls": "--"}))  # fmt: skip
     for (time, values), name, look in zip((part.x, part.y), names, looks, strict=True):
         found = power_density(time, values, window_s=_window_s(part))
@@ -128,7 +128,8 @@ def _densities(axes: Axes, part: _Part, names: tuple[str, str], *, over: bool = 
 def _by_octaves(found: Spectrum) -> tuple[Array, Array]:
     """Frequencies and mm²/Hz; means where many lines share a pixel of the logarithmic axis."""
     frequency, values = found.frequency_Hz[1:], 1e6 * found.values[1:]
-    edges = np.unique(np.searchsorted(frequency, np.geomspace(frequency[0], frequency[-1], _LOG_POINTS)))
+    wanted = np.geomspace(float(frequency[0]), float(frequency[-1]), _LOG_POINTS)
+    edges: NDArray[np.int64] = np.asarray(np.unique(np.searchsorted(frequency, wanted)), np.int64)
     count = np.diff(np.append(edges, len(frequency)))
     return np.add.reduceat(frequency, edges) / count, np.add.reduceat(values, edges) / count
 
@@ -150,8 +151,8 @@ def _model(axes: Axes, part: _Part, model: RigModel, run: Run) -> None:
     orbit = orbit_ellipse(x, y)
     low, high = axes.get_ylim()
     values = 1e3 * np.array([abs(orbit.backward_m), abs(orbit.forward_m)])
-    axes.plot([-part.turns_Hz, part.turns_Hz], np.where(values > low, values, np.nan), ls="", marker="s", ms=9, mfc="none",
-              mec=MODEL, mew=1.8, label=f"1× backward and forward, {model.name}")  # fmt: skip
+    axes.plot([-part.turns_Hz, part.turns_Hz], np.where(values > low, values, np.nan), ls="", marker="s", ms=9,
+              mfc="none", mec=MODEL, mew=1.8, label=f"1× backward and forward, {model.name}")  # fmt: skip
     axes.set_ylim(low, high)
 
 

@@ -107,8 +107,9 @@ def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:
     if len(second):
         axes.plot(np.sqrt(second), second, color="#333333", ls="--", lw=1)
         axes.annotate(
-            "Ω = √K", (np.sqrt(second[-1]), second[-1]), xytext=(5, -11), textcoords="offset points", fontsize=8
-        )
+            "Ω = √K", (np.sqrt(second[-1]), second[-1]), xytext=(-9, -4), textcoords="offset points", fontsize=8,
+            ha="right", va="top",
+        )  # fmt: skip
 
 
 def _points(axes: Axes, points: Sequence[MapPoint], own: float) -> None:

@@ -61,5 +61,7 @@ def steady_part(run: Run) -> SteadyPart:
     start = max(end - AVERAGE_S, float(run.mark_time_s[0]), -math.inf if math.isnan(release) else release)
     first, last = np.interp([start, end], run.mark_time_s, run.mark_phase_rad).tolist()
     if last - first < 2 * math.pi * _LEAST_TURNS:
-        raise NotEnoughData(f"{run.source}: {(last - first) / (2 * math.pi):.1f} revolutions at its end, at least 4 needed")
+        raise NotEnoughData(
+            f"{run.source}: {(last - first) / (2 * math.pi):.1f} revolutions at its end, at least 4 needed"
+        )
     return SteadyPart(start, end, (last - first) / (end - start), release)

@@ -26,9 +26,7 @@ class SweptState:
     state: SteadyState
 
 
-def steady_sweep(
-    model: RigModel, speeds_rad_s: Array, tell: Callable[[float], None] | None = None
-) -> list[SweptState]:
+def steady_sweep(model: RigModel, speeds_rad_s: Array, tell: Callable[[float], None] | None = None) -> list[SweptState]:
     """All steady states at each speed; a speed at which the search fails has none.
 
     Args:

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Time history: displacements, pendulum angles and speed over a whole run, and a few revolutions of it."""
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from analysis.figures.angles import ANGLE_FOOT, degree_ticks, whole_turns
 from analysis.figures.order_vectors import RPM, changes_speed
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.steady_part import steady_part
-from analysis.figures.style import GOOD, GREY, MEASURED, MODEL, band, bins_for, label, outline
+from analysis.figures.style import GOOD, MEASURED, MODEL, band, bins_for, label, outline
 from analysis.rig_model import RigModel
 from analysis.simulated_run import SimulatedRun, simulate_run
 from daq.signals.run import Run
@@ -58,8 +58,13 @@ def draw_time(run: Run, model: RigModel | None = None, over: Run | None = None) 
         raise NotEnoughData(f"{run.source}: expected displacements, pendulum angles or index marks, it has none")
     whole, close = _spans(run)
     foot = [ANGLE_FOOT] if any(row.is_angle for row in rows) else []
-    foot.append("Displacements about their mean. A band is the least and the largest sample of each stretch, not samples.")
-    names = ("" if model is None else f"same run simulated, {model.name}", "" if over is None else Path(over.source).name)
+    foot.append(
+        "Displacements about their mean. A band is the least and the largest sample of each stretch, not samples."
+    )
+    names = (
+        "" if model is None else f"same run simulated, {model.name}",
+        "" if over is None else Path(over.source).name,
+    )
     with sheet(WIDTH_IN, 0.5 + 1.2 * len(rows), f"Time history: {Path(run.source).name} ({run.test})", foot) as figure:
         grid = figure.subplots(len(rows), 2, sharex="col", width_ratios=(2.4, 1), squeeze=False)
         for (left, right), row in zip(grid, rows, strict=True):
@@ -115,7 +120,7 @@ def _shift(run: Run, over: Run | None) -> float:
 
 def _displacement(run: Run, name: str, shift: float = 0.0) -> Pair | None:
     time, values = (run.x_time_s, run.x_m) if name == "x" else (run.y_time_s, run.y_m)
-    return (time + shift, 1e3 * (values - np.nanmean(values))) if np.isfinite(values).any() else None
+    return (time + shift, 1e3 * (values - float(np.nanmean(values)))) if np.isfinite(values).any() else None
 
 
 def _speed(run: Run, shift: float = 0.0) -> Pair:

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Waterfall: a cascade of amplitude spectra over speed (over time at one speed), measured beside the model's run."""
 
 from __future__ import annotations
@@ -93,7 +93,9 @@ def _cascade(passage: Passage, signal: Displacement, window_s: float, top_Hz: fl
     first, last = float(passage.run.mark_time_s[0]), float(passage.run.mark_time_s[-1])
     fine = np.linspace(max(first, signal.time_s[0]) + window_s / 2, min(last, signal.time_s[-1]) - window_s / 2, 2000)
     if fine[-1] <= fine[0]:
-        raise NotEnoughData(f"{passage.run.source}: {last - first:.1f} s of turning, a cascade needs several {window_s:.1f} s")
+        raise NotEnoughData(
+            f"{passage.run.source}: {last - first:.1f} s of turning, a cascade needs several {window_s:.1f} s"
+        )
     level = passage.level(fine)
     wanted = np.linspace(float(np.nanmin(level)), float(np.nanmax(level)), _SPECTRA)
     levels, rows, frequency = list[float](), list[Array](), np.empty(0)
@@ -118,7 +120,9 @@ def _draw(axes: Axes, cascade: _Cascade, tallest: float, colour: str) -> None:
     scale = _TALLEST * (high - low) / tallest
     for i, (level, row) in enumerate(zip(cascade.levels, cascade.amplitude_mm, strict=True)):
         order = 2.0 + 0.01 * (len(cascade.levels) - i)  # what is lower stands in front
-        axes.fill_between(cascade.frequency_Hz, level, level + scale * row, fc="white", ec="none", alpha=0.85, zorder=order)
+        axes.fill_between(
+            cascade.frequency_Hz, level, level + scale * row, fc="white", ec="none", alpha=0.85, zorder=order
+        )
         axes.plot(cascade.frequency_Hz, level + scale * row, color=colour, lw=0.9, zorder=order + 0.001)
     axes.set_xlim(0, float(cascade.frequency_Hz[-1]))
     axes.set_ylim(low - 0.03 * (high - low), high + (_TALLEST + 0.16) * (high - low))

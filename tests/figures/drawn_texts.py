@@ -64,6 +64,4 @@ def _name(axes: Axes) -> str:
 
 
 def _overlap(a: Bbox, b: Bbox) -> bool:
-    return (
-        min(a.x1, b.x1) - max(a.x0, b.x0) > _TOUCH_PX and min(a.y1, b.y1) - max(a.y0, b.y0) > _TOUCH_PX
-    )
+    return min(a.x1, b.x1) - max(a.x0, b.x0) > _TOUCH_PX and min(a.y1, b.y1) - max(a.y0, b.y0) > _TOUCH_PX

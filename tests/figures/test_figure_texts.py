@@ -72,9 +72,9 @@ def _residuals() -> Figure:
     time = np.linspace(0.0, 12.0, 20000)
     fitted = 2.5 * np.exp(-0.3 * time) * np.cos(19.0 * time)
     noise = 1e-3 * np.random.default_rng(1).standard_normal(len(time))
-    curves = [FitCurve("ring-down-x: x", time, fitted + noise, fitted, "mm", "displacement"),
-              FitCurve("spin-down: A", time[:900], 40 * fitted[:900] + noise[:900], 40 * fitted[:900], "°", "angle")]  # fmt: skip
-    return draw_residuals(curves)
+    ring_down_x = FitCurve("ring-down-x: x", time, fitted + noise, fitted, "mm", "displacement")
+    angle = 40 * fitted[:900]
+    return draw_residuals([ring_down_x, FitCurve("spin-down: A", time[:900], angle + noise[:900], angle, "°", "angle")])
 
 
 _OTHERS: dict[str, Callable[[], Figure]] = {
