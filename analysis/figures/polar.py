@@ -109,7 +109,8 @@ def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
         speed, vectors = speed[::-1], found.amplitude_m[::-1]
     else:
         vectors = found.amplitude_m
-    step = float(_NICE_RPM[min(int(np.searchsorted(_NICE_RPM, (speed[-1] - speed[0]) / 45)), len(_NICE_RPM) - 1)])
+    span = float(speed[-1] - speed[0])
+    step = float(_NICE_RPM[min(int(np.searchsorted(_NICE_RPM, span / 45)), len(_NICE_RPM) - 1)])
     written: list[complex] = []
     for rpm in np.arange(step * np.ceil(speed[0] / step), speed[-1], step).tolist():
         at = complex(np.interp(rpm, speed, vectors.real), np.interp(rpm, speed, vectors.imag)) * 1e3 / top
