@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 _ELLIPSE_LOOK: Look = {"color": MEASURED, "ls": "-", "lw": 2.6, "alpha": 0.6}
 _RAW_TURNS = 3
-_RAW_POINTS = 500  # drawn of them
+_RAW_POINTS = 400  # drawn of them
 _WINDOW_TURNS = 4
 _PANELS = 6
 _ROUND = 2e-3  # difference of the axes over the major one below which an orbit has no inclination worth a number
@@ -151,7 +151,7 @@ def _at(found: Vectors, speed: float) -> complex:
 
 
 def _panel(axes: Axes, panel: OrbitPanel, model: str, over: str) -> None:
-    axes.plot(*panel.raw_mm, ".", color=GREY, ms=1.2, alpha=0.5, label="samples of three revolutions", rasterized=False)
+    axes.plot(*panel.raw_mm, color=GREY, lw=0.6, alpha=0.8, label="samples of three revolutions")
     _ellipse(axes, panel.measured, _ELLIPSE_LOOK, "measured", filled=True)
     if panel.model is not None:
         _ellipse(axes, panel.model, MODEL_LOOK, model, filled=False)

@@ -23,7 +23,8 @@ from daq.signals.run import Run
 
 Array = NDArray[np.float64]
 
-_SPECTRA = 30
+_SPECTRA, _POINTS = 30, 220
+_FLAT = 0.01  # of the tallest line
 _TALLEST = 0.28  # of the axis, the largest line
 _ORDERS = (1, 2, 3)
 _RIGHTMOST = 0.82  # of the frequency axis, for what is written at the top; beyond is the scale
@@ -106,7 +107,7 @@ def _cascade(passage: Passage, signal: Displacement, window_s: float, top_Hz: fl
             found = amplitude_spectrum(signal.time_s[inside], signal.value_m[inside], window_s=window_s)
         except ValueError:
             continue  # a gap: this spectrum is left out
-        grid = np.linspace(0.0, top_Hz, 400)
+        grid = np.linspace(0.0, top_Hz, _POINTS)
         frequency = grid
         levels.append(value)
         rows.append(1e3 * np.interp(grid, found.frequency_Hz, found.values))
@@ -120,9 +121,11 @@ def _draw(axes: Axes, cascade: _Cascade, tallest: float, colour: str) -> None:
     scale = _TALLEST * (high - low) / tallest
     for i, (level, row) in enumerate(zip(cascade.levels, cascade.amplitude_mm, strict=True)):
         order = 2.0 + 0.01 * (len(cascade.levels) - i)  # what is lower stands in front
-        axes.fill_between(
-            cascade.frequency_Hz, level, level + scale * row, fc="white", ec="none", alpha=0.85, zorder=order
-        )
+        for part in _peaks(row, _FLAT * tallest):  # only these stand before what is behind
+            frequency = cascade.frequency_Hz[part]
+            axes.fill_between(
+                frequency, level, level + scale * row[part], fc="white", ec="none", alpha=0.85, zorder=order
+            )
         axes.plot(cascade.frequency_Hz, level + scale * row, color=colour, lw=0.9, zorder=order + 0.001)
     axes.set_xlim(0, float(cascade.frequency_Hz[-1]))
     axes.set_ylim(low - 0.03 * (high - low), high + (_TALLEST + 0.16) * (high - low))
@@ -132,6 +135,12 @@ def _draw(axes: Axes, cascade: _Cascade, tallest: float, colour: str) -> None:
     foot = high + 0.04 * (high - low)
     axes.plot([at, at], [foot, foot + scale * bar], color="black", lw=2.2, zorder=6, solid_capstyle="butt")
     axes.text(at * 0.985, foot + 0.5 * scale * bar, f"{bar:g} mm", ha="right", va="center", fontsize=8, zorder=6)
+
+
+def _peaks(row: Array, least: float) -> list[slice]:
+    """Stretches in which a spectrum rises above its baseline, with one value on either side."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], row > least, [False]]).astype(int)))
+    return [slice(max(int(a) - 1, 0), int(b) + 1) for a, b in edges.reshape(-1, 2)]
 
 
 def _lines(axes: Axes, passage: Passage, model: RigModel | None, top_Hz: float) -> None:
