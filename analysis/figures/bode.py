@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.figures.order_vectors import RPM, Vectors, lag_words, passed_vectors
+from analysis.figures.order_vectors import RPM, Vectors, amplification_words, lag_words, passed_vectors
 from analysis.figures.sheet import (
     AMPLITUDE,
     MEASURED_LOOK,
@@ -44,7 +44,7 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
         foot.append(
             "Steady response: what the model would show at rest at each speed; a run-up's peak is lower and late."
         )
-    foot += lag_words(own)
+    foot += lag_words(own) + amplification_words(run)
     with sheet(WIDTH_IN, 4.3, f"Bode plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
         grid = figure.subplots(2, 2, sharex=True, height_ratios=(1, 1.5))
         for column, name in enumerate("xy"):

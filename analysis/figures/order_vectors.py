@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
+from analysis.quantities.amplification import amplification_factors
 from analysis.quantities.order_tracking import order_track
 from analysis.quantities.rotor_phase import phase_at
 from analysis.rig_model import RigModel
@@ -79,9 +80,25 @@ def lag_words(found: PassedVectors) -> list[str]:
         lag = -np.sum((weight * ahead)[good]) / np.sum((weight * measured.speed_rad_s)[good])
         lags.append(f"{name} {1e3 * lag:+.2f} ms".replace("-", "−"))
     return [
-        f"Measured less simulated phase is a straight line through 0 at standstill: stamps late by {', '.join(lags)} "
+        f"Measured less simulated phase is a straight line through 0 at standstill: stamps late by about {', '.join(lags)} "
         "against the rotor's phase. Every fit leaves this lag between the devices free."
     ]
+
+
+def amplification_words(run: Run) -> list[str]:
+    """Amplification factors on the suspension's principal axes, as a sentence; none where a resonance is not whole."""
+    tracks = [
+        order_track(time, values, phase_at(run, time))
+        for time, values in ((run.x_time_s, run.x_m), (run.y_time_s, run.y_m))
+    ]
+    found = [each for each in amplification_factors(tracks[0], tracks[1]) if each is not None]
+    if not found:
+        return []
+    told = ", ".join(
+        f"{each.factor:.3g} ± {each.std:.1g} at {RPM * each.peak_rad_s:.1f} rpm, {math.degrees(each.axis_rad):.1f}°"
+        for each in sorted(found, key=lambda one: one.peak_rad_s)
+    ).replace("-", "−")
+    return [f"Amplification factors on the principal axes (at their angle from x towards y), as run through: {told}."]
 
 
 def _complex_interp(speed: Array, found: Vectors) -> Complex:

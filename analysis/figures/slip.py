@@ -19,6 +19,8 @@ from analysis.figures.sheet import MODEL_LOOK, WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import steady_part
 from analysis.figures.steady_sweep import SweptState, steady_sweep
 from analysis.figures.style import GREY, MEASURED, label
+from analysis.quantities.rotor_phase import phase_at
+from analysis.quantities.slip import SlipTrack, slip_track
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
 
@@ -74,33 +76,28 @@ def draw_slip(runs: Sequence[Run], model: RigModel | None = None) -> Figure:
     return figure
 
 
-def slip_over_time(run: Run) -> tuple[Array, Array, Array]:
-    """Times, angles and slip orders as means over each revolution of the rotor, shapes (n,), (n, 2), (n, 2)."""
-    marks = run.mark_time_s[(run.mark_time_s >= run.angle_time_s[0]) & (run.mark_time_s <= run.angle_time_s[-1])]
-    whole = np.isfinite(run.angle_rad).all(axis=1)
-    time, angles = run.angle_time_s[whole], run.angle_rad[whole]
-    if len(marks) < 3 or not len(time):
-        return np.empty(0), np.empty((0, 2)), np.empty((0, 2))
-    running = np.vstack(
-        [np.zeros((1, 2)), np.cumsum(0.5 * np.diff(time)[:, None] * (angles[1:] + angles[:-1]), axis=0)]
-    )
-    sums = np.column_stack([np.interp(marks, time, running[:, j]) for j in range(2)])
-    means = np.diff(sums, axis=0) / np.diff(marks)[:, None]
-    middle = 0.5 * (marks[1:] + marks[:-1])
-    slips = np.gradient(means, middle, axis=0) * np.diff(marks)[:, None] / (2 * math.pi)
-    return middle, means, slips
+def slips_of(run: Run) -> SlipTrack:
+    """Angles and slip orders in rows of whole revolutions.
+
+    Raises:
+        NotEnoughData: too few readings, or no phase beside them.
+    """
+    try:
+        return slip_track(run.angle_time_s, run.angle_rad, phase_at(run, run.angle_time_s))
+    except ValueError as error:
+        raise NotEnoughData(f"{run.source}: {error}") from error
 
 
 def _end(run: Run) -> _End:
     part = steady_part(run)
-    time, angles, slips = slip_over_time(run)
-    late = time >= part.from_s
+    track = slips_of(run)
+    late = (track.time_s >= part.from_s) & (track.time_s <= part.to_s)
     if not late.any():
         raise NotEnoughData(f"{run.source}: no pendulum angles in the last seconds at speed")
-    means = np.angle(np.mean(np.exp(1j * angles[late]), axis=0)) % (2 * math.pi)
+    means = np.angle(np.mean(np.exp(1j * track.angle_rad[late]), axis=0)) % (2 * math.pi)
     _, own = part.cut(run.angle_time_s, run.angle_rad)
     spread = np.minimum(0.5 * np.ptp(own, axis=0), math.pi)
-    slip = np.mean(slips[late], axis=0)
+    slip = np.mean(track.slip_order[late], axis=0)
     return _End(
         run.test.removeprefix("point-"), part.speed_rad_s, (float(means[0]), float(means[1])),
         (float(spread[0]), float(spread[1])), (float(slip[0]), float(slip[1])),
@@ -139,15 +136,13 @@ def _point(grid: Sequence[Axes], end: _End) -> None:
 
 
 def _curve(grid: Sequence[Axes], run: Run) -> None:
-    time, angles, slips = slip_over_time(run)
-    speed = RPM * np.interp(
-        time, 0.5 * (run.mark_time_s[1:] + run.mark_time_s[:-1]), np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)
-    )
+    track = slips_of(run)
+    speed = RPM * track.speed_rad_s
     for j in range(2):
-        degrees = (np.degrees(angles[:, j]) + 5.0) % 360.0 - 5.0
+        degrees = (np.degrees(track.angle_rad[:, j]) + 5.0) % 360.0 - 5.0
         degrees[1:][np.abs(np.diff(degrees)) > 180.0] = np.nan
         grid[j].plot(speed, degrees, color=MEASURED, lw=2.2, alpha=0.6, label="measured through speeds")
-        grid[2].plot(speed, slips[:, j], color=MEASURED if j == 0 else "black", lw=2.2 - j, alpha=0.6,
+        grid[2].plot(speed, track.slip_order[:, j], color=MEASURED if j == 0 else "black", lw=2.2 - j, alpha=0.6,
                      ls="-" if j == 0 else "--", label=("A", "B")[j] + " measured")  # fmt: skip
 
 

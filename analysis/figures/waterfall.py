@@ -23,7 +23,7 @@ from daq.signals.run import Run
 
 Array = NDArray[np.float64]
 
-_SPECTRA, _POINTS = 30, 220
+_SPECTRA, _POINTS = 27, 200
 _FLAT = 0.01  # of the tallest line
 _TALLEST = 0.28  # of the axis, the largest line
 _ORDERS = (1, 2, 3)

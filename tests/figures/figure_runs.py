@@ -21,12 +21,20 @@ LAG_S = 2e-3
 """By which the run-up's displacements are stamped late."""
 
 
+_RAMP_S = 16.0
+
+
+def run_up_history() -> SpeedHistory:
+    """How the rotor turns in the run-up."""
+    return SpeedHistory.ramp(6.0, 850.0 * math.pi / 30, _RAMP_S, 0.4)
+
+
 @cache
-def run_up(seed: int = 1, seconds: float = 16.0, top_rpm: float = 850.0) -> Run:
+def run_up(seed: int = 1) -> Run:
     """Through both resonances with the pendulums locked; sensors along the model's axes as these are known."""
     rng = np.random.default_rng(seed)
-    history = SpeedHistory.ramp(6.0, top_rpm * math.pi / 30, seconds, 0.4)
-    time = np.arange(0.0, seconds + 1.0, 1e-3)
+    history = run_up_history()
+    time = np.arange(0.0, _RAMP_S + 1.0, 1e-3)
     phase, speed, _ = history.phase(time).T
     start = locked_state(MODEL.physics, float(speed[0]), float(phase[0]), 0.0, math.pi)
     motion = simulate(MODEL.physics, Scene(history, (False, False), start), time, 1e-4)
