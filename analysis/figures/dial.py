@@ -147,7 +147,7 @@ def _numbers(axes: Axes, own: _Hands, predicted: _Hands | None, other: _Hands | 
             math.degrees(math.remainder(a - b, 2 * math.pi)) for a, b in zip(own.theta, predicted.theta, strict=True)
         ]
         for name, value in zip(("Δθ3", "Δθ4"), off, strict=True):
-            rows.append((name, [f"{value:+.2f}°", *[""] * (len(shown) - 1)]))
+            rows.append((name, [f"{value:+.2f}°".replace("-", "−"), *[""] * (len(shown) - 1)]))
     step = 0.1
     lefts = [0.2 + k * 0.8 / len(shown) for k in range(len(shown))]
     for left, (name, _) in zip(lefts, shown, strict=True):

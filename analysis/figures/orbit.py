@@ -168,7 +168,7 @@ def _words(orbit: OrbitEllipse) -> str:
     if orbit.major_m < _AT_REST_M:
         return "at rest"
     at = (
-        f" at {math.degrees(orbit.inclination_rad):.0f}°".replace("-", "−")
+        f" at {round(math.degrees(orbit.inclination_rad))}°".replace("-", "−")
         if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m
         else ""
     )

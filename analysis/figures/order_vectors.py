@@ -80,8 +80,8 @@ def lag_words(found: PassedVectors) -> list[str]:
         lag = -np.sum((weight * ahead)[good]) / np.sum((weight * measured.speed_rad_s)[good])
         lags.append(f"{name} {1e3 * lag:+.2f} ms".replace("-", "−"))
     return [
-        f"Measured less simulated phase is a straight line through 0 at standstill: stamps late by about {', '.join(lags)} "
-        "against the rotor's phase. Every fit leaves this lag between the devices free."
+        f"Measured less simulated phase is a straight line through 0 at standstill: stamps late by about "
+        f"{', '.join(lags)} against the rotor's phase. Every fit leaves this lag between the devices free."
     ]
 
 

@@ -32,7 +32,7 @@ from daq.signals.run import Run
 Complex = NDArray[np.complex128]
 
 _RAYS = tuple(22.5 + 45.0 * k for k in range(8))
-_MANY, _BETWEEN = 1200, 8
+_MANY, _BETWEEN, _CURVE_POINTS = 1200, 8, 200
 _NICE_RPM = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
 _APART = 0.17  # of the radius, between two speeds that are written
 _BESIDE = 0.085  # of the radius, from the curve to its speed's number
@@ -88,7 +88,7 @@ def _smooth(vectors: Complex) -> Complex:
 
 
 def _scales(axes: Axes, top: float, written: Sequence[complex]) -> None:
-    """Radius and angle; the radii are written along the ray that is farthest from the speeds."""
+    """Radius and angle; the radii are written along the ray that is farthest from numbers and curve."""
     assert isinstance(axes, PolarAxes)
     axes.set_ylim(0, top)
     axes.set_xticks(np.radians(np.arange(0, 360, 45)))
@@ -103,12 +103,12 @@ def _scales(axes: Axes, top: float, written: Sequence[complex]) -> None:
 
 
 def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
-    """Speeds along the curve wherever their numbers do not touch; where these are, by the radius."""
-    speed = RPM * found.speed_rad_s
+    """Speeds along the curve wherever their numbers do not touch; what takes room, by the radius: numbers and curve."""
+    vectors = _smooth(found.amplitude_m)
+    rows = np.arange(len(found.speed_rad_s))
+    speed = RPM * np.interp(np.linspace(0, len(rows) - 1, len(vectors)), rows, found.speed_rad_s)
     if speed[-1] < speed[0]:
-        speed, vectors = speed[::-1], found.amplitude_m[::-1]
-    else:
-        vectors = found.amplitude_m
+        speed, vectors = speed[::-1], vectors[::-1]
     span = float(speed[-1] - speed[0])
     step = float(_NICE_RPM[min(int(np.searchsorted(_NICE_RPM, span / 45)), len(_NICE_RPM) - 1)])
     written: list[complex] = []
@@ -123,4 +123,5 @@ def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
             float(np.angle(out)), abs(out) * top, f"{rpm:.0f}", fontsize=LEAST_FONT_PT, ha="center", va="center",
             bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}, zorder=7,
         )  # fmt: skip
-    return written
+    curve = vectors[:: max(1, len(vectors) // _CURVE_POINTS)] * 1e3 / top
+    return [*written, *(complex(at) for at in curve.tolist() if abs(at) > _APART)]
