@@ -40,24 +40,23 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
     own = passed_vectors(run, model)
     other = passed_vectors(over, None) if over is not None else None
     foot = [PHASE_FOOT]
-    if own.steady is not None:
+    if own.steady:
         foot.append(
             "Steady response: what the model would show at rest at each speed; a run-up's peak is lower and late."
         )
     foot += lag_words(own) + amplification_words(run)
     with sheet(WIDTH_IN, 4.3, f"Bode plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
-        grid = figure.subplots(2, 2, sharex=True, height_ratios=(1, 1.5))
-        for column, name in enumerate("xy"):
-            upper, lower = grid[0, column], grid[1, column]
-            level = own.steady[column] if own.steady else own.measured[column]
-            _draw(upper, lower, own.measured[column], level, MEASURED_LOOK, "measured")
-            if own.simulated is not None:
-                _draw(upper, lower, own.simulated[column], level, MODEL_LOOK, f"same run simulated, {_of(model)}")
-            if own.steady is not None:
-                _draw(upper, lower, own.steady[column], level, STEADY_LOOK, f"steady response, {_of(model)}")
-            if other is not None and over is not None:
-                _draw(upper, lower, other.measured[column], level, OVER_LOOK, f"measured, {Path(over.source).name}")
-            _amplitudes(lower, own.measured[column])
+        grid = figure.subplots(2, len(own.measured), sharex=True, height_ratios=(1, 1.5), squeeze=False)
+        for (upper, lower), (name, measured) in zip(grid.T, own.measured.items(), strict=True):
+            level = own.steady.get(name, measured)
+            _draw(upper, lower, measured, level, MEASURED_LOOK, "measured")
+            if own.simulated:
+                _draw(upper, lower, own.simulated[name], level, MODEL_LOOK, f"same run simulated, {_of(model)}")
+            if own.steady:
+                _draw(upper, lower, own.steady[name], level, STEADY_LOOK, f"steady response, {_of(model)}")
+            if other is not None and over is not None and name in other.measured:
+                _draw(upper, lower, other.measured[name], level, OVER_LOOK, f"measured, {Path(over.source).name}")
+            _amplitudes(lower, measured)
             label(upper, y=f"{name} {PHASE}")
             label(lower, "speed, rpm", f"{name} {AMPLITUDE}")
             _degrees(upper)

@@ -19,7 +19,6 @@ from analysis.figures.order_vectors import (
     Vectors,
     changes_speed,
     passed_vectors,
-    steady_vectors,
 )
 from analysis.figures.sheet import MODEL_LOOK, OVER_LOOK, WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import steady_part
@@ -127,18 +126,18 @@ def _raw(run: Run, start: float, end: float) -> tuple[Array, Array]:
 def _passing(run: Run, model: RigModel | None) -> list[OrbitPanel]:
     """Orbits below, at and above both resonances of a run-up, as many as there are panels."""
     found = passed_vectors(run, model)
-    x, y = found.measured
+    x, y = found.measured["x"], found.measured["y"]
     peaks = sorted(float(v.speed_rad_s[np.argmax(np.abs(v.amplitude_m))]) for v in (x, y))
     low, high = max(x.speed_rad_s[0], y.speed_rad_s[0]), min(x.speed_rad_s[-1], y.speed_rad_s[-1])
     middle = math.sqrt(peaks[0] * peaks[1])
     speeds = np.clip([0.8 * peaks[0], peaks[0], middle, 0.92 * peaks[1], peaks[1], high], low, high)
-    beside = found.simulated or (steady_vectors(model, run) if model is not None else None)
+    beside = found.simulated or found.steady
     panels: list[OrbitPanel] = []
     marks = np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)
     for speed in speeds.tolist():
         at = int(np.argmin(np.abs(marks - speed)))
         raw = _raw(run, float(run.mark_time_s[max(at - 1, 0)]), float(run.mark_time_s[min(at + 2, len(marks))]))
-        shown = None if beside is None else orbit_ellipse(_at(beside[0], speed), _at(beside[1], speed))
+        shown = None if not beside else orbit_ellipse(_at(beside["x"], speed), _at(beside["y"], speed))
         panels.append(OrbitPanel(speed, raw, orbit_ellipse(_at(x, speed), _at(y, speed)), shown))
     return panels
 

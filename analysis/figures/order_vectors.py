@@ -55,13 +55,22 @@ class Vectors:
         return np.where(np.abs(self.amplitude_m) > _SEEN * self.std_m, phase, np.nan)
 
 
+ByName = dict[str, Vectors]
+
+
 @dataclass(frozen=True)
 class PassedVectors:
-    """x's and y's vectors in one run: measured, of the same run simulated, and of steady motions at each speed."""
+    """Vectors of "x" and "y" in one run, of those that were recorded.
 
-    measured: tuple[Vectors, Vectors]
-    simulated: tuple[Vectors, Vectors] | None
-    steady: tuple[Vectors, Vectors] | None
+    Attributes:
+        measured: as the sensors saw them.
+        simulated: of the same run simulated; empty without.
+        steady: of the model's steady motion at each speed; empty without.
+    """
+
+    measured: ByName
+    simulated: ByName
+    steady: ByName
 
 
 def lag_words(found: PassedVectors) -> list[str]:
@@ -69,11 +78,11 @@ def lag_words(found: PassedVectors) -> list[str]:
 
     The lag is a straight line through the origin of phase against speed, weighted by the amplitudes.
     """
-    if found.simulated is None:
+    if not found.simulated:
         return []
     lags: list[str] = []
-    for name, measured, model in zip("xy", found.measured, found.simulated, strict=True):
-        beside = _complex_interp(measured.speed_rad_s, model)
+    for name, measured in found.measured.items():
+        beside = _complex_interp(measured.speed_rad_s, found.simulated[name])
         ahead = np.angle(measured.amplitude_m * np.conj(beside))
         weight = np.abs(beside) * np.abs(measured.amplitude_m) * measured.speed_rad_s
         good = np.isfinite(ahead) & np.isfinite(weight)
@@ -86,12 +95,18 @@ def lag_words(found: PassedVectors) -> list[str]:
 
 
 def amplification_words(run: Run) -> list[str]:
-    """Amplification factors on the suspension's principal axes, as a sentence; none where a resonance is not whole."""
-    tracks = [
-        order_track(time, values, phase_at(run, time))
-        for time, values in ((run.x_time_s, run.x_m), (run.y_time_s, run.y_m))
-    ]
-    found = [each for each in amplification_factors(tracks[0], tracks[1]) if each is not None]
+    """Amplification factors on the suspension's principal axes, as a sentence.
+
+    None where a resonance is not whole, and where only one displacement was recorded.
+    """
+    seen = _recorded(run)
+    if len(seen) < 2:
+        return []
+    x, y = (order_track(time, values, phase_at(run, time)) for time, values in seen.values())
+    try:
+        found = [each for each in amplification_factors(x, y) if each is not None]
+    except ValueError:  # too few rows of speeds that both have
+        return []
     if not found:
         return []
     told = ", ".join(
@@ -142,24 +157,30 @@ def need_speeds(run: Run, what: str) -> None:
         )
 
 
-def vectors_of(run: Run) -> tuple[Vectors, Vectors]:
-    """Measured 1× vectors of x and y, one a revolution.
+def vectors_of(run: Run) -> ByName:
+    """Measured 1× vectors of those of x and y that were recorded, one a revolution.
 
     Raises:
-        NotEnoughData: no marks, or too few samples between them.
+        NotEnoughData: no displacement, no marks, or too few samples between them.
     """
-    return (
-        _tracked(run.source, run.x_time_s, run.x_m, phase_at(run, run.x_time_s)),
-        _tracked(run.source, run.y_time_s, run.y_m, phase_at(run, run.y_time_s)),
-    )
+    seen = _recorded(run)
+    if not seen:
+        raise NotEnoughData(f"{run.source}: expected displacements, the log has none")
+    return {name: _tracked(run.source, time, values, phase_at(run, time)) for name, (time, values) in seen.items()}
 
 
-def simulated_vectors(simulated: SimulatedRun) -> tuple[Vectors, Vectors]:
+def _recorded(run: Run) -> dict[str, tuple[Array, Array]]:
+    """Times and values of the displacements there are."""
+    both = {"x": (run.x_time_s, run.x_m), "y": (run.y_time_s, run.y_m)}
+    return {name: pair for name, pair in both.items() if np.isfinite(pair[1]).any()}
+
+
+def simulated_vectors(simulated: SimulatedRun) -> ByName:
     """The same of a simulated run, tracked in the same way."""
-    return (
-        _tracked("simulated run", simulated.time_s, simulated.x_m, simulated.phase_rad),
-        _tracked("simulated run", simulated.time_s, simulated.y_m, simulated.phase_rad),
-    )
+    return {
+        name: _tracked("simulated run", simulated.time_s, values, simulated.phase_rad)
+        for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
+    }
 
 
 def _tracked(source: str, time: Array, values: Array, phase: Array) -> Vectors:
@@ -170,12 +191,14 @@ def _tracked(source: str, time: Array, values: Array, phase: Array) -> Vectors:
     return Vectors(track.speed_rad_s, *track.of(1))
 
 
-def steady_vectors(model: RigModel, run: Run) -> tuple[Vectors, Vectors]:
+def steady_vectors(model: RigModel, run: Run) -> ByName:
     """The model's steady 1× vectors with the pendulums where the run's locks hold them, over the run's speeds."""
     low, high = speed_range(run)
     speed = np.linspace(max(low, 1e-3 * high), high, _STEADY_POINTS)
     x, y = model.locked(speed, locked_angles(run))
-    return tuple(Vectors(speed[np.isfinite(v)], v[np.isfinite(v)], np.zeros(int(np.isfinite(v).sum()))) for v in (x, y))  # pyright: ignore[reportReturnType]
+    there = np.isfinite(x)
+    nothing = np.zeros(int(there.sum()))
+    return {name: Vectors(speed[there], values[there], nothing) for name, values in (("x", x), ("y", y))}
 
 
 def passed_vectors(run: Run, model: RigModel | None) -> PassedVectors:
@@ -187,8 +210,8 @@ def passed_vectors(run: Run, model: RigModel | None) -> PassedVectors:
     need_speeds(run, "1× vectors over speed")
     measured = vectors_of(run)
     if model is None:
-        return PassedVectors(measured, None, None)
+        return PassedVectors(measured, {}, {})
     simulated = simulate_run(run, model)
     return PassedVectors(
-        measured, None if simulated is None else simulated_vectors(simulated), steady_vectors(model, run)
+        measured, {} if simulated is None else simulated_vectors(simulated), steady_vectors(model, run)
     )

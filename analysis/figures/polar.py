@@ -56,17 +56,16 @@ def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None)
     ]
     named = "" if model is None else model.name
     with sheet(WIDTH_IN, 4.3, f"Polar plot, 1×: {Path(run.source).name} ({run.test})", foot + lag_words(own)) as figure:
-        for column, name in enumerate("xy"):
-            axes = figure.add_subplot(1, 2, column + 1, projection="polar")
-            measured = own.measured[column]
+        for column, (name, measured) in enumerate(own.measured.items()):
+            axes = figure.add_subplot(1, len(own.measured), column + 1, projection="polar")
             top = 1.12e3 * float(np.max(np.abs(measured.amplitude_m)))
             _curve(axes, measured, MEASURED_LOOK, "measured", top)
-            if own.simulated is not None:
-                _curve(axes, own.simulated[column], MODEL_LOOK, f"same run simulated, {named}", top)
-            if own.steady is not None:
-                _curve(axes, own.steady[column], STEADY_LOOK, f"steady response, {named}", top)
-            if other is not None and over is not None:
-                _curve(axes, other.measured[column], OVER_LOOK, f"measured, {Path(over.source).name}", top)
+            if own.simulated:
+                _curve(axes, own.simulated[name], MODEL_LOOK, f"same run simulated, {named}", top)
+            if own.steady:
+                _curve(axes, own.steady[name], STEADY_LOOK, f"steady response, {named}", top)
+            if other is not None and over is not None and name in other.measured:
+                _curve(axes, other.measured[name], OVER_LOOK, f"measured, {Path(over.source).name}", top)
             _scales(axes, top, _speeds(axes, measured, top))
             label(axes, title=f"{name}, mm")
     return figure

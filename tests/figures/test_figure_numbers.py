@@ -40,13 +40,18 @@ def test_a_displacement_that_leads_the_mark_has_a_positive_phase() -> None:
 
 def test_the_models_own_run_up_lies_on_itself_but_for_the_stamps_lag() -> None:
     found = passed_vectors(run_up(), MODEL)
-    assert found.simulated is not None
-    for measured, simulated in zip(found.measured, found.simulated, strict=True):
+    for name, measured in found.measured.items():
+        simulated = found.simulated[name]
         size = np.interp(measured.speed_rad_s, simulated.speed_rad_s, np.abs(simulated.amplitude_m))
         seen = size > 0.1 * size.max()
         assert np.abs(measured.amplitude_m[seen]) == pytest.approx(size[seen], abs=0.02 * size.max())
     lags = [float(text.replace("−", "-")) for text in re.findall(r"[xy] ([+−]\d+\.\d+) ms", lag_words(found)[0])]
     assert lags == pytest.approx([1e3 * LAG_S] * 2, abs=0.3)  # free vibration lags with its own frequency
+
+
+def test_one_laser_is_enough_for_a_bode_plot() -> None:
+    figure = draw_bode(replace(run_up(), y_m=np.empty(0), y_time_s=np.empty(0)), MODEL)
+    assert [axes.get_ylabel()[0] for axes in figure.axes] == ["x", "x"]
 
 
 def test_a_stop_at_its_end_makes_no_run_up_of_a_point() -> None:
