@@ -7,6 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from analysis.errors import AnalysisError, NoStableState, NotEnoughData
+    from analysis.figures.bode import draw_bode
+    from analysis.figures.dial import draw_dial
+    from analysis.figures.health import draw_health
+    from analysis.figures.multipliers import draw_multipliers
+    from analysis.figures.orbit import draw_orbit
+    from analysis.figures.orders import draw_orders
+    from analysis.figures.page import write_figure
+    from analysis.figures.polar import draw_polar
+    from analysis.figures.residuals import draw_residuals
+    from analysis.figures.slip import draw_slip
+    from analysis.figures.spectrum import draw_spectrum
+    from analysis.figures.stability_map import draw_points_on_map
+    from analysis.figures.time_history import draw_time
+    from analysis.figures.waterfall import draw_waterfall
     from analysis.prediction import Prediction, predict_point
     from analysis.quantities.amplification import Amplification, amplification_factors, principal_axis
     from analysis.quantities.orbits import OrbitEllipse, forward_backward, orbit_ellipse
@@ -17,6 +31,8 @@ if TYPE_CHECKING:
     from analysis.quantities.slow_roll import slow_roll_vector, without_slow_roll
     from analysis.quantities.spectra import Spectrum, amplitude_spectrum, full_spectrum, power_density
     from analysis.results import PointResult
+    from analysis.rig_model import RigModel
+    from analysis.simulated_run import SimulatedRun, simulate_run
     from analysis.steady_state import SteadyMeasurement, measure
     from analysis.validation import Validation, validate, validate_point
 
@@ -53,6 +69,23 @@ _HOME = {  # loaded when first used: an error class or one figure need not wait 
     "without_slow_roll": "analysis.quantities.slow_roll",
     "phase_at": "analysis.quantities.rotor_phase",
     "speed_at": "analysis.quantities.rotor_phase",
+    "RigModel": "analysis.rig_model",
+    "SimulatedRun": "analysis.simulated_run",
+    "simulate_run": "analysis.simulated_run",
+    "draw_time": "analysis.figures.time_history",
+    "draw_orbit": "analysis.figures.orbit",
+    "draw_dial": "analysis.figures.dial",
+    "draw_bode": "analysis.figures.bode",
+    "draw_polar": "analysis.figures.polar",
+    "draw_waterfall": "analysis.figures.waterfall",
+    "draw_spectrum": "analysis.figures.spectrum",
+    "draw_orders": "analysis.figures.orders",
+    "draw_slip": "analysis.figures.slip",
+    "draw_multipliers": "analysis.figures.multipliers",
+    "draw_health": "analysis.figures.health",
+    "draw_residuals": "analysis.figures.residuals",
+    "draw_points_on_map": "analysis.figures.stability_map",
+    "write_figure": "analysis.figures.page",
 }
 
 __all__ = [
@@ -65,12 +98,27 @@ __all__ = [
     "OrderTrack",
     "PointResult",
     "Prediction",
+    "RigModel",
+    "SimulatedRun",
     "SlipTrack",
     "Spectrum",
     "SteadyMeasurement",
     "Validation",
     "amplification_factors",
     "amplitude_spectrum",
+    "draw_bode",
+    "draw_dial",
+    "draw_health",
+    "draw_multipliers",
+    "draw_orbit",
+    "draw_orders",
+    "draw_points_on_map",
+    "draw_polar",
+    "draw_residuals",
+    "draw_slip",
+    "draw_spectrum",
+    "draw_time",
+    "draw_waterfall",
     "forward_backward",
     "full_spectrum",
     "measure",
@@ -82,12 +130,14 @@ __all__ = [
     "predict_point",
     "principal_axis",
     "resampled_order_track",
+    "simulate_run",
     "slip_track",
     "slow_roll_vector",
     "speed_at",
     "validate",
     "validate_point",
     "without_slow_roll",
+    "write_figure",
 ]
 
 

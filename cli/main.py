@@ -49,6 +49,9 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "report": "Write the report of a campaign's logs, at any time; exit 1 when a point fails.",
     },
     "cli.track": {"track": "States and pendulum damping of a logged run over time, with uncertainty."},
+    "cli.plot": {
+        "plot": "Draw logs: orbit, Bode, polar, waterfall and more, the model beside what was measured.",
+    },
     "cli.logs": {
         "log": "What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or "
         "damaged.",
@@ -90,6 +93,7 @@ _USE_COMPILED = {
     "import",
     "identify",
     "track",
+    "plot",
     "validate",
     "report",
     "driver",

@@ -95,7 +95,10 @@ def history(
         need_place("rig parameters history: --plot", plot)
     found = follow(list(places) or [Path()], rig)
     if plot is not None:
-        _draw(found, plot, level)
+        from analysis.figures.style import save  # noqa: PLC0415 (matplotlib is slow)
+        from cli.history_figure import history_figure  # noqa: PLC0415
+
+        save(plot, history_figure(found, level))
     first, last = found.instants[0], found.instants[-1]
     overall = None
     if len(found.instants) > 1 and set(first.parameters.values) & set(last.parameters.values):
@@ -214,28 +217,3 @@ def _history_json(found: History, overall: str | None, plot: Path | None) -> dic
         "skipped": found.skipped,
         "plot": None if plot is None else str(plot),
     }
-
-
-def _draw(found: History, path: Path, level: float) -> None:
-    from analysis.figures.parameter_history import Value, draw_parameter_history  # noqa: PLC0415 (matplotlib is slow)
-    from analysis.figures.style import save  # noqa: PLC0415
-
-    joint, single, marks = [], [], []
-    for instant, step in zip(found.instants, found.steps, strict=True):
-        joint += [
-            Value(n, instant.time, v, instant.parameters.std[n], instant.path.stem)
-            for n, v in instant.parameters.values.items()
-        ]
-        single += [
-            Value(n, t.recorded or instant.time, t.estimate.value(n), t.estimate.std[n], t.estimate.test,
-                  left_out=bool(t.left_out))
-            for t in instant.tests
-            for n in t.estimate.names
-        ]  # fmt: skip
-        marks += [
-            Value(c.name, instant.time, c.new, c.std, f"{100 * c.relative:+.3g} %")
-            for c in (step.significant(level) if step else [])
-        ]
-    rig = next((i.rig for i in found.instants if i.rig), "")
-    units = {n: PARAMETER_UNITS[n] for n in PARAMETER_UNITS if any(v.name == n for v in joint)}
-    save(path, draw_parameter_history(joint, single, marks, units, rig))

@@ -75,7 +75,7 @@ def draw_identification_precision(marks: Sequence[Mark], alike: float, machine: 
             Line2D([], [], color="black", lw=1.2, ls=":", label="front with peers"),
         ]
         figure.legend(handles=handles, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 0.25 / height))
-        figure.text(0.06, 0.08 / height, machine, fontsize=7, color=GREY, parse_math=False)
+        figure.text(0.06, 0.08 / height, machine, fontsize=7.5, color=GREY, parse_math=False)
         return figure
 
 

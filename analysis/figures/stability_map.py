@@ -33,12 +33,28 @@ def draw_stability_map(physics: RotorParameters, points: Sequence[MapPoint], nam
     Raises:
         NoBalancedState: the rig has no balanced state.
     """
+    figure = draw_points_on_map(physics, points)
+    return to_svg(figure, name, "Stability map of the balanced state over speed ratio and stiffness ratio")
+
+
+def draw_points_on_map(physics: RotorParameters, points: Sequence[MapPoint], title: str = "") -> Figure:
+    """The same as a figure of its own.
+
+    Args:
+        title: stands above.
+    Raises:
+        NoBalancedState: the rig has no balanced state.
+    """
     own = physics.k2_N_per_m / physics.k1_N_per_m
     top = max([p.speed_ratio for p in points], default=4.0) * 1.15
     omega = np.linspace(0.35, max(top, 3.0), 160)
     ratio = np.linspace(min(1.0, 0.5 * own), max(3.0, 1.7 * own), 120)
     figure = stability_map_figure(physics, stability_map(physics, omega, ratio, 1e-4), points)
-    return to_svg(figure, name, "Stability map of the balanced state over speed ratio and stiffness ratio")
+    if title:
+        figure.set_size_inches(figure.get_figwidth(), figure.get_figheight() + 0.3)
+        figure.subplots_adjust(top=0.97 - 0.3 / figure.get_figheight())
+        figure.text(0.012, 1 - 0.08 / figure.get_figheight(), title, va="top", fontsize=10, parse_math=False)
+    return figure
 
 
 def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: Sequence[MapPoint]) -> Figure:
@@ -91,8 +107,9 @@ def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:
     if len(second):
         axes.plot(np.sqrt(second), second, color="#333333", ls="--", lw=1)
         axes.annotate(
-            "Ω = √K", (np.sqrt(second[-1]), second[-1]), xytext=(5, -11), textcoords="offset points", fontsize=8
-        )
+            "Ω = √K", (np.sqrt(second[-1]), second[-1]), xytext=(-9, -4), textcoords="offset points", fontsize=8,
+            ha="right", va="top",
+        )  # fmt: skip
 
 
 def _points(axes: Axes, points: Sequence[MapPoint], own: float) -> None:

@@ -37,7 +37,7 @@ def draw_work_precision(
         error = "true error of the pendulums' angles at the end, rad"
         title = f"20 s of motion after a {motion_case}"
         _panel(right, [r for r in rows if (r.service, r.case) == ("motion", motion_case)], title, error, "run")
-        figure.text(0.07, 0.015, machine, fontsize=7, color=GREY, parse_math=False)
+        figure.text(0.07, 0.015, machine, fontsize=7.5, color=GREY, parse_math=False)
         return figure
 
 

@@ -1,0 +1,90 @@
+# pyright: strict, reportUnknownMemberType=false
+"""Bode plot: 1× amplitude and phase of x and y over speed, with the model's run-up and its steady response."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from analysis.figures.order_vectors import RPM, Vectors, amplification_words, lag_words, passed_vectors
+from analysis.figures.sheet import (
+    AMPLITUDE,
+    MEASURED_LOOK,
+    MODEL_LOOK,
+    OVER_LOOK,
+    PHASE,
+    PHASE_FOOT,
+    STEADY_LOOK,
+    WIDTH_IN,
+    Look,
+    sheet,
+)
+from analysis.figures.style import label
+from analysis.rig_model import RigModel
+from daq.signals.run import Run
+
+
+def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
+    """Phase (above) and amplitude (below) of x (left) and y (right) over speed.
+
+    Args:
+        run: a run-up or run-down.
+        model: its run with the same speed history is tracked in the same way; its steady response is drawn too.
+        over: another run, drawn over it.
+    Raises:
+        NotEnoughData: a run that stays at one speed, or has no index marks.
+    """
+    own = passed_vectors(run, model)
+    other = passed_vectors(over, None) if over is not None else None
+    foot = [PHASE_FOOT]
+    if own.steady:
+        foot.append(
+            "Steady response: what the model would show at rest at each speed; a run-up's peak is lower and late."
+        )
+    foot += lag_words(own) + amplification_words(run)
+    with sheet(WIDTH_IN, 4.3, f"Bode plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
+        grid = figure.subplots(2, len(own.measured), sharex=True, height_ratios=(1, 1.5), squeeze=False)
+        for (upper, lower), (name, measured) in zip(grid.T, own.measured.items(), strict=True):
+            level = own.steady.get(name, measured)
+            _draw(upper, lower, measured, level, MEASURED_LOOK, "measured")
+            if own.simulated:
+                _draw(upper, lower, own.simulated[name], level, MODEL_LOOK, f"same run simulated, {_of(model)}")
+            if own.steady:
+                _draw(upper, lower, own.steady[name], level, STEADY_LOOK, f"steady response, {_of(model)}")
+            if other is not None and over is not None and name in other.measured:
+                _draw(upper, lower, other.measured[name], level, OVER_LOOK, f"measured, {Path(over.source).name}")
+            _amplitudes(lower, measured)
+            label(upper, y=f"{name} {PHASE}")
+            label(lower, "speed, rpm", f"{name} {AMPLITUDE}")
+            _degrees(upper)
+        figure.align_ylabels(grid)
+    return figure
+
+
+def _of(model: RigModel | None) -> str:
+    return "" if model is None else model.name
+
+
+def _draw(upper: Axes, lower: Axes, found: Vectors, level: Vectors, look: Look, text: str) -> None:
+    speed = RPM * found.speed_rad_s
+    upper.plot(speed, found.phase_deg(level), **look)
+    lower.plot(speed, 1e3 * np.abs(found.amplitude_m), label=text, **look)
+
+
+def _amplitudes(axes: Axes, measured: Vectors) -> None:
+    """From zero to a little above what was measured; a steady resonance may leave the figure."""
+    top = 1e3 * float(np.max(np.abs(measured.amplitude_m)))
+    axes.set_ylim(0, 1.35 * top)
+    axes.set_xlim(left=0)
+
+
+def _degrees(axes: Axes) -> None:
+    """Ticks at multiples of 180°, 90° or 45°, by the range."""
+    low, high = axes.get_ylim()
+    step = 180.0 if high - low > 500 else 90.0 if high - low > 150 else 45.0
+    low, high = step * np.floor(low / step), step * np.ceil(high / step)
+    axes.set_yticks(np.arange(low, high + 1, step))
+    axes.set_ylim(low - 5, high + 5)

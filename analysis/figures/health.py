@@ -1,0 +1,192 @@
+# pyright: strict, reportUnknownMemberType=false
+"""Stream health of a log over time: rates, gaps, ages of the samples, losses counted, what waits for the disk."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from analysis.errors import NotEnoughData
+from analysis.figures.sheet import WIDTH_IN, Look, sheet
+from analysis.figures.style import label
+from daq.log import Log
+from daq.log.content import seconds, stretches
+from daq.log.samples import Samples
+
+Array = NDArray[np.float64]
+
+_MOST_BINS = 240
+_LEAST_BIN_S = 0.5
+_LOOKS: tuple[Look, ...] = (
+    {"color": "#0072B2", "ls": "-"}, {"color": "#D55E00", "ls": "--"}, {"color": "#009E73", "ls": "-."},
+    {"color": "#444444", "ls": ":"}, {"color": "#CC79A7", "ls": (0, (6, 1.5, 1, 1.5))},
+    {"color": "#8C6D1F", "ls": (0, (1, 2.5))},
+)  # fmt: skip
+_LEAST_COUNT = 20
+_GAPS = ("gap", "damage", "silence")
+_UNUSABLE = ("invalid", "suspect")
+_FOOT = (
+    "Rate: samples in each stretch over the stream's median stretch. Age: from a sample's own time on the common clock "
+    "until the host had it, largest of each stretch; a little below 0 while the clock map learns. Lost: counted while "
+    "recording."
+)
+
+
+@dataclass
+class _Stream:
+    """One channel, bin by bin: samples, and their largest age in s (nan: none)."""
+
+    count: Array
+    age_s: Array
+
+
+@dataclass
+class _Gathered:
+    """A log's health, gathered stretch by stretch."""
+
+    edges_s: Array
+    streams: dict[str, _Stream] = field(default_factory=dict[str, _Stream])
+    gaps: dict[str, list[tuple[float, float]]] = field(
+        default_factory=lambda: defaultdict[str, list[tuple[float, float]]](list)
+    )
+    reports: list[Mapping[str, Any]] = field(default_factory=list[Mapping[str, Any]])
+
+    def add(self, part: Log, origin_ns: int) -> None:
+        """Take a stretch of the log."""
+        for topic in part:
+            self._count(topic, part[topic], origin_ns)
+        for event in part.events:
+            if event["kind"] in _GAPS:
+                end = (event["time_ns"] - origin_ns) * 1e-9
+                device = str(event.get("of", event.get("device", "?")))
+                self.gaps[device].append((end - seconds(event, "span_s"), end))
+        self.reports += part.health
+
+    def _count(self, topic: str, samples: Samples, origin_ns: int) -> None:
+        bins = len(self.edges_s) - 1
+        stream = self.streams.setdefault(topic, _Stream(np.zeros(bins), np.full(bins, np.nan)))
+        time = (samples.time_ns - origin_ns) * 1e-9
+        at = np.clip(np.searchsorted(self.edges_s, time, "right") - 1, 0, bins - 1)
+        np.add.at(stream.count, at, 1.0)
+        np.fmax.at(stream.age_s, at, (samples.log_time_ns - samples.time_ns) * 1e-9)
+
+
+def draw_health(log: Log) -> Figure:
+    """Rates, ages, losses and the disk's backlog over a log; gaps shaded over its whole length.
+
+    Args:
+        log: whole or not, of any length: it is read stretch by stretch.
+    Raises:
+        NotEnoughData: the log has no samples.
+    """
+    found = _gathered(log)
+    if not any(stream.count.any() for stream in found.streams.values()):
+        raise NotEnoughData(f"{log.path}: expected samples, the log has none: nothing to say of its streams")
+    width = float(found.edges_s[1] - found.edges_s[0])
+    title = f"Stream health: {Path(log.path).name}"
+    with sheet(WIDTH_IN, 5.6, title, [f"{_FOOT} Stretches of {width:.2g} s."]) as figure:
+        grid: list[Axes] = list(figure.subplots(5, 1, sharex=True, height_ratios=(1.4, 0.9, 1.4, 1.2, 0.9)))
+        _rates(grid[0], found)
+        _gaps(grid[1], found)
+        _ages(grid[2], found)
+        _losses(grid[3], found, log.start_ns)
+        _disk(grid[4], found, log.start_ns)
+        grid[-1].set_xlim(float(found.edges_s[0]), float(found.edges_s[-1]))
+        label(grid[-1], "time since the start of the log, s")
+        figure.align_ylabels(grid)
+    return figure
+
+
+def _gathered(log: Log) -> _Gathered:
+    span = max((log.end_ns - log.start_ns) * 1e-9, _LEAST_BIN_S)
+    bins = max(1, min(_MOST_BINS, int(span / _LEAST_BIN_S)))
+    found = _Gathered(np.linspace(0.0, span, bins + 1))
+    for _, part in stretches(log):
+        found.add(part, log.start_ns)
+    return found
+
+
+def _rates(axes: Axes, found: _Gathered) -> None:
+    middle = 0.5 * (found.edges_s[1:] + found.edges_s[:-1])
+    width = found.edges_s[1] - found.edges_s[0]
+    lowest = 90.0
+    for look, (topic, stream) in zip(_LOOKS, found.streams.items(), strict=False):
+        usual = float(np.median(stream.count[1:-1])) if len(stream.count) > 2 else float(stream.count.max())
+        if usual < _LEAST_COUNT:  # marks of the rotor, say: one more or less in a stretch means nothing
+            continue
+        share = 100 * stream.count / usual
+        axes.plot(middle, share, drawstyle="steps-mid", lw=1.4, label=f"{topic}, {usual / width:.4g} a second", **look)
+        lowest = min(lowest, float(np.min(share[1:-1])) - 5 if len(share) > 2 else lowest)
+    axes.set_ylim(max(lowest, -5.0), 112)
+    label(axes, y="rate, %")
+
+
+def _gaps(axes: Axes, found: _Gathered) -> None:
+    names = sorted(found.gaps)
+    for i, name in enumerate(names):
+        spans = [(start, max(end - start, 2e-3 * float(found.edges_s[-1]))) for start, end in found.gaps[name]]
+        axes.broken_barh(spans, (i - 0.35, 0.7), color="#CC3311")
+    if names:
+        axes.set_yticks(range(len(names)), [f"{name} ({len(found.gaps[name])})" for name in names], fontsize=8)
+        axes.set_ylim(-0.6, len(names) - 0.4)
+    else:
+        axes.set_yticks([])
+        axes.text(0.5, 0.5, "no gaps", transform=axes.transAxes, ha="center", va="center", color="#444444")
+    label(axes, y="gaps")
+
+
+def _ages(axes: Axes, found: _Gathered) -> None:
+    middle = 0.5 * (found.edges_s[1:] + found.edges_s[:-1])
+    largest = 1.0
+    for look, stream in zip(_LOOKS, found.streams.values(), strict=False):
+        axes.plot(middle, 1e3 * stream.age_s, lw=1.4, **look)
+        if np.isfinite(stream.age_s).any():
+            largest = max(largest, 1e3 * float(np.nanmax(stream.age_s)))
+    axes.set_ylim(0, 1.1 * largest)
+    label(axes, y="age, ms")
+
+
+def _losses(axes: Axes, found: _Gathered, origin_ns: int) -> None:
+    """Counts of what was lost, device by device; what a sensor called invalid did arrive and is left out."""
+    time = np.array([(report["time_ns"] - origin_ns) * 1e-9 for report in found.reports])
+    devices = sorted({str(name) for report in found.reports for name in report.get("losses", {})})
+    most, whole = 0, list[str]()
+    for look, device in zip(_LOOKS, devices, strict=False):
+        counts = [
+            sum(int(n) for kind, n in report.get("losses", {}).get(device, {}).items() if kind not in _UNUSABLE)
+            for report in found.reports
+        ]
+        most = max([most, *counts])
+        if not any(counts):
+            whole.append(device)
+            continue
+        axes.step(time, counts, where="post", lw=1.0, marker="o", ms=3, label=f"lost, {device}", **look)
+    axes.set_ylim(-0.04 * max(most, 1), 1.5 * max(most, 1))
+    if not most:
+        axes.set_yticks([0])
+    if whole:
+        axes.text(0.006, 0.96, f"nothing lost: {', '.join(whole)}", transform=axes.transAxes, fontsize=8, va="top",
+                  color="#444444", parse_math=False)  # fmt: skip
+    label(axes, y="lost, counts")
+
+
+def _disk(axes: Axes, found: _Gathered, origin_ns: int) -> None:
+    rows = [report for report in found.reports if isinstance(report.get("disk"), Mapping)]
+    time = np.array([(report["time_ns"] - origin_ns) * 1e-9 for report in rows])
+    waiting = np.array([float(report["disk"].get("backlog_bytes", np.nan)) for report in rows])
+    if rows:
+        axes.plot(time, 1e-3 * waiting, color="#444444", lw=1.4)
+        axes.set_ylim(0, 1.15e-3 * max(float(np.nanmax(waiting)), 1.0))
+    else:
+        axes.text(0.5, 0.5, "no health reports in this log", transform=axes.transAxes, ha="center", va="center",
+                  color="#444444")  # fmt: skip
+        axes.set_yticks([])
+    label(axes, y="for disk, kB")

@@ -1,0 +1,63 @@
+# pyright: strict
+"""All kinds of figures of logs, by name: what each shows, and where it is drawn."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol, cast
+
+from matplotlib.figure import Figure
+
+from analysis.rig_model import RigModel
+from daq.signals.run import Run
+
+
+class DrawRun(Protocol):
+    """A figure of one run, beside the model, with another run over it."""
+
+    def __call__(self, run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class FigureKind:
+    """A kind of figure.
+
+    Attributes:
+        name: as `rig plot` takes it.
+        shows: a line.
+        of: what it is made of: each run by itself, each log as recorded, or all of them together.
+        overlays: whether a second run may be drawn over it.
+    """
+
+    name: str
+    shows: str
+    of: Literal["run", "log", "all"] = "run"
+    overlays: bool = True
+
+    @property
+    def draw(self) -> DrawRun:
+        """The function of a kind that shows runs: `analysis.figures.<module>.draw_<name>`."""
+        module = importlib.import_module(f"analysis.figures.{_MODULES.get(self.name, self.name)}")
+        return cast("DrawRun", getattr(module, f"draw_{self.name}"))
+
+
+_MODULES = {"time": "time_history"}
+_ALL = (
+    FigureKind("time", "displacements, pendulum angles and speed over time, measured and simulated"),
+    FigureKind("orbit", "the disk centre's path with the index mark; of a run-up, six orbits through its resonances"),
+    FigureKind("dial", "pendulum angles on the rotor: held, measured at the end, predicted"),
+    FigureKind("bode", "1× amplitude and phase over speed"),
+    FigureKind("polar", "1× vectors in the plane, speeds marked along the curve"),
+    FigureKind("waterfall", "cascade of spectra over speed"),
+    FigureKind("spectrum", "full spectrum, forward and backward, and power densities with units"),
+    FigureKind("orders", "amplitude over order and speed"),
+    FigureKind("health", "rates, gaps, losses and ages of all streams over time", of="log", overlays=False),
+    FigureKind("slip", "pendulum angles and slip order over speed", of="all", overlays=False),
+    FigureKind("multipliers", "multipliers in the plane and along the speed", of="all", overlays=False),
+    FigureKind("map", "stability map with the points that the logs are of", of="all", overlays=False),
+    FigureKind("residuals", "what identification fitted to each log, and what it left", of="all", overlays=False),
+    FigureKind("history", "parameters over time, of parameters files", of="all", overlays=False),
+)
+KINDS: Mapping[str, FigureKind] = {kind.name: kind for kind in _ALL}

@@ -1,0 +1,40 @@
+# pyright: strict
+"""A figure as one HTML file that needs no network: the SVG, and a script of our own that zooms and pans it."""
+
+from __future__ import annotations
+
+from html import escape
+from importlib import resources
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from analysis.errors import BadFigureName
+from analysis.figures.style import save, to_svg
+
+SUFFIXES = (".svg", ".png", ".pdf", ".html")
+_TEMPLATE = "page.html"
+
+
+def write_figure(path: str | Path, figure: Figure, title: str) -> None:
+    """Write a figure in the format of the file's suffix: .svg, .png, .pdf or .html.
+
+    Args:
+        path: the file; its folder must exist.
+        title: of an HTML page, also read out by screen readers.
+    Raises:
+        BadFigureName: another suffix.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise BadFigureName(f"figure {path}: expected a name ending in {', '.join(SUFFIXES)}")
+    if path.suffix.lower() == ".html":
+        path.write_text(page(figure, title), encoding="utf-8")
+        return
+    save(path, figure)
+
+
+def page(figure: Figure, title: str) -> str:
+    """The HTML text: wheel, pinch or + and − zoom, dragging or arrow keys pan, double click or 0 shows all."""
+    text = resources.files("analysis.figures").joinpath(_TEMPLATE).read_text(encoding="utf-8")
+    return text.replace("{{title}}", escape(title)).replace("{{figure}}", to_svg(figure, "figure", title))

@@ -1,0 +1,90 @@
+# pyright: strict
+"""Runs side by side for cascades and order maps: measured, another run, the same run simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.errors import NotEnoughData
+from analysis.figures.order_vectors import RPM, changes_speed
+from analysis.quantities.rotor_phase import phase_at, speed_at
+from analysis.rig_model import RigModel
+from analysis.simulated_run import simulate_run
+from daq.signals.run import Run
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """One displacement over time with the rotor's phase: shapes (n,); s, m, rad."""
+
+    time_s: Array
+    value_m: Array
+    phase_rad: Array
+
+
+@dataclass(frozen=True)
+class Passage:
+    """One run as a column of a figure.
+
+    Attributes:
+        title: what it is.
+        signals: "x", "y" → displacement.
+        run: whose speed it has.
+        by_speed: whether it goes through speeds; else it is seen over time.
+    """
+
+    title: str
+    signals: dict[str, Displacement]
+    run: Run
+    by_speed: bool
+
+    @property
+    def level_label(self) -> str:
+        """Of the axis along which the run goes."""
+        return "speed, rpm" if self.by_speed else "time since the run's start, s"
+
+    def level(self, time_s: Array) -> Array:
+        """Where on that axis times lie."""
+        return RPM * speed_at(self.run, time_s) if self.by_speed else time_s
+
+    def orders_Hz(self, time_s: Array) -> Array:
+        """1× in Hz at times."""
+        return speed_at(self.run, time_s) / (2 * np.pi)
+
+
+def passages(run: Run, model: RigModel | None, over: Run | None) -> list[Passage]:
+    """Columns: measured, the other run, the same run simulated, as many as there are.
+
+    Raises:
+        NotEnoughData: no index marks, or no displacement.
+    """
+    found = [_measured(run, "measured")]
+    if over is not None:
+        found.append(_measured(over, Path(over.source).name))
+    simulated = None if model is None else simulate_run(run, model)
+    if model is not None and simulated is not None:
+        signals = {
+            name: Displacement(simulated.time_s, values, simulated.phase_rad)
+            for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
+            if name in found[0].signals
+        }
+        found.append(Passage(f"same run simulated, {model.name}", signals, run, found[0].by_speed))
+    return found
+
+
+def _measured(run: Run, title: str) -> Passage:
+    by_speed = changes_speed(run)
+    signals = {
+        name: Displacement(time, values, phase_at(run, time))
+        for name, time, values in (("x", run.x_time_s, run.x_m), ("y", run.y_time_s, run.y_m))
+        if np.isfinite(values).any()
+    }
+    if not signals:
+        raise NotEnoughData(f"{run.source}: expected displacements, the log has none")
+    return Passage(title, signals, run, by_speed)

@@ -1,0 +1,126 @@
+# pyright: strict, reportUnknownMemberType=false
+"""Polar plot: the 1× vectors of x and y in the plane, speeds along the curve, beside the model's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
+
+from analysis.figures.order_vectors import RPM, Vectors, lag_words, passed_vectors
+from analysis.figures.sheet import (
+    LEAST_FONT_PT,
+    MEASURED_LOOK,
+    MODEL_LOOK,
+    OVER_LOOK,
+    PHASE_FOOT,
+    STEADY_LOOK,
+    WIDTH_IN,
+    Look,
+    sheet,
+)
+from analysis.figures.style import label
+from analysis.rig_model import RigModel
+from daq.signals.run import Run
+
+Complex = NDArray[np.complex128]
+
+_RAYS = tuple(22.5 + 45.0 * k for k in range(8))
+_MANY, _BETWEEN, _CURVE_POINTS = 1200, 8, 200
+_NICE_RPM = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
+_APART = 0.17  # of the radius, between two speeds that are written
+_BESIDE = 0.085  # of the radius, from the curve to its speed's number
+
+
+def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
+    """x's vectors (left) and y's (right): radius 0–peak amplitude in mm, angle phase, counterclockwise lead.
+
+    Args:
+        run: a run-up or run-down.
+        model: its run with the same speed history, and its steady response, which may leave the figure at resonance.
+        over: another run, drawn over it.
+    Raises:
+        NotEnoughData: a run that stays at one speed, or has no index marks.
+    """
+    own = passed_vectors(run, model)
+    other = None if over is None else passed_vectors(over, None)
+    foot = [
+        "Radius: 1× amplitude, mm (0–peak). Angle: phase, °, counterclockwise lead. Dots: speed in rpm.",
+        PHASE_FOOT,
+    ]
+    named = "" if model is None else model.name
+    with sheet(WIDTH_IN, 4.3, f"Polar plot, 1×: {Path(run.source).name} ({run.test})", foot + lag_words(own)) as figure:
+        for column, (name, measured) in enumerate(own.measured.items()):
+            axes = figure.add_subplot(1, len(own.measured), column + 1, projection="polar")
+            top = 1.12e3 * float(np.max(np.abs(measured.amplitude_m)))
+            _curve(axes, measured, MEASURED_LOOK, "measured", top)
+            if own.simulated:
+                _curve(axes, own.simulated[name], MODEL_LOOK, f"same run simulated, {named}", top)
+            if own.steady:
+                _curve(axes, own.steady[name], STEADY_LOOK, f"steady response, {named}", top)
+            if other is not None and over is not None and name in other.measured:
+                _curve(axes, other.measured[name], OVER_LOOK, f"measured, {Path(over.source).name}", top)
+            _scales(axes, top, _speeds(axes, measured, top))
+            label(axes, title=f"{name}, mm")
+    return figure
+
+
+def _curve(axes: Axes, found: Vectors, look: Look, text: str, top: float) -> None:
+    vectors = _smooth(found.amplitude_m)
+    radius = 1e3 * np.abs(vectors)
+    axes.plot(np.unwrap(np.angle(vectors)), np.where(radius <= top, radius, np.nan), label=text, **look)
+
+
+def _smooth(vectors: Complex) -> Complex:
+    """Vectors of each revolution with some between them: the envelope they are of is a spline."""
+    if not 4 <= len(vectors) <= _MANY:
+        return vectors
+    at = np.arange(len(vectors))
+    between = np.linspace(0, len(vectors) - 1, _BETWEEN * len(vectors))
+    return np.asarray(CubicSpline(at, vectors)(between), np.complex128)
+
+
+def _scales(axes: Axes, top: float, written: Sequence[complex]) -> None:
+    """Radius and angle; the radii are written along the ray that is farthest from numbers and curve."""
+    assert isinstance(axes, PolarAxes)
+    axes.set_ylim(0, top)
+    axes.set_xticks(np.radians(np.arange(0, 360, 45)))
+    along = np.linspace(0.2, 1.0, 9)
+    free = {
+        ray: min((float(np.min(np.abs(along * np.exp(1j * np.radians(ray)) - at))) for at in written), default=1.0)
+        for ray in _RAYS
+    }
+    axes.set_rlabel_position(max(free, key=lambda ray: free[ray]))
+    axes.tick_params(labelsize=8)
+    axes.spines["polar"].set_visible(True)
+
+
+def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
+    """Speeds along the curve wherever their numbers do not touch; what takes room, by the radius: numbers and curve."""
+    vectors = _smooth(found.amplitude_m)
+    rows = np.arange(len(found.speed_rad_s))
+    speed = RPM * np.interp(np.linspace(0, len(rows) - 1, len(vectors)), rows, found.speed_rad_s)
+    if speed[-1] < speed[0]:
+        speed, vectors = speed[::-1], vectors[::-1]
+    span = float(speed[-1] - speed[0])
+    step = float(_NICE_RPM[min(int(np.searchsorted(_NICE_RPM, span / 45)), len(_NICE_RPM) - 1)])
+    written: list[complex] = []
+    for rpm in np.arange(step * np.ceil(speed[0] / step), speed[-1], step).tolist():
+        at = complex(np.interp(rpm, speed, vectors.real), np.interp(rpm, speed, vectors.imag)) * 1e3 / top
+        out = at * (1 + _BESIDE / abs(at)) if abs(at) > _APART else at + _BESIDE
+        if any(abs(out - other) < _APART for other in written):
+            continue
+        written.append(out)
+        axes.plot([np.angle(at)], [abs(at) * top], marker="o", ms=3.5, color="black", ls="", zorder=6)
+        axes.text(
+            float(np.angle(out)), abs(out) * top, f"{rpm:.0f}", fontsize=LEAST_FONT_PT, ha="center", va="center",
+            bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}, zorder=7,
+        )  # fmt: skip
+    curve = vectors[:: max(1, len(vectors) // _CURVE_POINTS)] * 1e3 / top
+    return [*written, *(complex(at) for at in curve.tolist() if abs(at) > _APART)]

@@ -1,0 +1,166 @@
+# pyright: strict, reportUnknownMemberType=false
+"""Spectra of a run's end: the full spectrum, forward and backward, and the power densities of x and y."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from analysis.errors import NotEnoughData
+from analysis.figures.order_vectors import changes_speed
+from analysis.figures.sheet import OVER_LOOK, WIDTH_IN, Look, sheet
+from analysis.figures.steady_part import SteadyPart, steady_part
+from analysis.figures.style import MEASURED, MODEL, label
+from analysis.quantities.orbits import orbit_ellipse
+from analysis.quantities.spectra import Spectrum, full_spectrum, power_density
+from analysis.rig_model import RigModel
+from daq.signals.run import Run
+
+Array = NDArray[np.float64]
+
+_AVERAGES = 4  # windows overlapping by half: so many lengths of half a window and one more
+_LEAST_AROUND_Hz = 15.0
+_ORDERS_SHOWN = 3.5
+_LOG_POINTS = 700
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What spectra are drawn of: times and samples of x and y, 1× in Hz (nan: at rest or changing)."""
+
+    x: tuple[Array, Array]
+    y: tuple[Array, Array]
+    turns_Hz: float
+    words: str
+    steady: SteadyPart | None
+
+
+def draw_spectrum(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
+    """Full spectrum (above) and power densities (below).
+
+    Args:
+        run: with both displacements; at one speed its last seconds, else the whole of it.
+        model: forward and backward 1× amplitudes of its steady state; natural frequencies.
+        over: another run, drawn over it.
+    Raises:
+        NotEnoughData: a displacement is missing, or the stretch is too short.
+    """
+    part = _part(run)
+    other = None if over is None else _part(over)
+    foot = [
+        "Full spectrum: amplitudes (0–peak) of x + iy; positive frequencies turn with the rotor (forward, x to y). "
+        f"Power density: one-sided, its integral is the variance. Of {part.words}."
+    ]
+    title = f"Spectra: {Path(run.source).name} ({run.test})"
+    with sheet(WIDTH_IN, 5.4, title, foot) as figure:
+        upper, lower = figure.subplots(2, 1)
+        around = max(_LEAST_AROUND_Hz, _ORDERS_SHOWN * part.turns_Hz if math.isfinite(part.turns_Hz) else 0.0)
+        if model is not None:
+            around = max(around, 1.3 * model.speeds_rad_s[1] / (2 * math.pi))
+        _full(upper, part, around, MEASURED, "full spectrum, measured")
+        _densities(lower, part, ("x measured", "y measured"))
+        if other is not None and over is not None:
+            _full(upper, other, around, OVER_LOOK["color"], f"full spectrum, {Path(over.source).name}")
+            _densities(lower, other, (f"x {Path(over.source).name}", f"y {Path(over.source).name}"), over=True)
+        if model is not None:
+            _model(upper, part, model, run)
+            for natural in model.speeds_rad_s:
+                lower.axvline(natural / (2 * math.pi), color="#555555", lw=0.9, ls=":")
+        _orders(upper, part.turns_Hz, around)
+        label(upper, "frequency, Hz (positive: forward)", "amplitude, mm (0–peak)")
+        label(lower, "frequency, Hz (dotted: natural frequencies by the model)", "power density, mm²/Hz")
+    return figure
+
+
+def _part(run: Run) -> _Part:
+    if not (np.isfinite(run.x_m).any() and np.isfinite(run.y_m).any()):
+        raise NotEnoughData(f"{run.source}: expected both displacements for a full spectrum, x or y has no sample")
+    steady = None
+    if len(run.mark_time_s) > 2 and not changes_speed(run):
+        steady = steady_part(run)
+        start, end, turns = steady.from_s, steady.to_s, steady.speed_rad_s / (2 * math.pi)
+        words = f"the last {end - start:.1f} s at speed"
+    else:
+        start, end, turns = float(run.x_time_s[0]), float(run.x_time_s[-1]), math.nan
+        words = f"the whole run, {end - start:.1f} s"
+    x, y = (_within(t, v, start, end) for t, v in ((run.x_time_s, run.x_m), (run.y_time_s, run.y_m)))
+    return _Part(x, y, turns, words, steady)
+
+
+def _within(time: Array, values: Array, start: float, end: float) -> tuple[Array, Array]:
+    inside = (time >= start) & (time <= end)
+    return time[inside], values[inside]
+
+
+def _window_s(part: _Part) -> float:
+    return 2 * float(part.x[0][-1] - part.x[0][0]) / (_AVERAGES + 1)
+
+
+def _full(axes: Axes, part: _Part, around: float, colour: str, text: str) -> None:
+    time, x = part.x  # y at x's instants: the straight line between y's samples is good far beyond what is shown
+    try:
+        found = full_spectrum(time, x, np.interp(time, *part.y), window_s=_window_s(part))
+    except ValueError as error:
+        raise NotEnoughData(f"full spectrum of {part.words}: {error}") from error
+    shown = np.abs(found.frequency_Hz) <= around
+    axes.plot(found.frequency_Hz[shown], 1e3 * found.values[shown], color=colour, lw=1.4, label=text,
+              ls="-" if colour == MEASURED else OVER_LOOK["ls"])  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_xlim(-around, around)
+
+
+def _densities(axes: Axes, part: _Part, names: tuple[str, str], *, over: bool = False) -> None:
+    looks: tuple[Look, Look] = (({"color": OVER_LOOK["color"], "ls": "-."}, {"color": "#8C6D1F", "ls": ":"}) if over
+             else ({"color": MEASURED, "ls": "-"}, {"color": "#444444", "ls": "--"}))  # fmt: skip
+    for (time, values), name, look in zip((part.x, part.y), names, looks, strict=True):
+        found = power_density(time, values, window_s=_window_s(part))
+        axes.plot(*_by_octaves(found), lw=1.1, label=f"power density, {name}", **look)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+
+
+def _by_octaves(found: Spectrum) -> tuple[Array, Array]:
+    """Frequencies and mm²/Hz; means where many lines share a pixel of the logarithmic axis."""
+    frequency, values = found.frequency_Hz[1:], 1e6 * found.values[1:]
+    wanted = np.geomspace(float(frequency[0]), float(frequency[-1]), _LOG_POINTS)
+    edges: NDArray[np.int64] = np.asarray(np.unique(np.searchsorted(frequency, wanted)), np.int64)
+    count = np.diff(np.append(edges, len(frequency)))
+    return np.add.reduceat(frequency, edges) / count, np.add.reduceat(values, edges) / count
+
+
+def _model(axes: Axes, part: _Part, model: RigModel, run: Run) -> None:
+    """Forward and backward 1× amplitudes of the model's steady state, where the run is steady."""
+    if part.steady is None:
+        return
+    if run.releases:
+        _, angles = part.steady.cut(run.angle_time_s, run.angle_rad)
+        near = angles.mean(axis=0).tolist() if len(angles) else None
+        state = model.steady_state(part.steady.speed_rad_s, near)
+        if state is None:
+            return
+        x, y = model.shown_orders(state.x_m, -1j * state.y_m)
+    else:
+        held_x, held_y = model.locked(np.array([part.steady.speed_rad_s]))
+        x, y = complex(held_x[0]), complex(held_y[0])
+    orbit = orbit_ellipse(x, y)
+    low, high = axes.get_ylim()
+    values = 1e3 * np.array([abs(orbit.backward_m), abs(orbit.forward_m)])
+    axes.plot([-part.turns_Hz, part.turns_Hz], np.where(values > low, values, np.nan), ls="", marker="s", ms=9,
+              mfc="none", mec=MODEL, mew=1.8, label=f"1× backward and forward, {model.name}")  # fmt: skip
+    axes.set_ylim(low, high)
+
+
+def _orders(axes: Axes, turns_Hz: float, around: float) -> None:
+    """Orders on an axis above."""
+    if not math.isfinite(turns_Hz):
+        return
+    orders = np.arange(-math.floor(around / turns_Hz), math.floor(around / turns_Hz) + 1)
+    orders = orders[:: max(1, len(orders) // 14)]
+    above = axes.secondary_xaxis("top")
+    above.set_xticks(orders * turns_Hz, [f"{k}×".replace("-", "−") for k in orders.tolist()], fontsize=8)

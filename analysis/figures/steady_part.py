@@ -1,0 +1,67 @@
+# pyright: strict
+"""The part of a run at one speed that figures of a steady motion show: its last seconds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.errors import NotEnoughData
+from analysis.steady_state import AVERAGE_S, plateau_end
+from daq.signals.run import Run
+
+Array = NDArray[np.float64]
+
+_LEAST_TURNS = 4.0
+
+
+@dataclass(frozen=True)
+class SteadyPart:
+    """The last seconds of a run at one speed.
+
+    Attributes:
+        from_s, to_s: since the run's start.
+        speed_rad_s: mean speed in them.
+        release_s: last release of a pendulum; nan without one.
+    """
+
+    from_s: float
+    to_s: float
+    speed_rad_s: float
+    release_s: float
+
+    def cut(self, time: Array, values: Array) -> tuple[Array, Array]:
+        """Finite samples in it."""
+        good = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+        inside = (time >= self.from_s) & (time <= self.to_s) & good
+        return time[inside], values[inside]
+
+    def last_turns(self, turns: float) -> SteadyPart:
+        """Only so many revolutions at its end."""
+        start = max(self.from_s, self.to_s - 2 * math.pi * turns / self.speed_rad_s)
+        return SteadyPart(start, self.to_s, self.speed_rad_s, self.release_s)
+
+
+def steady_part(run: Run) -> SteadyPart:
+    """The last seconds at the run's last speed, the stop left out.
+
+    Raises:
+        NotEnoughData: the rotor did not turn, or hardly.
+    """
+    if len(run.mark_time_s) < 3:
+        raise NotEnoughData(
+            f"{run.source}: expected a run with the rotor turning, its index passed {len(run.mark_time_s)} times"
+        )
+    release = max((r.time_s for r in run.releases), default=math.nan)
+    begin = float(run.mark_time_s[-3]) - AVERAGE_S if math.isnan(release) else release
+    end = plateau_end(run.mark_time_s, run.mark_phase_rad, min(begin, float(run.mark_time_s[-3])))
+    start = max(end - AVERAGE_S, float(run.mark_time_s[0]), -math.inf if math.isnan(release) else release)
+    first, last = np.interp([start, end], run.mark_time_s, run.mark_phase_rad).tolist()
+    if last - first < 2 * math.pi * _LEAST_TURNS:
+        raise NotEnoughData(
+            f"{run.source}: {(last - first) / (2 * math.pi):.1f} revolutions at its end, at least 4 needed"
+        )
+    return SteadyPart(start, end, (last - first) / (end - start), release)

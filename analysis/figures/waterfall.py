@@ -1,0 +1,170 @@
+# pyright: strict, reportUnknownMemberType=false
+"""Waterfall: a cascade of amplitude spectra over speed (over time at one speed), measured beside the model's run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from analysis.errors import NotEnoughData
+from analysis.figures.passages import Displacement, Passage, passages
+from analysis.figures.sheet import LEAST_FONT_PT, WIDTH_IN, sheet
+from analysis.figures.style import MEASURED, MODEL, label
+from analysis.quantities.spectra import amplitude_spectrum
+from analysis.rig_model import RigModel
+from daq.signals.run import Run
+
+Array = NDArray[np.float64]
+
+_SPECTRA, _POINTS = 27, 200
+_FLAT = 0.01  # of the tallest line
+_TALLEST = 0.28  # of the axis, the largest line
+_ORDERS = (1, 2, 3)
+_RIGHTMOST = 0.82  # of the frequency axis, for what is written at the top; beyond is the scale
+_ORDER_SHARE = 2.6  # how far the frequency axis goes beyond 1× at the top
+_CHIRP = 1.6  # window by 1/√(change of frequency per second): the shortest that a passing line fills
+_WINDOW_S = (0.6, 8.0)
+
+
+@dataclass(frozen=True)
+class _Cascade:
+    """Spectra at levels (speeds or times): shapes (n,), (m,), (n, m) in Hz and mm."""
+
+    levels: Array
+    frequency_Hz: Array
+    amplitude_mm: Array
+
+
+def draw_waterfall(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
+    """Rows x and y; columns measured, the other run, the same run simulated.
+
+    Args:
+        run: with index marks; of one at one speed the spectra follow one another in time.
+        model: its motion with the same speed history.
+        over: another run, in a column of its own: cascades on top of each other cannot be read.
+    Raises:
+        NotEnoughData: no index marks, no displacement, or a run shorter than a few windows.
+    """
+    columns = passages(run, model, over)
+    names = [name for name in "xy" if name in columns[0].signals]
+    window_s = _window_s(columns[0])
+    top_Hz = _top_Hz(columns[0])
+    foot = [
+        f"Spectra of {window_s:.2g} s (Hann), 0–peak amplitudes; the bar is the scale. Dashed: orders of the rotor. "
+        "Dotted: natural frequencies of the column by the model."
+    ]
+    width = WIDTH_IN if len(columns) < 3 else 1.3 * WIDTH_IN
+    with sheet(width, 3.4 * len(names), f"Waterfall: {Path(run.source).name} ({run.test})", foot) as figure:
+        grid = figure.subplots(len(names), len(columns), squeeze=False, sharex=True, sharey="row")
+        for row, name in zip(grid, names, strict=True):
+            shown = [_cascade(p, p.signals[name], window_s, top_Hz, name) for p in columns if name in p.signals]
+            tallest = max(float(np.max(c.amplitude_mm)) for c in shown)
+            for axes, passage, cascade in zip(row, columns, shown, strict=False):
+                _draw(axes, cascade, tallest, MODEL if passage.title.startswith("same run") else MEASURED)
+                _lines(axes, passage, model, top_Hz)
+                label(axes, title=f"{name}, {passage.title}")
+            label(row[0], y=columns[0].level_label)
+        for axes in grid[-1]:
+            label(axes, "frequency, Hz")
+    return figure
+
+
+def _window_s(passage: Passage) -> float:
+    marks = passage.run.mark_time_s
+    if not passage.by_speed:
+        return min(4.0, float(marks[-1] - marks[0]) / 4)
+    turn_Hz = 1 / np.diff(marks)
+    change = float(np.max(turn_Hz) - np.min(turn_Hz)) / float(marks[-1] - marks[0])
+    return float(np.clip(_CHIRP / math.sqrt(change), *_WINDOW_S))
+
+
+def _top_Hz(passage: Passage) -> float:
+    marks = passage.run.mark_time_s
+    return _ORDER_SHARE * float(np.max(np.diff(passage.run.mark_phase_rad) / np.diff(marks))) / (2 * math.pi)
+
+
+def _cascade(passage: Passage, signal: Displacement, window_s: float, top_Hz: float, name: str) -> _Cascade:
+    first, last = float(passage.run.mark_time_s[0]), float(passage.run.mark_time_s[-1])
+    fine = np.linspace(max(first, signal.time_s[0]) + window_s / 2, min(last, signal.time_s[-1]) - window_s / 2, 2000)
+    if fine[-1] <= fine[0]:
+        raise NotEnoughData(
+            f"{passage.run.source}: {last - first:.1f} s of turning, a cascade needs several {window_s:.1f} s"
+        )
+    level = passage.level(fine)
+    wanted = np.linspace(float(np.nanmin(level)), float(np.nanmax(level)), _SPECTRA)
+    levels, rows, frequency = list[float](), list[Array](), np.empty(0)
+    for value in wanted.tolist():
+        at = float(fine[np.nanargmin(np.abs(level - value))])
+        inside = (signal.time_s >= at - window_s / 2) & (signal.time_s <= at + window_s / 2)
+        try:
+            found = amplitude_spectrum(signal.time_s[inside], signal.value_m[inside], window_s=window_s)
+        except ValueError:
+            continue  # a gap: this spectrum is left out
+        grid = np.linspace(0.0, top_Hz, _POINTS)
+        frequency = grid
+        levels.append(value)
+        rows.append(1e3 * np.interp(grid, found.frequency_Hz, found.values))
+    if not rows:
+        raise NotEnoughData(f"{passage.run.source}: no {window_s:.1f} s of {name} without a gap")
+    return _Cascade(np.array(levels), frequency, np.array(rows))
+
+
+def _draw(axes: Axes, cascade: _Cascade, tallest: float, colour: str) -> None:
+    low, high = float(cascade.levels[0]), float(cascade.levels[-1])
+    scale = _TALLEST * (high - low) / tallest
+    for i, (level, row) in enumerate(zip(cascade.levels, cascade.amplitude_mm, strict=True)):
+        order = 2.0 + 0.01 * (len(cascade.levels) - i)  # what is lower stands in front
+        for part in _peaks(row, _FLAT * tallest):  # only these stand before what is behind
+            frequency = cascade.frequency_Hz[part]
+            axes.fill_between(
+                frequency, level, level + scale * row[part], fc="white", ec="none", alpha=0.85, zorder=order
+            )
+        axes.plot(cascade.frequency_Hz, level + scale * row, color=colour, lw=0.9, zorder=order + 0.001)
+    axes.set_xlim(0, float(cascade.frequency_Hz[-1]))
+    axes.set_ylim(low - 0.03 * (high - low), high + (_TALLEST + 0.16) * (high - low))
+    step = 10 ** math.floor(math.log10(tallest))
+    bar = step * max(f for f in (1, 2, 5) if f * step <= tallest)
+    at = 0.965 * float(cascade.frequency_Hz[-1])
+    foot = high + 0.04 * (high - low)
+    axes.plot([at, at], [foot, foot + scale * bar], color="black", lw=2.2, zorder=6, solid_capstyle="butt")
+    axes.text(at * 0.985, foot + 0.5 * scale * bar, f"{bar:g} mm", ha="right", va="center", fontsize=8, zorder=6)
+
+
+def _peaks(row: Array, least: float) -> list[slice]:
+    """Stretches in which a spectrum rises above its baseline, with one value on either side."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], row > least, [False]]).astype(int)))
+    return [slice(max(int(a) - 1, 0), int(b) + 1) for a, b in edges.reshape(-1, 2)]
+
+
+def _lines(axes: Axes, passage: Passage, model: RigModel | None, top_Hz: float) -> None:
+    """Orders along the run, and the column's natural frequencies."""
+    time = np.linspace(float(passage.run.mark_time_s[1]), float(passage.run.mark_time_s[-2]), 300)
+    level, turns = passage.level(time), passage.orders_Hz(time)
+    rising = np.argsort(level)
+    bottom, top = axes.get_ylim()
+    for k in _ORDERS:
+        axes.plot(k * turns[rising], level[rising], color="#555555", lw=0.8, ls=(0, (4, 3)), zorder=1.5)
+        end = float(k * turns[rising][-1])
+        if end < _RIGHTMOST * top_Hz:
+            _above(axes, end, f"{k}×", row=1)
+    natural: Sequence[float] = () if model is None else [w / (2 * math.pi) for w in model.speeds_rad_s]
+    for i, value in enumerate(natural):
+        if value < _RIGHTMOST * top_Hz:
+            axes.axvline(value, color="#555555", lw=0.8, ls=":", zorder=1.5)
+            _above(axes, value, f"f{i + 1}", row=0)
+    axes.set_ylim(bottom, top)
+
+
+def _above(axes: Axes, frequency_Hz: float, text: str, row: int) -> None:
+    """What a line is, at the top of the plot where no spectrum reaches; natural frequencies in a row of their own."""
+    axes.annotate(
+        text, (frequency_Hz, 1), (2, -1 - 11 * row), xycoords=("data", "axes fraction"), textcoords="offset points",
+        fontsize=LEAST_FONT_PT, va="top", color="#333333", zorder=6,
+    )  # fmt: skip

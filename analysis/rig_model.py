@@ -1,0 +1,101 @@
+# pyright: strict
+"""The model of a rig in the terms of its sensors: what stands beside anything measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.prediction import known_axis_angle
+from analysis.run_out import shown_run_out
+from dynamics import RotorParameters, SteadyState, locked_orbit, steady_states
+from dynamics.errors import DynamicsError
+from rig_configs import IdentifiedParameters, Rig
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LOCKED_RAD = (0.0, math.pi)
+"""Where the locks hold the pendulums."""
+_ACCURACY = 1e-6
+
+
+@dataclass(frozen=True)
+class RigModel:
+    """A rig's parameters, and how its sensors see the motion.
+
+    Attributes:
+        physics: the rotor's parameters.
+        axis_angle_rad: from the stiffness x axis to the sensor x axis.
+        run_out_m: what run-out adds to the complex order-1 amplitudes of x and y, x = Re(X e^{iψ}), y alike.
+        name: where the parameters come from, for legends.
+        rig: the rig file.
+        identified: parameters laid over it; None without.
+    """
+
+    physics: RotorParameters
+    axis_angle_rad: float
+    run_out_m: tuple[complex, complex]
+    name: str
+    rig: Rig
+    identified: IdentifiedParameters | None = None
+
+    @classmethod
+    def of(cls, rig: Rig, identified: IdentifiedParameters | None = None, name: str = "") -> RigModel:
+        """The model of a rig file, with identified parameters in place of the file's where there are any."""
+        known = identified or IdentifiedParameters({}, np.zeros((0, 0)))
+        angle = math.radians(known_axis_angle(known, rig)[0])
+        source = name or ("rig file" if identified is None else "identified parameters")
+        return cls(known.applied_to(rig.physics), angle, shown_run_out(known.slow_roll), source, rig, identified)
+
+    @property
+    def speeds_rad_s(self) -> tuple[float, float]:
+        """Both natural frequencies of the column, rad/s."""
+        return self.physics.natural_frequencies_rad_s
+
+    def locked(self, speed_rad_s: Array, theta_rad: tuple[float, float] = LOCKED_RAD) -> tuple[Complex, Complex]:
+        """Steady order-1 amplitudes of x and y with locked pendulums, run-out included; nan where there is none.
+
+        Args:
+            speed_rad_s: shape (n,).
+            theta_rad: where the pendulums are held.
+        Returns:
+            X and Y in sensor axes, shapes (n,), m: x = Re(X e^{iψ}), y = Re(Y e^{iψ}).
+        """
+        found = np.full((len(speed_rad_s), 2), np.nan + 0j)
+        for i, speed in enumerate(speed_rad_s.tolist()):
+            try:
+                x, y = locked_orbit(self.physics, speed, *theta_rad)
+            except DynamicsError:
+                continue
+            found[i] = self.shown_orders(x, -1j * y)
+        return found[:, 0], found[:, 1]
+
+    def shown_orders(self, x: complex, y: complex) -> tuple[complex, complex]:
+        """Complex order-1 amplitudes that the sensors show of those along the stiffness axes, both as Re(… e^{iψ})."""
+        c, s = math.cos(self.axis_angle_rad), math.sin(self.axis_angle_rad)
+        return x * c + y * s + self.run_out_m[0], -x * s + y * c + self.run_out_m[1]
+
+    def shown(self, x_m: Array, y_m: Array, phase_rad: Array) -> tuple[Array, Array]:
+        """Displacements that the sensors show of those along the stiffness axes, at the phases given; shapes (n,)."""
+        c, s = math.cos(self.axis_angle_rad), math.sin(self.axis_angle_rad)
+        turn = np.exp(1j * phase_rad)
+        x, y = ((run_out * turn).real for run_out in self.run_out_m)
+        return x_m * c + y_m * s + x, -x_m * s + y_m * c + y
+
+    def steady_state(self, speed_rad_s: float, near_rad: Sequence[float] | None = None) -> SteadyState | None:
+        """The stable steady state at a speed, the one nearest to measured angles; None where there is none."""
+        try:
+            states = [s for s in steady_states(self.physics, speed_rad_s, _ACCURACY) if s.stable]
+        except (DynamicsError, np.linalg.LinAlgError):
+            return None
+        if not states:
+            return None
+        if near_rad is None:
+            return states[0]
+        near = np.exp(1j * np.asarray(near_rad, np.float64))
+        return min(states, key=lambda s: float(np.sum(np.abs(np.exp(1j * np.array(s.theta_rad)) - near))))

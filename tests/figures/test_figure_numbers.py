@@ -1,0 +1,117 @@
+"""What figures draw is what was measured and what the model says: numbers, signs, units."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from analysis import NotEnoughData, draw_bode, draw_multipliers, draw_orbit, draw_residuals, simulate_run
+from analysis.figures.angles import degree_ticks, whole_turns
+from analysis.figures.fit import FitCurve
+from analysis.figures.multipliers import speed_point
+from analysis.figures.order_vectors import changes_speed, lag_words, passed_vectors
+from analysis.figures.page import page
+from analysis.figures.slip import draw_slip
+from tests.figures.drawn_texts import drawn_texts
+from tests.figures.figure_runs import LAG_S, MODEL, point, run_up, run_up_history
+
+
+def curve(figure: Figure, panel: int, name: str) -> Line2D:
+    """A labelled line of a panel."""
+    return next(line for line in figure.axes[panel].get_lines() if line.get_label() == name)
+
+
+def test_a_displacement_that_leads_the_mark_has_a_positive_phase() -> None:
+    run = run_up()
+    leading = 1e-3 * np.cos(run_up_history().phase(run.x_time_s)[:, 0] + math.radians(30))
+    figure = draw_bode(replace(run, x_m=leading))
+    phase, amplitude = figure.axes[0].get_lines()[0], curve(figure, 2, "measured")
+    late = np.asarray(amplitude.get_xdata()) > 300
+    assert np.allclose(np.asarray(phase.get_ydata(), float)[late], 30, atol=0.5)
+    assert np.allclose(np.asarray(amplitude.get_ydata(), float)[late], 1.0, atol=0.01)  # mm, 0–peak
+    assert "lead positive" in figure.axes[0].get_ylabel()
+
+
+def test_the_models_own_run_up_lies_on_itself_but_for_the_stamps_lag() -> None:
+    found = passed_vectors(run_up(), MODEL)
+    for name, measured in found.measured.items():
+        simulated = found.simulated[name]
+        size = np.interp(measured.speed_rad_s, simulated.speed_rad_s, np.abs(simulated.amplitude_m))
+        seen = size > 0.1 * size.max()
+        assert np.abs(measured.amplitude_m[seen]) == pytest.approx(size[seen], abs=0.02 * size.max())
+    lags = [float(text.replace("−", "-")) for text in re.findall(r"[xy] ([+−]\d+\.\d+) ms", lag_words(found)[0])]
+    assert lags == pytest.approx([1e3 * LAG_S] * 2, abs=0.3)  # free vibration lags with its own frequency
+
+
+def test_one_laser_is_enough_for_a_bode_plot() -> None:
+    figure = draw_bode(replace(run_up(), y_m=np.empty(0), y_time_s=np.empty(0)), MODEL)
+    assert [axes.get_ylabel()[0] for axes in figure.axes] == ["x", "x"]
+
+
+def test_a_stop_at_its_end_makes_no_run_up_of_a_point() -> None:
+    assert changes_speed(run_up())
+    assert not changes_speed(point("D"))
+    with pytest.raises(NotEnoughData, match="expected a run through speeds"):
+        draw_bode(point("D"))
+
+
+def test_the_simulated_point_ends_where_the_measured_one_does() -> None:
+    run = point("A")
+    simulated = simulate_run(run, MODEL)
+    assert simulated is not None
+    own = run.angle_rad[run.angle_time_s < simulated.time_s[-1]][-200:].mean(axis=0)
+    assert np.degrees(simulated.angle_rad[-200:].mean(axis=0)) == pytest.approx(np.degrees(own), abs=1.0)
+
+
+def test_the_orbits_numbers_are_those_of_the_run() -> None:
+    title = draw_orbit(point("A"), MODEL).axes[0].get_title(loc="left")
+    run = point("A")
+    late = (run.x_time_s > 25) & (run.x_time_s < 33)
+    major = float(re.findall(r"\n([\d.]+) ×", title)[0])
+    assert major == pytest.approx(1e3 * np.sqrt(2) * np.std(run.x_m[late]), rel=0.02)
+    assert "forward" in title
+
+
+def test_angles_of_both_pendulums_end_within_one_turn() -> None:
+    time = np.linspace(0.0, 5.0, 500)
+    angles = np.radians(np.column_stack([np.linspace(0, 1090, 500), np.linspace(180, -120, 500)]))
+    angles[-150:] = np.radians([1090, -120])
+    assert whole_turns(time, angles) == pytest.approx([6 * math.pi, -2 * math.pi])
+    ticks, (low, high) = degree_ticks(-0.2, 360.0)
+    assert low < -0.2 < 360.0 < high
+    assert set(np.diff(ticks)) == {90.0}
+
+
+def test_the_multipliers_of_a_point_are_in_both_panels() -> None:
+    figure = draw_multipliers([speed_point(point("A"))], MODEL)
+    text = next(t.text for t in drawn_texts(figure) if t.text.startswith("A: III"))
+    largest = float(text.rpartition(" ")[2])
+    plane = next(line for line in figure.axes[0].get_lines() if line.get_label() == text)
+    moduli = np.hypot(np.asarray(plane.get_xdata(), float), np.asarray(plane.get_ydata(), float))
+    assert moduli.max() == pytest.approx(largest, abs=1e-3)
+    assert len(moduli) == 8
+
+
+def test_a_slip_point_stands_still_on_the_rotor() -> None:
+    figure = draw_slip([point("A")])
+    marks = [line for line in figure.axes[2].get_lines() if str(line.get_label()).endswith("measured")]
+    assert [float(np.asarray(line.get_ydata())[0]) for line in marks] == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
+def test_small_residuals_are_in_micrometres() -> None:
+    time = np.linspace(0.0, 5.0, 4000)
+    fitted = 2.0 * np.cos(19 * time)
+    figure = draw_residuals([FitCurve("ring-down-x: x", time, fitted + 2e-3, fitted, "mm", "displacement")])
+    assert any(axes.get_ylabel() == "rest, µm" for axes in figure.axes)
+    assert any("rms 2 µm" in axes.get_title(loc="left") for axes in figure.axes)
+
+
+def test_a_page_takes_its_title_as_text() -> None:
+    text = page(draw_orbit(point("A")), "a < b & <script>alert(1)</script>")
+    assert "<script>alert" not in text

@@ -1,0 +1,135 @@
+"""Every kind of figure can be read: no text on another, none off the paper, none too small, no legend on a curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from analysis.figures.fit import FitCurve
+from analysis.figures.health import draw_health
+from analysis.figures.kinds import KINDS
+from analysis.figures.multipliers import draw_multipliers, speed_point
+from analysis.figures.parameter_history import Value, draw_parameter_history
+from analysis.figures.residuals import draw_residuals
+from analysis.figures.sheet import sheet
+from analysis.figures.slip import draw_slip
+from analysis.figures.stability_map import MapPoint, draw_points_on_map
+from daq.log import open_log
+from tests.daq.small_log import write_small_log
+from tests.figures.drawn_texts import drawn_texts, faults
+from tests.figures.figure_runs import MODEL, point, ring_down, run_up
+
+_OF_RUNS: dict[str, tuple[Callable[[], Figure], ...]] = {
+    "time": (
+        lambda: KINDS["time"].draw(run_up(), MODEL),
+        lambda: KINDS["time"].draw(point("A"), MODEL, point("B")),
+        lambda: KINDS["time"].draw(ring_down(), MODEL, ring_down(2)),
+    ),
+    "orbit": (
+        lambda: KINDS["orbit"].draw(run_up(), MODEL),
+        lambda: KINDS["orbit"].draw(point("A"), MODEL, point("B")),
+    ),
+    "dial": (lambda: KINDS["dial"].draw(point("A"), MODEL, point("B")), lambda: KINDS["dial"].draw(point("D"))),
+    "bode": (lambda: KINDS["bode"].draw(run_up(), MODEL, run_up(2)), lambda: KINDS["bode"].draw(run_up())),
+    "polar": (lambda: KINDS["polar"].draw(run_up(), MODEL, run_up(2)),),
+    "waterfall": (
+        lambda: KINDS["waterfall"].draw(run_up(), MODEL, run_up(2)),
+        lambda: KINDS["waterfall"].draw(point("D"), MODEL),
+    ),
+    "spectrum": (
+        lambda: KINDS["spectrum"].draw(point("A"), MODEL, point("B")),
+        lambda: KINDS["spectrum"].draw(ring_down(), MODEL),
+    ),
+    "orders": (
+        lambda: KINDS["orders"].draw(run_up(), MODEL, run_up(2)),
+        lambda: KINDS["orders"].draw(point("D"), MODEL),
+    ),
+}
+
+
+def _values(name: str, std: float) -> list[Value]:
+    begun = datetime(2026, 3, 1, 9, 0, tzinfo=UTC)
+    return [
+        Value(name, begun + timedelta(days=3 * i), 1.0 + 0.01 * i, std, f"campaign {i}", left_out=i == 2)
+        for i in range(5)
+    ]
+
+
+def _history() -> Figure:
+    names = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "c3_Nms_per_rad", "c4_Nms_per_rad", "SP_kg_m")
+    joint = [v for name in names for v in _values(name, 0.004)]
+    single = [v for name in names for v in _values(name, 0.02)]
+    changes = [Value("k1_N_per_m", joint[2].time, 0.0, 0.0, "+1.2 %")]
+    return draw_parameter_history(joint, single, changes, dict.fromkeys(names, "N/m"), "virtual")
+
+
+def _residuals() -> Figure:
+    time = np.linspace(0.0, 12.0, 20000)
+    fitted = 2.5 * np.exp(-0.3 * time) * np.cos(19.0 * time)
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(len(time))
+    ring_down_x = FitCurve("ring-down-x: x", time, fitted + noise, fitted, "mm", "displacement")
+    angle = 40 * fitted[:900]
+    return draw_residuals([ring_down_x, FitCurve("spin-down: A", time[:900], angle + noise[:900], angle, "°", "angle")])
+
+
+_OTHERS: dict[str, Callable[[], Figure]] = {
+    "slip": lambda: draw_slip([point("A"), point("B"), point("D")], MODEL),
+    "multipliers": lambda: draw_multipliers([speed_point(point(name)) for name in "ABD"], MODEL),
+    "map": lambda: draw_points_on_map(
+        MODEL.physics,
+        [MapPoint("A", 0.83, "III"), MapPoint("B", 1.6, "I"), MapPoint("C", 2.6, "not settled")],
+        "Stability map: virtual, parameters.toml",
+    ),
+    "residuals": _residuals,
+    "history": _history,
+}
+
+
+@pytest.mark.parametrize(("kind", "number"), [(kind, i) for kind, draws in _OF_RUNS.items() for i in range(len(draws))])
+def test_a_figure_of_runs_can_be_read(kind: str, number: int) -> None:
+    assert faults(_OF_RUNS[kind][number]()) == []
+
+
+@pytest.mark.parametrize("kind", list(_OTHERS))
+def test_a_figure_of_several_can_be_read(kind: str) -> None:
+    assert faults(_OTHERS[kind]()) == []
+
+
+def test_the_health_of_a_log_can_be_read(tmp_path: Path) -> None:
+    with open_log(write_small_log(tmp_path / "small.mcap")) as log:
+        assert faults(draw_health(log)) == []
+
+
+def test_every_kind_is_looked_at() -> None:
+    assert set(_OF_RUNS) | set(_OTHERS) | {"health"} == set(KINDS)
+
+
+def test_a_long_title_and_a_long_legend_are_broken_into_lines() -> None:
+    with sheet(5.0, 2.0, "a title of many words " * 8, ["a foot note of many words " * 12]) as figure:
+        axes = figure.add_subplot()
+        for i in range(7):
+            axes.plot([0, 1], [0, i], label=f"a curve with a long name, number {i}")
+    assert faults(figure) == []
+    assert len(drawn_texts(figure)) > 9
+
+
+def test_what_is_wrong_is_seen() -> None:
+    figure = Figure(figsize=(3, 2))
+    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
+    axes.set_axis_off()
+    axes.plot([0, 1], [0, 1], label="curve")
+    axes.legend(loc="center")
+    axes.text(0.2, 0.1, "one")
+    axes.text(0.21, 0.1, "two")
+    axes.text(0.6, 0.1, "small", fontsize=7)
+    axes.text(0.9, 0.9, "far too long for the figure")
+    said = " ".join(faults(figure))
+    assert "'one' and 'two' overlap" in said
+    assert "'small' is 7 pt" in said
+    assert "leaves the figure" in said
+    assert "a legend lies on" in said
