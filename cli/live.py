@@ -1,10 +1,12 @@
 # pyright: strict
-"""`rig live`: a rig or a log in the browser."""
+"""`rig live`: a rig or a log in the browser; and the same page beside other commands, by their `--live`."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,16 +14,25 @@ from cyclopts import Parameter
 
 from cli.console import print_json, say
 from cli.numbers import TimeScale
-from cli.options import Json, ParametersPath, Settings
+from cli.options import Json, ParametersPath, Settings, warn_of_slips
 from daq.errors import LogError
-from rig_configs import IdentifiedParameters, RigFileError, overridden, with_parameters
+from rig_configs import IdentifiedParameters, load_rig, overridden, with_parameters
 
 if TYPE_CHECKING:
-    from live.model import Model
+    from daq.acquisition.session import Session
+    from daq.guided_tests.controls import Controls
+    from live.beside import LivePage
     from rig_configs.schema import Rig
 
 Host = Annotated[str, Parameter(help="let others in: the name or address by which they reach this machine")]
 Port = Annotated[int, Parameter(help="of the page; 0 for any free one")]
+Live = Annotated[
+    bool, Parameter(name="--live", negative="", help="show it in the browser too, with a stop button; see rig live")
+]
+LiveHost = Annotated[str, Parameter(name="--live-host", help="of that page, as rig live's --host")]
+LivePort = Annotated[int, Parameter(name="--live-port", help="of that page, as rig live's --port")]
+
+_LOOK_S = 0.1
 
 
 def live(
@@ -37,11 +48,12 @@ def live(
 ) -> int:
     """Show a rig or a log in the browser; the address has a token, and only who has it sees anything. Ctrl-C ends it.
 
-    A log is played: play, pause, seek, speed. A rig is opened and watched, nothing is recorded; its page has a stop.
+    A log is played: play, pause, seek, speed. A rig is opened and watched, and nothing is recorded; its page has a
+    stop button. With --json the first line is {"url", "token"}.
     """
     if source.endswith((".mcap", ".mcap.part")):
         return _log(Path(source), host, port, speed, parameters, settings or [], json)
-    raise RigFileError(f"{source}: watching a rig is not there yet")
+    return _rig(source, host, port, parameters, time_scale, settings or [], json)
 
 
 def _log(
@@ -49,48 +61,105 @@ def _log(
 ) -> int:
     from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
     from daq.log.snapshot import rig_of  # noqa: PLC0415
+    from live.model import Model  # noqa: PLC0415
     from live.replayed import Replayed  # noqa: PLC0415
     from live.serving import Serving  # noqa: PLC0415
 
     with open_log(path) as log:
-        rig, model = model_of(rig_of(log, settings), parameters, settings)
+        rig, known, source = _laid_over(rig_of(log, settings), parameters, settings)
         try:
             replayed = Replayed(log, rig, speed)
         except ValueError as fault:
             raise LogError(f"--speed: {fault}") from fault
-    with Serving(replayed, model, host, port) as serving:
-        announce({"url": serving.url, "token": serving.token}, host, as_json)
-        wait_for_ctrl_c()
+    with Serving(replayed, Model(rig, known, source), host, port) as serving:
+        _announce(serving.url, serving.token, host, as_json)
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            say("the page is closed")
     return 0
 
 
-def model_of(rig: Rig, parameters: Path | None, settings: list[str]) -> tuple[Rig, Model]:
-    """A rig with identified parameters laid over it, and the model whose curves the page draws."""
-    from live.model import Model  # noqa: PLC0415
+def _rig(
+    name: str, host: str, port: int, parameters: Path | None, time_scale: float, settings: list[str], as_json: bool
+) -> int:
+    from daq.acquisition.session import Session  # noqa: PLC0415
+    from daq.transports import HostClock  # noqa: PLC0415
 
+    rig = load_rig(name, settings=settings)
+    warn_of_slips(rig)
+    clock = HostClock(time_scale)
+    with (
+        page_beside(True, rig, parameters, settings, clock.rate, host, port, as_json) as page,
+        Session(rig, clock, say=say) as session,
+    ):
+        follow(page, session, session.stop, {"words": "watched, not recorded"})
+        try:
+            while True:
+                session.check()
+                time.sleep(_LOOK_S)
+        except KeyboardInterrupt:
+            say("the page is closed")
+    return 3 if session.notices else 0
+
+
+def page_beside(
+    wanted: bool, rig: Rig, parameters: Path | None, settings: list[str], rate: float, host: str, port: int,
+    as_json: bool, told: Callable[[str], None] = say,
+) -> AbstractContextManager[LivePage | None]:  # fmt: skip
+    """The page of a session that is opened inside this context; nothing where it is not wanted.
+
+    Args:
+        rig: the session's.
+        parameters, settings: what the model's curves follow.
+        rate: seconds of the rig per second of the wall.
+    """
+    if not wanted:
+        return nullcontext()
+    laid, known, source = _laid_over(rig, parameters, settings)
+    from live.beside import LivePage  # noqa: PLC0415 (numba takes a third of a second to import)
+
+    class Announced(LivePage):
+        def __enter__(self) -> LivePage:
+            page = super().__enter__()
+            _announce(page.url, page.token, host, as_json, told)
+            return page
+
+    return Announced(laid, known, source, rate, rig.name, host, port)
+
+
+def follow(
+    page: LivePage | None, session: Session, stop: Callable[[str], None] | None, facts: Mapping[str, Any],
+    controls: Controls | None = None, confirmed: Callable[[], None] | None = None,
+) -> Callable[[str], None]:  # fmt: skip
+    """Have the page, where there is one, show an open session; see live.beside.
+
+    Returns:
+        What is to be told of all that the operator is asked for.
+    """
+    if page is None:
+        return lambda text: None
+    from live.beside import Asking  # noqa: PLC0415 (only where there is a page)
+
+    asking = Asking(controls, confirmed)
+    page.follow(session, asking, stop, facts)
+    return asking.prompt
+
+
+def _laid_over(rig: Rig, parameters: Path | None, settings: list[str]) -> tuple[Rig, IdentifiedParameters | None, str]:
+    """A rig with identified parameters laid over it, these, and where the model's numbers are from."""
     if parameters is None:
-        return rig, Model(rig)
+        return rig, None, "rig file"
     known = IdentifiedParameters.load(parameters)
-    laid = with_parameters(rig, known.without(overridden(known, settings)))
-    return laid, Model(laid, known, parameters.name)
+    return with_parameters(rig, known.without(overridden(known, settings))), known, parameters.name
 
 
-def announce(address: Mapping[str, Any], host: str, as_json: bool) -> None:
-    """The page's address, as the first line of the output."""
+def _announce(url: str, token: str, host: str, as_json: bool, told: Callable[[str], None] = say) -> None:
+    """The page's address: as the first line of the output where that is JSON."""
+    address: Mapping[str, Any] = {"url": url, "token": token}
     if as_json:
         print_json(address)
-    else:
-        print(address["url"], flush=True)
-    say(f"the live page: {address['url']}")
+    told(f"the live page: {url}")
     if host:
-        say(f"warning: --host {host}: everybody who can reach this machine and has that address sees the page and may "
-            "press its stop; it is not encrypted. Give the address to nobody else")  # fmt: skip
-
-
-def wait_for_ctrl_c() -> None:
-    """Wait until the person at the terminal has had enough."""
-    try:
-        threading.Event().wait()
-    except KeyboardInterrupt as stop:
-        if str(stop):
-            say(f"ended by {stop}")
+        told(f"warning: --host {host}: everybody who reaches this machine and has that address sees the page and may "
+             "press its stop; it is not encrypted, so the network sees the token too")  # fmt: skip

@@ -21,7 +21,7 @@ from analysis.errors import AnalysisError
 from cli import answer, crash
 from cli.console import say, wait_for_compilation
 from cli.numbers import NUMBERS_ARE_FINITE
-from daq.errors import LogError, RigError
+from daq.errors import LogError, OperatorStop, RigError
 from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
 from dynamics.errors import DynamicsError
@@ -156,6 +156,8 @@ def _words(error: Exception) -> str:
 
 def _exit_code(error: Exception) -> int | None:
     """2 for bad input, 3 for hardware, I/O and memory, None for what nobody raised on purpose."""
+    if isinstance(error, OperatorStop):
+        return 130
     identification = sys.modules.get("identification")  # it loads fits and statistics: only where they are used
     if isinstance(error, RigConfigError | DynamicsError | LogError | AnalysisError) or (
         identification is not None and isinstance(error, identification.IdentificationError)

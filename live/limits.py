@@ -169,12 +169,11 @@ class Lamps:
     def __init__(self, signals: Signals) -> None:
         self._limits, self._roles = signals.rig.limits, signals.rig.roles
         self._at_s = -math.inf
-        self._events = 0
         self.all: dict[str, Lamp] = {}
         self._forget()
 
     def _forget(self) -> None:
-        self._events = 0
+        self._newest = -1
         self.all = {
             row.name: Lamp(row.name, row.guards, row.threshold_of(self._limits), row.reaction)
             for row in INTERLOCKS if row.has_role(self._roles)
@@ -185,14 +184,15 @@ class Lamps:
 
         Args:
             found: the distances at the instant.
-            events: all up to it, in their order, each with `at_s`.
+            events: all up to it, in their order, each with `at_s` and a rising `number`.
         """
-        if at_s < self._at_s - 1.0 or len(events) < self._events:
+        if at_s < self._at_s - 1.0:
             self._forget()
         self._at_s = at_s
-        for event in events[self._events :]:
-            self._event(event)
-        self._events = len(events)
+        for event in events:
+            if event["number"] > self._newest:
+                self._newest = event["number"]
+                self._event(event)
         worst: dict[str, Distance] = {}
         for distance in found:
             known = worst.get(distance.interlock)

@@ -224,4 +224,4 @@ def _plain(value: Any) -> Any:
         return [_plain(each) for each in cast("list[Any]", value)]
     if isinstance(value, np.generic):
         value = cast("Any", value).item()
-    return _number(value) if isinstance(value, float) else cast("Any", value)
+    return _number(value) if isinstance(value, float) else value

@@ -47,6 +47,7 @@ class Replayed:
         self._losses = losses_of(log)
         events = [{**event, "at_s": float(self.signals.seconds(int(event["time_ns"])))} for event in log.events]
         self._events = sorted((e for e in events if e["kind"] not in _QUIET), key=lambda e: e["at_s"])
+        self._events = [{**event, "number": number} for number, event in enumerate(self._events)]
         self._event_s = [event["at_s"] for event in self._events]
         self._disks = [(float(self.signals.seconds(int(r["time_ns"]))), r.get("disk")) for r in log.health]
         self._health = [(float(self.signals.seconds(int(r["time_ns"]))), r.get("losses")) for r in log.health]

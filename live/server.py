@@ -13,10 +13,10 @@ import json
 import time
 from collections.abc import Callable
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, cast
 
-import bokeh
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -182,7 +182,9 @@ class Page:
 def _files() -> list[Path]:
     """Our own files, and BokehJS out of the installed package."""
     own = [Path(str(entry)) for entry in resources.files("live").joinpath("page").iterdir()]
-    scripts = Path(bokeh.__file__).parent / "server" / "static" / "js"
+    spec = find_spec("bokeh")  # its files are wanted, not its import
+    assert spec is not None and spec.origin is not None, "a dependency of this package"  # noqa: PT018
+    scripts = Path(spec.origin).parent / "server" / "static" / "js"
     return [*(path for path in own if path.suffix in _TYPES), *(scripts / name for name in _BOKEH)]
 
 

@@ -42,7 +42,7 @@ class Source(Protocol):
         ...
 
     def events(self) -> list[Mapping[str, Any]]:
-        """What happened up to now, in order: kind, device, text, at_s and more."""
+        """What happened up to now, in order: kind, device, text, at_s, a rising number and more."""
         ...
 
     def act(self, verb: str, given: Mapping[str, Any]) -> Facts:
