@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say
+from cli import answer
+from cli.console import say
 from cli.numbers import TimeScale
 from cli.options import Json, ParametersPath, Settings, warn_of_slips
 from daq.errors import LogError
@@ -158,7 +159,7 @@ def _announce(url: str, token: str, host: str, as_json: bool, told: Callable[[st
     """The page's address: as the first line of the output where that is JSON."""
     address: Mapping[str, Any] = {"url": url, "token": token}
     if as_json:
-        print_json(address)
+        answer.announce(address)
     told(f"the live page: {url}")
     if host:
         told(f"warning: --host {host}: everybody who reaches this machine and has that address sees the page and may "

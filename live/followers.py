@@ -124,7 +124,7 @@ class Damping:
         self._locks(times, flags.astype(np.int64))
         self._tracker.feed_encoders(_ns(times), np.column_stack([a, b]))
         now = self._tracker.estimate()
-        if now.trusted and (not self._rows or end_s - self._rows[-1][0] >= _ROW_S):
+        if now.trusted and not all(self._closed) and (not self._rows or end_s - self._rows[-1][0] >= _ROW_S):
             self._rows.append((end_s, now.values[_C3], now.std[_C3], now.values[_C4], now.std[_C4]))
 
     def _locks(self, times: Array, flags: np.ndarray) -> None:

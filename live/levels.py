@@ -48,21 +48,23 @@ def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: floa
             moves on does not flicker.
         buckets: at least 1.
     """
+    samples = low is high
     first, end = np.searchsorted(time_s, (start_s, end_s))
     time_s, low, high = time_s[first:end], low[first:end], high[first:end]
-    if (len(time_s) <= 2 * buckets and low is high) or len(time_s) == 0:
+    if (samples and len(time_s) <= 2 * buckets) or len(time_s) == 0:
         return _samples(time_s, low, high)
     width = (end_s - start_s) / buckets
     number = np.floor(time_s / width).astype(np.int64)
     begins = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
     lows = np.fmin.reduceat(low, begins)
     highs = np.fmax.reduceat(high, begins)
-    held = number[begins]
-    if len(held) > 1 and int(held[-1] - held[0]) + 1 > len(held):  # empty buckets are gaps in the line
-        at = np.flatnonzero(np.diff(held) > 1) + 1
-        held = np.insert(held, at, held[at] - 1)
+    middles = np.asarray((number[begins] + 0.5) * width, dtype=np.float64)
+    waits = time_s[begins[1:]] - time_s[begins[1:] - 1]  # from a bucket's last row to the next one's first
+    at = np.flatnonzero(waits > max(width, _BREAK * float(np.median(np.diff(time_s))))) + 1 if len(begins) > 1 else []
+    if len(at):
+        middles = np.insert(middles, at, middles[np.asarray(at) - 1] + 0.5 * width)
         lows, highs = np.insert(lows, at, np.nan), np.insert(highs, at, np.nan)
-    return Stretch(np.asarray((held + 0.5) * width, dtype=np.float64), lows, highs, width)
+    return Stretch(middles, lows, highs, width)
 
 
 def _samples(time_s: Array, low: Array, high: Array) -> Stretch:
@@ -169,10 +171,20 @@ class Levels:
             if end - first <= _MOST_PER_BUCKET * 2 * buckets:
                 values = samples.low
                 return decimate(samples.time_s, values, values, start_s, end_s, buckets)
-        rows = self._longer[-1]
-        for longer in self._longer:
+        chosen = len(self._longer) - 1
+        for i, longer in enumerate(self._longer):
             first, end = np.searchsorted(longer.time_s, (start_s, end_s))
             if end - first <= _MOST_PER_BUCKET * buckets and (not longer.dropped or longer.time_s[0] <= start_s):
-                rows = longer
+                chosen = i
                 break
-        return decimate(rows.time_s, rows.low, rows.high, start_s, end_s, buckets)
+        return decimate(*self._pairs(chosen, start_s), start_s, end_s, buckets)
+
+    def _pairs(self, level: int, start_s: float) -> tuple[Array, Array, Array]:
+        """Minima and maxima of a longer level from an instant on, with what is not a whole pair yet."""
+        rows, waiting = self._longer[level], self._waiting[level]
+        first = int(np.searchsorted(rows.time_s, start_s))
+        time_s, low, high = rows.time_s[first:], rows.low[first:], rows.high[first:]
+        if waiting.shape[1]:
+            time_s = np.append(time_s, waiting[0, 0])
+            low, high = np.append(low, np.fmin.reduce(waiting[1])), np.append(high, np.fmax.reduce(waiting[1]))
+        return time_s, low, high

@@ -23,7 +23,7 @@ from daq.acquisition.interlock_table import (
     INTERLOCKS,
     SPEED_S,
 )
-from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RUNAWAY, TURNS_UNSEEN
+from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, RUNAWAY, TURNS_UNSEEN
 from live.signals import Signals
 
 NEAR = 0.8
@@ -130,8 +130,8 @@ def _channels(signals: Signals, at_s: float, heard_s: float, host_s: float) -> I
         yield Distance("silent speed", "drive: no word for", _known(age), limit, "s")
     if roles.phase is not None:
         age = heard_s - signals.topic_newest_s(roles.phase.topic, at_s)
-        turns = _known(age) * abs(rpm) / 60 if turning else 0.0
-        yield Distance("no index mark", "turns without an index mark", turns, TURNS_UNSEEN, "turns")
+        limit = TURNS_UNSEEN * 60 / max(abs(rpm), _TURNING_RPM) + host_s / HOST_S * RADIO_S
+        yield Distance("no index mark", "no index mark for", _known(age) if turning else 0.0, limit, "s")
 
 
 def _known(seconds: float) -> float:

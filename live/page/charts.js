@@ -75,7 +75,7 @@ class StripChart {
   constructor(parent, kind, limits, last) {
     this.kind = kind; this.how = STRIP[kind];
     this.element = document.createElement("div");
-    this.element.className = "strip"; this.element.id = `strip-${kind}`;
+    this.element.className = `strip ${kind}`; this.element.id = `strip-${kind}`;
     this.element.setAttribute("role", "img");
     this.element.innerHTML = '<div class="head"><span class="name"></span><b></b><span class="note"></span><span class="how"></span></div><div class="plot"></div>';
     parent.append(this.element);
@@ -278,7 +278,7 @@ class Dial {
     this.svg.querySelector(".why").textContent = header.predicted.length ? "" : header.why;
     const [a, b] = header.theta.map((v) => (v === null ? "–" : `${v.toFixed(1)}°`));
     const types = [...new Set(header.predicted.map((state) => state.type))].join(", ");
-    this.legend.textContent = `${header.locked ? "locked" : header.locked === false ? "free" : ""} ${types ? `○ predicted ${types}` : ""}`;
+    this.legend.textContent = `${header.locked ? "locked" : header.locked === false ? "free" : ""} ${types && types !== "locked" ? ` ◌ model: type ${types}` : types ? " ◌ model" : ""}`;
     this.spoken = `pendulums: θ3 ${a}, θ4 ${b}; predicted ${header.predicted.map((s) => `${s.type} at ${s.theta_deg.map((v) => v.toFixed(1)).join("° and ")}°`).join(", ") || header.why}`;
   }
 }
