@@ -97,10 +97,11 @@ def _speed(signals: Signals, at_s: float) -> Iterator[Distance]:
     share, rest = OVERSPEED
     yield Distance("overspeed", "speed", abs(rpm), limits.speed_rpm * (1 + share) + rest, "rpm")
     if roles.speed is not None:
-        target, actual = signals.by_name["target"].last(at_s), signals.by_name["drive"].last(at_s)
+        drive = signals.by_name["drive"]
+        actual, before = drive.last(at_s), drive.last(at_s - _SPAN_S)
+        allowed = float(np.nanmax([0.0, abs(signals.by_name["target"].last(at_s)), abs(before)]))  # it may slow down
         share, rest = RUNAWAY
-        beyond = max(0.0, abs(actual) - abs(target)) if math.isfinite(actual - target) else math.nan
-        yield Distance("runaway", "beyond its command", beyond, share * abs(target) + rest, "rpm")
+        yield Distance("runaway", "beyond its command", max(0.0, abs(actual) - allowed), share * allowed + rest, "rpm")
     if roles.speed is not None and roles.phase is not None:
         share, rest = DISAGREE
         fresh = at_s - signals.by_name["marks"].until(at_s) < 2.0

@@ -52,7 +52,10 @@ class _Viewer:
     async def listen(self) -> None:
         """Take views and answers until the line is gone."""
         while True:
-            asked = json.loads(await self._socket.receive_text())
+            told = json.loads(await self._socket.receive_text())
+            if not isinstance(told, dict):
+                raise ValueError("expected an object")
+            asked = cast("dict[str, Any]", told)
             if "view" in asked:
                 self.view = View.of(asked["view"])
             if "seen" in asked:

@@ -66,8 +66,8 @@ const niceStep = (rough) => {
 const STRIP = {
   x: { name: "x", unit: "mm", digits: 3, lines: ["x"], symmetric: true },
   y: { name: "y", unit: "mm", digits: 3, lines: ["y"], symmetric: true },
-  theta3: { name: "θ3", unit: "°", digits: 1, lines: ["theta3"], fixed: [-30, 330] },
-  theta4: { name: "θ4", unit: "°", digits: 1, lines: ["theta4"], fixed: [-30, 330] },
+  theta3: { name: "θ3", unit: "°", digits: 1, lines: ["theta3"], fixed: [-45, 345] },
+  theta4: { name: "θ4", unit: "°", digits: 1, lines: ["theta4"], fixed: [-45, 345] },
   speed: { name: "speed", unit: "rpm", digits: 0, lines: ["target", "drive", "marks"], from: 0 },
 };
 
@@ -140,8 +140,8 @@ class Orbit {
     this.ranges = [0, 1].map(() => new Bokeh.Range1d({ start: -0.1, end: 0.1 }));
     this.figure = plotOf(element.querySelector(".plot"), { x_range: this.ranges[0], y_range: this.ranges[1], match_aspect: true });
     this.figure.xaxis.axis_label = "x, mm"; this.figure.yaxis.axis_label = "y, mm";
-    this.model = lineIn(this.figure, INK.model, { line_dash: "dashed", line_width: 1.2 });
-    this.track = lineIn(this.figure, INK.x, { line_width: 1.6 });
+    this.track = lineIn(this.figure, INK.x, { line_width: 1.8 });
+    this.model = lineIn(this.figure, INK.model, { line_dash: [5, 4], line_width: 1.6 });
     this.now = dotsIn(this.figure, INK.y, { size: 8 });
     this.calm = new CalmRange(new Bokeh.Range1d({ start: -0.1, end: 0.1 }), { symmetric: true, floor: 0.02 });
   }
