@@ -57,7 +57,7 @@ class Asking:
     def facts(self) -> dict[str, Any]:
         """For the page."""
         if self.controls is None:
-            return {"step": "", "words": "", "prompt": "", "share": None, "answer": ""}
+            return {}
         status = self.controls.status
         prompt = self._prompt if self._at == self._state() else ""
         return {"test": status.test, "step": status.state, "words": status.words, "share": status.share,

@@ -60,9 +60,9 @@ def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: floa
     highs = np.fmax.reduceat(high, begins)
     middles = np.asarray((number[begins] + 0.5) * width, dtype=np.float64)
     waits = time_s[begins[1:]] - time_s[begins[1:] - 1]  # from a bucket's last row to the next one's first
-    at = np.flatnonzero(waits > max(width, _BREAK * float(np.median(np.diff(time_s))))) + 1 if len(begins) > 1 else []
-    if len(at):
-        middles = np.insert(middles, at, middles[np.asarray(at) - 1] + 0.5 * width)
+    if len(waits):
+        at = np.flatnonzero(waits > max(width, _BREAK * float(np.median(np.diff(time_s))))) + 1
+        middles = np.insert(middles, at, middles[at - 1] + 0.5 * width)
         lows, highs = np.insert(lows, at, np.nan), np.insert(highs, at, np.nan)
     return Stretch(middles, lows, highs, width)
 

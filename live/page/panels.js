@@ -11,7 +11,7 @@ class Limits {
       const key = `${limit.interlock} ${limit.what}`;
       if (!this.known.has(key)) this.known.set(key, this.row(limit));
       const row = this.known.get(key), used = limit.used;
-      const words = limit.value === null ? "unknown" : `${three(limit.value)} of ${three(limit.limit)} ${limit.unit}`;
+      const words = limit.value === null || limit.limit === null ? "unknown" : `${three(limit.value)} of ${three(limit.limit)} ${limit.unit}`;
       row.querySelector(".value").textContent = words;
       row.querySelector(".used").textContent = used === null ? "–" : `${Math.round(100 * used)} %`;
       row.querySelector(".fill").style.width = `${Math.min(100, 100 * (used || 0))}%`;

@@ -122,7 +122,7 @@ def test_a_page_that_was_killed_does_not_end_the_session(virtual_rig: VirtualRig
 
 
 def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
-    with bound("", 0) as taken, pytest.raises(RigError, match="the live page: .*--port"):
+    with bound("", 0) as taken, pytest.raises(RigError, match=r"the live page: .*--port"):
         LivePage(load_rig("virtual"), None, "", 1.0, "", "", taken.getsockname()[1]).__enter__()
 
 
