@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from cli.simulated import SimulatedOperator, VirtualRigProcess
 from daq.acquisition.session import Session
@@ -33,7 +34,7 @@ WAIT_S = 30.0
 def _state(page: LivePage, until: Any) -> dict[str, Any]:
     """The first state that is as wanted."""
     parts = urlsplit(page.url)
-    with connect(f"ws://{parts.netloc}/data?{parts.query}", origin=f"http://{parts.netloc}") as line:  # type: ignore[arg-type]
+    with connect(f"ws://{parts.netloc}/data?{parts.query}", origin=Origin(f"http://{parts.netloc}")) as line:
         deadline = time.monotonic() + WAIT_S
         last: dict[str, Any] = {}
         while time.monotonic() < deadline:

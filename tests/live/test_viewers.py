@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from live.frames import decode
 from live.replayed import Replayed
@@ -25,7 +26,8 @@ WAIT_S = 20.0
 @contextmanager
 def _viewer(serving: Serving) -> Iterator[ClientConnection]:
     parts = urlsplit(serving.url)
-    with connect(f"ws://{parts.netloc}/data?{parts.query}", origin=f"http://{parts.netloc}", compression=None) as line:  # type: ignore[arg-type]
+    origin = Origin(f"http://{parts.netloc}")
+    with connect(f"ws://{parts.netloc}/data?{parts.query}", origin=origin, compression=None) as line:
         yield line
 
 
