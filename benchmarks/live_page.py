@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -27,12 +28,17 @@ from urllib.parse import urlsplit
 import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.log import open_log
 from live.beside import Asking, LivePage
+from live.followers import Followers
 from live.frames import decode
+from live.model import Model
+from live.picture import Pictures, View
+from live.watched import Watched
 from rig_configs import load_rig
 
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -63,10 +69,8 @@ def _viewer(page: LivePage, seen: Seen, answers: bool) -> Iterator[None]:
 
     def look() -> None:
         address = f"ws://{parts.netloc}/data?{parts.query}"
-        with (
-            suppress(TimeoutError, ConnectionClosed),
-            connect(address, origin=f"http://{parts.netloc}", compression=None) as line,
-        ):  # type: ignore[arg-type]
+        origin = Origin(f"http://{parts.netloc}")
+        with suppress(TimeoutError, ConnectionClosed), connect(address, origin=origin, compression=None) as line:
             line.send(json.dumps({"view": {"window_s": 10, "end_s": None, "pixels": 700}}))
             while not ending.wait(0 if answers else 0.2):
                 if not answers:
@@ -160,6 +164,37 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
     )
 
 
+def _hour(rig_name: str, minutes: int = 60) -> None:
+    """An hour of samples through the page's own side, as fast as it goes: what it keeps does not grow."""
+    rig = load_rig(rig_name)
+    ours, theirs = multiprocessing.Pipe()
+    watched = Watched(rig, theirs, 1.0, "an hour")
+    pictures = Pictures(watched, Model(rig), followers := Followers(watched.signals, Model(rig)))
+    channels = {topic: fields for topic, fields in watched.signals.topics.items()}
+    print(f"{minutes} min of samples: memory of the page's process after each tenth, MB:", end="", flush=True)
+    view = View(600.0, None, 700)
+    for second in range(60 * minutes):
+        rows: list[tuple[str, object, dict[str, object]]] = []
+        for topic, fields in channels.items():
+            rate = {"tacho": 10, "motor": 100, "pendulums": 1000}.get(topic, 4000)
+            at = second * 10**9 + np.arange(rate, dtype=np.int64) * (10**9 // rate)
+            count = second * rate + np.arange(rate)
+            columns = {name: (count if name == "revolutions" else np.zeros(rate, np.int64) if name == "flags"
+                              else np.sin(62.8 * at * 1e-9) + 600.0 * ("rpm" in name)) for name in fields}  # fmt: skip
+            rows.append((topic, at, dict(columns)))
+        event = {"time_ns": second * 10**9, "kind": "gap", "device": "encoder", "text": "an event a second"}
+        watched._take({"heard_ns": (second + 1) * 10**9, "rows": rows, "events": [event], "facts": {}})
+        followers.follow()
+        pictures.frame(view, second)
+        if second % 10 == 0:
+            pictures.slow()
+            pictures.state()
+        if (second + 1) % (6 * minutes) == 0:
+            print(f" {_rss_mb(os.getpid()):.0f}", end="", flush=True)
+    print()
+    ours.close()
+
+
 def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -168,7 +203,11 @@ def main() -> None:
     parser.add_argument("--viewers", type=int, default=3)
     parser.add_argument("--browser", action="store_true")
     parser.add_argument("--only", default="")
+    parser.add_argument("--hour", action="store_true", help="an hour of samples instead, as fast as they are taken")
     args = parser.parse_args()
+    if args.hour:
+        _hour(args.rig)
+        return
     with tempfile.TemporaryDirectory() as folder:
         for name in ("no page", "looked at", "asleep", "page stands still"):
             if args.only in name:

@@ -86,7 +86,7 @@ def _motion(signals: Signals, at_s: float) -> Iterator[Distance]:
         _, values = signals.by_name[sensor.axis].between(at_s - _SPAN_S, at_s)
         known = values[np.isfinite(values)]
         largest = float(np.max(np.abs(known))) if len(known) else math.nan
-        yield Distance("amplitude", f"|{sensor.axis}| of the last second", largest, limit_mm, "mm")
+        yield Distance("amplitude", f"|{sensor.axis}|, last {_SPAN_S:g} s", largest, limit_mm, "mm")
 
 
 def _speed(signals: Signals, at_s: float) -> Iterator[Distance]:

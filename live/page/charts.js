@@ -68,7 +68,7 @@ const STRIP = {
   y: { name: "y", unit: "mm", digits: 3, lines: ["y"], symmetric: true },
   theta3: { name: "θ3", unit: "°", digits: 1, lines: ["theta3"], fixed: [-45, 345] },
   theta4: { name: "θ4", unit: "°", digits: 1, lines: ["theta4"], fixed: [-45, 345] },
-  speed: { name: "speed", unit: "rpm", digits: 0, lines: ["target", "drive", "marks"], from: 0 },
+  speed: { name: "speed", unit: "rpm", digits: 0, lines: ["target", "drive", "marks"], from: 0, floor: 40 },
 };
 
 class StripChart {
@@ -89,6 +89,7 @@ class StripChart {
     this.yRange = new Bokeh.Range1d({ start: low, end: high });
     this.figure = plotOf(this.plot, { x_range: this.xRange, y_range: this.yRange, min_border_left: 54, min_border_right: 8 });
     if (this.how.fixed) this.figure.yaxis.ticker = new Bokeh.FixedTicker({ ticks: [0, 90, 180, 270] });
+    else this.figure.yaxis.ticker = new Bokeh.BasicTicker({ desired_num_ticks: 4 });
     if (!last) this.figure.xaxis.major_label_text_font_size = "0px";
     else this.figure.xaxis.axis_label = "s since the start";
     this.calm = this.how.fixed ? null : new CalmRange(this.yRange, this.how);
@@ -154,8 +155,10 @@ class Orbit {
     let most = 0;
     for (const values of [x, y, columns["model.x"] || [], columns["model.y"] || []]) for (const v of values) if (Math.abs(v) > most) most = Math.abs(v);
     this.calm.fit(-most, most, now);
-    const { start, end } = this.calm.range;
-    for (const range of this.ranges) range.setv({ start, end });
+    const { start, end } = this.calm.range, wide = (this.figure.inner_width || 1) / (this.figure.inner_height || 1);
+    const scale = Number.isFinite(wide) && wide > 0 ? wide : 1; // a circle is drawn as one, whatever the panel's shape
+    this.ranges[0].setv({ start: start * Math.max(1, scale), end: end * Math.max(1, scale) });
+    this.ranges[1].setv({ start: start * Math.max(1, 1 / scale), end: end * Math.max(1, 1 / scale) });
   }
 }
 
@@ -254,7 +257,7 @@ class Tracked {
 class Dial {
   constructor(element) {
     this.svg = element.querySelector(".plot"); this.legend = element.querySelector(".legend");
-    this.svg.innerHTML = '<svg viewBox="-64 -60 128 120" width="100%" height="100%" aria-hidden="true"><g class="scale"></g><g class="predicted"></g><g class="arms"></g><text class="why" x="0" y="20" text-anchor="middle"></text></svg>';
+    this.svg.innerHTML = '<svg viewBox="-64 -60 128 120" width="100%" height="100%" aria-hidden="true"><g class="scale"></g><g class="predicted"></g><g class="arms"></g></svg>';
     const ticks = [];
     for (let a = 0; a < 360; a += 15) {
       const [x, y] = this.at(a, 46), [u, v] = this.at(a, a % 90 ? 43.5 : 41);
@@ -275,10 +278,9 @@ class Dial {
       const [x, y] = this.at(angle, 34 - 6 * i);
       return `<circle cx="${x}" cy="${y}" r="7" fill="none" stroke="${colours[i]}" stroke-width="1.4" stroke-dasharray="3 2"/>`;
     }).join("")).join("");
-    this.svg.querySelector(".why").textContent = header.predicted.length ? "" : header.why;
     const [a, b] = header.theta.map((v) => (v === null ? "–" : `${v.toFixed(1)}°`));
     const types = [...new Set(header.predicted.map((state) => state.type))].join(", ");
-    this.legend.textContent = `${header.locked ? "locked" : header.locked === false ? "free" : ""} ${types && types !== "locked" ? ` ◌ model: type ${types}` : types ? " ◌ model" : ""}`;
+    this.legend.textContent = `${header.locked ? "locked" : header.locked === false ? "free" : ""} ${types && types !== "locked" ? ` ◌ model: type ${types}` : types ? " ◌ model" : `model: ${header.why}`}`;
     this.spoken = `pendulums: θ3 ${a}, θ4 ${b}; predicted ${header.predicted.map((s) => `${s.type} at ${s.theta_deg.map((v) => v.toFixed(1)).join("° and ")}°`).join(", ") || header.why}`;
   }
 }

@@ -33,7 +33,7 @@ class Limits {
   }
 }
 
-const three = (v) => (v === 0 ? "0" : Math.abs(v) >= 100 ? v.toFixed(0) : Math.abs(v) < 0.001 ? v.toExponential(1) : v.toPrecision(3));
+const three = (v) => (v === 0 ? "0" : Math.abs(v) >= 100 ? v.toFixed(0) : Math.abs(v) < 0.1 ? v.toFixed(3) : v.toPrecision(3));
 
 const STATE_WORDS = { quiet: "", near: "near", beyond: "now", tripped: "TRIPPED", recovered: "recovered" };
 
@@ -64,7 +64,7 @@ const showTest = (element, state) => {
   part(".words").textContent = state.words || state.note || "";
   part(".prompt").hidden = !state.prompt; part(".prompt").textContent = state.prompt || "";
   part("progress").hidden = state.share === null; if (state.share !== null) part("progress").value = state.share;
-  element.querySelectorAll("[data-verb]").forEach((button) => { button.hidden = !state.can.includes(button.dataset.verb); });
+  element.querySelectorAll("[data-verb]").forEach((button) => { button.hidden = state.mode === "replay" || !state.can.includes(button.dataset.verb); });
   byId("note").hidden = !state.can.includes("note");
   if (state.answer) part(".answer").textContent = state.answer;
 };

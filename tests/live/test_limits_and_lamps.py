@@ -41,9 +41,9 @@ def _by_what(signals: Signals, at_s: float, heard_s: float, **more: Any) -> dict
 
 def test_distances_are_what_the_signals_say() -> None:
     found = _by_what(_signals(), 2.9, 2.95, disk={"backlog_bytes": 32e6})
-    assert found["|x| of the last second"].value == pytest.approx(2.0, rel=1e-3)
-    assert found["|x| of the last second"].used == pytest.approx(2 / 11, rel=1e-3)
-    assert found["|y| of the last second"].value == pytest.approx(1.0, rel=1e-3)
+    assert found["|x|, last 1 s"].value == pytest.approx(2.0, rel=1e-3)
+    assert found["|x|, last 1 s"].used == pytest.approx(2 / 11, rel=1e-3)
+    assert found["|y|, last 1 s"].value == pytest.approx(1.0, rel=1e-3)
     assert found["speed"].value == 600
     assert found["speed"].limit == pytest.approx(1.05 * RIG.limits.speed_rpm + 10)
     assert found["beyond its command"].value == 0
