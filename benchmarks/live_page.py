@@ -170,7 +170,7 @@ def _hour(rig_name: str, minutes: int = 60) -> None:
     ours, theirs = multiprocessing.Pipe()
     watched = Watched(rig, theirs, 1.0, "an hour")
     pictures = Pictures(watched, Model(rig), followers := Followers(watched.signals, Model(rig)))
-    channels = {topic: fields for topic, fields in watched.signals.topics.items()}
+    channels = watched.signals.topics
     print(f"{minutes} min of samples: memory of the page's process after each tenth, MB:", end="", flush=True)
     view = View(600.0, None, 700)
     for second in range(60 * minutes):

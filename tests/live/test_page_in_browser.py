@@ -46,6 +46,7 @@ def test_every_panel_draws_what_the_log_holds(page: Page, serving: Serving, repl
     expect(page.locator("#dial .legend")).to_have_text(re.compile("free.*type III"), timeout=WAIT_MS)
     for selector, inks in INKS.items():
         for ink in inks:
+            drawn = 0
             for _ in range(60):  # the followers may still be at work
                 drawn = _share(_pixels(page, selector), ink)
                 if drawn >= 25:
