@@ -22,6 +22,7 @@ from live.signals import Signals
 _TURN_S = 0.1  # wall s between two looks
 _REVOLUTIONS, _LEAST_S = 2, 0.1  # of one vector's window
 _STEP_RPM, _EVERY_S = 0.4, 5.0  # a vector is kept when the speed has moved, or so long after the last one
+_RAMP_RPM_S = 60.0  # a rotor that is braked faster has no 1× to speak of
 _MOST_VECTORS, _MOST_TRACKED = 6000, 20_000
 _BATCH_S = 0.1  # of encoder samples that the tracker takes at once
 _ROW_S = 0.2
@@ -58,6 +59,9 @@ class Vectors:
     def _window(self, times: Array, turns: Array) -> None:
         rpm = 60 * float(turns[-1] - turns[0]) / float(times[-1] - times[0])
         at_s = float(times[-1])
+        begins, ends = (60 * (turns[i] - turns[i - 1]) / (times[i] - times[i - 1]) for i in (1, len(times) - 1))
+        if abs(ends - begins) > _RAMP_RPM_S * (times[-1] - times[0]):
+            return
         if self._rows and abs(rpm - self._rows[-1][1]) < _STEP_RPM and at_s - self._rows[-1][0] < _EVERY_S:
             return
         found = [self._vector(axis, times, turns) for axis in ("x", "y")]
@@ -74,9 +78,9 @@ class Vectors:
             return complex(math.nan, math.nan)
         return complex(np.mean(track.amplitude_m[:, 0]))
 
-    def until(self, at_s: float) -> Array:
-        """Rows (rpm, Re X, Im X, Re Y, Im Y) up to an instant, mm, shape (n, 5)."""
-        rows = [row for row in list(self._rows) if row[0] <= at_s]
+    def between(self, since_s: float, at_s: float) -> Array:
+        """Rows (rpm, Re X, Im X, Re Y, Im Y) of a stretch, mm, shape (n, 5)."""
+        rows = [row for row in list(self._rows) if since_s <= row[0] <= at_s]
         return np.array([(rpm, x.real, x.imag, y.real, y.imag) for _, rpm, x, y in rows]).reshape(-1, 5)
 
 
@@ -136,9 +140,9 @@ class Damping:
                 switch(pendulum, int(_ns(times[i : i + 1])[0]))
             self._closed[pendulum] = bool(closed[-1])
 
-    def until(self, at_s: float) -> Array:
-        """Rows (time, c3, std, c4, std) up to an instant, s and N m s/rad, shape (n, 5)."""
-        return np.array([row for row in list(self._rows) if row[0] <= at_s]).reshape(-1, 5)
+    def between(self, since_s: float, at_s: float) -> Array:
+        """Rows (time, c3, std, c4, std) of a stretch, s and N m s/rad, shape (n, 5)."""
+        return np.array([row for row in list(self._rows) if since_s <= row[0] <= at_s]).reshape(-1, 5)
 
 
 class Followers:

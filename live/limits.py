@@ -31,6 +31,7 @@ NEAR = 0.8
 _SPAN_S = 1.0  # over which a largest displacement is taken
 _TURNING_RPM = 5.0
 _DISK_BYTES = 64e6
+_FRESH_S, _SAID_LATE_S = 2.0, 0.15  # an index mark's age; how late a drive's word of a speed may be
 _KINDS = {  # events that say that something is wrong, and whether it has recovered
     "gone": ("lost device", False), "back": ("lost device", True), "silent": ("silent line", False),
     "heard": ("silent line", True), "emergency": ("emergency", False), "fault": ("fault", False),
@@ -103,10 +104,22 @@ def _speed(signals: Signals, at_s: float) -> Iterator[Distance]:
         share, rest = RUNAWAY
         yield Distance("runaway", "beyond its command", max(0.0, abs(actual) - allowed), share * allowed + rest, "rpm")
     if roles.speed is not None and roles.phase is not None:
+        apart, around = _disagreement(signals, at_s)
         share, rest = DISAGREE
-        fresh = at_s - signals.by_name["marks"].until(at_s) < 2.0
-        apart = abs(rpm - signals.by_name["marks"].last(at_s)) if fresh else math.nan
-        yield Distance("speed disagreement", "drive against index marks", apart, share * abs(rpm) + rest, "rpm")
+        yield Distance("speed disagreement", "drive against index marks", apart, share * around + rest, "rpm")
+
+
+def _disagreement(signals: Signals, at_s: float) -> tuple[float, float]:
+    """How far the newest turn's speed is from what the drive said meanwhile, and the nearest of that; NaN: unknown."""
+    marks = signals.by_name["marks"]
+    until_s, turned = marks.until(at_s), marks.last(at_s)
+    if not turned > _TURNING_RPM or at_s - until_s > _FRESH_S:
+        return math.nan, 0.0
+    _, said = signals.by_name["drive"].between(until_s - 60 / turned - _SAID_LATE_S, until_s)
+    if not len(said):
+        return math.nan, 0.0
+    nearest = min(max(turned, float(np.min(np.abs(said)))), float(np.max(np.abs(said))))
+    return abs(turned - nearest), nearest
 
 
 def _channels(signals: Signals, at_s: float, heard_s: float, host_s: float) -> Iterator[Distance]:

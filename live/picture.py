@@ -156,18 +156,19 @@ class Pictures:
             }
 
     def slow(self) -> bytes:
-        """What changes slowly: 1× vectors of the run so far, tracked damping."""
-        now_s = self._source.now_s()
-        vectors = self._followers.vectors.until(now_s)
+        """What changes slowly: 1× vectors of the test so far, tracked damping."""
+        now_s, since_s = self._source.now_s(), float(self._source.facts().get("since_s", 0.0))
+        vectors = self._followers.vectors.between(since_s, now_s)
         columns = {f"bode.{name}": vectors[:, i] for i, name in enumerate(("rpm", "x.re", "x.im", "y.re", "y.im"))}
         start = None
         if self._followers.damping is not None:
-            tracked = self._followers.damping.until(now_s)
+            tracked = self._followers.damping.between(since_s, now_s)
             columns |= {
                 f"tracked.{name}": tracked[:, i] for i, name in enumerate(("t", "c3", "c3_std", "c4", "c4_std"))
             }
             start = list(self._followers.damping.start)
-        return encode({"kind": "slow", "now_s": now_s, "start": start, "trouble": self._followers.trouble}, columns)
+        header = {"kind": "slow", "now_s": now_s, "since_s": since_s, "start": start}
+        return encode({**header, "trouble": self._followers.trouble}, columns)
 
     def curves(self) -> bytes:
         """What does not change: the model's 1×, the limits."""

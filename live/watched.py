@@ -74,9 +74,13 @@ class Watched:
         for event in handed["events"]:
             at_s = float(self.signals.seconds(event["time_ns"]))
             self._events.append({**event, "at_s": at_s, "number": next(self._event_numbers)})
+        heard_s = float(self.signals.seconds(handed["heard_ns"]))
         if handed["facts"] is not None:
-            self._facts = {**self._facts, **handed["facts"]}
-        self._heard = float(self.signals.seconds(handed["heard_ns"])), time.monotonic()
+            facts = {**self._facts, **handed["facts"]}
+            if facts["test"] != self._facts["test"]:
+                facts["since_s"] = heard_s  # the last test's figures are not this one's
+            self._facts = facts
+        self._heard = heard_s, time.monotonic()
 
     def now_s(self) -> float:
         """See Source."""

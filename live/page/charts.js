@@ -236,7 +236,7 @@ class Tracked {
   }
   draw({ header, columns }, now) {
     const time = columns["tracked.t"] || [];
-    const end = Math.max(10, header.now_s);
+    const first_s = header.since_s, end = Math.max(first_s + 10, header.now_s);
     let most = 0;
     ["c3", "c4"].forEach((name, i) => {
       const value = columns[`tracked.${name}`] || [], std = columns[`tracked.${name}_std`] || [];
@@ -245,10 +245,10 @@ class Tracked {
       const { band, line, start } = this.parts[name];
       band.data = { x: time, low, high }; line.data = { x: time, y };
       const first = header.start ? 1e3 * header.start[i] : NaN;
-      start.data = { x: [0, end], y: [first, first] };
+      start.data = { x: [first_s, end], y: [first, first] };
       most = Math.max(most, first || 0, y.length ? 1.3 * y[y.length - 1] : 0);
     });
-    this.xRange.setv({ start: 0, end });
+    this.xRange.setv({ start: first_s, end });
     this.calm.fit(0, 1.2 * most, now);
   }
 }
@@ -280,7 +280,7 @@ class Dial {
     }).join("")).join("");
     const [a, b] = header.theta.map((v) => (v === null ? "–" : `${v.toFixed(1)}°`));
     const types = [...new Set(header.predicted.map((state) => state.type))].join(", ");
-    this.legend.textContent = `${header.locked ? "locked" : header.locked === false ? "free" : ""} ${types && types !== "locked" ? ` ◌ model: type ${types}` : types ? " ◌ model" : `model: ${header.why}`}`;
+    this.legend.textContent = `${header.locked ? "locked" : header.locked === false ? "free" : ""} ${types && types !== "locked" ? ` ◌ model: type ${types}` : types ? " ◌ model" : `, no model: ${header.why}`}`;
     this.spoken = `pendulums: θ3 ${a}, θ4 ${b}; predicted ${header.predicted.map((s) => `${s.type} at ${s.theta_deg.map((v) => v.toFixed(1)).join("° and ")}°`).join(", ") || header.why}`;
   }
 }

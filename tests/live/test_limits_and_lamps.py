@@ -72,6 +72,22 @@ def test_a_slower_command_is_no_runaway_and_a_faster_rotor_is_one() -> None:
     assert _by_what(signals, 1.99, 1.99)["beyond its command"].used > 1
 
 
+def test_a_rotor_that_is_braked_does_not_disagree_with_its_marks() -> None:
+    signals = Signals(RIG, 0)
+    time = np.arange(0, 2 * SECOND, SECOND // 100)
+    rpm = 600 - 250 * time / SECOND
+    signals.feed("motor", time, {"speed_rpm": rpm, "target_rpm": np.zeros(len(time))})
+    turns = np.cumsum(rpm) / 6000
+    marks = np.array([time[np.searchsorted(turns, n)] for n in range(1, int(turns[-1]))])
+    signals.feed("tacho", marks, {"revolutions": np.arange(len(marks), dtype=np.uint32)})
+    for at_s in (0.5, 1.0, 1.9):
+        assert _by_what(signals, at_s, at_s)["drive against index marks"].used < 0.1
+    faster = {"speed_rpm": np.full(50, 600.0), "target_rpm": np.zeros(50)}
+    signals.feed("motor", 2 * SECOND + time[:50], faster)
+    signals.feed("tacho", np.array([2 * SECOND + 450_000_000]), {"revolutions": np.array([len(marks)], np.uint32)})
+    assert _by_what(signals, 2.46, 2.46)["drive against index marks"].used > 0.3
+
+
 def test_invalid_and_faulty_samples_count() -> None:
     signals = _signals(seconds=1.0)
     time = SECOND + np.arange(0, SECOND // 4, SECOND // 1000)
