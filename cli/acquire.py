@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from cli.check_page import look_at, plain_rates, print_checks
 from cli.console import print_json, say
+from cli.live import Live, LiveHost, LivePort, follow, page_beside
 from cli.numbers import LookSeconds, PositiveSeconds, TimeScale
 from cli.options import Json, Settings, rig_or_log, warn_of_slips
 from cli.recording import RecordingStatus
@@ -82,6 +83,9 @@ def record(
         PositiveSeconds | None, Parameter(help="end when no device has sent anything for so many wall seconds")
     ] = None,
     note: str = "",
+    live: Live = False,
+    live_host: LiveHost = "",
+    live_port: LivePort = 0,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
@@ -91,11 +95,16 @@ def record(
     warn_of_slips(loaded)
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
-    with ReservedName(output) as name:  # before any device is disturbed: another recording may be using them
+    with (
+        ReservedName(output) as name,  # before any device is disturbed: another recording may be using them
+        page_beside(live, loaded, None, settings or [], clock.rate, live_host, live_port, json) as page,
+    ):
         session = Session(loaded, clock, identities, say)
         with session.listen(name, facts) if listen else session.open():
             if not listen:
                 session.start_recording(name, facts)
+            shown = {"words": "recording", "note": note, "log": str(output)}
+            follow(page, session, None if listen else session.stop, shown)
             with RecordingStatus(session) as status:
                 ended = _record_until(session, status, duration, until_silent)
             losses, disk, rates = session.losses(), session.disk(), session.rates.summary()

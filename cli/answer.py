@@ -46,6 +46,11 @@ def give(result: Mapping[str, Any]) -> None:
     _print(result)
 
 
+def announce(result: Mapping[str, Any]) -> None:
+    """Print what goes before the answer, as a line of its own: where to look while the command runs."""
+    print(json.dumps(result), flush=True)
+
+
 def give_error(text: str, code: int) -> None:
     """Print why there is no result, where JSON is wanted and no object has gone out.
 

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
 from json import loads
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from cli.console import StepProgress, print_json, say
 from cli.guided_test import ending_words, run_test
+from cli.live import Live, LiveHost, LivePort, follow, page_beside
 from cli.numbers import TimeScale
 from cli.options import Json, Settings
 from cli.simulated import SimulatedOperator, VirtualRigProcess
 from cli.validation_page import whole_lines
 from cli.workbench import Workbench
 from daq.acquisition.session import Session
+from daq.errors import OperatorStop
+from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.test_inputs import possible_tests
 from daq.lockstep.rig import LockstepRig
@@ -27,6 +30,9 @@ from daq.log import open_log
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig
+
+if TYPE_CHECKING:
+    from live.beside import LivePage
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
 _USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # seconds, for the bar; others 2 or 7
@@ -54,6 +60,9 @@ def demo(
         bool,
         Parameter(negative="", help="simulated time: repeatable bit for bit by its seed, as fast as it computes"),
     ] = False,
+    live: Live = False,
+    live_host: LiveHost = "",
+    live_port: LivePort = 0,
     json: Json = False,
 ) -> int:
     """A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, reported."""
@@ -66,13 +75,14 @@ def demo(
     progress = StepProgress({s: _USUAL_S.get(s, 7.0 if s.startswith("point") else 2.0) for s in steps})
     workbench = Workbench()
     try:
-        with progress:
+        rate = 1.0 if lockstep else time_scale
+        with progress, page_beside(live, loaded, None, changes, rate, live_host, live_port, json, progress.say) as page:
             far = (
                 LockstepRig(loaded)
                 if lockstep
                 else VirtualRigProcess(rig, changes, time_scale, link, waits=time_scale > 1)
             )
-            result = _campaign(rig, changes, loaded, faults, folder, far, progress, workbench)
+            result = _campaign(rig, changes, loaded, faults, folder, far, progress, workbench, page)
     finally:
         workbench.close()
     result["seconds"] = time.monotonic() - started
@@ -119,6 +129,7 @@ def _campaign(
     far: VirtualRigProcess | LockstepRig,
     progress: StepProgress,
     workbench: Workbench,
+    page: LivePage | None,
 ) -> dict[str, Any]:
     progress.step("start")
     steps = _steps(rig)
@@ -137,7 +148,9 @@ def _campaign(
                 progress.say(f"fault: {fault.key} = {fault.value} before {step}")
 
         with Session(plugged, simulated.clock, edge=simulated.edge) as session:
-            tests = Procedures(session, SimulatedOperator(simulated), folder / "logs", progress.tell)
+            controls = Controls()
+            tests = Procedures(session, SimulatedOperator(simulated), folder / "logs", progress.tell, "", controls)
+            follow(page, session, _stop_of(session, far), {"log": str(folder)}, controls)
 
             def record(rig: Rig, test: str) -> Path:
                 done = run_test(tests, rig, test)
@@ -182,6 +195,17 @@ def _campaign(
     result["warnings"] += [session.left] if session.left else []
     result["report"] = str(report)
     return result
+
+
+def _stop_of(session: Session, far: VirtualRigProcess | LockstepRig) -> Callable[[str], None]:
+    """What the page's stop does: on simulated time nothing may be sent but by the thread that lets it pass."""
+    if not isinstance(far, LockstepRig):
+        return session.stop
+
+    def stop(reason: str) -> None:
+        session.trouble = session.trouble or OperatorStop(reason)
+
+    return stop
 
 
 def _radio_checks(logs: list[Path], radio: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -12,6 +12,7 @@ from cli.console import print_json, say, wait_for_compilation
 from cli.guided_plan_page import campaign, print_campaign, print_plan
 from cli.guided_test_page import TestPage
 from cli.keyboard import Keyboard, Keys, TerminalOperator
+from cli.live import Live, LiveHost, LivePort, follow, page_beside
 from cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
 from cli.options import Json, ParametersPath, Settings, warn_of_slips, what_if_words
 from daq.acquisition.session import Session
@@ -24,6 +25,9 @@ from daq.guided_tests.test_inputs import asked
 from daq.transports import HostClock
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
+
+if TYPE_CHECKING:
+    from live.beside import LivePage
 
 
 def test(
@@ -48,6 +52,9 @@ def test(
         list[str] | None, Parameter(help="NAME=VALUE: any number that a test takes; its plan shows them")
     ] = None,
     track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False,
+    live: Live = False,
+    live_host: LiveHost = "",
+    live_port: LivePort = 0,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
@@ -73,7 +80,9 @@ def test(
         return 0
     label = IdentifiedParameters.label(parameters) if parameters is not None else ""
     label = label + what_if_words(settings, "; ") if label else ""
-    return _run(wanted, out, note, label, time_scale, _tracking(wanted, parameters, settings) if track else None, json)
+    following = _tracking(wanted, parameters, settings) if track else None
+    beside = page_beside(live, loaded, parameters, settings or [], time_scale, live_host, live_port, json)
+    return _run(wanted, out, note, label, time_scale, following, beside, json)
 
 
 def _numbers(texts: list[str]) -> dict[str, float]:
@@ -111,18 +120,24 @@ def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None
     return lambda session: tracking.LiveTracking(session, std, parameters)
 
 
-def _run(wanted: Asked, out: Path, note: str, label: str, time_scale: float, track: Any, as_json: bool) -> int:
+def _run(
+    wanted: Asked, out: Path, note: str, label: str, time_scale: float, track: Any,
+    beside: AbstractContextManager[LivePage | None], as_json: bool,
+) -> int:  # fmt: skip
     controls = Controls()
     keys = Keys(controls)
     early: NotReached | None = None
     done: TestDone | None = None
     with ExitStack() as stack:
+        live_page = stack.enter_context(beside)
         session = stack.enter_context(Session(wanted.rig, HostClock(time_scale), say=say))
         following = stack.enter_context(track(session)) if track is not None else None
         keyboard = stack.enter_context(Keyboard(keys))
         words = following.words if following is not None else str
         page = stack.enter_context(TestPage(session, controls, keys if keyboard.there else None, words))
-        tests = Procedures(session, TerminalOperator(keyboard), out, page.tell, note, controls)
+        prompted = follow(live_page, session, session.stop, {"note": note}, controls, keys.confirmed.set)
+        operator = TerminalOperator(keyboard, prompted, live_page is not None)
+        tests = Procedures(session, operator, out, page.tell, note, controls)
         tests.parameters = label
         try:
             done = tests.carry_out(wanted)

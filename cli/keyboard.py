@@ -92,14 +92,16 @@ class Keyboard:
             self._thread.join()
             self._restore()
 
-    def confirm(self, text: str) -> None:
+    def confirm(self, text: str, elsewhere: bool = False) -> None:
         """Wait for Enter, or for an abort.
 
+        Args:
+            elsewhere: whether somebody may confirm by something else than this keyboard.
         Raises:
             ProcedureError: no terminal is there to press it at.
         """
         say(f">>> {text}")
-        if not self.there:
+        if not self.there and not elsewhere:
             raise ProcedureError(f"{text}: standard input is no terminal, so nobody can. Run the test in a terminal")
         self.keys.confirmed.clear()
         while not self.keys.confirmed.wait(_TURN_S) and not self.keys.aborted.is_set():
@@ -160,32 +162,42 @@ class TerminalOperator:
 
     Args:
         keyboard: where a person confirms what no sensor sees.
+        told: is told too what is asked for, as a page beside the terminal.
+        elsewhere: whether a person may confirm there too.
     """
 
-    def __init__(self, keyboard: Keyboard) -> None:
-        self._keyboard = keyboard
+    def __init__(
+        self, keyboard: Keyboard, told: Callable[[str], None] = lambda text: None, elsewhere: bool = False
+    ) -> None:
+        self._keyboard, self._told, self._elsewhere = keyboard, told, elsewhere
+
+    def _ask(self, text: str) -> None:
+        self._told(text)
+        say(f">>> {text}")
 
     def pluck(self, axis: str) -> None:
         """See daq.guided_tests.hands.Operator."""
-        say(f">>> displace the column by 2 to 3 mm along {axis} and let go")
+        self._ask(f"displace the column by 2 to 3 mm along {axis} and let go")
 
     def flick(self) -> None:
         """See daq.guided_tests.hands.Operator."""
-        say(">>> flick both pendulums, slower than two turns a second")
+        self._ask("flick both pendulums, slower than two turns a second")
 
     def lock(self, seen: bool) -> None:
         """See daq.guided_tests.hands.Operator."""
-        say(">>> the rotor at rest: lock both pendulums, A at 0° and B at 180°")
+        self._ask("the rotor at rest: lock both pendulums, A at 0° and B at 180°")
         if not seen:
-            self._keyboard.confirm("no encoder sees the pendulums: press Enter when both are locked")
+            text = "no encoder sees the pendulums: press Enter when both are locked"
+            self._told(text)
+            self._keyboard.confirm(text, self._elsewhere)
 
     def release(self) -> None:
         """See daq.guided_tests.hands.Operator."""
-        say(">>> release both pendulums, both at once")
+        self._ask("release both pendulums, both at once")
 
     def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
         """See daq.guided_tests.hands.Operator."""
         if rpm:
-            say(f">>> turn the rotor to {rpm:.0f} rpm, by about {ramp_rpm_per_s:.0f} rpm a second, and hold it there")
+            self._ask(f"turn the rotor to {rpm:.0f} rpm, by about {ramp_rpm_per_s:.0f} rpm a second, and hold it there")
         else:
-            say(f">>> bring the rotor to rest, by about {ramp_rpm_per_s:.0f} rpm a second")
+            self._ask(f"bring the rotor to rest, by about {ramp_rpm_per_s:.0f} rpm a second")

@@ -21,7 +21,7 @@ from analysis.errors import AnalysisError
 from cli import answer, crash
 from cli.console import say, wait_for_compilation
 from cli.numbers import NUMBERS_ARE_FINITE
-from daq.errors import LogError, RigError
+from daq.errors import LogError, OperatorStop, RigError
 from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
 from dynamics.errors import DynamicsError
@@ -58,6 +58,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "logs": "List the logs of a folder and of the folders below it, newest first.",
     },
     "cli.replay": {"replay": "Decode a log's raw bytes again through the same pipelines."},
+    "cli.live": {"live": "Show a rig or a log in the browser, with a stop button; only who has its token gets in."},
     "cli.recover": {
         "recover": "Make a cut or damaged log whole: a new file of all that is sound in it; says what is missing.",
     },
@@ -91,6 +92,7 @@ _USE_COMPILED = {
     "recover",
     "export",
     "import",
+    "live",
     "identify",
     "track",
     "plot",
@@ -165,6 +167,8 @@ def _words(error: Exception) -> str:
 
 def _exit_code(error: Exception) -> int | None:
     """2 for bad input, 3 for hardware, I/O and memory, None for what nobody raised on purpose."""
+    if isinstance(error, OperatorStop):
+        return 130
     identification = sys.modules.get("identification")  # it loads fits and statistics: only where they are used
     if isinstance(error, RigConfigError | DynamicsError | LogError | AnalysisError) or (
         identification is not None and isinstance(error, identification.IdentificationError)

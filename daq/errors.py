@@ -7,6 +7,7 @@
     │   └── ChannelMissing  the log is fine but has no such channel (also a KeyError)
     ├── RecordingError      a log cannot be written: disk full, disk gone
     └── ProcedureError      a guided test cannot go on
+        └── OperatorStop    the operator stopped the rotor
 
 Every text says what was expected, what came, where, and what to do next.
 """
@@ -42,3 +43,7 @@ class RecordingError(RigError):
 
 class ProcedureError(RigError):
     """A guided test cannot go on: a step's condition was not met, or the operator stopped it."""
+
+
+class OperatorStop(ProcedureError):
+    """The operator stopped the rotor, by something else than the terminal's Ctrl-C: the live page's button."""

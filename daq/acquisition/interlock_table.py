@@ -171,7 +171,8 @@ def _session_rows() -> Iterator[Interlock]:
                     "at once", f"{_STOP}; {_GOES_ON} where nothing turns", judge="session")  # fmt: skip
     yield Interlock("disk", "the log", "the disk full, gone, or 64 MB behind", "constant", _within(0, 0.25),
                     f"{_STOP}; the log is whole", judge="session")  # fmt: skip
-    yield Interlock("operator", "Ctrl-C, SIGTERM, SIGHUP", "any", "the operator", "at once", f"{_STOP}, exit 130",
+    yield Interlock("operator", "Ctrl-C, SIGTERM, SIGHUP, the live page's stop", "any", "the operator", "at once",
+                    f"{_STOP}, exit 130",
                     judge="session")  # fmt: skip
 
 

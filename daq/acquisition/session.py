@@ -33,7 +33,7 @@ from daq.drivers.checks import Checks
 from daq.drivers.contract import KeepsTime, LearnsIdentity, SpeedSource, TellsItself
 from daq.drivers.devices import channels_of, devices_of, make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
-from daq.errors import DeviceError, RigError
+from daq.errors import DeviceError, OperatorStop, RigError
 from daq.log.file import ReservedName
 from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
@@ -74,7 +74,8 @@ class Session:
     ) -> None:
         self.rig, self.clock = rig, clock
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
-        self.observers: list[Callable[[Event], None]] = []  # told of every event
+        self.observers: list[Callable[[Event], None]] = []  # told of every event of a device
+        self.noted: list[Callable[[Event, int], None]] = []  # told of every event of the host, with its time
         self.left = ""  # at its end: of a rotor that may turn, or a drive that may hold it; empty when neither
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())
@@ -300,8 +301,7 @@ class Session:
                 case Happened(event):
                     self._happened(event)
                 case Note(event, host_ns):
-                    if recorder is not None:
-                        recorder.event(event, host_ns)
+                    self._note(event, host_ns)
                 case Report(facts):
                     if recorder is not None:
                         recorder.health(facts)
@@ -446,9 +446,14 @@ class Session:
 
     def note(self, event: Event) -> None:
         """Put what the host found out into the log, if one is being recorded."""
+        self._note(event, self.clock.now_ns())
+
+    def _note(self, event: Event, host_ns: int) -> None:
         recorder = self._recorder
         if recorder is not None:
-            recorder.event(event, self.clock.now_ns())
+            recorder.event(event, host_ns)
+        for tell in self.noted:
+            tell(event, host_ns)
 
     def start_recording(self, path: Path | ReservedName, metadata: Mapping[str, str], before_s: float = 0.0) -> None:
         """Begin a log. Every device gets a fresh pipeline, so that the log alone decodes to the same samples.
@@ -585,6 +590,10 @@ class Session:
         """
         assert self._command is not None
         self._command.permit(rpm)
+
+    def stop(self, reason: str) -> None:
+        """The operator wants the rotor stopped: the drive is told at once, by the caller's thread, and the run ends."""
+        self._carry_out(self._core.fail(OperatorStop(reason), self.clock.now_ns()))
 
     def command_node(self, action: str) -> None:
         """Have the pendulums locked or released, until it is acknowledged.

@@ -28,6 +28,8 @@ from daq.drivers.items import Batch, Event
 from daq.errors import LogError, RecordingError
 from daq.mcap.writer import BlockWriter, compile_writer
 
+FOXGLOVE = "foxglove"
+"""Metadata record by which Foxglove's recorder agent knows whose log it is."""
 _WAITS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".csv": "text/csv", ".txt": "text/plain"}
 
@@ -121,6 +123,8 @@ class LogFile:
             self._writer = BlockWriter(self.file, compression)
             self._ids = self._define(devices, sample_channels)
             self._writer.add_metadata("run", dict(metadata))
+            if rig := metadata.get("rig"):  # without it Foxglove's recorder agent passes the file over
+                self._writer.add_metadata(FOXGLOVE, {"deviceName": rig, "deviceId": rig})
             for name, data in attachments.items():
                 self._writer.add_attachment(name, _media_type(name), data, created_ns)
             self.flush()

@@ -17,7 +17,7 @@ from daq.drivers.devices import channels_of
 from daq.drivers.items import Batch, joined
 from daq.errors import LogError
 from daq.log import Log, open_log
-from daq.log.file import LogFile
+from daq.log.file import FOXGLOVE, LogFile
 from daq.log.snapshot import identities_of, rig_of
 from daq.replay.calibration import Calibration
 from daq.replay.checking import Progress, share_of
@@ -27,7 +27,7 @@ from daq.version import software_version
 
 _TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this stand together, as in a recording
 _OURS = ("origin", "origin_sha256", "origin_software", "calibration")
-_WRITTEN_ANEW = ("run", "summary", "times")
+_WRITTEN_ANEW = ("run", "summary", "times", FOXGLOVE)
 
 
 @dataclass(frozen=True)

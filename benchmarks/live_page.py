@@ -1,0 +1,218 @@
+"""What the live page costs: frames a second, processor, memory on both sides, and what the recorder feels of it.
+
+    python -m benchmarks.live_page [--rig virtual] [--seconds 20] [--viewers 3] [--browser]
+
+A virtual rig at the speed of life in a process of its own; a session records it here, with lasers of 2 x 4 kHz. Cases:
+no page; a page that is looked at; viewers that answer nothing; a page whose process stands still. Of each: the longest
+waits between two reads of a laser in the log (the recorder's threads were kept), losses, processor time of the recorder
+and of the page, memory of the page. With --browser one viewer is Chromium. Linux only: it reads /proc.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+from cli.simulated import VirtualRigProcess
+from daq.acquisition.session import Session
+from daq.log import open_log
+from live.beside import Asking, LivePage
+from live.followers import Followers
+from live.frames import decode
+from live.model import Model
+from live.picture import Pictures, View
+from live.watched import Watched
+from rig_configs import load_rig
+
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+@dataclass
+class Seen:
+    """What one viewer got."""
+
+    frames: int = 0
+    bytes: int = 0
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / _TICKS
+
+
+def _rss_mb(pid: int) -> float:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+@contextmanager
+def _viewer(page: LivePage, seen: Seen, answers: bool) -> Iterator[None]:
+    parts = urlsplit(page.url)
+    ending = threading.Event()
+
+    def look() -> None:
+        address = f"ws://{parts.netloc}/data?{parts.query}"
+        origin = Origin(f"http://{parts.netloc}")
+        with suppress(TimeoutError, ConnectionClosed), connect(address, origin=origin, compression=None) as line:
+            line.send(json.dumps({"view": {"window_s": 10, "end_s": None, "pixels": 700}}))
+            while not ending.wait(0 if answers else 0.2):
+                if not answers:
+                    continue
+                data = line.recv(timeout=10)
+                seen.bytes += len(data)
+                if isinstance(data, bytes) and (header := decode(data)[0])["kind"] == "frame":
+                    seen.frames += 1
+                    line.send(json.dumps({"seen": header["number"]}))
+
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    yield
+    ending.set()
+    thread.join(10)
+
+
+@contextmanager
+def _chromium(page: LivePage, facts: dict[str, object]) -> Iterator[Callable[[], None]]:
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415 (only with --browser)
+
+    program = next(b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if b)
+    with sync_playwright() as player:
+        browser = player.chromium.launch(
+            executable_path=program, args=["--no-sandbox", "--enable-precise-memory-info"]
+        )  # fmt: skip
+        tab = browser.new_page(viewport={"width": 1600, "height": 900})
+        tab.goto(page.url)
+        tab.wait_for_timeout(3000)
+        client = tab.context.new_cdp_session(tab)
+
+        def look() -> None:
+            client.send("HeapProfiler.collectGarbage")
+            heap = tab.evaluate("performance.memory.usedJSHeapSize / 1e6")
+            facts.setdefault("heap_MB", [])
+            heaps = facts["heap_MB"]
+            assert isinstance(heaps, list)
+            heaps.append((round(time.monotonic(), 1), round(heap, 1), int(tab.evaluate("page.drawn"))))
+
+        yield look
+        browser.close()
+
+
+def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
+    rig_name, seconds = args.rig, args.seconds
+    with ExitStack() as stack:
+        far = stack.enter_context(VirtualRigProcess(rig_name, [], 1.0))
+        rig = load_rig(rig_name, settings=far.port_settings())
+        page = None if name == "no page" else stack.enter_context(LivePage(rig, None, "rig file", 1.0, rig.name))
+        session = stack.enter_context(Session(rig, far.clock))
+        pid = 0
+        seen = [Seen() for _ in range(args.viewers)]
+        facts: dict[str, object] = {}
+        look: Callable[[], None] | None = None
+        if page is not None:
+            page.follow(session, Asking(), session.stop, {})
+            pid = page._process.pid or 0
+            for each in seen:
+                stack.enter_context(_viewer(page, each, name != "asleep"))
+            if args.browser and name == "looked at":
+                look = stack.enter_context(_chromium(page, facts))
+        session.start_recording(folder / f"{name.replace(' ', '_')}.mcap", {"test": "record"})
+        if name == "page stands still":
+            os.kill(pid, signal.SIGSTOP)
+        began = time.monotonic(), _cpu_s(os.getpid()), _cpu_s(pid) if pid else 0.0, sum(s.frames for s in seen)
+        memory: list[float] = []
+        for _ in range(4):
+            if look is not None:
+                look()
+            memory += [_rss_mb(pid)] if pid else []
+            time.sleep(seconds / 4)
+        passed = time.monotonic() - began[0]
+        ours, theirs = _cpu_s(os.getpid()) - began[1], (_cpu_s(pid) - began[2]) if pid else 0.0
+        frames = (sum(s.frames for s in seen) - began[3]) / passed / len(seen)
+        if name == "page stands still":
+            os.kill(pid, signal.SIGCONT)
+        if look is not None:
+            look()
+        losses = session.losses()
+        path = session.stop_recording({})
+    with open_log(path) as log:
+        host_ns = np.array([chunk.host_ns for chunk in log.raw("laser_x") if chunk.direction == 0])
+    waits = np.diff(host_ns) * 1e-6
+    kinds = ("samples", "bytes", "damaged")
+    lost = sum(losses[device].get(kind, 0) for device in ("laser_x", "laser_y", "drive") for kind in kinds)
+    print(
+        f"{name:18} reads p50 {np.median(waits):5.2f} p99 {np.percentile(waits, 99):5.2f} max {waits.max():6.2f} ms, "
+        f"lost {lost}; recorder {100 * ours / passed:4.1f} %, page {100 * theirs / passed:4.1f} % of a core; "
+        f"{frames:4.1f} frames/s each, memory {' '.join(f'{m:.0f}' for m in memory)} MB {facts or ''}",
+        flush=True,
+    )
+
+
+def _hour(rig_name: str, minutes: int = 60) -> None:
+    """An hour of samples through the page's own side, as fast as it goes: what it keeps does not grow."""
+    rig = load_rig(rig_name)
+    ours, theirs = multiprocessing.Pipe()
+    watched = Watched(rig, theirs, 1.0, "an hour")
+    pictures = Pictures(watched, Model(rig), followers := Followers(watched.signals, Model(rig)))
+    channels = watched.signals.topics
+    print(f"{minutes} min of samples: memory of the page's process after each tenth, MB:", end="", flush=True)
+    view = View(600.0, None, 700)
+    for second in range(60 * minutes):
+        rows: list[tuple[str, object, dict[str, object]]] = []
+        for topic, fields in channels.items():
+            rate = {"tacho": 10, "motor": 100, "pendulums": 1000}.get(topic, 4000)
+            at = second * 10**9 + np.arange(rate, dtype=np.int64) * (10**9 // rate)
+            count = second * rate + np.arange(rate)
+            columns = {name: (count if name == "revolutions" else np.zeros(rate, np.int64) if name == "flags"
+                              else np.sin(62.8 * at * 1e-9) + 600.0 * ("rpm" in name)) for name in fields}  # fmt: skip
+            rows.append((topic, at, dict(columns)))
+        event = {"time_ns": second * 10**9, "kind": "gap", "device": "encoder", "text": "an event a second"}
+        watched._take({"heard_ns": (second + 1) * 10**9, "rows": rows, "events": [event], "facts": {}})
+        followers.follow()
+        pictures.frame(view, second)
+        if second % 10 == 0:
+            pictures.slow()
+            pictures.state()
+        if (second + 1) % (6 * minutes) == 0:
+            print(f" {_rss_mb(os.getpid()):.0f}", end="", flush=True)
+    print()
+    ours.close()
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rig", default="virtual")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--viewers", type=int, default=3)
+    parser.add_argument("--browser", action="store_true")
+    parser.add_argument("--only", default="")
+    parser.add_argument("--hour", action="store_true", help="an hour of samples instead, as fast as they are taken")
+    args = parser.parse_args()
+    if args.hour:
+        _hour(args.rig)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("no page", "looked at", "asleep", "page stands still"):
+            if args.only in name:
+                _case(name, args, Path(folder))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+# pyright: strict
+"""What is worked out beside the signals as they come: 1× vectors of a run-up, the pendulums' damping, steady states.
+
+One thread does it, in the page's own process; a log that is played has all of it soon after it is opened.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+
+import numpy as np
+
+from analysis.quantities.order_tracking import order_track
+from daq.channels import LOCK_A_CLOSED, LOCK_B_CLOSED
+from identification.tracking.tracker import Sensors, Tracker
+from live.levels import Array
+from live.model import Model
+from live.signals import Signals
+
+_TURN_S = 0.1  # wall s between two looks
+_REVOLUTIONS, _LEAST_S = 2, 0.1  # of one vector's window
+_STEP_RPM, _EVERY_S = 0.4, 5.0  # a vector is kept when the speed has moved, or so long after the last one
+_RAMP_RPM_S = 60.0  # a rotor that is braked faster has no 1× to speak of
+_MOST_VECTORS, _MOST_TRACKED = 6000, 20_000
+_BATCH_S = 0.1  # of encoder samples that the tracker takes at once
+_ROW_S = 0.2
+_C3, _C4 = "c3_Nms_per_rad", "c4_Nms_per_rad"
+
+
+class Vectors:
+    """1× amplitudes of x and y between index marks.
+
+    Args:
+        signals: of the rig.
+    """
+
+    def __init__(self, signals: Signals) -> None:
+        self._signals = signals
+        phase = signals.rig.roles.phase
+        self._index_rad = math.radians(phase.index_angle_deg if phase else 0.0)
+        self._done_s = -math.inf
+        self._rows: deque[tuple[float, float, complex, complex]] = deque(maxlen=_MOST_VECTORS)
+
+    def follow(self, until_s: float) -> None:
+        """Take all windows that are whole by an instant."""
+        with self._signals.lock:
+            times, turns = self._signals.by_name["turns"].between(self._done_s, until_s)
+        first = 0
+        for last in range(1, len(times)):
+            if turns[last] <= turns[first] or turns[last] - turns[first] > 50 or times[last] - times[first] > 6.0:
+                first = last  # a counter that begins anew, or a rotor that hardly turns
+            elif turns[last] - turns[first] >= _REVOLUTIONS and times[last] - times[first] >= _LEAST_S:
+                self._window(times[first : last + 1], turns[first : last + 1])
+                first = last
+            self._done_s = float(times[first]) - 1e-9
+
+    def _window(self, times: Array, turns: Array) -> None:
+        rpm = 60 * float(turns[-1] - turns[0]) / float(times[-1] - times[0])
+        at_s = float(times[-1])
+        begins, ends = (60 * (turns[i] - turns[i - 1]) / (times[i] - times[i - 1]) for i in (1, len(times) - 1))
+        if abs(ends - begins) > _RAMP_RPM_S * (times[-1] - times[0]):
+            return
+        if self._rows and abs(rpm - self._rows[-1][1]) < _STEP_RPM and at_s - self._rows[-1][0] < _EVERY_S:
+            return
+        found = [self._vector(axis, times, turns) for axis in ("x", "y")]
+        self._rows.append((at_s, rpm, found[0], found[1]))
+
+    def _vector(self, axis: str, times: Array, turns: Array) -> complex:
+        with self._signals.lock:
+            time_s, values = self._signals.by_name[axis].between(float(times[0]), float(times[-1]))
+        turned: Array = np.asarray(np.interp(time_s, times, turns - turns[0]), dtype=np.float64)
+        phase: Array = 2 * math.pi * turned + self._index_rad
+        try:
+            track = order_track(time_s, values, phase, revolutions=1, harmonics=2)
+        except ValueError:  # too few valid samples
+            return complex(math.nan, math.nan)
+        return complex(np.mean(track.amplitude_m[:, 0]))
+
+    def between(self, since_s: float, at_s: float) -> Array:
+        """Rows (rpm, Re X, Im X, Re Y, Im Y) of a stretch, mm, shape (n, 5)."""
+        rows = [row for row in list(self._rows) if since_s <= row[0] <= at_s]
+        return np.array([(rpm, x.real, x.imag, y.real, y.imag) for _, rpm, x, y in rows]).reshape(-1, 5)
+
+
+class Damping:
+    """c3 and c4 by the online tracker.
+
+    Args:
+        signals: of the rig, which has encoders.
+        model: its numbers are the start values.
+    """
+
+    def __init__(self, signals: Signals, model: Model) -> None:
+        roles = signals.rig.roles
+        self._signals, self._phase = signals, roles.phase
+        step = roles.angles.step_rad if roles.angles else Sensors.encoder_step_rad
+        self._tracker = Tracker(model.physics, Sensors(encoder_step_rad=step), released=(False, False))
+        self._closed: list[bool | None] = [None, None]
+        self._done_s = self._marks_s = -math.inf
+        self._rows: deque[tuple[float, float, float, float, float]] = deque(maxlen=_MOST_TRACKED)
+        self.start = (model.physics.a.damping_Nms_per_rad, model.physics.b.damping_Nms_per_rad)
+
+    def follow(self, until_s: float) -> None:
+        """Hand over what is new up to an instant, a batch at a time."""
+        begin = self._signals.by_name["flags"].between(self._done_s, until_s)[0]
+        if not len(begin):
+            return
+        at_s = float(begin[0]) - 1e-9 if math.isinf(self._done_s) else self._done_s
+        while at_s < until_s:
+            self._batch(at_s, min(at_s + _BATCH_S, until_s))
+            at_s += _BATCH_S
+        self._done_s = until_s
+
+    def _batch(self, start_s: float, end_s: float) -> None:
+        of = self._signals.by_name
+        with self._signals.lock:
+            marks, turns = of["turns"].between(start_s, end_s)
+            times, flags = of["flags"].between(start_s, end_s)
+            _, a = of["turned3"].between(start_s, end_s)
+            _, b = of["turned4"].between(start_s, end_s)
+        if len(marks):
+            index = math.radians(self._phase.index_angle_deg if self._phase else 0.0)
+            self._tracker.feed_marks(_ns(marks), 2 * np.pi * turns + index)
+        if not len(times):
+            return
+        self._locks(times, flags.astype(np.int64))
+        self._tracker.feed_encoders(_ns(times), np.column_stack([a, b]))
+        now = self._tracker.estimate()
+        if now.trusted and not all(self._closed) and (not self._rows or end_s - self._rows[-1][0] >= _ROW_S):
+            self._rows.append((end_s, now.values[_C3], now.std[_C3], now.values[_C4], now.std[_C4]))
+
+    def _locks(self, times: Array, flags: np.ndarray) -> None:
+        for pendulum, flag in enumerate((LOCK_A_CLOSED, LOCK_B_CLOSED)):
+            closed = (flags & flag) != 0
+            before = self._closed[pendulum]
+            for i in np.flatnonzero(closed != np.r_[not closed[0] if before is None else before, closed[:-1]]):
+                switch = self._tracker.lock if closed[i] else self._tracker.release
+                switch(pendulum, int(_ns(times[i : i + 1])[0]))
+            self._closed[pendulum] = bool(closed[-1])
+
+    def between(self, since_s: float, at_s: float) -> Array:
+        """Rows (time, c3, std, c4, std) of a stretch, s and N m s/rad, shape (n, 5)."""
+        return np.array([row for row in list(self._rows) if since_s <= row[0] <= at_s]).reshape(-1, 5)
+
+
+class Followers:
+    """See the module; a context in which the thread runs.
+
+    Args:
+        signals: of the rig.
+        model: of the rig.
+        now: the instant that is shown.
+    """
+
+    def __init__(self, signals: Signals, model: Model) -> None:
+        self._signals, self._model = signals, model
+        self.vectors = Vectors(signals)
+        self.damping = Damping(signals, model) if signals.rig.roles.angles is not None else None
+        self.trouble = ""
+        self.wanted_rpm = math.nan
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="followers", daemon=True)
+
+    def __enter__(self) -> Followers:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        while not self._ending.wait(_TURN_S):
+            try:
+                self.follow()
+            except Exception as error:  # the page says so and goes on without
+                self.trouble = f"{type(error).__name__}: {error}"
+                return
+
+    def follow(self) -> None:
+        """Take all that is new."""
+        until_s = self._signals.newest_s
+        if not math.isfinite(until_s):
+            return
+        self.vectors.follow(until_s)
+        if math.isfinite(self.wanted_rpm):
+            self._model.work_out(abs(self.wanted_rpm))
+        if self.damping is not None:
+            self.damping.follow(until_s)
+
+
+def _ns(time_s: Array) -> np.ndarray:
+    return np.round(time_s * 1e9).astype(np.int64)

@@ -1,0 +1,99 @@
+# pyright: strict
+"""Who gets anything from the page: Host, Origin and token are looked at here and nowhere else.
+
+    request ─▶ Host one of ours? ──no──▶ 400
+             ─▶ token right?     ──no──▶ 403
+             ─▶ Origin           foreign: 403; missing: 403 where something is asked for or sent (WebSocket, POST)
+             ─▶ the page, with headers that forbid it whatever it does not need
+
+A browser on this machine visits other pages too. The Host check refuses names that were made to point here (DNS
+rebinding), the Origin check refuses scripts of other pages, the token refuses other users of the machine.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Collection
+from urllib.parse import parse_qs
+
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket
+
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+"""Names under which a browser on this machine reaches it."""
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
+    "connect-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Of every answer. BokehJS styles its elements inline: without 'unsafe-inline' for styles its layout breaks."""
+_SENDS = ("POST", "PUT", "PATCH", "DELETE")
+
+
+def new_token() -> str:
+    """A token that nobody guesses: 256 bits."""
+    return secrets.token_urlsafe(32)
+
+
+class Guard:
+    """An application behind the checks.
+
+    Args:
+        app: what is guarded.
+        token: that every request carries as `?token=…`.
+        hosts: values of the Host header that are ours, with the port: "127.0.0.1:8123".
+    """
+
+    def __init__(self, app: ASGIApp, token: str, hosts: Collection[str]) -> None:
+        self._app, self._token, self._hosts = app, token.encode(), frozenset(host.lower() for host in hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """See ASGI."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        status, why = self.judge(scope)
+        if status != 200:
+            answer = PlainTextResponse(f"{why}\n", status, HEADERS)
+            if scope["type"] == "websocket":
+                await WebSocket(scope, receive, send).send_denial_response(answer)
+            else:
+                await answer(scope, receive, send)
+            return
+
+        async def guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                ours = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
+                kept = [(n, v) for n, v in message.get("headers", ()) if n.lower() not in dict(ours)]
+                message = {**message, "headers": [*kept, *ours]}
+            await send(message)
+
+        await self._app(scope, receive, guarded)
+
+    def judge(self, scope: Scope) -> tuple[int, str]:
+        """200, or the status of a refusal with its reason."""
+        host = _only(scope, b"host")
+        if host is None or host.lower() not in self._hosts:
+            return 400, f"expected a Host of {', '.join(sorted(self._hosts))}; open the address that rig live printed"
+        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
+        if len(given) != 1 or not hmac.compare_digest(given[0].encode(), self._token):
+            return 403, "expected the token of this page; open the whole address that rig live printed"
+        origins = [value for name, value in scope["headers"] if name.lower() == b"origin"]
+        ours = f"http://{host}".lower()
+        if any(origin.decode("latin-1").lower() != ours for origin in origins) or len(origins) > 1:
+            return 403, f"expected the Origin {ours}: another page may ask for nothing here"
+        if not origins and (scope["type"] == "websocket" or scope.get("method") in _SENDS):
+            return 403, f"expected the Origin {ours}, got none: ask from the page"
+        return 200, ""
+
+
+def _only(scope: Scope, name: bytes) -> str | None:
+    """A header that may be there once."""
+    found = [value for key, value in scope["headers"] if key.lower() == name]
+    return found[0].decode("latin-1") if len(found) == 1 else None

@@ -1,0 +1,190 @@
+# pyright: strict
+"""One signal with its past: samples, and minima and maxima of longer stretches of it, all within bounded memory.
+
+A chart is asked for with as many buckets as it has pixels. Up to two samples a bucket are handed out as they are;
+of more, every bucket's minimum and maximum, and the chart says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+KEPT = 2**18
+"""Samples kept as they are: 65 s at 4 kHz."""
+_FACTORS = (64, 4096)  # samples under one pair of the longer levels
+_KEPT_PAIRS = 2**16  # of each: 17 min and 18 h at 4 kHz
+_MOST_PER_BUCKET = 64  # rows looked at for one bucket, before a longer level is taken
+_BREAK = 4.0  # times the usual distance of two samples: a line has a gap there
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What a chart draws of one signal.
+
+    Attributes:
+        time_s: of each row, ascending, shape (n,).
+        low, high: what is drawn there, shape (n,); the same where rows are samples. NaN where a line breaks.
+        bucket_s: width of a bucket whose minimum and maximum a row is, s; 0 where rows are samples.
+    """
+
+    time_s: Array
+    low: Array
+    high: Array
+    bucket_s: float = 0.0
+
+
+def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: float, buckets: int) -> Stretch:
+    """Minimum and maximum of every bucket of a window; the rows themselves where they are few.
+
+    Args:
+        time_s: ascending, shape (n,).
+        low, high: shape (n,); the same array for samples. NaN is no value.
+        start_s, end_s: of the window, start < end; buckets lie at multiples of their width, so that a picture that
+            moves on does not flicker.
+        buckets: at least 1.
+    """
+    samples = low is high
+    first, end = np.searchsorted(time_s, (start_s, end_s))
+    time_s, low, high = time_s[first:end], low[first:end], high[first:end]
+    if (samples and len(time_s) <= 2 * buckets) or len(time_s) == 0:
+        return _samples(time_s, low, high)
+    width = (end_s - start_s) / buckets
+    number = np.floor(time_s / width).astype(np.int64)
+    begins = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
+    lows = np.fmin.reduceat(low, begins)
+    highs = np.fmax.reduceat(high, begins)
+    middles = np.asarray((number[begins] + 0.5) * width, dtype=np.float64)
+    waits = time_s[begins[1:]] - time_s[begins[1:] - 1]  # from a bucket's last row to the next one's first
+    if len(waits):
+        at = np.flatnonzero(waits > max(width, _BREAK * float(np.median(np.diff(time_s))))) + 1
+        middles = np.insert(middles, at, middles[at - 1] + 0.5 * width)
+        lows, highs = np.insert(lows, at, np.nan), np.insert(highs, at, np.nan)
+    return Stretch(middles, lows, highs, width)
+
+
+def _samples(time_s: Array, low: Array, high: Array) -> Stretch:
+    if len(time_s) > 2:
+        steps = np.diff(time_s)
+        at = np.flatnonzero(steps > _BREAK * np.median(steps)) + 1
+        if len(at):
+            between = time_s[at - 1] + 1e-6
+            return Stretch(np.insert(time_s, at, between), np.insert(low, at, np.nan), np.insert(high, at, np.nan))
+    return Stretch(time_s, low, high)
+
+
+class _Rows:
+    """The newest rows of (time, low, high) in one block of memory, moved up when it is full."""
+
+    def __init__(self, kept: int) -> None:
+        self._kept = kept
+        self._table = np.empty((3, min(2 * kept, 4096)))
+        self.end = 0
+        self.dropped = False
+
+    def add(self, time_s: Array, low: Array, high: Array) -> None:
+        count = len(time_s)
+        if self.end + count > self._table.shape[1]:
+            self._make_room(count)
+        self._table[0, self.end : self.end + count] = time_s
+        self._table[1, self.end : self.end + count] = low
+        self._table[2, self.end : self.end + count] = high
+        self.end += count
+
+    def _make_room(self, count: int) -> None:
+        kept = min(self.end, self._kept)
+        self.dropped = self.dropped or kept < self.end
+        rows = self._table[:, self.end - kept : self.end]
+        size = max(self._table.shape[1], min(2 * (kept + count), 2 * self._kept), kept + count)
+        table = np.empty((3, size))
+        table[:, :kept] = rows
+        self._table, self.end = table, kept
+
+    @property
+    def time_s(self) -> Array:
+        return self._table[0, : self.end]
+
+    @property
+    def low(self) -> Array:
+        return self._table[1, : self.end]
+
+    @property
+    def high(self) -> Array:
+        return self._table[2, : self.end]
+
+
+class Levels:
+    """See the module.
+
+    Args:
+        kept: samples kept as they are.
+    """
+
+    def __init__(self, kept: int = KEPT) -> None:
+        self._samples = _Rows(kept)
+        self._longer = [_Rows(max(_KEPT_PAIRS, kept // factor + 1)) for factor in _FACTORS]
+        self._waiting = [np.empty((2, 0)) for _ in _FACTORS]
+
+    def add(self, time_s: Array, values: Array) -> None:
+        """Append samples, shape (n,) each, later than those before; NaN is no value."""
+        if not len(time_s):
+            return
+        self._samples.add(time_s, values, values)
+        for i, (factor, rows) in enumerate(zip(_FACTORS, self._longer, strict=True)):
+            waiting = np.hstack([self._waiting[i], np.vstack([time_s, values])])
+            whole = waiting.shape[1] // factor * factor
+            if whole:
+                blocks = waiting[:, :whole].reshape(2, -1, factor)
+                rows.add(blocks[0, :, 0], np.fmin.reduce(blocks[1], 1), np.fmax.reduce(blocks[1], 1))
+            self._waiting[i] = waiting[:, whole:].copy()
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest sample; -inf without any."""
+        return float(self._samples.time_s[-1]) if self._samples.end else -np.inf
+
+    def until(self, at_s: float) -> float:
+        """Time of the newest sample not after an instant; -inf without any."""
+        place = int(np.searchsorted(self._samples.time_s, at_s, side="right"))
+        return float(self._samples.time_s[place - 1]) if place else -np.inf
+
+    def between(self, start_s: float, end_s: float) -> tuple[Array, Array]:
+        """Times and values of the samples with start < time ≤ end, as far as they are kept."""
+        first, end = np.searchsorted(self._samples.time_s, (start_s, end_s), side="right")
+        return self._samples.time_s[first:end].copy(), self._samples.low[first:end].copy()
+
+    def last(self, at_s: float) -> float:
+        """The newest value not after an instant; NaN without any."""
+        place = int(np.searchsorted(self._samples.time_s, at_s, side="right"))
+        return float(self._samples.low[place - 1]) if place else np.nan
+
+    def stretch(self, start_s: float, end_s: float, buckets: int) -> Stretch:
+        """The signal in a window, for a chart so many pixels wide."""
+        samples = self._samples
+        reaches = not samples.dropped or (samples.end > 0 and samples.time_s[0] <= start_s)
+        if reaches:
+            first, end = np.searchsorted(samples.time_s, (start_s, end_s))
+            if end - first <= _MOST_PER_BUCKET * 2 * buckets:
+                values = samples.low
+                return decimate(samples.time_s, values, values, start_s, end_s, buckets)
+        chosen = len(self._longer) - 1
+        for i, longer in enumerate(self._longer):
+            first, end = np.searchsorted(longer.time_s, (start_s, end_s))
+            if end - first <= _MOST_PER_BUCKET * buckets and (not longer.dropped or longer.time_s[0] <= start_s):
+                chosen = i
+                break
+        return decimate(*self._pairs(chosen, start_s), start_s, end_s, buckets)
+
+    def _pairs(self, level: int, start_s: float) -> tuple[Array, Array, Array]:
+        """Minima and maxima of a longer level from an instant on, with what is not a whole pair yet."""
+        rows, waiting = self._longer[level], self._waiting[level]
+        first = int(np.searchsorted(rows.time_s, start_s))
+        time_s, low, high = rows.time_s[first:], rows.low[first:], rows.high[first:]
+        if waiting.shape[1]:
+            time_s = np.append(time_s, waiting[0, 0])
+            low, high = np.append(low, np.fmin.reduce(waiting[1])), np.append(high, np.fmax.reduce(waiting[1]))
+        return time_s, low, high

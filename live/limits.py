@@ -1,0 +1,247 @@
+# pyright: strict
+"""How much of every limit is used at an instant, and the lamp of every interlock.
+
+The numbers are those of the interlocks' own table; who trips is the acquisition, not this page.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daq.acquisition.interlock_table import (
+    ANGLES_S,
+    AT_REST_S,
+    BLIND_S,
+    DISPLACEMENT_S,
+    FAULTY_S,
+    HOST_S,
+    INTERLOCKS,
+    SPEED_S,
+)
+from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, RUNAWAY, TURNS_UNSEEN
+from live.signals import Signals
+
+NEAR = 0.8
+"""Share of a limit from which it is near."""
+_SPAN_S = 1.0  # over which a largest displacement is taken
+_TURNING_RPM = 5.0
+_DISK_BYTES = 64e6
+_FRESH_S, _SAID_LATE_S = 2.0, 0.15  # an index mark's age; how late a drive's word of a speed may be
+_KINDS = {  # events that say that something is wrong, and whether it has recovered
+    "gone": ("lost device", False), "back": ("lost device", True), "silent": ("silent line", False),
+    "heard": ("silent line", True), "emergency": ("emergency", False), "fault": ("fault", False),
+    "restart": ("restart", False),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Distance:
+    """One limit.
+
+    Attributes:
+        interlock: its row's name.
+        what: what is looked at, for a person.
+        value, limit: now, and where it trips, in `unit`; NaN where nothing is known now.
+        used: value over limit.
+    """
+
+    interlock: str
+    what: str
+    value: float
+    limit: float
+    unit: str
+
+    @property
+    def used(self) -> float:
+        """Share of the limit, 0 …; NaN where nothing is known."""
+        return self.value / self.limit if self.limit else math.nan
+
+
+def distances(
+    signals: Signals, at_s: float, heard_s: float, rate: float = 1.0, disk: Mapping[str, Any] | None = None
+) -> list[Distance]:
+    """Every limit that can be measured from the signals.
+
+    Args:
+        signals: of the rig.
+        at_s: the instant.
+        heard_s: the instant up to which samples can be there: the host's time when they were handed over.
+        rate: seconds of the signals per second of the wall.
+        disk: the recorder's state, where one records.
+    """
+    with signals.lock:
+        found = [*_motion(signals, at_s), *_speed(signals, at_s), *_channels(signals, at_s, heard_s, rate * HOST_S)]
+    if disk is not None:
+        found.append(Distance("disk", "log behind", float(disk["backlog_bytes"]) * 1e-6, _DISK_BYTES * 1e-6, "MB"))
+    return found
+
+
+def _motion(signals: Signals, at_s: float) -> Iterator[Distance]:
+    limit_mm = signals.rig.limits.amplitude_m * 1e3
+    for sensor in signals.rig.roles.displacements:
+        _, values = signals.by_name[sensor.axis].between(at_s - _SPAN_S, at_s)
+        known = values[np.isfinite(values)]
+        largest = float(np.max(np.abs(known))) if len(known) else math.nan
+        yield Distance("amplitude", f"|{sensor.axis}|, last {_SPAN_S:g} s", largest, limit_mm, "mm")
+
+
+def _speed(signals: Signals, at_s: float) -> Iterator[Distance]:
+    roles, limits = signals.rig.roles, signals.rig.limits
+    if roles.speed is None and roles.phase is None:
+        return
+    rpm = signals.rpm(at_s)
+    share, rest = OVERSPEED
+    yield Distance("overspeed", "speed", abs(rpm), limits.speed_rpm * (1 + share) + rest, "rpm")
+    if roles.speed is not None:
+        drive = signals.by_name["drive"]
+        actual, before = drive.last(at_s), drive.last(at_s - _SPAN_S)
+        allowed = float(np.nanmax([0.0, abs(signals.by_name["target"].last(at_s)), abs(before)]))  # it may slow down
+        share, rest = RUNAWAY
+        yield Distance("runaway", "beyond its command", max(0.0, abs(actual) - allowed), share * allowed + rest, "rpm")
+    if roles.speed is not None and roles.phase is not None:
+        apart, around = _disagreement(signals, at_s)
+        share, rest = DISAGREE
+        yield Distance("speed disagreement", "drive against index marks", apart, share * around + rest, "rpm")
+
+
+def _disagreement(signals: Signals, at_s: float) -> tuple[float, float]:
+    """How far the newest turn's speed is from what the drive said meanwhile, and the nearest of that; NaN: unknown."""
+    marks = signals.by_name["marks"]
+    until_s, turned = marks.until(at_s), marks.last(at_s)
+    if not turned > _TURNING_RPM or at_s - until_s > _FRESH_S:
+        return math.nan, 0.0
+    _, said = signals.by_name["drive"].between(until_s - 60 / turned - _SAID_LATE_S, until_s)
+    if not len(said):
+        return math.nan, 0.0
+    nearest = min(max(turned, float(np.min(np.abs(said)))), float(np.max(np.abs(said))))
+    return abs(turned - nearest), nearest
+
+
+def _channels(signals: Signals, at_s: float, heard_s: float, host_s: float) -> Iterator[Distance]:
+    roles, rpm = signals.rig.roles, signals.rpm(at_s)
+    turning = abs(rpm) > _TURNING_RPM
+    for sensor in roles.displacements:
+        age = heard_s - signals.topic_newest_s(sensor.topic, at_s)
+        limit = host_s + (DISPLACEMENT_S if turning else AT_REST_S)
+        yield Distance("silent displacement", f"{sensor.axis}: no sample for", _known(age), limit, "s")
+        _, values = signals.by_name[sensor.axis].between(at_s - BLIND_S, at_s)
+        share = float(np.mean(np.isnan(values))) if len(values) else math.nan
+        yield Distance("blind sensor", f"{sensor.axis}: invalid samples", 100 * share, 50.0, "%")
+    if roles.angles is not None:
+        age = heard_s - signals.topic_newest_s(roles.angles.topic, at_s)
+        limit = host_s + (ANGLES_S if turning else AT_REST_S)
+        yield Distance("silent angles", "angles: no sample for", _known(age), limit, "s")
+        share = signals.faulty_share(at_s - FAULTY_S, at_s)
+        yield Distance("encoder fault", "angles: samples with a fault", 100 * share, 50.0, "%")
+    if roles.speed is not None:
+        age = heard_s - signals.topic_newest_s(roles.speed.topic, at_s)
+        limit = host_s + (SPEED_S if turning else AT_REST_S)
+        yield Distance("silent speed", "drive: no word for", _known(age), limit, "s")
+    if roles.phase is not None:
+        age = heard_s - signals.topic_newest_s(roles.phase.topic, at_s)
+        limit = TURNS_UNSEEN * 60 / max(abs(rpm), _TURNING_RPM) + host_s / HOST_S * RADIO_S
+        yield Distance("no index mark", "no index mark for", _known(age) if turning else 0.0, limit, "s")
+
+
+def _known(seconds: float) -> float:
+    return max(0.0, seconds) if math.isfinite(seconds) else math.nan
+
+
+@dataclass
+class Lamp:
+    """One interlock's.
+
+    Attributes:
+        name, guards, threshold, reaction: of its row in the table, with the rig's numbers.
+        state: "quiet", "near", "beyond" (its limit, now), "tripped" (it stopped the rotor), "recovered" (was beyond, or
+            was reported, and is no more: it stays listed).
+        text: what happened, newest last word; empty while nothing has.
+        since_s: when the state began.
+    """
+
+    name: str
+    guards: str
+    threshold: str
+    reaction: str
+    state: str = "quiet"
+    text: str = ""
+    since_s: float = 0.0
+
+
+class Lamps:
+    """Of all interlocks that a rig has, with memory.
+
+    Args:
+        signals: of the rig.
+    """
+
+    def __init__(self, signals: Signals) -> None:
+        self._limits, self._roles = signals.rig.limits, signals.rig.roles
+        self._at_s = -math.inf
+        self.all: dict[str, Lamp] = {}
+        self._forget()
+
+    def _forget(self) -> None:
+        self._newest = -1
+        self.all = {
+            row.name: Lamp(row.name, row.guards, row.threshold_of(self._limits), row.reaction)
+            for row in INTERLOCKS if row.has_role(self._roles)
+        }  # fmt: skip
+
+    def look(self, at_s: float, found: Iterable[Distance], events: list[Mapping[str, Any]]) -> list[Lamp]:
+        """Take what is seen at an instant; one before the last begins anew.
+
+        Args:
+            found: the distances at the instant.
+            events: all up to it, in their order, each with `at_s` and a rising `number`.
+        """
+        if at_s < self._at_s - 1.0:
+            self._forget()
+        self._at_s = at_s
+        for event in events:
+            if event["number"] > self._newest:
+                self._newest = event["number"]
+                self._event(event)
+        worst: dict[str, Distance] = {}
+        for distance in found:
+            known = worst.get(distance.interlock)
+            if math.isfinite(distance.used) and (known is None or distance.used > known.used):
+                worst[distance.interlock] = distance
+        for name, distance in worst.items():
+            if name in self.all:
+                self._distance(self.all[name], distance, at_s)
+        return list(self.all.values())
+
+    def _distance(self, lamp: Lamp, distance: Distance, at_s: float) -> None:
+        if lamp.state == "tripped":
+            return
+        words = f"{distance.what} {distance.value:.3g} of {distance.limit:.3g} {distance.unit}"
+        if distance.used >= 1:
+            if lamp.state != "beyond":
+                lamp.since_s = at_s
+            lamp.state, lamp.text = "beyond", words
+        elif lamp.state == "beyond":
+            lamp.state, lamp.since_s = "recovered", at_s
+        elif lamp.state in ("quiet", "near"):
+            lamp.state = "near" if distance.used >= NEAR else "quiet"
+
+    def _event(self, event: Mapping[str, Any]) -> None:
+        at_s, text = float(event["at_s"]), str(event.get("text", ""))
+        if event["kind"] == "trip":
+            for reason in event.get("reasons", ()):
+                self._set(str(reason.get("interlock")), "tripped", str(reason.get("text", text)), at_s)
+        elif event["kind"] == "disk":
+            self._set("disk", "beyond" if event.get("slow") else "recovered", text, at_s)
+        elif event["kind"] in _KINDS:
+            name, recovered = _KINDS[event["kind"]]
+            self._set(name, "recovered" if recovered else "beyond", text, at_s)
+
+    def _set(self, name: str, state: str, text: str, at_s: float) -> None:
+        lamp = self.all.get(name)
+        if lamp is not None and lamp.state != "tripped":
+            lamp.state, lamp.text, lamp.since_s = state, text, at_s

@@ -1,0 +1,105 @@
+# pyright: strict
+"""The model's curves for the page: 1× against speed with locked pendulums, and the steady states at a speed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import locked_orbit, steady_states
+from dynamics.errors import DynamicsError
+from rig_configs import IdentifiedParameters
+from rig_configs.schema import Rig
+
+Complex = NDArray[np.complex128]
+_ACCURACY = 1e-4
+_MOST_KEPT = 2000  # speeds whose steady states are kept
+_LEAST_RPM = 20.0
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """One steady motion in the sensors' axes.
+
+    Attributes:
+        type: I, II, III; "locked" with locked pendulums.
+        theta_deg: of both pendulums, 0 … 360.
+        orbit_mm: complex order-1 amplitudes of x and y: x = Re(x e^{iψ}), y alike.
+        amplitude_mm: rms distance of the disk centre from the orbit's middle.
+    """
+
+    type: str
+    theta_deg: tuple[float, float]
+    orbit_mm: tuple[complex, complex]
+    amplitude_mm: float
+
+
+class Model:
+    """What a rig's numbers predict.
+
+    Args:
+        rig: with identified parameters laid over it, where there are any.
+        identified: these, for what a rig file has no place for: a bow, the axes' angle.
+        source: where the numbers are from, for a person.
+    """
+
+    def __init__(self, rig: Rig, identified: IdentifiedParameters | None = None, source: str = "rig file") -> None:
+        self.physics = rig.physics if identified is None else identified.with_effects(rig.physics)
+        self.source = source
+        self._top_rpm = rig.limits.speed_rpm
+        known = None if identified is None else identified.axis_angle_deg
+        self._turn_rad = math.radians(rig.roles.mounted_deg[0] if known is None else known[0])
+        self._states: dict[int, list[Predicted]] = {}
+
+    def bode(self, points: int = 600) -> tuple[NDArray[np.float64], Complex, Complex]:
+        """Complex order-1 amplitudes of x and y in mm over rpm, pendulums locked at 0° and 180°; shape (points,)."""
+        rpm = np.linspace(_LEAST_RPM, self._top_rpm, points)
+        rows = [self._shown(*self._locked(speed, (0.0, math.pi))) for speed in rpm]
+        table = np.array(rows, np.complex128)
+        return rpm, table[:, 0], table[:, 1]
+
+    def locked(self, rpm: float, theta_rad: tuple[float, float]) -> Predicted | None:
+        """The motion at a speed with the pendulums locked at given angles; None where there is none."""
+        x, y = self._shown(*self._locked(rpm, theta_rad))
+        if not math.isfinite(abs(x) + abs(y)):
+            return None
+        a, b = (math.degrees(angle) % 360 for angle in theta_rad)
+        return Predicted("locked", (a, b), (x, y), math.sqrt((abs(x) ** 2 + abs(y) ** 2) / 2))
+
+    def steady(self, rpm: float) -> list[Predicted] | None:
+        """The stable steady states near a speed that were worked out; None while they are not."""
+        return self._states.get(round(rpm))
+
+    def work_out(self, rpm: float) -> None:
+        """Find the stable steady states at a speed, to the nearest rpm; it takes a tenth of a second."""
+        key = round(rpm)
+        if key in self._states or key < _LEAST_RPM:
+            return
+        try:
+            found = [s for s in steady_states(self.physics, key * math.pi / 30, _ACCURACY) if s.stable]
+        except (DynamicsError, np.linalg.LinAlgError):
+            found = []
+        if len(self._states) >= _MOST_KEPT:
+            self._states.pop(next(iter(self._states)))
+        self._states[key] = [
+            Predicted(
+                s.type, (math.degrees(s.theta_rad[0]) % 360, math.degrees(s.theta_rad[1]) % 360),
+                self._shown(complex(s.x_m), complex(s.y_m)), 1e3 * s.amplitude_m,
+            )
+            for s in found
+        ]  # fmt: skip
+
+    def _locked(self, rpm: float, theta_rad: tuple[float, float]) -> tuple[complex, complex]:
+        try:
+            return locked_orbit(self.physics, max(rpm, 1e-3) * math.pi / 30, *theta_rad)
+        except DynamicsError:
+            return complex(math.nan), complex(math.nan)
+
+    def _shown(self, x_m: complex, y_m: complex) -> tuple[complex, complex]:
+        """x = Re(X e^{iψ}), y = Im(Y e^{iψ}) of the stiffness axes, in m, as both real parts in the sensors', in mm."""
+        x, y = x_m, -1j * y_m
+        c, s = math.cos(self._turn_rad), math.sin(self._turn_rad)
+        return 1e3 * (x * c + y * s), 1e3 * (-x * s + y * c)

@@ -1,0 +1,96 @@
+"use strict";
+// What is said in words: limits, lamps, the test, streams, events.
+const byId = (id) => document.getElementById(id);
+const LARGE = ["amplitude", "overspeed"];
+
+class Limits {
+  constructor(element) { this.rows = element.querySelector(".rows"); this.known = new Map(); }
+  show(limits) {
+    let nearest = null;
+    limits.forEach((limit) => {
+      const key = `${limit.interlock} ${limit.what}`;
+      if (!this.known.has(key)) this.known.set(key, this.row(limit));
+      const row = this.known.get(key), used = limit.used;
+      const words = limit.value === null || limit.limit === null ? "unknown" : `${three(limit.value)} of ${three(limit.limit)} ${limit.unit}`;
+      row.querySelector(".value").textContent = words;
+      row.querySelector(".used").textContent = used === null ? "–" : `${Math.round(100 * used)} %`;
+      row.querySelector(".fill").style.width = `${Math.min(100, 100 * (used || 0))}%`;
+      row.classList.toggle("near", used >= 0.8 && used < 1); row.classList.toggle("beyond", used >= 1);
+      const meter = row.querySelector(".track");
+      meter.setAttribute("aria-valuenow", Math.round(100 * (used || 0))); meter.setAttribute("aria-valuetext", words);
+      if (used !== null && (nearest === null || used > nearest.used)) nearest = limit;
+    });
+    return nearest;
+  }
+  row(limit) {
+    const row = document.createElement("div");
+    row.className = `limit${LARGE.includes(limit.interlock) ? " main" : ""}`;
+    row.innerHTML = '<span class="what"></span><span class="value"></span><span class="used"></span><div class="track" role="meter" aria-valuemin="0" aria-valuemax="100"><div class="fill"></div></div>';
+    row.querySelector(".what").textContent = limit.what;
+    row.querySelector(".track").setAttribute("aria-label", `${limit.interlock}: ${limit.what}`);
+    this.rows.append(row);
+    return row;
+  }
+}
+
+const three = (v) => (v === 0 ? "0" : Math.abs(v) >= 100 ? v.toFixed(0) : Math.abs(v) < 0.1 ? v.toFixed(3) : v.toPrecision(3));
+
+const STATE_WORDS = { quiet: "", near: "near", beyond: "now", tripped: "TRIPPED", recovered: "recovered" };
+
+const showLamps = (list, lamps) => {
+  const order = ["tripped", "beyond", "recovered", "near", "quiet"];
+  const sorted = [...lamps].sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state));
+  replaceWhenChanged(list, sorted.map((lamp) => `${lamp.name}|${lamp.state}|${lamp.text}`).join("\n"), () => sorted.map((lamp) => {
+    const item = document.createElement("li");
+    item.className = lamp.state;
+    item.title = `${lamp.guards}; ${lamp.threshold}; ${lamp.reaction}`;
+    const words = lamp.state === "quiet" || lamp.state === "near" ? "" : `: ${STATE_WORDS[lamp.state]} (${lamp.since_s.toFixed(1)} s) ${lamp.text}`;
+    item.textContent = `${lamp.name}${words}`;
+    item.setAttribute("aria-label", `${lamp.name}: ${lamp.state} ${lamp.text}`);
+    return item;
+  }));
+};
+
+const replaceWhenChanged = (element, key, make) => {
+  if (element.dataset.key === key) return;
+  element.dataset.key = key;
+  element.replaceChildren(...make());
+};
+
+const showTest = (element, state) => {
+  const part = (name) => element.querySelector(name);
+  const test = [state.test, state.point && !state.test.endsWith(state.point) ? state.point : ""].filter(Boolean).join(" ");
+  part(".step").textContent = test ? `${test}${state.step ? `: ${state.step}` : ""}` : "no test runs";
+  part(".words").textContent = state.words || state.note || "";
+  part(".prompt").hidden = !state.prompt; part(".prompt").textContent = state.prompt || "";
+  part("progress").hidden = state.share === null; if (state.share !== null) part("progress").value = state.share;
+  element.querySelectorAll("[data-verb]").forEach((button) => { button.hidden = state.mode === "replay" || !state.can.includes(button.dataset.verb); });
+  byId("note").hidden = !state.can.includes("note");
+  if (state.answer) part(".answer").textContent = state.answer;
+};
+
+const showHealth = (list, state) => {
+  const rows = [];
+  for (const [device, kinds] of Object.entries(state.losses || {})) {
+    const lost = Object.entries(kinds).filter(([, n]) => n).map(([kind, n]) => `${n} ${kind.replaceAll("_", " ")}`);
+    rows.push([device, lost.join(", ") || "nothing lost", lost.length > 0]);
+  }
+  if (state.rates) rows.push(["rates", state.rates, true]);
+  if (state.disk) rows.push(["disk", `${(state.disk.written_bytes / 1e6).toFixed(1)} MB written${state.disk.slow ? ", SLOW" : ""}`, state.disk.slow]);
+  if (state.feed_dropped) rows.push(["page's feed", `${state.feed_dropped} samples left out here (the log has them)`, true]);
+  rows.push(["viewers", `${state.viewers}${state.missed ? `; this one missed ${state.missed} frames` : ""}`, false]);
+  replaceWhenChanged(list, JSON.stringify(rows), () => rows.flatMap(([name, words, bad]) => {
+    const term = document.createElement("dt"), said = document.createElement("dd");
+    term.textContent = name; said.textContent = words; said.className = bad ? "bad" : "";
+    return [term, said];
+  }));
+};
+
+const showEvents = (list, events) => {
+  replaceWhenChanged(list, events.map((event) => `${event.at_s}${event.text}`).join("|"), () => [...events].reverse().map((event) => {
+    const item = document.createElement("li"), time = document.createElement("time"), words = document.createElement("span");
+    time.textContent = `${event.at_s.toFixed(2)} s`; words.textContent = `${event.device ? `${event.device}: ` : ""}${event.text || event.kind}`;
+    item.append(time, words);
+    return item;
+  }));
+};

@@ -1,0 +1,201 @@
+# pyright: strict
+"""The page's server: the page, its frames over a WebSocket, and what may be asked of the rig.
+
+Pictures are made for each viewer when its line can take one and it has taken those before: one that is slow, asleep or
+dead gets fewer, and holds nothing up. Everything passes `live.guard`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import Callable
+from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, cast
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from live.guard import LOOPBACK, Guard
+from live.picture import Pictures, View
+from live.source import Facts, Refused, Source
+
+FRAMES_PER_S = 30.0
+MOST_VIEWERS = 16
+MOST_UNANSWERED = 3
+"""Frames that a viewer may have been sent and not answered: what a sleeping one can pile up."""
+_STATE_S, _SLOW_S = 0.2, 0.5
+_LONGEST_MESSAGE, _LONGEST_NOTE = 4096, 2000
+_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+_BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
+
+
+class _Viewer:
+    """One line to one browser."""
+
+    def __init__(self, socket: WebSocket, pictures: Pictures) -> None:
+        self._socket, self._pictures = socket, pictures
+        self.view = View()
+        self.sent = self.answered = self.missed = 0
+        self._free = asyncio.Event()
+        self._free.set()
+
+    async def listen(self) -> None:
+        """Take views and answers until the line is gone."""
+        while True:
+            told = json.loads(await self._socket.receive_text())
+            if not isinstance(told, dict):
+                raise ValueError("expected an object")
+            asked = cast("dict[str, Any]", told)
+            if "view" in asked:
+                self.view = View.of(asked["view"])
+            if "seen" in asked:
+                self.answered = max(self.answered, min(int(asked["seen"]), self.sent))
+                self._free.set()
+
+    async def show(self, extra: Callable[[], Facts]) -> None:
+        """Send pictures, newest first, never more than the line and the viewer take."""
+        await self._socket.send_bytes(self._pictures.curves())
+        state_s = slow_s = -1e9
+        due = time.monotonic()
+        while True:
+            if self.sent - self.answered >= MOST_UNANSWERED:
+                self._free.clear()
+                await self._free.wait()
+            now = time.monotonic()
+            if now - state_s >= _STATE_S:
+                state_s = now
+                facts = {**self._pictures.state(), **extra(), "missed": self.missed}
+                await self._socket.send_text(json.dumps(facts, ensure_ascii=False))
+            if now - slow_s >= _SLOW_S:
+                slow_s = now
+                await self._socket.send_bytes(self._pictures.slow())
+            self.sent += 1
+            await self._socket.send_bytes(self._pictures.frame(self.view, self.sent))
+            due += 1 / FRAMES_PER_S
+            late = time.monotonic() - due
+            if late > 1 / FRAMES_PER_S:
+                skipped = int(late * FRAMES_PER_S)
+                self.missed += skipped
+                due += skipped / FRAMES_PER_S
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
+
+
+class Page:
+    """The application behind the guard.
+
+    Args:
+        source: what is shown, and asked.
+        pictures: made of it.
+        token: of the page.
+        hosts: as Guard takes them; each with the port.
+    """
+
+    def __init__(self, source: Source, pictures: Pictures, token: str) -> None:
+        self._source, self._pictures, self._token = source, pictures, token
+        self._viewers: list[_Viewer] = []
+        self._files = {path.name: path for path in _files()}
+
+    def app(self, hosts: list[str]) -> ASGIApp:
+        """See Guard."""
+        routes = [
+            Route("/", self._index),
+            Route("/page/{name}", self._file),
+            WebSocketRoute("/data", self._data),
+            Route("/stop", self._stop, methods=["POST"]),
+            Route("/act", self._act, methods=["POST"]),
+        ]
+        return Guard(Starlette(routes=routes), self._token, hosts)
+
+    @property
+    def viewers(self) -> int:
+        """Browsers that look now."""
+        return len(self._viewers)
+
+    def _index(self, request: Request) -> Response:
+        del request
+        text = self._files["index.html"].read_text(encoding="utf-8")
+        return HTMLResponse(text.replace("{{token}}", self._token))
+
+    def _file(self, request: Request) -> Response:
+        path = self._files.get(request.path_params["name"])
+        if path is None or path.name == "index.html":
+            return PlainTextResponse("no such file of the page\n", 404)
+        return Response(path.read_bytes(), media_type=_TYPES.get(path.suffix, "application/octet-stream"))
+
+    async def _data(self, socket: WebSocket) -> None:
+        if len(self._viewers) >= MOST_VIEWERS:
+            await socket.send_denial_response(PlainTextResponse(f"{MOST_VIEWERS} viewers already look\n", 503))
+            return
+        await socket.accept()
+        viewer = _Viewer(socket, self._pictures)
+        self._viewers.append(viewer)
+        tasks = [asyncio.create_task(viewer.listen()), asyncio.create_task(viewer.show(self._extra))]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                with contextlib.suppress(WebSocketDisconnect, ValueError, TypeError, KeyError, OSError, RuntimeError):
+                    task.result()
+        finally:
+            self._viewers.remove(viewer)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            with contextlib.suppress(Exception):
+                await socket.close()
+
+    def _extra(self) -> Facts:
+        return {"viewers": len(self._viewers)}
+
+    async def _stop(self, request: Request) -> Response:
+        del request
+        return await self._asked("stop", {})
+
+    async def _act(self, request: Request) -> Response:
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > _LONGEST_MESSAGE:
+                return JSONResponse({"error": f"expected at most {_LONGEST_MESSAGE} bytes"}, 413)
+        try:
+            given = json.loads(body)
+            verb = str(given.pop("verb"))
+        except (ValueError, KeyError, AttributeError, TypeError):
+            return JSONResponse({"error": 'expected {"verb": …} as JSON'}, 400)
+        if len(str(given.get("text", ""))) > _LONGEST_NOTE:
+            return JSONResponse({"error": f"expected a note of at most {_LONGEST_NOTE} characters"}, 413)
+        return await self._asked(verb, cast("dict[str, Any]", given))
+
+    async def _asked(self, verb: str, given: dict[str, Any]) -> Response:
+        try:
+            return JSONResponse(await run_in_threadpool(self._source.act, verb, given))
+        except Refused as why:
+            return JSONResponse({"error": str(why)}, 409)
+
+
+def _files() -> list[Path]:
+    """Our own files, and BokehJS out of the installed package."""
+    own = [Path(str(entry)) for entry in resources.files("live").joinpath("page").iterdir()]
+    spec = find_spec("bokeh")  # its files are wanted, not its import
+    assert spec is not None and spec.origin is not None, "a dependency of this package"  # noqa: PT018
+    scripts = Path(spec.origin).parent / "server" / "static" / "js"
+    return [*(path for path in own if path.suffix in _TYPES), *(scripts / name for name in _BOKEH)]
+
+
+def hosts_of(name: str, port: int) -> list[str]:
+    """Host headers that are ours.
+
+    Args:
+        name: to which the server is bound; "" for the loopback.
+    """
+    names = [*LOOPBACK, *([f"[{name}]" if ":" in name else name] if name and name not in LOOPBACK else [])]
+    return [f"{each}:{port}" for each in names] + ([*names] if port == 80 else [])

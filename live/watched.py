@@ -1,0 +1,144 @@
+# pyright: strict
+"""A rig as the page's source, in the page's own process: what the recorder's process hands over through a pipe."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+from daq.errors import RigError
+from live.model import Model
+from live.serving import Serving
+from live.signals import Signals
+from live.source import Facts, Refused
+from rig_configs import IdentifiedParameters
+from rig_configs.schema import Rig
+
+_ANSWER_S = 2.0
+_MOST_EVENTS = 2000
+_NICE = 5  # the recorder goes first
+_NOTHING: Facts = {
+    "mode": "live", "test": "", "point": "", "started": "", "note": "", "step": "", "words": "opening the rig",
+    "prompt": "", "share": None, "losses": {}, "disk": None, "can": [], "stop": "", "rates": "", "feed_dropped": 0,
+    "trouble": "", "answer": "", "log": "",
+}  # fmt: skip
+
+
+class Watched:
+    """See live.source.Source.
+
+    Args:
+        rig: the session's.
+        pipe: to the session's process.
+        rate: seconds of the rig per second of the wall.
+        title: of the page.
+    """
+
+    def __init__(self, rig: Rig, pipe: Connection, rate: float, title: str) -> None:
+        self._rig, self._pipe, self._rate = rig, pipe, rate
+        self.signals = Signals(rig, 0)
+        self._facts: Facts = {**_NOTHING, "title": title}
+        self._events: deque[Mapping[str, Any]] = deque(maxlen=_MOST_EVENTS)
+        self._heard: tuple[float, float] | None = None
+        self._numbers, self._event_numbers = itertools.count(1), itertools.count()
+        self._waiting: dict[int, tuple[threading.Event, Facts]] = {}
+        self._sending = threading.Lock()
+
+    def follow(self) -> None:
+        """Take what is handed over until the other side is gone."""
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                self._take(self._pipe.recv())
+
+    def _take(self, handed: Mapping[str, Any]) -> None:
+        if "answer" in handed:
+            waiting = self._waiting.pop(handed["to"], None)
+            if waiting is not None:
+                came, answer = waiting
+                answer.update(handed["answer"])
+                came.set()
+            return
+        if self._heard is None:
+            self.signals.origin_ns = int(handed["heard_ns"]) // 10**9 * 10**9
+        for topic, time_ns, columns in handed["rows"]:
+            self.signals.feed(topic, time_ns, columns)
+        for event in handed["events"]:
+            at_s = float(self.signals.seconds(event["time_ns"]))
+            self._events.append({**event, "at_s": at_s, "number": next(self._event_numbers)})
+        heard_s = float(self.signals.seconds(handed["heard_ns"]))
+        if handed["facts"] is not None:
+            facts = {**self._facts, **handed["facts"]}
+            if facts["test"] != self._facts["test"]:
+                facts["since_s"] = heard_s  # the last test's figures are not this one's
+            self._facts = facts
+        self._heard = heard_s, time.monotonic()
+
+    def now_s(self) -> float:
+        """See Source."""
+        return self.heard_s()
+
+    def heard_s(self) -> float:
+        """See Source: it goes on while nothing is handed over, so that what is old looks old."""
+        if self._heard is None:
+            return 0.0
+        heard_s, since = self._heard
+        return heard_s + self._rate * (time.monotonic() - since)
+
+    @property
+    def rate(self) -> float:
+        """See Source."""
+        return self._rate
+
+    def facts(self) -> Facts:
+        """See Source."""
+        return self._facts
+
+    def events(self) -> list[Mapping[str, Any]]:
+        """See Source."""
+        return list(self._events)
+
+    def act(self, verb: str, given: Mapping[str, Any]) -> Facts:
+        """See Source: the session's process does it."""
+        number, came, answer = next(self._numbers), threading.Event(), Facts()
+        self._waiting[number] = came, answer
+        try:
+            with self._sending:
+                self._pipe.send({"act": verb, "given": dict(given), "number": number})
+        except (OSError, ValueError) as fault:
+            raise Refused(f"{verb}: the recorder is gone") from fault
+        if not came.wait(_ANSWER_S):
+            self._waiting.pop(number, None)
+            raise Refused(f"{verb}: no answer from the recorder within {_ANSWER_S:g} s")
+        if "error" in answer:
+            raise Refused(str(answer["error"]))
+        return answer
+
+
+def run_page(
+    pipe: Connection, rig: Rig, identified: IdentifiedParameters | None, source: str, rate: float, title: str,
+    host: str, port: int,
+) -> None:  # fmt: skip
+    """The page's process: serve until the other side of the pipe is gone."""
+    for name in ("SIGINT", "SIGHUP"):  # the terminal sends them to both; the session decides when it is over
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(_NICE)
+    watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
+    try:
+        serving = Serving(watched, Model(rig, identified, source), host, port)
+    except RigError as fault:
+        pipe.send({"failed": str(fault)})
+        return
+    with serving:
+        pipe.send({"url": serving.url, "token": serving.token})
+        watched.follow()

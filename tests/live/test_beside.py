@@ -1,0 +1,139 @@
+"""The page's own process beside a session: what it costs the recorder, what it does when it is dead or refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+from cli.simulated import SimulatedOperator, VirtualRigProcess
+from daq.acquisition.session import Session
+from daq.errors import OperatorStop, RigError
+from daq.guided_tests.controls import Controls
+from daq.guided_tests.procedure import Procedures
+from daq.lockstep.rig import LockstepRig
+from daq.log import open_log
+from live.beside import Asking, LivePage
+from live.serving import bound
+from rig_configs import load_rig
+from rig_configs.schema import Rig
+
+WAIT_S = 30.0
+
+
+def _state(page: LivePage, until: Any) -> dict[str, Any]:
+    """The first state that is as wanted."""
+    parts = urlsplit(page.url)
+    with connect(f"ws://{parts.netloc}/data?{parts.query}", origin=Origin(f"http://{parts.netloc}")) as line:
+        deadline = time.monotonic() + WAIT_S
+        last: dict[str, Any] = {}
+        while time.monotonic() < deadline:
+            data = line.recv(timeout=WAIT_S)
+            line.send(json.dumps({"seen": 10**9}))
+            if isinstance(data, str) and until(last := json.loads(data)):
+                return last
+    raise AssertionError(f"never so within {WAIT_S:g} s; last: {last}")
+
+
+def _ask(page: LivePage, path: str, **body: Any) -> tuple[int, dict[str, Any]]:
+    parts = urlsplit(page.url)
+    connection = HTTPConnection(parts.netloc, timeout=WAIT_S)
+    connection.request("POST", f"{path}?{parts.query}", json.dumps(body), {"Origin": f"http://{parts.netloc}"})
+    answer = connection.getresponse()
+    found = answer.status, json.loads(answer.read())
+    connection.close()
+    return found
+
+
+def _page(rig: Rig) -> LivePage:
+    return LivePage(rig, None, "rig file", 1.0, rig.name)
+
+
+def test_a_session_is_shown_stopped_and_its_log_whole(
+    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+) -> None:
+    page = LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here")
+    with page, Session(plugged, virtual_rig.clock) as session:
+        assert _ask(page, "/stop") == (409, {"error": "stop: the rig is not open yet"})
+        session.start_recording(tmp_path / "a.mcap", {"test": "record", "rig": "virtual"})
+        page.follow(session, Asking(), session.stop, {"words": "recording"})
+        seen = _state(page, lambda state: len(state["limits"]) > 5 and state["disk"])
+        assert seen["words"] == "recording"
+        assert set(seen["losses"]) == {"laser_x", "laser_y", "encoder", "drive"}
+        assert "stop" in seen["can"]
+        assert _ask(page, "/act", verb="note", text="by hand")[0] == 200
+        assert _ask(page, "/act", verb="pause")[0] == 409
+        _state(page, lambda state: any(event["text"] == "by hand" for event in state["events"]))
+        status, answer = _ask(page, "/stop")
+        assert (status, answer["done"]) == (200, True)
+        with pytest.raises(OperatorStop, match="button of the live page"):
+            session.check()
+        _state(page, lambda state: "live page" in state["trouble"])
+        path = session.stop_recording({})
+    with open_log(path) as log:
+        assert [event["text"] for event in log.events if event["kind"] == "note"] == ["by hand"]
+        assert log.metadata["foxglove"] == {"deviceName": "virtual", "deviceId": "virtual"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGSTOP")
+def test_a_dead_page_costs_the_recorder_nothing(tmp_path: Path) -> None:
+    """Stopped in the middle, its pipe full: the session records on, bit for bit as without a page."""
+    recorded: list[bytes] = []
+    for dead in (False, True):
+        sim = LockstepRig(load_rig("virtual", settings=["virtual.seed=3"]))
+        rig = load_rig("virtual", settings=["virtual.seed=3", *sim.port_settings()])
+        page = _page(rig)
+        with page, Session(rig, sim.clock, edge=sim.edge) as session:
+            page.follow(session, Asking(Controls()), None, {})
+            assert page._process.pid is not None
+            if dead:
+                os.kill(page._process.pid, signal.SIGSTOP)
+            folder = tmp_path / str(dead)
+            done = Procedures(session, SimulatedOperator(sim), folder, lambda text, share: None).run("spin-down")
+            losses = session.losses()
+            if dead:
+                os.kill(page._process.pid, signal.SIGCONT)
+        with open_log(done.log) as log:
+            recorded.append(b"".join(chunk.data for name in log.devices for chunk in log.raw(name)))
+            assert log.complete
+        assert losses["laser_x"]["samples"] == 0
+    assert recorded[0] == recorded[1]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+def test_a_page_that_was_killed_does_not_end_the_session(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    with _page(plugged) as page, Session(plugged, virtual_rig.clock) as session:
+        page.follow(session, Asking(), session.stop, {})
+        assert page._process.pid is not None
+        os.kill(page._process.pid, signal.SIGKILL)
+        page._threads[0].join(WAIT_S)
+        assert not page._threads[0].is_alive(), "the feed ends with its page"
+        session.check()
+        session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
+
+
+def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
+    with bound("", 0) as taken, pytest.raises(RigError, match=r"the live page: .*--port"):
+        LivePage(load_rig("virtual"), None, "", 1.0, "", "", taken.getsockname()[1]).__enter__()
+
+
+def test_a_prompt_is_shown_until_the_test_goes_on() -> None:
+    controls = Controls()
+    asking = Asking(controls, lambda: None)
+    assert asking.can() == []
+    controls.status = type(controls.status)("spin-down", "flick", "waiting")
+    asking.prompt("flick both pendulums")
+    assert asking.facts()["prompt"] == "flick both pendulums"
+    assert asking.can() == ["pause", "resume", "abort", "confirm"]
+    controls.status = type(controls.status)("spin-down", "record", "recording")
+    assert asking.facts()["prompt"] == ""

@@ -1,0 +1,75 @@
+"""The stop button at a running test: the drive's command follows the click within 0.2 s, by the log's own bytes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from cli.simulated import VirtualRigProcess
+from daq.channels import TX
+from daq.log import open_log
+
+WITHIN_S = 0.2
+QUICK_STOP = b"t205402000000"  # SLCAN: the drive's command, controlword 2, target 0
+NOTE_CLICK = """document.getElementById("stop").addEventListener("click", () => {
+  window.clicked_ms = performance.timeOrigin + performance.now();
+}, { capture: true })"""
+
+
+@pytest.fixture
+def real_time_rig() -> VirtualRigProcess:
+    """A virtual rig at the speed of life: a click is one of this world."""
+    return VirtualRigProcess("virtual", ["virtual.seed=3"], 1.0)
+
+
+def test_the_click_halts_the_drive_and_the_run_ends_whole(
+    page: Page, real_time_rig: VirtualRigProcess, tmp_path: Path
+) -> None:
+    with real_time_rig as rig:
+        settings = [part for setting in rig.port_settings() for part in ("--set", setting)]
+        command = [sys.executable, "-m", "cli.main", "test", "virtual", "run-up", "--live", "--out", str(tmp_path)]
+        running = subprocess.Popen(
+            [*command, "--json", *settings], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        try:
+            assert running.stdout is not None
+            first = json.loads(running.stdout.readline())
+            assert set(first) == {"url", "token"}
+            assert first["token"] in first["url"]
+            page.goto(first["url"])
+            expect(page.locator("#test .step")).to_have_text("run-up: ramp", timeout=60_000)
+            expect(page.locator("#stop")).to_be_enabled(timeout=30_000)
+            page.fill("#note input", "a note from the page")
+            page.press("#note input", "Enter")
+            expect(page.locator("#test .answer")).to_contain_text("noted: a note from the page", timeout=30_000)
+            page.evaluate(NOTE_CLICK)
+            page.click("#stop")
+            expect(page.locator("#stop")).to_contain_text("STOPPED", timeout=5_000)
+            clicked_ns = int(page.evaluate("window.clicked_ms") * 1e6)
+            expect(page.locator("#alert")).to_contain_text("stopped by the button of the live page", timeout=5_000)
+            rest, said = running.communicate(timeout=60)
+        finally:
+            running.kill()
+            running.wait()
+    assert running.returncode == 130, said
+    assert json.loads(rest)["error"] == "stopped by the button of the live page"
+    (path,) = tmp_path.glob("*.mcap")
+    with open_log(path) as log:
+        assert log.verify() == []
+        sent_ns = [
+            chunk.host_ns for chunk in log.raw("drive") if chunk.direction == TX and chunk.data.startswith(QUICK_STOP)
+        ]
+        kinds = {event["kind"]: event["text"] for event in log.events}
+        ended = log.metadata["summary"]["ended"]
+        turned = float(log["motor"].speed_rpm.max())
+    assert turned > 0
+    assert sent_ns, "the drive was never told to stop"
+    assert 0 < min(sent_ns) - clicked_ns < WITHIN_S * 1e9
+    assert kinds["stop"] == "stopped by the button of the live page"
+    assert kinds["note"] == "a note from the page"
+    assert "live page" in ended

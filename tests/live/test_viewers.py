@@ -1,0 +1,163 @@
+"""Several viewers; one that is asleep or dead gets few frames and holds nobody up."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.client import HTTPConnection
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
+
+from live.frames import decode
+from live.replayed import Replayed
+from live.server import MOST_UNANSWERED, MOST_VIEWERS
+from live.serving import PortTaken, Serving, bound
+
+WAIT_S = 20.0
+
+
+@contextmanager
+def _viewer(serving: Serving) -> Iterator[ClientConnection]:
+    parts = urlsplit(serving.url)
+    origin = Origin(f"http://{parts.netloc}")
+    with connect(f"ws://{parts.netloc}/data?{parts.query}", origin=origin, compression=None) as line:
+        yield line
+
+
+def _frames(line: ClientConnection, count: int) -> list[dict[str, Any]]:
+    """So many frames, each answered."""
+    found: list[dict[str, Any]] = []
+    while len(found) < count:
+        data = line.recv(timeout=WAIT_S)
+        if isinstance(data, bytes):
+            header, columns = decode(data)
+            if header["kind"] == "frame":
+                line.send(json.dumps({"seen": header["number"]}))
+                found.append({**header, "columns": columns})
+    return found
+
+
+def test_a_viewer_that_answers_nothing_gets_no_more_than_a_few(serving: Serving) -> None:
+    with _viewer(serving), _viewer(serving) as awake:
+        _frames(awake, 40)
+        asleep = serving.page._viewers[0]
+        assert serving.page.viewers == 2
+        assert asleep.sent == MOST_UNANSWERED
+        assert serving.page._viewers[1].sent >= 40
+
+
+def test_one_that_wakes_up_sees_the_newest_picture(serving: Serving, replayed: Replayed) -> None:
+    replayed.transport.seek(5.0)
+    with _viewer(serving) as sleepy, _viewer(serving) as awake:
+        _frames(awake, 15)
+        replayed.transport.seek(30.0)
+        _frames(awake, 15)
+        seen = _frames(sleepy, MOST_UNANSWERED + 1)
+        assert [frame["now_s"] for frame in seen] == [5.0] * MOST_UNANSWERED + [30.0]
+
+
+def test_a_viewer_that_is_gone_is_forgotten(serving: Serving) -> None:
+    with _viewer(serving) as line:
+        _frames(line, 2)
+    deadline = time.monotonic() + WAIT_S
+    while serving.page.viewers and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert serving.page.viewers == 0
+
+
+def test_each_viewer_has_its_own_window(serving: Serving, replayed: Replayed) -> None:
+    replayed.transport.seek(30.0)
+    with _viewer(serving) as one, _viewer(serving) as two:
+        one.send(json.dumps({"view": {"window_s": 0.1, "end_s": None, "pixels": 500}}))
+        two.send(json.dumps({"view": {"window_s": 20, "end_s": 25.0, "pixels": 200}}))
+        close, far = _frames(one, 8)[-1], _frames(two, 8)[-1]
+    assert close["buckets"]["x"] == 0
+    assert len(close["columns"]["x.t"]) == pytest.approx(400, abs=2)
+    assert (far["start_s"], far["end_s"]) == (5.0, 25.0)
+    assert far["buckets"]["x"] == pytest.approx(0.1)
+    assert len(far["columns"]["x.t"]) == pytest.approx(201, abs=2)
+    assert "x.high" in far["columns"]
+    assert "x.high" not in close["columns"]
+
+
+NONSENSE = (
+    "", "[]", "{", '{"view": {}}', '{"view": {"window_s": "x", "pixels": 1}}', '{"seen": "all"}', "x" * 5000,
+    '{"view": {"window_s": NaN, "pixels": 1}}',
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("nonsense", NONSENSE, ids=range(len(NONSENSE)))
+def test_a_viewer_that_talks_nonsense_is_shown_out_and_others_stay(serving: Serving, nonsense: str) -> None:
+    with _viewer(serving) as good, _viewer(serving) as bad:
+        _frames(good, 1)
+        bad.send(nonsense)
+        deadline = time.monotonic() + WAIT_S
+        while serving.page.viewers > 1 and time.monotonic() < deadline:
+            _frames(good, 1)
+        assert serving.page.viewers == 1
+        _frames(good, 3)
+
+
+def test_too_many_viewers_are_refused(serving: Serving) -> None:
+    lines: list[Any] = []
+    try:
+        for _ in range(MOST_VIEWERS):
+            context = _viewer(serving)
+            context.__enter__()
+            lines.append(context)
+        with pytest.raises(InvalidStatus) as refused, _viewer(serving):
+            pass
+        assert refused.value.response.status_code == 503
+    finally:
+        for context in lines:
+            context.__exit__(None, None, None)
+
+
+def _asked(serving: Serving, path: str, body: Any) -> tuple[int, dict[str, Any]]:
+    parts = urlsplit(serving.url)
+    connection = HTTPConnection(parts.netloc, timeout=WAIT_S)
+    text = body if isinstance(body, str) else json.dumps(body)
+    connection.request("POST", f"{path}?{parts.query}", text, {"Origin": f"http://{parts.netloc}"})
+    answer = connection.getresponse()
+    found = answer.status, json.loads(answer.read())
+    connection.close()
+    return found
+
+
+def test_what_a_log_cannot_do_is_refused_with_a_reason(serving: Serving, replayed: Replayed) -> None:
+    assert _asked(serving, "/stop", {}) == (409, {"error": "stop: a log is played, no rig is here"})
+    assert _asked(serving, "/act", {"verb": "speed", "speed": 1e9})[0] == 409
+    assert _asked(serving, "/act", {"verb": "seek", "to_s": "there"})[0] == 409
+    for body in ("", "[]", "{}", "null"):
+        assert _asked(serving, "/act", body)[0] == 400
+    assert _asked(serving, "/act", {"verb": "note", "text": "x" * 3000})[0] == 413
+    assert _asked(serving, "/act", "x" * 10_000)[0] == 413
+    assert _asked(serving, "/act", {"verb": "seek", "to_s": 7.0}) == (200, {"done": True, "at_s": 7.0})
+    assert replayed.transport.at() == 7.0
+
+
+def test_files_beside_the_page_are_not_served(serving: Serving) -> None:
+    parts = urlsplit(serving.url)
+    for path in ("/page/../server.py", "/page/%2e%2e/server.py", "/page/index.html", "/page/nothing.js", "/nothing"):
+        connection = HTTPConnection(parts.netloc, timeout=WAIT_S)
+        connection.request("GET", f"{path}?{parts.query}")
+        status = connection.getresponse().status
+        connection.close()
+        assert status == 404
+
+
+def test_a_port_that_is_taken_or_a_host_that_is_all_is_refused() -> None:
+    with bound("", 0) as first, pytest.raises(PortTaken, match="--port"):
+        bound("", first.getsockname()[1])
+    for host in ("0.0.0.0", "::", " "):
+        with pytest.raises(PortTaken, match="not all of them"):
+            bound(host, 0)
+    with pytest.raises(PortTaken, match="no address of this machine"):
+        bound("no.such.name.invalid", 0)
