@@ -98,7 +98,8 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
         rig: for the first mass moments, the lasers' gain and the encoders' zero uncertainty.
         bow_m: of the shaft in the rotor's frame: the pendulums balance it as well.
         creep_rad: within which dry friction makes of an approach a creep that ends late. Where no more than that is
-            still to come, the point is taken as it stands, with what is to come, over √3, in its uncertainty.
+            still to come, the point is taken as it stands, with what is to come in its uncertainty: a creep slows down
+            so gradually that nearly all of its bound does come.
     Raises:
         NotEnoughData: no release, too short a record after it, or a signal that is missing there.
     """
@@ -118,7 +119,7 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
     ends = to_come(run, release, end, means, stds)
     creeps = not settling.settled and settling.approaching and settling.remaining_rad <= creep_rad
     if creeps:
-        left = np.r_[np.full(2, settling.remaining_rad), np.full(4, settling.remaining_m)] / math.sqrt(3)
+        left = np.r_[np.full(2, settling.remaining_rad), np.full(4, settling.remaining_m)]
         ends = replace(ends, covariance=ends.covariance + np.diag(left**2))
     theta = (theta + ends.shift[:2]) % (2 * math.pi)
     x[0] += complex(*ends.shift[2:4])

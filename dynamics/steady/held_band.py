@@ -34,7 +34,8 @@ class HeldBand:
 
     Attributes:
         half_width_rad: of A and B, shape (2,): the farthest either may rest; π where nothing draws it back.
-        covariance: of both angles, evenly spread over the region's edge, where a creep ends, rad², shape (2, 2).
+        covariance: of both angles, rad², shape (2, 2): evenly spread over the region's edge, where a creep ends, and
+            as far as that edge along the slowest direction, along which a creep comes.
         outer_rad: of A and B, shape (2,): how far the mean torque alone leaves either at rest (stick_band). From there
             to the region a pendulum creeps, shaken loose twice a revolution.
         orbit_slopes: ∂(X, Y)/∂(θ3, θ4) of the held orbit x = Re(X e^{iψ}), y = Re(Y e^{iψ}), m/rad, shape (2, 2).
@@ -85,7 +86,25 @@ def held_band(p: RotorParameters, speed: float, theta: tuple[float, float], torq
         return HeldBand(np.zeros(2), np.zeros((2, 2)), outer, slopes)
     # of an ellipse's edge twice that of what it holds, ∫ u uᵀ r³ dr dφ over ∫ r dr dφ
     covariance = np.asarray((ends_rad * reach[:, None]).T @ (ends_rad * reach[:, None]) / area, np.float64)
-    return HeldBand(np.max(np.abs(ends_rad), axis=0), covariance, outer, slopes)
+    viscous = np.array([p.a.damping_Nms_per_rad, p.b.damping_Nms_per_rad])
+    slowest = _slowest(stiffness / (viscous if np.all(viscous > 0) else np.ones(2))[:, None])
+    along = slowest * np.interp(math.atan2(slowest[1], slowest[0]) % (2 * math.pi), _TURN, reach, period=2 * math.pi)
+    lacking = np.outer(along, along) * (1 - _along(covariance, along))
+    return HeldBand(np.max(np.abs(ends_rad), axis=0), covariance + lacking, outer, slopes)
+
+
+def _slowest(rates: Array) -> Array:
+    """Direction in which both angles come to rest last, of length 1; 0 where they wind in, which has none."""
+    values, vectors = np.linalg.eig(rates)
+    if np.iscomplexobj(values) or not np.all(np.isfinite(values)):
+        return np.zeros(2)
+    return np.asarray(vectors[:, int(np.argmin(np.abs(values)))], np.float64)
+
+
+def _along(covariance: Array, end: Array) -> float:
+    """Variance along an end by that end's square, at most 1."""
+    square = float(end @ end)
+    return min(1.0, float(end @ covariance @ end) / square**2) if square > 0 else 1.0
 
 
 def _outer(stiffness: Array, torque_Nm: Array) -> Array:
