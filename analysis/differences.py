@@ -36,16 +36,16 @@ RELEASE = "release"
 
 
 class Rows(Protocol):
-    """What one release says of the model, linear in what was assumed: m rows, n parameters."""
+    """What one release, or another test, says of the model, linear in what was assumed: m rows, n parameters."""
 
     @property
     def point(self) -> str:
-        """The point's name."""
+        """The point's name, or the test's."""
         ...
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Names of the rows, each beginning with RELEASE."""
+        """Names of the rows, each beginning with RELEASE where it is one."""
         ...
 
     @property

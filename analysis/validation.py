@@ -124,7 +124,8 @@ def validate(
         identified: parameters with covariance.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees; None
             for the identified one, as the sensors are mounted where no test has shown it.
-        releases: what happened right after releases at the points, held against the same parameters.
+        releases: what happened right after releases at the points, and run-ups that have identified nothing, held
+            against the same parameters.
     Source: docs/theory/validation.md.
     """
     identified = identified.completed(rig.physics)  # what was not identified, or set, may be wrong as well
@@ -144,7 +145,7 @@ def validate(
     }
     found = overall(
         [Compared(n, p.measurement, p.prediction) for n, p in settled.items() if p.measurement and p.prediction],
-        rig, identified, axis_angle_deg, [each for each in releases if each.point in results],
+        rig, identified, axis_angle_deg, [each for each in releases if each.point in results or _is_test(each)],
     )  # fmt: skip
     repeated = _start_ups(runs, rig, identified, axis_angle_deg)
     changed = _suspension(results, identified)
@@ -152,7 +153,7 @@ def validate(
         return Validation(results, start_ups=repeated, reading=reading, of_releases=remarks, suspension=changed)
     for group in found.agreement.failing_points:
         name = group.removesuffix(f" {RELEASE}")
-        if results[name].verdict == "pass":
+        if name in results and results[name].verdict == "pass":
             statistic = found.agreement.points[group]
             which = "its quantities together" if name == group else "what happened right after the release"
             why = f"{which}: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
@@ -162,6 +163,11 @@ def validate(
     )
     off = any(p.verdict == "fail" and p.scores for p in results.values())  # a state that is missing has no differences
     return validation if validation.explanations or not off else replace(validation, explanations=found.explain())
+
+
+def _is_test(rows: Rows) -> bool:
+    """Whether rows are those of a test by itself, as a run-up, and of no release at a point."""
+    return bool(rows.rows) and not rows.rows[0].startswith(RELEASE)
 
 
 def _suspension(results: Mapping[str, PointResult], identified: IdentifiedParameters) -> list[str]:

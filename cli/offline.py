@@ -109,15 +109,20 @@ def validate(
     if given is not None and known.axis_angle_deg is not None:
         what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
     runs = load_runs(logs)
-    releases: list[ReleaseRows] = []
+    releases, run_ups = list[ReleaseRows](), list[ReleaseRows]()
     if loaded.validation.releases:
-        from identification.release_check import check_releases  # noqa: PLC0415 (numba takes seconds to import)
+        from identification.release_check import (  # noqa: PLC0415 (numba takes seconds to import)
+            check_releases,
+            check_run_ups,
+        )
 
         releases = check_releases(runs, loaded, known, STDERR.print, overridden(found_before, settings or []))
-    found = compare(runs, loaded, known, given, releases)
+        run_ups = check_run_ups(runs, loaded, known, STDERR.print)
+    found = compare(runs, loaded, known, given, [*releases, *run_ups])
     warnings = missing_warnings(runs) + [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
     warnings += found.warnings
     warnings += [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
+    warnings += [f"{each.point} not compared: {each.sentence}" for each in run_ups if not each.rows]
     if given is None and known.axis_angle_deg is None:
         value, std = known_axis_angle(known, loaded)
         warnings.append(

@@ -281,7 +281,7 @@ class _Case:
         count = len(found.values)
         return ReleaseRows(
             point, tuple(f"release {i + 1}" for i in range(count)), found.values, found.own, by, tuple(values),
-            by_number, shared, _used_for(run, self.identified), found.misfit.chi2_per_dof,
+            by_number, shared, used_for(run, self.identified), found.misfit.chi2_per_dof,
             f"followed{_rubbing(found)}; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
             {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)}, self.reading,
         )  # fmt: skip
@@ -312,8 +312,8 @@ def _rubbing(found: Condensed) -> str:
     return f" only with dry friction, of {torque[0]:.2g} N m (A) and {torque[1]:.2g} N m (B)"
 
 
-def _used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
-    """Parameters whose identification took this run's values, by its digest or its log's name."""
+def used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
+    """Parameters whose identification took a run's values, by its digest or its log's name."""
     kept: list[Any] = identified.provenance.get("tests", [])
     digest, found = str(run.metadata.get("digest") or ""), dict[str, None]()
     for test in kept:
