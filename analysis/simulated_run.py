@@ -83,6 +83,11 @@ def simulate_run(run: Run, model: RigModel) -> SimulatedRun | None:
     return SimulatedRun(time, phase, speed, x, y, np.asarray(motion.angles_rad, np.float64))
 
 
+NOT_FOLLOWED = (
+    "The model does not follow this run: its motion separates from its neighbours, or the rotor did not turn."
+)
+
+
 def locked_angles(run: Run) -> tuple[float, float]:
     """θ3, θ4 at which the locks held the pendulums, rad; 0 and π where nothing was recorded before a release."""
     go = min((r.time_s for r in run.releases), default=math.inf)

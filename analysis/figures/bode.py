@@ -24,6 +24,7 @@ from analysis.figures.sheet import (
 )
 from analysis.figures.style import label
 from analysis.rig_model import RigModel
+from analysis.simulated_run import NOT_FOLLOWED
 from daq.signals.run import Run
 
 
@@ -44,6 +45,8 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
         foot.append(
             "Steady response: what the model would show at rest at each speed; a run-up's peak is lower and late."
         )
+    if model is not None and not own.simulated:
+        foot.append(NOT_FOLLOWED)
     foot += lag_words(own) + amplification_words(run)
     with sheet(WIDTH_IN, 4.3, f"Bode plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
         grid = figure.subplots(2, len(own.measured), sharex=True, height_ratios=(1, 1.5), squeeze=False)

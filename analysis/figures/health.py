@@ -111,6 +111,10 @@ def _gathered(log: Log) -> _Gathered:
     found = _Gathered(np.linspace(0.0, span, bins + 1))
     for _, part in stretches(log):
         found.add(part, log.start_ns)
+    for place in log.missing:  # of the file itself
+        if place.start_ns is not None:
+            end_ns = log.end_ns if place.end_ns is None else place.end_ns
+            found.gaps["file"].append(((place.start_ns - log.start_ns) * 1e-9, (end_ns - log.start_ns) * 1e-9))
     return found
 
 

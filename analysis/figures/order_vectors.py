@@ -129,7 +129,10 @@ def speed_range(run: Run) -> tuple[float, float]:
         NotEnoughData: fewer than three marks.
     """
     if len(run.mark_time_s) < 3:
-        raise NotEnoughData(f"{run.source}: the rotor's index passed {len(run.mark_time_s)} times, at least 3 needed")
+        raise NotEnoughData(
+            f"{run.source}: expected a run with the rotor turning, its index passed {len(run.mark_time_s)} times; give "
+            "the log of a run-up or of a point"
+        )
     speeds = np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)
     return float(np.min(speeds)), float(np.max(speeds))
 

@@ -37,12 +37,14 @@ class Passage:
         signals: "x", "y" → displacement.
         run: whose speed it has.
         by_speed: whether it goes through speeds; else it is seen over time.
+        is_model: whether it is simulated.
     """
 
     title: str
     signals: dict[str, Displacement]
     run: Run
     by_speed: bool
+    is_model: bool = False
 
     @property
     def level_label(self) -> str:
@@ -74,7 +76,7 @@ def passages(run: Run, model: RigModel | None, over: Run | None) -> list[Passage
             for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
             if name in found[0].signals
         }
-        found.append(Passage(f"same run simulated, {model.name}", signals, run, found[0].by_speed))
+        found.append(Passage(f"same run simulated, {model.name}", signals, run, found[0].by_speed, is_model=True))
     return found
 
 

@@ -19,7 +19,7 @@ from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.steady_part import steady_part
 from analysis.figures.style import GOOD, MEASURED, MODEL, band, bins_for, label, outline
 from analysis.rig_model import RigModel
-from analysis.simulated_run import SimulatedRun, simulate_run
+from analysis.simulated_run import NOT_FOLLOWED, SimulatedRun, simulate_run
 from daq.signals.run import Run
 
 Array = NDArray[np.float64]
@@ -61,6 +61,8 @@ def draw_time(run: Run, model: RigModel | None = None, over: Run | None = None) 
     foot.append(
         "Displacements about their mean. A band is the least and the largest sample of each stretch, not samples."
     )
+    if model is not None and simulated is None:
+        foot.append(NOT_FOLLOWED)
     names = (
         "" if model is None else f"same run simulated, {model.name}",
         "" if over is None else Path(over.source).name,

@@ -67,7 +67,7 @@ def draw_waterfall(run: Run, model: RigModel | None = None, over: Run | None = N
             shown = [_cascade(p, p.signals[name], window_s, top_Hz, name) for p in columns if name in p.signals]
             tallest = max(float(np.max(c.amplitude_mm)) for c in shown)
             for axes, passage, cascade in zip(row, columns, shown, strict=False):
-                _draw(axes, cascade, tallest, MODEL if passage.title.startswith("same run") else MEASURED)
+                _draw(axes, cascade, tallest, MODEL if passage.is_model else MEASURED)
                 _lines(axes, passage, model, top_Hz)
                 label(axes, title=f"{name}, {passage.title}")
             label(row[0], y=columns[0].level_label)
