@@ -56,8 +56,8 @@ class Watched:
     def follow(self) -> None:
         """Take what is handed over until the other side is gone."""
         with contextlib.suppress(EOFError, OSError):
-            while True:
-                self._take(self._pipe.recv())
+            while "end" not in (handed := self._pipe.recv()):
+                self._take(handed)
 
     def _take(self, handed: Mapping[str, Any]) -> None:
         if "answer" in handed:
