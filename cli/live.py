@@ -47,10 +47,10 @@ def live(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Show a rig or a log in the browser; the address has a token, and only who has it sees anything. Ctrl-C ends it.
+    """Show a rig or a log in the browser, with a stop button; only who has its token gets in.
 
-    A log is played: play, pause, seek, speed. A rig is opened and watched, and nothing is recorded; its page has a
-    stop button. With --json the first line is {"url", "token"}.
+    Ctrl-C ends it. A log is played: play, pause, seek, speed. A rig is opened and watched, and nothing is recorded; its
+    page has a stop button. With --json the first line is {"url", "token"}.
     """
     if source.endswith((".mcap", ".mcap.part")):
         return _log(Path(source), host, port, speed, parameters, settings or [], json)

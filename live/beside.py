@@ -27,7 +27,7 @@ from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
 _TURN_S, _FACTS_S = 1 / 30, 0.2
-_START_S, _END_S = 60.0, 3.0
+_START_S, _END_S, _FEED_ENDS_S = 60.0, 10.0, 1.0
 _MOST_S = 10.0  # of samples that are handed over at once
 _MOST_EVENTS = 500
 _QUIET = ("status", "reply", "acknowledge")
@@ -132,13 +132,19 @@ class LivePage:
                 self._session.observers.remove(self._happened)
                 self._session.noted.remove(self._noted)
         if self._threads[0].is_alive():
-            self._threads[0].join(_TURN_S * 3)
-        self._process.terminate() if self._threads[0].is_alive() else None
-        self._ours.close()
+            self._threads[0].join(_FEED_ENDS_S)
+        if self._threads[0].is_alive():  # it waits for a page that takes nothing any more
+            self._process.kill()
+        else:
+            with contextlib.suppress(OSError, ValueError):
+                self._send({"end": True})
         self._process.join(_END_S)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
+        if self._threads[1].is_alive():
+            self._threads[1].join(_END_S)  # the other end of the pipe is closed by now
+        self._ours.close()
 
     def follow(
         self, session: Session, asking: Asking, stop: Callable[[str], None] | None, facts: Mapping[str, Any]

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import os
 import signal
 import threading
 import time
@@ -25,7 +24,6 @@ from rig_configs.schema import Rig
 
 _ANSWER_S = 2.0
 _MOST_EVENTS = 2000
-_NICE = 5  # the recorder goes first
 _NOTHING: Facts = {
     "mode": "live", "test": "", "point": "", "started": "", "note": "", "step": "", "words": "opening the rig",
     "prompt": "", "share": None, "losses": {}, "disk": None, "can": [], "stop": "", "rates": "", "feed_dropped": 0,
@@ -56,8 +54,8 @@ class Watched:
     def follow(self) -> None:
         """Take what is handed over until the other side is gone."""
         with contextlib.suppress(EOFError, OSError):
-            while True:
-                self._take(self._pipe.recv())
+            while "end" not in (handed := self._pipe.recv()):
+                self._take(handed)
 
     def _take(self, handed: Mapping[str, Any]) -> None:
         if "answer" in handed:
@@ -131,8 +129,6 @@ def run_page(
     for name in ("SIGINT", "SIGHUP"):  # the terminal sends them to both; the session decides when it is over
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    if hasattr(os, "nice"):
-        os.nice(_NICE)
     watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
     try:
         serving = Serving(watched, Model(rig, identified, source), host, port)
