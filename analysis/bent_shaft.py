@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynamics import RotorParameters, SteadyState, steady_states
+from analysis.stable_states import stable_states
+from dynamics import RotorParameters, SteadyState
 from dynamics.errors import DynamicsError
 
-_ACCURACY = 1e-6
 _SLOWER = 0.7  # of a straight shaft's rate of approach: above, the bow does not count as a reason
 
 
@@ -43,10 +43,10 @@ def _straight(physics: RotorParameters, speed_rad_s: float) -> SteadyState | Non
     if physics.bow_m == 0:
         return None
     try:
-        states = steady_states(replace(physics, bow_x_m=0.0, bow_y_m=0.0), speed_rad_s, _ACCURACY)
+        states = stable_states(replace(physics, bow_x_m=0.0, bow_y_m=0.0), speed_rad_s)
     except (DynamicsError, np.linalg.LinAlgError):
         return None
-    return next((s for s in states if s.stable), None)
+    return next(iter(states), None)
 
 
 def _rate(state: SteadyState, speed_rad_s: float) -> float:

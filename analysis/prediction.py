@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from analysis.dry_friction import DryFriction, LeftOpen, Sensors, left_open
 from analysis.errors import NoStableState
 from analysis.run_out import by_shown_run_out, shown_run_out, with_run_out
+from analysis.stable_states import stable_states
 from analysis.term_errors import TERM_STEPS, term_errors, uncertain_terms
-from dynamics import RotorParameters, SpeedHistory, SteadyState, steady_states
+from dynamics import RotorParameters, SpeedHistory, SteadyState
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
 from dynamics.steady.held_band import HeldBand
@@ -41,7 +42,6 @@ _AT_REST_M = 1e-9  # an orbit below is none
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
-_ACCURACY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def predict_point(
     """
     try:
         physics = identified.applied_to(rig.physics)
-        states = [s for s in steady_states(physics, speed_rad_s, _ACCURACY) if s.stable]
+        states = stable_states(physics, speed_rad_s)
     except (DynamicsError, np.linalg.LinAlgError) as error:
         raise NoStableState(f"the search for steady states failed: {error}") from error
     if not states:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from analysis.prediction import known_axis_angle
 from analysis.run_out import shown_run_out
-from dynamics import RotorParameters, SteadyState, locked_orbit, steady_states
+from analysis.stable_states import stable_states
+from dynamics import RotorParameters, SteadyState, locked_orbit
 from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters, Rig
 
@@ -21,7 +22,6 @@ Complex = NDArray[np.complex128]
 
 LOCKED_RAD = (0.0, math.pi)
 """Where the locks hold the pendulums."""
-_ACCURACY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class RigModel:
     def steady_state(self, speed_rad_s: float, near_rad: Sequence[float] | None = None) -> SteadyState | None:
         """The stable steady state at a speed, the one nearest to measured angles; None where there is none."""
         try:
-            states = [s for s in steady_states(self.physics, speed_rad_s, _ACCURACY) if s.stable]
+            states = stable_states(self.physics, speed_rad_s)
         except (DynamicsError, np.linalg.LinAlgError):
             return None
         if not states:
