@@ -15,8 +15,10 @@ from cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 if TYPE_CHECKING:
+    from daq.signals.run import Run
     from identification.release_check import ReleaseRows
     from identification.rungs import Rung
+    from rig_configs.schema import Rig
 
 _NOTHING_KNOWN_DEG = 90.0  # of an axis
 
@@ -109,15 +111,7 @@ def validate(
     if given is not None and known.axis_angle_deg is not None:
         what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
     runs = load_runs(logs)
-    releases, run_ups = list[ReleaseRows](), list[ReleaseRows]()
-    if loaded.validation.releases:
-        from identification.release_check import (  # noqa: PLC0415 (numba takes seconds to import)
-            check_releases,
-            check_run_ups,
-        )
-
-        releases = check_releases(runs, loaded, known, STDERR.print, overridden(found_before, settings or []))
-        run_ups = check_run_ups(runs, loaded, known, STDERR.print)
+    releases, run_ups = _checked(runs, loaded, known, overridden(found_before, settings or []))
     found = compare(runs, loaded, known, given, [*releases, *run_ups])
     warnings = missing_warnings(runs) + [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
     warnings += found.warnings
@@ -156,6 +150,18 @@ def validate(
             show(line)
         print_points(result["points"])
     return 0 if found.passed else 1
+
+
+def _checked(
+    runs: list[Run], rig: Rig, known: IdentifiedParameters, set_by_hand: set[str]
+) -> tuple[list[ReleaseRows], list[ReleaseRows]]:
+    """Releases and further run-ups against what was identified; none where the rig file asks for none."""
+    if not rig.validation.releases:
+        return [], []
+    from identification.release_check import check_releases, check_run_ups  # noqa: PLC0415 (numba takes seconds)
+
+    releases = check_releases(runs, rig, known, STDERR.print, set_by_hand)
+    return releases, check_run_ups(runs, rig, known, STDERR.print)
 
 
 def _given_angle(value_deg: float | None, std_deg: float | None) -> tuple[float, float] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import toeplitz
 
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
@@ -15,11 +16,12 @@ _MARKS = 10
 _FASTEST_HZ = 200.0  # far beyond any rig of this kind; degrees read as radians are 57 times too fast
 _LONGEST_STEP = 0.95 * np.pi  # between samples of a phase: beyond, a turn more or less looks the same
 _MOST = 0.98  # of the samples; a few may be gaps
-_FEW = 80  # fifth differences
+_FEW, _EVEN_FEW, _SHORT = 80, 60, 20  # fifth differences, those of even turns, and of one stretch
 _SKIPPED_MARKS = 2  # the spline's end piece has no neighbour to hold it
 _BEYOND_WHITE = 1.5  # the speed's noise over what the phase's white noise explains; chance is a tenth of the excess
 _SLOWEST = np.pi / 10  # rad a turn
 _WILD, _EVEN = 6.0, 0.3  # standard deviations; of the usual change of a turn's time
+_FIFTHS, _FOURTHS = np.array([1.0, -5, 10, -10, 5, -1]), np.array([1.0, -4, 6, -4, 1])
 _FIFTH, _FOURTH = 252.0, 70.0  # variance of a fifth and a fourth difference of white noise
 _TRIMMED = (
     0.6616  # root mean square of the smaller four fifths of a Gaussian's values; stamps are too coarse for a median
@@ -230,14 +232,14 @@ def _mark_noise(time_s: np.ndarray, phase_rad: np.ndarray) -> tuple[float, float
     whole, span = whole[quick], span[quick]
     white = _trimmed_rms(fifth[whole]) / np.sqrt(_FIFTH)
     walk = _trimmed_rms(fifth[whole] * abs(step) / span**1.5) ** 2 / _FOURTH
-    together = _even_stretch(time_s, fifth, whole, white)
-    if len(together) < _FEW:  # too few to tell the two apart: both are taken for real
-        return white, walk
-    return (0.0, walk) if _is_walk(fifth[together]) else (white, 0.0)
+    stretches = _even_stretches(time_s, fifth, whole, white)
+    if len(whole) < _FEW or sum(map(len, stretches)) < _EVEN_FEW:
+        return white, walk  # too few to tell the two apart: both are taken for real
+    return (0.0, walk) if _is_walk([fifth[one] for one in stretches]) else (white, 0.0)
 
 
-def _even_stretch(time_s: np.ndarray, fifth: np.ndarray, whole: np.ndarray, white: float) -> np.ndarray:
-    """The longest stretch of fifth differences, of those at `whole`, over which the turns change evenly.
+def _even_stretches(time_s: np.ndarray, fifth: np.ndarray, whole: np.ndarray, white: float) -> list[np.ndarray]:
+    """Stretches of fifth differences, of those at `whole`, over which the turns change evenly; none is short.
 
     Where a ramp ends the speed has a kink, which looks like a walk: no difference counts that shares a mark with one
     that is wild, or over which a turn's time changes by less than a part of what is usual.
@@ -247,21 +249,30 @@ def _even_stretch(time_s: np.ndarray, fifth: np.ndarray, whole: np.ndarray, whit
     apart = np.abs(fifth) > _WILD * white * np.sqrt(_FIFTH)
     apart |= bend * np.sign(usual) < _EVEN * abs(usual) - 2 * white
     even = whole[~np.convolve(apart, np.ones(11), "same").astype(bool)[whole]]
-    return max(np.split(even, np.flatnonzero(np.diff(even) > 1) + 1), key=len)
+    parts = np.split(even, np.flatnonzero(np.diff(even) > 1) + 1)
+    return [part for part in parts if len(part) >= _SHORT]
 
 
-def _is_walk(fifth: np.ndarray) -> bool:
+def _is_walk(stretches: list[np.ndarray]) -> bool:
     """Whether fifth differences of evenly spaced values are likelier those of a random walk than of white noise.
 
-    Their power goes with (2 sin(ω/2))^8 and with its tenth power; Whittle's likelihood holds both against the spectrum.
-    Of 150 differences one in a thousand is mistaken. What is slower than twenty turns is the passage's own.
+    Those of white noise, and the fourth differences that a walk leaves, are normal with known correlations: the
+    likelihood is exact in what is quicker than twenty turns. What is slower is the passage's own.
     """
-    power = np.abs(np.fft.rfft(fifth * np.hanning(len(fifth) + 2)[1:-1])) ** 2
-    frequency = 2 * np.pi * np.fft.rfftfreq(len(fifth))
-    above = frequency >= _SLOWEST
-    power, bend = power[above], (2 * np.sin(frequency[above] / 2)) ** 2
-    as_white, as_walk = np.mean(power / bend**5), np.mean(power / bend**4)
-    return bool(len(power) * np.log(as_white / as_walk) + np.sum(np.log(bend)) > 0)
+    gain = 0.0
+    squares, count = np.zeros(2), 0
+    for fifth in stretches:
+        n = len(fifth)
+        wave = np.arange(max(1, round(_SLOWEST / np.pi * n)), n)
+        quick = np.cos(np.pi * np.outer(wave, np.arange(n) + 0.5) / n) * np.sqrt(2 / n)
+        seen = quick @ fifth
+        count += len(seen)
+        for which, weights in enumerate((_FIFTHS, _FOURTHS)):
+            lag = np.correlate(weights, weights, "full")[len(weights) - 1 :]
+            matrix = quick @ toeplitz(np.r_[lag, np.zeros(n - len(lag))]) @ quick.T
+            squares[which] += float(seen @ np.linalg.solve(matrix, seen))
+            gain += (0.5, -0.5)[which] * float(np.linalg.slogdet(matrix)[1])
+    return bool(gain + 0.5 * count * np.log(squares[0] / squares[1]) > 0)
 
 
 def _trimmed_rms(value: np.ndarray) -> float:
