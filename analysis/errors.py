@@ -3,6 +3,7 @@
 AnalysisError
 ├── NotEnoughData     a run is too short, or too much of it is missing, to say anything
 ├── BadFigureName     a figure is to be written in a format not on offer (also a ValueError)
+├── TakenName         a report would be written over a file that is no report's
 └── NoStableState     the model has no stable steady state at the speed, or the search for one failed
 """
 
@@ -21,3 +22,7 @@ class BadFigureName(AnalysisError, ValueError):
 
 class NoStableState(AnalysisError):
     """The model has no stable steady state at the speed, or the search failed; the text says which."""
+
+
+class TakenName(AnalysisError):
+    """A report, or its numbers, would be written over a file of somebody else's."""

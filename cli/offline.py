@@ -101,6 +101,10 @@ def validate(
 
     _need(logs, "rig validate RIG LOG…")
     need_place("rig validate: --report", report)
+    if report is not None:
+        from analysis.report.twin import need_free_twin  # noqa: PLC0415 (matplotlib)
+
+        need_free_twin(report)
     if parameters is None:
         raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
     found_before = IdentifiedParameters.load(parameters)

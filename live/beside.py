@@ -232,8 +232,8 @@ class LivePage:
                 asked = self._ours.recv()
                 try:
                     answer = self._act(asked["act"], asked["given"])
-                except RigError as why:
-                    answer = {"error": str(why)}
+                except Exception as why:  # whatever became of this one, the next stop is heard
+                    answer = {"error": f"{why}" if isinstance(why, RigError) else f"{type(why).__name__}: {why}"}
                 self._send({"answer": answer, "to": asked["number"]})
 
     def _act(self, verb: str, given: Mapping[str, Any]) -> dict[str, Any]:

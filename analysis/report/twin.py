@@ -3,14 +3,43 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
+from analysis.errors import TakenName
 from analysis.report.campaign import Campaign, Changes
 from rig_configs import PARAMETER_UNITS
+
+KIND = "rig report"
+
+
+def twin_path(report: str | Path) -> Path:
+    """Where a report's numbers are: its own name, ending in .json."""
+    return Path(report).with_suffix(".json")
+
+
+def need_free_twin(report: str | Path) -> None:
+    """Refuse a report beside whose name a file stands that is no earlier report's numbers.
+
+    Raises:
+        TakenName: it would be written over.
+    """
+    path = twin_path(report)
+    if not path.exists():
+        return
+    try:
+        kept: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        kept = None
+    if not (isinstance(kept, dict) and cast("dict[str, Any]", kept).get("kind") == KIND):
+        raise TakenName(
+            f"report {report}: its numbers go to {path}, where another file is already; give the report another name, "
+            "or move that file"
+        )
 
 
 def twin(campaign: Campaign) -> dict[str, Any]:
@@ -20,6 +49,7 @@ def twin(campaign: Campaign) -> dict[str, Any]:
     angle = known.axis_angle_deg
     return plain_json(
         {
+            "kind": KIND,
             "title": campaign.title,
             "rig": campaign.rig.name,
             "software": campaign.software_version,

@@ -19,7 +19,7 @@ from analysis.report import tables
 from analysis.report.budget_tables import budget_tables
 from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
-from analysis.report.twin import twin
+from analysis.report.twin import need_free_twin, twin, twin_path
 from analysis.results import PointResult
 from analysis.scores import Z_LIMIT
 from daq.signals.run import Run, point_of
@@ -36,17 +36,15 @@ def write_report(path: str | Path, campaign: Campaign) -> Path:
         campaign: what was run, identified and validated.
     Returns:
         The path written.
+    Raises:
+        TakenName: a file of that name ending in .json is there that is no report's numbers.
     """
     path = Path(path)
+    need_free_twin(path)
     path.write_text(render(campaign), encoding="utf-8")
     numbers = json.dumps(twin(campaign), ensure_ascii=False, indent=1, allow_nan=False)
     twin_path(path).write_text(numbers + "\n", encoding="utf-8")
     return path
-
-
-def twin_path(report: str | Path) -> Path:
-    """Where a report's numbers are: its own name, ending in .json."""
-    return Path(report).with_suffix(".json")
 
 
 def render(campaign: Campaign) -> str:

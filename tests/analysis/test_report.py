@@ -10,6 +10,7 @@ import pytest
 from analysis_runs import draw, point_run
 
 from analysis import validate
+from analysis.errors import TakenName
 from analysis.figures.style import bins_for, envelope
 from analysis.report import (
     Campaign,
@@ -24,7 +25,7 @@ from analysis.report import (
     write_report,
 )
 from analysis.report.rounding import plain, with_std
-from analysis.report.write import twin_path
+from analysis.report.twin import twin_path
 from daq.signals.run import Run
 from rig_configs import load_rig
 from uncertainty import Budgets, Source
@@ -181,6 +182,18 @@ def test_losses_stand_in_the_result(html: str, hostile: Campaign) -> None:
     assert f"Lost: 9 {HOSTILE}" in Page(html).text
     none = dataclasses.replace(hostile, losses={})
     assert "No stream of any log lost anything." in Page(render(none)).text
+
+
+def test_a_file_that_is_no_report_s_numbers_is_not_written_over(hostile: Campaign, tmp_path) -> None:
+    page, other = tmp_path / "v.html", tmp_path / "v.json"
+    other.write_text('{"points": {}}', encoding="utf-8")
+    with pytest.raises(TakenName, match=r"v\.json, where another file is already"):
+        write_report(page, hostile)
+    assert not page.exists()
+    assert other.read_text(encoding="utf-8") == '{"points": {}}'
+    other.unlink()
+    for _ in range(2):  # its own are replaced
+        write_report(page, hostile)
 
 
 def test_an_empty_campaign_still_gives_a_page() -> None:

@@ -62,11 +62,14 @@ def _page(rig: Rig) -> LivePage:
 def test_a_session_is_shown_stopped_and_its_log_whole(
     virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
 ) -> None:
+    def broken() -> None:
+        raise ZeroDivisionError("unforeseen")
+
     page = LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here")
     with page, Session(plugged, virtual_rig.clock) as session:
         assert _ask(page, "/stop") == (409, {"error": "stop: the rig is not open yet"})
         session.start_recording(tmp_path / "a.mcap", {"test": "record", "rig": "virtual"})
-        page.follow(session, Asking(), session.stop, {"words": "recording"})
+        page.follow(session, Asking(confirmed=broken), session.stop, {"words": "recording"})
         seen = _state(page, lambda state: len(state["limits"]) > 5 and state["disk"])
         assert seen["words"] == "recording"
         assert set(seen["losses"]) == {"laser_x", "laser_y", "encoder", "drive"}
@@ -74,7 +77,8 @@ def test_a_session_is_shown_stopped_and_its_log_whole(
         assert _ask(page, "/act", verb="note", text="by hand")[0] == 200
         assert _ask(page, "/act", verb="pause")[0] == 409
         _state(page, lambda state: any(event["text"] == "by hand" for event in state["events"]))
-        status, answer = _ask(page, "/stop")
+        assert _ask(page, "/act", verb="confirm") == (409, {"error": "ZeroDivisionError: unforeseen"})
+        status, answer = _ask(page, "/stop")  # heard all the same
         assert (status, answer["done"]) == (200, True)
         with pytest.raises(OperatorStop, match="button of the live page"):
             session.check()
