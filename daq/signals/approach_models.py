@@ -25,6 +25,7 @@ _GRID = {1: (40, 21), 2: (17, 13)}  # points along each axis, by dimension: firs
 _REACH = 4.5  # standard deviations that a refined grid covers to either side
 _MOST_EXPONENT = 200.0
 _FINEST = 1e-7  # of the range seen: noise below that drowns in rounding of the arithmetic
+_LEAST_BEND = 1e-6  # of the range seen: less is no bend, and a prior has to have a width
 _RIDGE = 1e-13  # of the normal equations: keeps equal shapes apart
 _LOOKS, _ROUGHLY = 20, 5  # grids at most, and before a model is given up
 _FAR = 40.0  # below a rival's evidence
@@ -41,6 +42,7 @@ class Shapes:
         size: of an oscillation the amplitude there, (g,); None where the shapes are no oscillation.
         rates_per_s: of each shape, shape (g, p).
         slower_first: whether the first of two shapes is a slower decay of its own.
+        square: whether the last shape is the square of the one before, of which the size is known beforehand.
     """
 
     forms: Array
@@ -48,6 +50,7 @@ class Shapes:
     size: Array | None
     rates_per_s: Array
     slower_first: bool = False
+    square: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,15 +92,22 @@ class Points:
 
 
 class Stretch:
-    """Consecutive window means, whitened once: every model is judged on the same numbers."""
+    """Consecutive window means, whitened once: every model is judged on the same numbers.
 
-    def __init__(self, edges_s: Array, means: Array, noise: Array) -> None:
-        self.edges_s = edges_s
+    Attributes:
+        edges_s: of the windows, shape (n, 2).
+        bent: whether an approach's square has to be looked for.
+    """
+
+    def __init__(self, edges_s: Array, means: Array, noise: Array, bends: Array | None = None) -> None:
+        """As daq.signals.limit's arguments; the bends are those of these windows."""
+        self.edges_s, self.bent = edges_s, bends is not None
         self._origin = np.asarray(means[-1], np.float64)
         values = (means - self._origin).T
         deviation = np.sqrt(np.median(np.diagonal(noise, axis1=1, axis2=2), axis=1))
         self._unit = np.maximum(np.ptp(values, axis=1), deviation)  # of every number inside
         scaled = noise / (self._unit**2)[:, None, None] + _FINEST**2 * np.eye(len(means))
+        self._bends = np.zeros(len(values)) if bends is None else np.maximum(bends / self._unit, _LEAST_BEND)
         self._white = np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)), np.float64)
         self._seen = (self._white @ (values / self._unit[:, None])[:, :, None])[:, :, 0]
 
@@ -113,25 +123,30 @@ class Stretch:
         x = self._white[:, None] @ design  # (q, g, n, 1 + p)
         across = x.transpose(0, 1, 3, 2)
         data = across @ x, (across @ self._seen[:, None, :, None])[..., 0]
-        scales = [np.full(p, scale) for scale in _PRIOR_RANGES] if p else [np.empty(0)]
+        known = np.ones((len(self._seen), p))
+        scales = [scale * known for scale in _PRIOR_RANGES] if p else [known]
         if shapes.slower_first:
-            scales = [np.r_[scale[0] * faint, scale[1:]] for scale in scales for faint in _FAINT]
+            scales = [np.column_stack([faint * s[:, 0], s[:, 1:]]) for s in scales for faint in _FAINT]
+        if shapes.square:
+            scales = [np.column_stack([scale[:, :-1], self._bends]) for scale in scales]
         return _joined([self._for_scale(shapes, *data, rates, share - math.log(len(scales)), s) for s in scales])
 
     def _for_scale(self, shapes: Shapes, across: Array, right: Array, rates: int, share: float, scale: Array) -> Points:
-        """The same for one prior deviation of each shape's change, shape (p,).
+        """The same for one prior deviation of each quantity's and shape's change, shape (q, p).
 
         Args:
             across, right: normal equations of limit and shapes, shapes (q, g, 1 + p, 1 + p), (q, g, 1 + p).
         """
         p = shapes.forms.shape[2]
         ridge = _RIDGE * np.trace(across, axis1=2, axis2=3)[..., None, None]
-        precision = across + np.diag(np.r_[0.0, scale**-2]) + ridge * np.diag([0.0] + [1.0] * p)
+        prior = np.zeros((len(scale), 1, 1 + p, 1 + p))
+        prior[:, 0, range(1, 1 + p), range(1, 1 + p)] = scale**-2
+        precision = across + prior + ridge * np.diag([0.0] + [1.0] * p)
         covariance = np.asarray(np.linalg.inv(precision), np.float64)
         fit = (covariance @ right[..., None])[..., 0]
         misfit = (self._seen**2).sum(axis=1)[:, None] - (fit * right).sum(axis=2)
-        chi2 = misfit - (fit[..., 1:] ** 2 / scale**2).sum(axis=2)
-        narrowed = np.log(np.linalg.det(precision)) + 2 * float(np.log(scale).sum())
+        chi2 = misfit - (fit[..., 1:] ** 2 / scale[:, None] ** 2).sum(axis=2)
+        narrowed = np.log(np.linalg.det(precision)) + 2 * np.log(scale).sum(axis=1)[:, None]
         evidence = -0.5 * (misfit + narrowed).sum(axis=0) + share
         left = -(fit[..., 1:] * shapes.last).sum(axis=2)
         most = np.argmax(np.abs(fit[..., 1:] * shapes.last).sum(axis=0), axis=1) if p else None
@@ -140,7 +155,7 @@ class Stretch:
         unit = self._unit[:, None]
         return Points(
             evidence, (self._origin[:, None] + fit[..., 0] * unit).T, (covariance[..., 0, 0] * unit**2).T,
-            (left * unit).T, (size * unit).T, rate, chi2.T, (1 + p, rates),
+            (left * unit).T, (size * unit).T, rate, chi2.T, (p if shapes.square else 1 + p, rates),
         )  # fmt: skip
 
     def integrated(self, family: Family, rival: float = -math.inf) -> Points:
@@ -226,6 +241,17 @@ def _two(edges_s: Array, at: Array) -> Shapes:
     return replace(shapes, slower_first=True)
 
 
+def _bent(shapes: Callable[[Array, Array], Shapes]) -> Callable[[Array, Array], Shapes]:
+    """The same with the last one's square."""
+
+    def with_square(edges_s: Array, at: Array) -> Shapes:
+        plain = shapes(edges_s, at)
+        rates = np.concatenate([plain.rates_per_s, 2 * plain.rates_per_s[:, -1:]], axis=1)
+        return replace(_decays(edges_s, rates), slower_first=plain.slower_first, square=True)
+
+    return with_square
+
+
 def _wave(edges_s: Array, at: Array) -> Shapes:
     rate, turn = np.exp(at).T
     rate = np.minimum(rate, _most(edges_s))
@@ -242,9 +268,8 @@ def _no_end(edges_s: Array, at: Array) -> Shapes:
 
 _RATES = (math.log(SLOWEST_PER_S), math.log(FASTEST_PER_S))
 _SLOW = (math.log(SLOWEST_PER_S), math.log(2.0))
-ENDING = (
-    Family("one rate", _one, (_RATES,)),
-    Family("two rates", _two, (_SLOW, (math.log(1.8), math.log(15.0)))),
-    Family("oscillation", _wave, (_SLOW, (math.log(0.15), math.log(2.8)))),
-)
+_TWO = (_SLOW, (math.log(1.8), math.log(15.0)))
+_SWING = Family("oscillation", _wave, (_SLOW, (math.log(0.15), math.log(2.8))))
+ENDING = (Family("one rate", _one, (_RATES,)), Family("two rates", _two, _TWO), _SWING)
+ENDING_BENT = (Family("one rate", _bent(_one), (_RATES,)), Family("two rates", _bent(_two), _TWO), _SWING)
 ENDLESS = Family("endless", _no_end, ((-1.0, 0.6 * SLOWEST_PER_S),))  # straight lines and growth

@@ -15,15 +15,16 @@ Source: docs/theory/steady_states.md, "Where it ends".
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.signals.approach_models import ENDING, ENDLESS, Points, Stretch
+from daq.signals.approach_models import ENDING, ENDING_BENT, ENDLESS, Points, Stretch
 
 Array = NDArray[np.float64]
+Bends = Callable[[Array], Array]
 
 LEAST_WINDOWS = 9
 MODEL_SHARE = 0.15  # of the extrapolated change: an approach is exponential only near its end
@@ -66,7 +67,7 @@ class Limit:
         return max(self.weights, key=lambda name: self.weights[name])
 
 
-def limit(edges_s: Array, means: Array, noise: Array) -> Limit | None:
+def limit(edges_s: Array, means: Array, noise: Array, bends: Bends | None = None) -> Limit | None:
     """Limits of quantities that approach them with the same rates.
 
     Args:
@@ -74,6 +75,8 @@ def limit(edges_s: Array, means: Array, noise: Array) -> Limit | None:
         means: shape (n, q).
         noise: covariance of each quantity's errors over the windows, shape (q, n, n): noise of the means on the
             diagonal, and what windows have in common (a code that stands) beside it.
+        bends: from a stretch's means to the prior deviation of what an approach's square changes over it, shape (q,),
+            unit of the means: close to an end a single rate's motion is m∞ + a u + b u², u = e^{−λ(t−T)}. None: b = 0.
     Returns:
         From the longest stretch of the newest windows that a model fits, the early ones by themselves as well: what is
         not exponential there yet is lost in the χ² of the whole, and pulls the limit all the same. Where none fits,
@@ -83,9 +86,9 @@ def limit(edges_s: Array, means: Array, noise: Array) -> Limit | None:
     known = np.ones(means.shape[1])
     least, count, scatter = math.inf, 0, known
     tails = _tails(len(means))
-    found = _look(edges_s, means, noise, tails[0])
+    found = _look(edges_s, means, noise, tails[0], bends)
     for tail, shorter in zip(tails, [*tails[1:], None], strict=True):
-        later = _look(edges_s, means, noise, shorter) if shorter else None
+        later = _look(edges_s, means, noise, shorter, bends) if shorter else None
         if found.fits and (later is None or found.continues(later)):
             return _stated(found, later, known)
         spread = float(found.chi2.sum()) / (found.dof * found.chi2.size)
@@ -94,12 +97,13 @@ def limit(edges_s: Array, means: Array, noise: Array) -> Limit | None:
         found = later or found
     if least > _WORST_SCATTER:
         return None
-    return _stated(_look(edges_s, means, noise * scatter[:, None, None], count), None, scatter)
+    return _stated(_look(edges_s, means, noise * scatter[:, None, None], count, bends), None, scatter)
 
 
-def _look(edges_s: Array, means: Array, noise: Array, tail: int) -> _Averaged:
+def _look(edges_s: Array, means: Array, noise: Array, tail: int, bends: Bends | None) -> _Averaged:
     """Every model on the newest windows."""
-    return _average(Stretch(edges_s[-tail:], means[-tail:], noise[:, -tail:, -tail:]))
+    seen = means[-tail:]
+    return _average(Stretch(edges_s[-tail:], seen, noise[:, -tail:, -tail:], bends(seen) if bends else None))
 
 
 def _stated(found: _Averaged, later: _Averaged | None, scatter: Array) -> Limit | None:
@@ -185,7 +189,7 @@ class _Averaged:
 def _average(stretch: Stretch) -> _Averaged:
     """Every model's posterior on one stretch."""
     looks = {"none": stretch.standing()}
-    for family in ENDING:
+    for family in ENDING_BENT if stretch.bent else ENDING:
         looks[family.name] = stretch.integrated(family, max(float(p.evidence.max()) for p in looks.values()))
     most = max(float(points.evidence.max()) for points in looks.values())
     endless = _log_sum([stretch.integrated(ENDLESS, most).evidence])

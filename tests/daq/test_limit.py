@@ -241,3 +241,41 @@ def test_what_is_not_exponential_yet_does_not_pull_the_limit() -> None:
         assert found is not None
         far += found.values @ np.linalg.solve(found.covariance, found.values) > 14.9  # 0.5 % of cases
     assert far <= 1
+
+
+def test_a_square_of_the_size_expected_does_not_pull_the_limit() -> None:
+    """m∞ + a u + b u², the same b each time as at a point: too little for χ², enough to pull the limit."""
+    edges, size, square = windows(30), np.array([400.0, 400.0, 30.0, 140.0]), np.array([1.0, 1.0, -5.0, 4.0])
+
+    def expected(stretch: np.ndarray) -> np.ndarray:
+        return np.full(4, 8.0 * (np.ptp(stretch[:, 0]) / 400.0) ** 2)
+
+    pulled = {"looked for": list[np.ndarray](), "not": list[np.ndarray]()}
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 31])
+        slow = rate(rng, 0.18, 0.22)
+        motions = [
+            lambda t, a=a, b=b, s=slow: a * np.exp(-s * (t + 30.6)) + b * np.exp(-2 * s * (t + 30.6))
+            for a, b in zip(size, square, strict=True)
+        ]
+        seen = np.stack([means(m, edges) for m in motions], axis=1)
+        seen = seen + rng.standard_normal(seen.shape)
+        for name, bends in (("looked for", expected), ("not", None)):
+            found = limit(edges, seen, white(30, 4), bends)
+            assert found is not None
+            pulled[name].append(found.values / np.sqrt(np.diag(found.covariance)))
+    z = np.array(pulled["looked for"])
+    assert np.abs(z.mean(axis=0)).max() < 0.4
+    assert np.mean(np.abs(z) < 1.96) > 0.92
+    assert np.abs(np.mean(pulled["not"], axis=0)).max() > 0.7
+
+
+def test_no_square_is_looked_for_where_its_size_is_zero() -> None:
+    edges = windows(20)
+    seen = np.stack([means(lambda t, a=a: a * np.exp(-0.2 * t), edges) for a in (3.0, -2.0)], axis=1)
+    seen = seen + np.random.default_rng(5).standard_normal(seen.shape)
+    with_none, without = limit(edges, seen, white(20, 2), lambda _: np.zeros(2)), limit(edges, seen, white(20, 2))
+    assert with_none is not None
+    assert without is not None
+    assert with_none.values == pytest.approx(without.values, abs=1e-3)
+    assert with_none.covariance == pytest.approx(without.covariance, rel=1e-2, abs=1e-3)
