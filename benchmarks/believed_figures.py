@@ -2,7 +2,7 @@
 """Whether the suite's uncertainties and verdicts can be believed: campaigns on rigs that its own model did not make.
 
     python -m benchmarks.believed_figures --seeds A:B [--effect NAME[=STRENGTH]] [--wrong NAME[=N]] [--knowledge exact]
-        [--joint] [--jobs N] [--out FILE.jsonl] [--resume]
+        [--joint] [--run-up-after] [--jobs N] [--out FILE.jsonl] [--resume]
 
 Each campaign draws a true rig and its sensors (benchmarks.worlds), records two ring-downs, a spin-down, a run-up and
 releases at the five points, identifies and validates. Printed: coverage of the 95 % intervals, of parameters and of
@@ -186,6 +186,7 @@ def parsed(arguments: Sequence[str] | None = None) -> tuple[argparse.Namespace, 
     parser.add_argument("--wrong", default="", metavar="NAME[=N]", help=f"one of {', '.join(WRONG)}")
     parser.add_argument("--knowledge", choices=KNOWLEDGE, default="usual")
     parser.add_argument("--joint", action="store_true", help="identify once more with the points' releases")
+    parser.add_argument("--run-up-after", action="store_true", help="validate with a further run-up after the points")
     parser.add_argument("--jobs", type=int, default=1, help=f"processes; this machine has {os.cpu_count()} processors")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--resume", action="store_true", help="leave out seeds that --out has")
@@ -203,7 +204,7 @@ def parsed(arguments: Sequence[str] | None = None) -> tuple[argparse.Namespace, 
         parser.error("--resume: expected --out FILE to go on with")
     if given.out and given.out.exists() and not given.resume:
         parser.error(f"--out: {given.out} is there already; --resume goes on with it")
-    return given, Plan(KNOWLEDGE[given.knowledge](), effects, wrong, float(by or 5.0), given.joint)
+    return given, Plan(KNOWLEDGE[given.knowledge](), effects, wrong, float(by or 5.0), given.joint, given.run_up_after)
 
 
 def main() -> None:

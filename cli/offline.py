@@ -15,10 +15,7 @@ from cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 if TYPE_CHECKING:
-    from daq.signals.run import Run
-    from identification.release_check import ReleaseRows
     from identification.rungs import Rung
-    from rig_configs.schema import Rig
 
 _NOTHING_KNOWN_DEG = 90.0  # of an axis
 
@@ -94,8 +91,7 @@ def validate(
     With --set it answers a what-if: the settings lie over rig file and parameters, and no verdict is kept.
     """
     from analysis.prediction import known_axis_angle  # noqa: PLC0415
-    from analysis.validation import validate as compare  # noqa: PLC0415
-    from cli.runs import keep_verdicts, load_runs  # noqa: PLC0415
+    from cli.runs import keep_verdicts, load_runs, validated  # noqa: PLC0415
     from daq.signals.completeness import missing_warnings  # noqa: PLC0415
     from daq.signals.run import disagreements  # noqa: PLC0415
 
@@ -115,12 +111,9 @@ def validate(
     if given is not None and known.axis_angle_deg is not None:
         what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
     runs = load_runs(logs)
-    releases, run_ups = _checked(runs, loaded, known, overridden(found_before, settings or []))
-    found = compare(runs, loaded, known, given, [*releases, *run_ups])
+    found = validated(runs, loaded, known, STDERR.print, given, overridden(found_before, settings or []))
     warnings = missing_warnings(runs) + [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
     warnings += found.warnings
-    warnings += [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
-    warnings += [f"{each.point} not compared: {each.sentence}" for each in run_ups if not each.rows]
     if given is None and known.axis_angle_deg is None:
         value, std = known_axis_angle(known, loaded)
         warnings.append(
@@ -154,18 +147,6 @@ def validate(
             show(line)
         print_points(result["points"])
     return 0 if found.passed else 1
-
-
-def _checked(
-    runs: list[Run], rig: Rig, known: IdentifiedParameters, set_by_hand: set[str]
-) -> tuple[list[ReleaseRows], list[ReleaseRows]]:
-    """Releases and further run-ups against what was identified; none where the rig file asks for none."""
-    if not rig.validation.releases:
-        return [], []
-    from identification.release_check import check_releases, check_run_ups  # noqa: PLC0415 (numba takes seconds)
-
-    releases = check_releases(runs, rig, known, STDERR.print, set_by_hand)
-    return releases, check_run_ups(runs, rig, known, STDERR.print)
 
 
 def _given_angle(value_deg: float | None, std_deg: float | None) -> tuple[float, float] | None:

@@ -40,8 +40,8 @@ def report(
         places: folders of a campaign, and logs.
     """
     from cli.offline import print_points  # noqa: PLC0415 (matplotlib and numba take seconds to import)
-    from cli.reporting import reported, validated  # noqa: PLC0415
-    from cli.runs import load_runs  # noqa: PLC0415
+    from cli.reporting import reported  # noqa: PLC0415
+    from cli.runs import load_runs, validated  # noqa: PLC0415
     from daq.signals.run import point_of  # noqa: PLC0415
 
     logs = _logs(places)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -20,15 +20,6 @@ from rig_configs import IdentifiedParameters, Rig
 if TYPE_CHECKING:
     from analysis.validation import Validation
     from identification import Identification
-
-
-def validated(runs: Sequence[Run], rig: Rig, known: IdentifiedParameters, tell: Callable[[str], None]) -> Validation:
-    """Points of the runs against the model, releases too where the rig file asks for them."""
-    from analysis.validation import validate  # noqa: PLC0415 (scipy takes a second to import)
-    from identification.release_check import check_releases  # noqa: PLC0415 (numba takes seconds to import)
-
-    releases = check_releases(runs, rig, known, tell) if rig.validation.releases else []
-    return validate(runs, rig, known, releases=releases)
 
 
 def reported(

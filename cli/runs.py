@@ -1,8 +1,8 @@
-"""Runs of logs for the commands, and the verdicts kept beside them."""
+"""Runs of logs for the commands, their verdicts, and those kept beside them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +15,7 @@ from daq.version import software_version
 
 if TYPE_CHECKING:
     from analysis.validation import Validation
+    from rig_configs import IdentifiedParameters, Rig
 
 
 def load_runs(logs: Sequence[str | Path]) -> list[Run]:
@@ -24,6 +25,33 @@ def load_runs(logs: Sequence[str | Path]) -> list[Run]:
 
 def _with_digest(run: Run, path: Path) -> Run:
     return replace(run, metadata={**run.metadata, "digest": digest_of(path)})
+
+
+def validated(
+    runs: Sequence[Run], rig: Rig, known: IdentifiedParameters, tell: Callable[[str], None],
+    axis_angle_deg: tuple[float, float] | None = None, set_by_hand: Collection[str] = (),
+) -> Validation:  # fmt: skip
+    """Points against the model; releases and further run-ups too, where the rig file asks for them.
+
+    Args:
+        tell: takes a sentence on what is being done.
+        axis_angle_deg: in place of the identified one, with its standard uncertainty.
+        set_by_hand: parameters that a what-if has set: no run can have identified them.
+    Returns:
+        Releases that the model does not follow, and run-ups that show nothing, are among its warnings.
+    """
+    from analysis.validation import validate  # noqa: PLC0415 (scipy takes a second to import)
+
+    if not rig.validation.releases:
+        return validate(runs, rig, known, axis_angle_deg)
+    from identification.release_check import check_releases, check_run_ups  # noqa: PLC0415 (numba takes seconds)
+
+    releases = check_releases(runs, rig, known, tell, set_by_hand)
+    run_ups = check_run_ups(runs, rig, known, tell)
+    found = validate(runs, rig, known, axis_angle_deg, [*releases, *run_ups])
+    left_out = [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
+    left_out += [f"{each.point} not compared: {each.sentence}" for each in run_ups if not each.rows]
+    return replace(found, of_releases=[*found.of_releases, *left_out])
 
 
 def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> list[str]:

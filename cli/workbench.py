@@ -85,8 +85,8 @@ def _refine(rig: Rig, log: Path) -> None:
 def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
     """Validate the points with what was identified before them, write joint parameters and report."""
     from cli import results  # noqa: PLC0415
-    from cli.reporting import reported, validated  # noqa: PLC0415
-    from cli.runs import keep_verdicts  # noqa: PLC0415
+    from cli.reporting import reported  # noqa: PLC0415
+    from cli.runs import keep_verdicts, validated  # noqa: PLC0415
     from daq.guided_tests.test_inputs import possible_tests  # noqa: PLC0415
 
     runs, before, joint = _found["runs"], _found["before"], _found["joint"]

@@ -10,7 +10,7 @@ import math
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from analysis.explanations import Explanations
@@ -19,11 +19,12 @@ from benchmarks.worlds.recording import BEFORE_POINTS, LONGEST_S, campaign_tests
 from benchmarks.worlds.world import WRONG, Effects, Spread, World, draw_world
 from daq.signals.run import Run
 from identification import Identification, identify
-from identification.release_check.check import check_releases
+from identification.release_check import check_releases, check_run_ups
 from rig_configs.schema import Rig
 
 UNSTATED_STD = 5e-4
 """Relative standard uncertainty of masses and lengths: a rig file states none, a laboratory's balance gives this."""
+_ANOTHER = 10**9  # to the seed: the further run-up has noise of its own
 _ROUTINE = re.compile(r"by itself it does not exclude dry friction")
 _NAMED = {
     "cubic": r"amplitude-dependent|stiffness (rises|falls|grows|changes)|harden|soften|cubic",
@@ -45,6 +46,7 @@ class Plan:
         spread, effects: of the worlds.
         wrong, by: a number off by so many standard deviations; "" for none.
         joint: identify once more with the points' releases.
+        run_up_after: record a further run-up after the points, to be validated with them.
     """
 
     spread: Spread
@@ -52,6 +54,7 @@ class Plan:
     wrong: str = ""
     by: float = 5.0
     joint: bool = False
+    run_up_after: bool = False
 
 
 def identified(runs: Sequence[Run], rig: Rig, earlier: Identification | None = None) -> Identification:
@@ -61,7 +64,9 @@ def identified(runs: Sequence[Run], rig: Rig, earlier: Identification | None = N
 
 def validated(runs: Sequence[Run], rig: Rig, found: Identification) -> Validation:
     """The suite's verdicts on the points."""
-    return validate(runs, rig, found.parameters, releases=check_releases(runs, rig, found.parameters))
+    known = found.parameters
+    held = [*check_releases(runs, rig, known), *check_run_ups(runs, rig, known)]
+    return validate(runs, rig, known, releases=held)
 
 
 def campaign(seed: int, plan: Plan) -> dict[str, Any]:
@@ -85,14 +90,15 @@ def campaign(seed: int, plan: Plan) -> dict[str, Any]:
         started = time.perf_counter()
         points = {test.removeprefix("point-"): record(later, seed, test) for test in campaign_tests(world)
                   if test not in BEFORE_POINTS}  # fmt: skip
+        after = [_further_run_up(later, seed)] if plan.run_up_after else []
         seconds["data"] += time.perf_counter() - started
         started = time.perf_counter()
-        judged = validated([*points.values()], world.rig, found)
+        judged = validated([*points.values(), *after], world.rig, found)
         late = [name for name, point in judged.points.items() if point.verdict == "not settled"]
         if late:  # a guided test records on
             points |= {name: record(later, seed, f"point-{name}", LONGEST_S) for name in late}
             started = time.perf_counter()
-            judged = validated([*points.values()], world.rig, found)
+            judged = validated([*points.values(), *after], world.rig, found)
         row |= _judged(judged)
         row["warnings"] = [*row["warnings"], *judged.warnings]
         seconds["validation"] = time.perf_counter() - started
@@ -103,6 +109,12 @@ def campaign(seed: int, plan: Plan) -> dict[str, Any]:
     except Exception as error:  # whatever it is, the series goes on and the summary shows it
         row["error"] = f"{type(error).__name__}: {error}"
     return row | {"seconds": seconds}
+
+
+def _further_run_up(world: World, seed: int) -> Run:
+    """A run-up that has identified nothing: with noise of its own, and a log of its own name."""
+    run = record(world, seed + _ANOTHER, "run-up")
+    return replace(run, source=run.source.replace("run-up", "run-up-after"))
 
 
 def named_effects(effects: Effects) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -112,9 +113,15 @@ def test_a_campaign_that_breaks_off_is_kept(monkeypatch: pytest.MonkeyPatch) -> 
     assert "seed 0: ZeroDivisionError" in figures.summary([found, row(1)], Effects())
 
 
-def test_a_campaign_end_to_end() -> None:
-    """What was identified lies near the truth, the points are judged, and all of it is JSON."""
-    found = json.loads(json.dumps(campaign(0, PLAN)))
+def test_a_campaign_end_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was identified lies near the truth, the points and a further run-up are judged, and all of it is JSON."""
+    seen, check = list[tuple[str, ...]](), laboratory.check_run_ups
+    monkeypatch.setattr(
+        laboratory, "check_run_ups", lambda *a: [rows for rows in check(*a) if seen.append(rows.rows) or True]
+    )
+    found = json.loads(json.dumps(campaign(0, replace(PLAN, run_up_after=True))))
+    assert len(seen) == 1
+    assert "zeta1" in seen[0]  # not taken for the run-up that has identified it
     assert "error" not in found
     assert max(abs(z) for z in found["z"].values()) < 5
     assert all(abs(found["parameters"][n] / found["truth"][n] - 1) < 0.01 for n in found["truth"])
