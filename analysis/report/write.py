@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,12 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
+from analysis.errors import NotEnoughData
+from analysis.figures.bode import draw_bode
 from analysis.figures.fit import FitCurve, draw_fit
 from analysis.figures.point import draw_point, simulate_release
 from analysis.figures.stability_map import MapPoint, draw_stability_map
+from analysis.figures.style import to_svg
 from analysis.prediction import known_axis_angle
 from analysis.report import tables
 from analysis.report.budget_tables import budget_tables
@@ -21,6 +25,7 @@ from analysis.report.campaign import Campaign
 from analysis.report.rounding import plain
 from analysis.report.twin import need_free_twin, twin, twin_path
 from analysis.results import PointResult
+from analysis.rig_model import RigModel
 from analysis.scores import Z_LIMIT
 from daq.signals.run import Run, point_of
 from dynamics.errors import DynamicsError
@@ -79,6 +84,7 @@ def render(campaign: Campaign) -> str:
         exact=tables.exact_rows(campaign),
         budgets=budget_tables(campaign.budgets),
         start_ups=[series.sentences for series in campaign.validation.start_ups] if campaign.validation else [],
+        passages=_passages(campaign),
         stability=_map(campaign, points),
         z_limit=f"{Z_LIMIT:g}",
         lost=tables.lost_words(campaign),
@@ -132,6 +138,27 @@ def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dic
         else f"{point.measurement.to_s - point.measurement.from_s:.1f} s averaged, "
         f"{point.measurement.to_s - point.measurement.release_s:.0f} s after release",
     }
+
+
+def _passages(campaign: Campaign) -> list[dict[str, Any]]:
+    """The first run-up and run-down with the model's own run beside each."""
+    known = campaign.identification.parameters
+    angle = known_axis_angle(known, campaign.rig, campaign.axis_angle_deg)
+    model = replace(RigModel.of(campaign.rig, known), axis_angle_rad=math.radians(angle[0]))
+    shown: dict[str, dict[str, Any]] = {}
+    for run in campaign.runs:
+        if run.test not in ("run-up", "run-down") or run.test in shown:
+            continue
+        try:
+            bode = draw_bode(run, model)
+        except NotEnoughData:
+            continue
+        name, title = f"passage{len(shown)}", run.test.capitalize()
+        shown[run.test] = {
+            "title": title,
+            "figure": Markup(to_svg(bode, name, f"{title}: Bode plot, measured and simulated")),
+        }
+    return list(shown.values())
 
 
 def _run_of(campaign: Campaign, point: PointResult) -> Run | None:
