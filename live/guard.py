@@ -6,6 +6,8 @@
              ─▶ Origin           foreign: 403; missing: 403 where something is asked for or sent (WebSocket, POST)
              ─▶ the page, with headers that forbid it whatever it does not need
 
+The connection for Foxglove has no token (`judge_tokenless`): Host as above, and of Origins only those of a short list.
+
 A browser on this machine visits other pages too. The Host check refuses names that were made to point here (DNS
 rebinding), the Origin check refuses scripts of other pages, the token refuses other users of the machine.
 """
@@ -14,7 +16,7 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from urllib.parse import parse_qs
 
 from starlette.responses import PlainTextResponse
@@ -91,6 +93,29 @@ class Guard:
         if not origins and (scope["type"] == "websocket" or scope.get("method") in _SENDS):
             return 403, f"expected the Origin {ours}, got none: ask from the page"
         return 200, ""
+
+
+DESKTOP_ORIGINS = ("file://",)
+"""Of programs that are made of pages, as Foxglove's and Lichtblick's: their pages are files."""
+
+
+def judge_tokenless(
+    hosts: Sequence[str], origins: Sequence[str], ours: Collection[str], allowed: Collection[str]
+) -> tuple[int, str]:
+    """200, or the status of a refusal with its reason, where the protocol has no room for a token.
+
+    Who sends no Origin is no page in a browser, and gets in.
+
+    Args:
+        hosts, origins: values of these headers.
+        ours: Hosts that are ours, with the port, in small letters.
+        allowed: Origins of pages that may connect, besides DESKTOP_ORIGINS.
+    """
+    if len(hosts) != 1 or hosts[0].lower() not in ours:
+        return 400, f"expected a Host of {', '.join(sorted(ours))}"
+    if len(origins) > 1 or any(origin not in (*DESKTOP_ORIGINS, *allowed) for origin in origins):
+        return 403, "expected no Origin or one that was allowed: pages of other origins may not read this rig"
+    return 200, ""
 
 
 def _only(scope: Scope, name: bytes) -> str | None:
