@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated
-from urllib.parse import urlsplit
 
 from cyclopts import Parameter
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from live.foxglove.beside import FoxgloveBeside
     from live.transport import Transport
     from rig_configs.schema import Rig
+
+_ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/\s?#A-Z*]+")
 
 
 @Parameter(name="*")
@@ -112,11 +114,10 @@ def foxglove_of_log(
 
 def _checked(origins: list[str]) -> tuple[str, ...]:
     for origin in origins:
-        parts = urlsplit(origin)
-        if parts.scheme not in ("http", "https") or not parts.netloc or parts.geturl() != origin or parts.path:
+        if not _ORIGIN.fullmatch(origin):
             raise RigFileError(
-                f"--foxglove-origin {origin}: expected a page's scheme, name and port alone, as browsers send them: "
-                "https://app.foxglove.dev or http://localhost:8080"
+                f"--foxglove-origin {origin}: expected a page's scheme, name and port alone, in small letters, as "
+                "browsers send them: https://app.foxglove.dev or http://localhost:8080"
             )
     return tuple(origins)
 

@@ -96,7 +96,8 @@ class Guard:
 
 
 DESKTOP_ORIGINS = ("file://",)
-"""Of programs that are made of pages, as Foxglove's and Lichtblick's: their pages are files."""
+"""Of Electron programs, as Lichtblick's: their pages are files. A page that a browser opens from a file sends "null"
+(Chromium, Firefox), and so does one in a sandbox: refused."""
 
 
 def judge_tokenless(

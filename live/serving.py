@@ -33,8 +33,10 @@ def bound(host: str, port: int) -> socket.socket:
         host: name or address under which others reach this machine; "" for this machine alone.
         port: 0 for any free one.
     Raises:
-        PortTaken: it cannot be bound, or the host stands for every address at once.
+        PortTaken: it cannot be bound, is no port, or the host stands for every address at once.
     """
+    if not 0 <= port <= 65535:  # the system would take it modulo 65536
+        raise PortTaken(f"port {port}: expected a port of 1 … 65535, or 0 for any free one")
     name = host or LOOPBACK[0]
     if _is_any(name):
         raise PortTaken(f"--host {host}: expected the name or address by which others reach this machine, not all of "

@@ -62,8 +62,8 @@ class FoxgloveServer:
             self._listening = bound("", port)
         except PortTaken as fault:
             raise RigError(
-                f"{LOOPBACK[0]}:{port}: the connection for Foxglove cannot be offered there ({fault.__cause__}); "
-                "another run may offer one, give another --foxglove-port"
+                f"{LOOPBACK[0]}:{port}: the connection for Foxglove cannot be offered there "
+                f"({fault.__cause__ or fault}); another run may offer one, give another --foxglove-port"
             ) from fault
         port = int(self._listening.getsockname()[1])
         self.url = f"ws://{LOOPBACK[0]}:{port}"
