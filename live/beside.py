@@ -78,7 +78,7 @@ class LivePage:
         source: where the model's numbers are from, for a person.
         rate: seconds of the rig per second of the wall.
         title: of the page.
-        host, port: as live.serving.bound takes them.
+        host, port: as live.port.bound takes them.
 
     Attributes:
         url, token: once it is entered.

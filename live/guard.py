@@ -43,6 +43,16 @@ def new_token() -> str:
     return secrets.token_urlsafe(32)
 
 
+def hosts_of(name: str, port: int) -> list[str]:
+    """Host headers that are ours.
+
+    Args:
+        name: to which the server is bound; "" for the loopback.
+    """
+    names = [*LOOPBACK, *([f"[{name}]" if ":" in name else name] if name and name not in LOOPBACK else [])]
+    return [f"{each}:{port}" for each in names] + ([*names] if port == 80 else [])
+
+
 class Guard:
     """An application behind the checks.
 

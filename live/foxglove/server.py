@@ -23,9 +23,8 @@ from websockets.typing import Subprotocol
 from daq.errors import RigError
 from live.foxglove.client import Client, Turn
 from live.foxglove.protocol import SUBPROTOCOLS, Offered, advertise, server_info
-from live.guard import LOOPBACK, judge_tokenless
-from live.server import hosts_of
-from live.serving import PortTaken, bound
+from live.guard import LOOPBACK, hosts_of, judge_tokenless
+from live.port import PortTaken, bound
 
 USUAL_PORT = 8765
 """Which Foxglove and Lichtblick propose."""

@@ -29,7 +29,7 @@ from live.foxglove.beside import FoxgloveBeside
 from live.foxglove.protocol import SUBPROTOCOLS
 from live.foxglove.served import Packing, Refusals
 from live.newest import MOST_S, Newest
-from live.serving import bound
+from live.port import bound
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 
