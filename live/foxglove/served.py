@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -54,13 +54,19 @@ class Packing:
         topic, time_ns, note = row
         return Block(self._numbers[topic], np.array([time_ns], np.int64), pack_note(note))
 
-    def turn(self, handed: Mapping[str, Any]) -> Turn:
-        """What was handed over; notes that are newer than the samples wait for these."""
+    def turn(self, handed: Mapping[str, Any], wanted: Collection[int]) -> Turn:
+        """What was handed over; notes that are newer than the samples wait for these.
+
+        Args:
+            wanted: numbers of the channels that somebody subscribed to; of others nothing is packed.
+        """
         until_ns = int(handed["until_ns"])
         self._held += handed["notes"]
         due = [note for note in self._held if note[1] <= until_ns]
         self._held = [note for note in self._held if note[1] > until_ns]
-        return Turn([*map(self.samples, handed["rows"]), *map(self.note, due)], until_ns)
+        rows = [row for row in handed["rows"] if self._numbers[row[0]] in wanted]
+        notes = [note for note in due if self._numbers[note[0]] in wanted]
+        return Turn([*map(self.samples, rows), *map(self.note, notes)], until_ns)
 
 
 class Refusals:
@@ -110,6 +116,6 @@ def run_foxglove(pipe: Connection, rig: Rig, port: int, origins: tuple[str, ...]
         pipe.send({"url": server.url})
         with contextlib.suppress(EOFError, OSError):
             while "end" not in (handed := pipe.recv()):
-                server.show(packing.turn(handed))
+                server.show(packing.turn(handed, server.wanted))
     with contextlib.suppress(OSError, ValueError):
         pipe.send({"left_out": server.left_out})

@@ -92,6 +92,11 @@ class FoxgloveServer:
         return list(self._clients)
 
     @property
+    def wanted(self) -> frozenset[int]:
+        """Numbers of the channels that somebody subscribed to."""
+        return frozenset(number for client in self.clients for number in client.subscriptions.by_channel)
+
+    @property
     def left_out(self) -> int:
         """Messages that clients, gone or here, did not take in time."""
         return self._left_out + sum(client.left_out for client in self.clients)

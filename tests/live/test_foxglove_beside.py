@@ -160,10 +160,23 @@ def test_what_nobody_took_for_long_is_left_out_and_counted() -> None:
 def test_events_wait_for_the_samples_of_their_time() -> None:
     packing = Packing({"tacho": TACHO})
     note: dict[str, Any] = {"kind": "note", "device": "host", "text": "now"}
-    early = packing.turn({"until_ns": 100, "rows": [], "notes": [("events", 90, note), ("events", 150, note)]})
+    both = [("events", 90, note), ("events", 150, note)]
+    early = packing.turn({"until_ns": 100, "rows": [], "notes": both}, {1, 2, 3})
     assert [block.time_ns.tolist() for block in early.blocks] == [[90]]
-    late = packing.turn({"until_ns": 200, "rows": [], "notes": []})
+    late = packing.turn({"until_ns": 200, "rows": [], "notes": []}, {1, 2, 3})
     assert [(block.time_ns.tolist(), json.loads(block.data)) for block in late.blocks] == [([150], note)]
+
+
+def test_only_what_somebody_wants_is_packed() -> None:
+    packing = Packing({"tacho": TACHO})
+    batch = _batch([10, 20])
+    note = ("events", 15, {"kind": "note"})
+    handed = {"until_ns": 100, "rows": [("tacho", batch.time_ns, batch.columns)], "notes": [note]}
+    numbers = {each.topic: each.number for each in packing.offered}
+    for topic in ("tacho", "events"):
+        (block,) = packing.turn(handed, {numbers[topic]}).blocks
+        assert block.number == numbers[topic]
+    assert packing.turn(handed, ()).blocks == []
 
 
 def test_the_operator_hears_of_refused_pages_once_and_in_letters_that_do_nothing() -> None:
