@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from cli.check_page import look_at, plain_rates, print_checks
 from cli.console import print_json, say
+from cli.foxglove import Foxglove, follow_session, foxglove_beside
 from cli.live import Live, LiveHost, LivePort, follow, page_beside
 from cli.numbers import LookSeconds, PositiveSeconds, TimeScale
 from cli.options import Json, Settings, rig_or_log, warn_of_slips
@@ -86,6 +87,7 @@ def record(
     live: Live = False,
     live_host: LiveHost = "",
     live_port: LivePort = 0,
+    foxglove: Foxglove | None = None,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
@@ -98,6 +100,7 @@ def record(
     with (
         ReservedName(output) as name,  # before any device is disturbed: another recording may be using them
         page_beside(live, loaded, None, settings or [], clock.rate, live_host, live_port, json) as page,
+        foxglove_beside(foxglove, loaded, clock.rate, json) as given,
     ):
         session = Session(loaded, clock, identities, say)
         with session.listen(name, facts) if listen else session.open():
@@ -105,6 +108,7 @@ def record(
                 session.start_recording(name, facts)
             shown = {"words": "recording", "note": note, "log": str(output)}
             follow(page, session, None if listen else session.stop, shown)
+            follow_session(given, session)
             with RecordingStatus(session) as status:
                 ended = _record_until(session, status, duration, until_silent)
             losses, disk, rates = session.losses(), session.disk(), session.rates.summary()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from cli.console import StepProgress, print_json, say
+from cli.foxglove import Foxglove, follow_session, foxglove_beside
 from cli.guided_test import ending_words, run_test
 from cli.live import Live, LiveHost, LivePort, follow, page_beside
 from cli.numbers import TimeScale
@@ -33,6 +34,7 @@ from rig_configs.schema import Rig
 
 if TYPE_CHECKING:
     from live.beside import LivePage
+    from live.foxglove.beside import FoxgloveBeside
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
 _USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # seconds, for the bar; others 2 or 7
@@ -63,6 +65,7 @@ def demo(
     live: Live = False,
     live_host: LiveHost = "",
     live_port: LivePort = 0,
+    foxglove: Foxglove | None = None,
     json: Json = False,
 ) -> int:
     """A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, reported."""
@@ -76,13 +79,17 @@ def demo(
     workbench = Workbench()
     try:
         rate = 1.0 if lockstep else time_scale
-        with progress, page_beside(live, loaded, None, changes, rate, live_host, live_port, json, progress.say) as page:
+        with (
+            progress,
+            page_beside(live, loaded, None, changes, rate, live_host, live_port, json, progress.say) as page,
+            foxglove_beside(foxglove, loaded, rate, json, progress.say) as given,
+        ):
             far = (
                 LockstepRig(loaded)
                 if lockstep
                 else VirtualRigProcess(rig, changes, time_scale, link, waits=time_scale > 1)
             )
-            result = _campaign(rig, changes, loaded, faults, folder, far, progress, workbench, page)
+            result = _campaign(rig, changes, loaded, faults, folder, far, progress, workbench, page, given)
     finally:
         workbench.close()
     result["seconds"] = time.monotonic() - started
@@ -130,6 +137,7 @@ def _campaign(
     progress: StepProgress,
     workbench: Workbench,
     page: LivePage | None,
+    given: FoxgloveBeside | None,
 ) -> dict[str, Any]:
     progress.step("start")
     steps = _steps(rig)
@@ -151,6 +159,7 @@ def _campaign(
             controls = Controls()
             tests = Procedures(session, SimulatedOperator(simulated), folder / "logs", progress.tell, "", controls)
             follow(page, session, _stop_of(session, far), {"log": str(folder)}, controls)
+            follow_session(given, session)
 
             def record(rig: Rig, test: str) -> Path:
                 done = run_test(tests, rig, test)

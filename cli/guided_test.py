@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from cli.console import print_json, say, wait_for_compilation
+from cli.foxglove import Foxglove, follow_session, foxglove_beside
 from cli.guided_plan_page import campaign, print_campaign, print_plan
 from cli.guided_test_page import TestPage
 from cli.keyboard import Keyboard, Keys, TerminalOperator
@@ -28,6 +29,7 @@ from rig_configs.schema import Rig
 
 if TYPE_CHECKING:
     from live.beside import LivePage
+    from live.foxglove.beside import FoxgloveBeside
 
 
 def test(
@@ -55,6 +57,7 @@ def test(
     live: Live = False,
     live_host: LiveHost = "",
     live_port: LivePort = 0,
+    foxglove: Foxglove | None = None,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
@@ -82,7 +85,8 @@ def test(
     label = label + what_if_words(settings, "; ") if label else ""
     following = _tracking(wanted, parameters, settings) if track else None
     beside = page_beside(live, loaded, parameters, settings or [], time_scale, live_host, live_port, json)
-    return _run(wanted, out, note, label, time_scale, following, beside, json)
+    given = foxglove_beside(foxglove, loaded, time_scale, json)
+    return _run(wanted, out, note, label, time_scale, following, beside, given, json)
 
 
 def _numbers(texts: list[str]) -> dict[str, float]:
@@ -122,20 +126,22 @@ def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None
 
 def _run(
     wanted: Asked, out: Path, note: str, label: str, time_scale: float, track: Any,
-    beside: AbstractContextManager[LivePage | None], as_json: bool,
+    beside: AbstractContextManager[LivePage | None], given: AbstractContextManager[FoxgloveBeside | None],
+    as_json: bool,
 ) -> int:  # fmt: skip
     controls = Controls()
     keys = Keys(controls)
     early: NotReached | None = None
     done: TestDone | None = None
     with ExitStack() as stack:
-        live_page = stack.enter_context(beside)
+        live_page, connection = stack.enter_context(beside), stack.enter_context(given)
         session = stack.enter_context(Session(wanted.rig, HostClock(time_scale), say=say))
         following = stack.enter_context(track(session)) if track is not None else None
         keyboard = stack.enter_context(Keyboard(keys))
         words = following.words if following is not None else str
         page = stack.enter_context(TestPage(session, controls, keys if keyboard.there else None, words))
         prompted = follow(live_page, session, session.stop, {"note": note}, controls, keys.confirmed.set)
+        follow_session(connection, session)
         operator = TerminalOperator(keyboard, prompted, live_page is not None)
         tests = Procedures(session, operator, out, page.tell, note, controls)
         tests.parameters = label

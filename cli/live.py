@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from cli import answer
 from cli.console import say
+from cli.foxglove import Foxglove, follow_session, foxglove_beside, foxglove_of_log
 from cli.numbers import TimeScale
 from cli.options import Json, ParametersPath, Settings, warn_of_slips
 from daq.errors import LogError
@@ -43,6 +44,7 @@ def live(
     port: Port = 0,
     speed: Annotated[float, Parameter(help="of a log: seconds of it per second")] = 1.0,
     parameters: ParametersPath = None,
+    foxglove: Foxglove | None = None,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
@@ -53,27 +55,31 @@ def live(
     page has a stop button. With --json the first line is {"url", "token"}.
     """
     if source.endswith((".mcap", ".mcap.part")):
-        return _log(Path(source), host, port, speed, parameters, settings or [], json)
-    return _rig(source, host, port, parameters, time_scale, settings or [], json)
+        return _log(Path(source), host, port, speed, parameters, foxglove, settings or [], json)
+    return _rig(source, host, port, parameters, foxglove, time_scale, settings or [], json)
 
 
 def _log(
-    path: Path, host: str, port: int, speed: float, parameters: Path | None, settings: list[str], as_json: bool
-) -> int:
+    path: Path, host: str, port: int, speed: float, parameters: Path | None, foxglove: Foxglove | None,
+    settings: list[str], as_json: bool,
+) -> int:  # fmt: skip
     from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
     from daq.log.snapshot import rig_of  # noqa: PLC0415
     from live.model import Model  # noqa: PLC0415
     from live.replayed import Replayed  # noqa: PLC0415
     from live.serving import Serving  # noqa: PLC0415
 
-    with open_log(path) as log:
-        rig, known, source = _laid_over(rig_of(log, settings), parameters, settings)
-        try:
-            replayed = Replayed(log, rig, speed)
-        except ValueError as fault:
-            raise LogError(f"--speed: {fault}") from fault
-    with Serving(replayed, Model(rig, known, source), host, port) as serving:
-        _announce(serving.url, serving.token, host, as_json)
+    with ExitStack() as stack:
+        with open_log(path) as log:
+            rig, known, source = _laid_over(rig_of(log, settings), parameters, settings)
+            try:
+                replayed = Replayed(log, rig, speed)
+            except ValueError as fault:
+                raise LogError(f"--speed: {fault}") from fault
+            serving = stack.enter_context(Serving(replayed, Model(rig, known, source), host, port))
+            _announce(serving.url, serving.token, host, as_json)
+            origin_ns = replayed.signals.origin_ns
+            stack.enter_context(foxglove_of_log(foxglove, log, rig, replayed.transport, origin_ns, as_json))
         try:
             threading.Event().wait()
         except KeyboardInterrupt:
@@ -82,8 +88,9 @@ def _log(
 
 
 def _rig(
-    name: str, host: str, port: int, parameters: Path | None, time_scale: float, settings: list[str], as_json: bool
-) -> int:
+    name: str, host: str, port: int, parameters: Path | None, foxglove: Foxglove | None, time_scale: float,
+    settings: list[str], as_json: bool,
+) -> int:  # fmt: skip
     from daq.acquisition.session import Session  # noqa: PLC0415
     from daq.transports import HostClock  # noqa: PLC0415
 
@@ -92,9 +99,11 @@ def _rig(
     clock = HostClock(time_scale)
     with (
         page_beside(True, rig, parameters, settings, clock.rate, host, port, as_json) as page,
+        foxglove_beside(foxglove, rig, clock.rate, as_json) as given,
         Session(rig, clock, say=say) as session,
     ):
         follow(page, session, session.stop, {"words": "watched, not recorded"})
+        follow_session(given, session)
         try:
             while True:
                 session.check()

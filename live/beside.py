@@ -21,6 +21,7 @@ from daq.acquisition.session import Session
 from daq.drivers.items import Event
 from daq.errors import DeviceError, RigError
 from daq.guided_tests.controls import Controls
+from live.newest import Newest
 from live.signals import Signals
 from live.watched import run_page
 from rig_configs import IdentifiedParameters
@@ -28,7 +29,6 @@ from rig_configs.schema import Rig
 
 _TURN_S, _FACTS_S = 1 / 30, 0.2
 _START_S, _END_S, _FEED_ENDS_S = 60.0, 10.0, 1.0
-_MOST_S = 10.0  # of samples that are handed over at once
 _MOST_EVENTS = 500
 _QUIET = ("status", "reply", "acknowledge")
 _TOO_LONG = ("excerpt",)  # facts of events that the page does not show
@@ -78,7 +78,7 @@ class LivePage:
         source: where the model's numbers are from, for a person.
         rate: seconds of the rig per second of the wall.
         title: of the page.
-        host, port: as live.serving.bound takes them.
+        host, port: as live.port.bound takes them.
 
     Attributes:
         url, token: once it is entered.
@@ -91,7 +91,6 @@ class LivePage:
         host: str = "", port: int = 0,
     ) -> None:  # fmt: skip
         self.url = self.token = ""
-        self._rig = rig
         self._ours, theirs = multiprocessing.get_context("spawn").Pipe()
         self._process = multiprocessing.get_context("spawn").Process(
             target=run_page, args=(theirs, rig, identified, source, rate, title, host, port), name="live page",
@@ -104,8 +103,7 @@ class LivePage:
         self._asking, self._facts = Asking(), dict[str, Any]()
         self._stop: Callable[[str], None] | None = None
         self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
-        self._seen_ns: dict[str, int] = {}
-        self._dropped = 0
+        self._newest = Newest(Signals(rig, 0).topics)
         self._threads = [
             threading.Thread(target=run, name=name, daemon=True)
             for name, run in (("live feed", self._feed), ("live requests", self._serve))
@@ -178,30 +176,19 @@ class LivePage:
 
     def _feed(self) -> None:
         facts_s = 0.0
-        topics = Signals(self._rig, 0).topics
         with contextlib.suppress(OSError, ValueError):  # the page is gone; the session goes on
             while not self._ending.wait(_TURN_S):
                 now = time.monotonic()
                 facts = self._said() if now - facts_s >= _FACTS_S else None
                 facts_s = now if facts is not None else facts_s
-                self._send(self._newest(topics, facts))
-            self._send(self._newest(topics, self._said()))
+                self._send(self._copied(facts))
+            self._send(self._copied(self._said()))
 
-    def _newest(self, topics: Mapping[str, tuple[str, ...]], facts: dict[str, Any] | None) -> dict[str, Any]:
+    def _copied(self, facts: dict[str, Any] | None) -> dict[str, Any]:
         session = self._session
         assert session is not None
         heard_ns = session.clock.now_ns()
-        oldest_ns = heard_ns - int(_MOST_S * 1e9)
-        rows: list[tuple[str, Any, dict[str, Any]]] = []
-        for topic, fields in topics.items():
-            since_ns = self._seen_ns.get(topic, oldest_ns) + 1
-            if since_ns < oldest_ns:
-                self._dropped += len(session.recent.last(topic, (), since_ns)[0])
-                since_ns = oldest_ns
-            time_ns, columns = session.recent.last(topic, fields, since_ns)
-            if len(time_ns):
-                self._seen_ns[topic] = int(time_ns[-1])
-                rows.append((topic, time_ns, dict(zip(fields, columns, strict=True))))
+        rows = self._newest.take(session.recent, heard_ns)
         events: list[dict[str, Any]] = []
         with contextlib.suppress(IndexError):
             while True:
@@ -215,7 +202,7 @@ class LivePage:
         can = [*self._asking.can(), *(["stop"] if self._stop is not None else []), "note"]
         return {
             **self._facts, **self._asking.facts(), "losses": session.losses(), "rates": session.rates.now(),
-            "disk": None if disk is None else disk.facts(), "feed_dropped": self._dropped,
+            "disk": None if disk is None else disk.facts(), "feed_dropped": self._newest.left_out,
             "trouble": str(session.trouble or session.left or ""), "can": can,
             "stop": "" if self._stop is not None else "whoever runs the rig stops it: this session only listens",
         }  # fmt: skip

@@ -6,6 +6,8 @@
              ─▶ Origin           foreign: 403; missing: 403 where something is asked for or sent (WebSocket, POST)
              ─▶ the page, with headers that forbid it whatever it does not need
 
+The connection for Foxglove has no token (`judge_tokenless`): Host as above, and of Origins only those of a short list.
+
 A browser on this machine visits other pages too. The Host check refuses names that were made to point here (DNS
 rebinding), the Origin check refuses scripts of other pages, the token refuses other users of the machine.
 """
@@ -14,7 +16,7 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from urllib.parse import parse_qs
 
 from starlette.responses import PlainTextResponse
@@ -39,6 +41,16 @@ _SENDS = ("POST", "PUT", "PATCH", "DELETE")
 def new_token() -> str:
     """A token that nobody guesses: 256 bits."""
     return secrets.token_urlsafe(32)
+
+
+def hosts_of(name: str, port: int) -> list[str]:
+    """Host headers that are ours.
+
+    Args:
+        name: to which the server is bound; "" for the loopback.
+    """
+    names = [*LOOPBACK, *([f"[{name}]" if ":" in name else name] if name and name not in LOOPBACK else [])]
+    return [f"{each}:{port}" for each in names] + ([*names] if port == 80 else [])
 
 
 class Guard:
@@ -91,6 +103,30 @@ class Guard:
         if not origins and (scope["type"] == "websocket" or scope.get("method") in _SENDS):
             return 403, f"expected the Origin {ours}, got none: ask from the page"
         return 200, ""
+
+
+DESKTOP_ORIGINS = ("file://",)
+"""Of Electron programs, as Lichtblick's: their pages are files. A page that a browser opens from a file sends "null"
+(Chromium, Firefox), and so does one in a sandbox: refused."""
+
+
+def judge_tokenless(
+    hosts: Sequence[str], origins: Sequence[str], ours: Collection[str], allowed: Collection[str]
+) -> tuple[int, str]:
+    """200, or the status of a refusal with its reason, where the protocol has no room for a token.
+
+    Who sends no Origin is no page in a browser, and gets in.
+
+    Args:
+        hosts, origins: values of these headers.
+        ours: Hosts that are ours, with the port, in small letters.
+        allowed: Origins of pages that may connect, besides DESKTOP_ORIGINS.
+    """
+    if len(hosts) != 1 or hosts[0].lower() not in ours:
+        return 400, f"expected a Host of {', '.join(sorted(ours))}"
+    if len(origins) > 1 or any(origin not in (*DESKTOP_ORIGINS, *allowed) for origin in origins):
+        return 403, "expected no Origin or one that was allowed: pages of other origins may not read this rig"
+    return 200, ""
 
 
 def _only(scope: Scope, name: bytes) -> str | None:

@@ -25,7 +25,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from live.guard import LOOPBACK, Guard
+from live.guard import Guard
 from live.picture import Pictures, View
 from live.source import Facts, Refused, Source
 
@@ -189,13 +189,3 @@ def _files() -> list[Path]:
     assert spec is not None and spec.origin is not None, "a dependency of this package"  # noqa: PT018
     scripts = Path(spec.origin).parent / "server" / "static" / "js"
     return [*(path for path in own if path.suffix in _TYPES), *(scripts / name for name in _BOKEH)]
-
-
-def hosts_of(name: str, port: int) -> list[str]:
-    """Host headers that are ours.
-
-    Args:
-        name: to which the server is bound; "" for the loopback.
-    """
-    names = [*LOOPBACK, *([f"[{name}]" if ":" in name else name] if name and name not in LOOPBACK else [])]
-    return [f"{each}:{port}" for each in names] + ([*names] if port == 80 else [])

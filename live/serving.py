@@ -4,62 +4,20 @@
 from __future__ import annotations
 
 import logging
-import socket
 import threading
-from ipaddress import ip_address
 
 import uvicorn
 
-from daq.errors import RigError
 from live.followers import Followers
-from live.guard import LOOPBACK, new_token
+from live.guard import LOOPBACK, hosts_of, new_token
 from live.model import Model
 from live.picture import Pictures
-from live.server import Page, hosts_of
+from live.port import bound
+from live.server import Page
 from live.source import Source
 
 _ENDS_S = 5.0
 _MOST_BYTES = 4096  # of one message from a browser
-
-
-class PortTaken(RigError):
-    """The page's port cannot be had."""
-
-
-def bound(host: str, port: int) -> socket.socket:
-    """A listening socket's address, bound.
-
-    Args:
-        host: name or address under which others reach this machine; "" for this machine alone.
-        port: 0 for any free one.
-    Raises:
-        PortTaken: it cannot be bound, or the host stands for every address at once.
-    """
-    name = host or LOOPBACK[0]
-    if _is_any(name):
-        raise PortTaken(f"--host {host}: expected the name or address by which others reach this machine, not all of "
-                        "them: the page checks by which name it was asked for")  # fmt: skip
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM)[0]
-        made = socket.socket(family, kind, protocol)
-    except OSError as fault:
-        raise PortTaken(f"--host {host}: no address of this machine ({fault.strerror or fault})") from fault
-    try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind(address)
-        made.listen(64)
-    except OSError as fault:
-        made.close()
-        raise PortTaken(f"{name}:{port}: the page cannot be served there ({fault.strerror}); give another --port or "
-                        "--host") from fault  # fmt: skip
-    return made
-
-
-def _is_any(name: str) -> bool:
-    try:
-        return ip_address(name.strip("[]")).is_unspecified
-    except ValueError:
-        return not name.strip()
 
 
 class Serving:
@@ -68,7 +26,7 @@ class Serving:
     Args:
         source: what is shown.
         model: of its rig.
-        host, port: as `bound` takes them.
+        host, port: as live.port.bound takes them.
 
     Attributes:
         url: the whole address, with the token.

@@ -18,6 +18,9 @@ class Transport:
         start_s, end_s: of what is played.
         speed: seconds of it per second.
         clock: seconds that pass, from any zero.
+
+    Attributes:
+        jumps: how often it went to another instant than the next.
     Raises:
         ValueError: a speed out of range.
     """
@@ -26,6 +29,7 @@ class Transport:
         self, start_s: float, end_s: float, speed: float = 1.0, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.start_s, self.end_s = start_s, end_s
+        self.jumps = 0
         self._clock = clock
         self._speed = _checked(speed)
         self._at_s, self._since, self._playing = start_s, clock(), True
@@ -50,6 +54,7 @@ class Transport:
         """Go on; from the end, begin again."""
         if self.at() >= self.end_s:
             self._at_s, self._since = self.start_s, self._clock()
+            self.jumps += 1
         elif not self._playing:
             self._since = self._clock()
         self._playing = True
@@ -67,6 +72,7 @@ class Transport:
         if not math.isfinite(to_s):
             raise ValueError(f"expected an instant to seek, got {to_s}")
         self._at_s, self._since = min(max(to_s, self.start_s), self.end_s), self._clock()
+        self.jumps += 1
 
     def set_speed(self, speed: float) -> None:
         """Go on from here at another speed.

@@ -76,6 +76,7 @@ class Session:
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
         self.observers: list[Callable[[Event], None]] = []  # told of every event of a device
         self.noted: list[Callable[[Event, int], None]] = []  # told of every event of the host, with its time
+        self.reported: list[Callable[[Mapping[str, Any], int], None]] = []  # told of every health report, with its time
         self.left = ""  # at its end: of a rotor that may turn, or a drive that may hold it; empty when neither
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())
@@ -305,6 +306,8 @@ class Session:
                 case Report(facts):
                     if recorder is not None:
                         recorder.health(facts)
+                    for reported in self.reported:
+                        reported(facts, self.clock.now_ns())
                 case Warn(text):
                     self._say(text)
                 case StopRotor():

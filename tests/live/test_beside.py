@@ -24,7 +24,7 @@ from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from live.beside import Asking, LivePage
-from live.serving import bound
+from live.port import bound
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 

@@ -15,8 +15,7 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from live.guard import HEADERS, Guard, new_token
-from live.server import hosts_of
+from live.guard import HEADERS, Guard, hosts_of, new_token
 
 TOKEN = "Tr3s-geheim_0123456789-abcdefghijklmnopqrstu"
 OURS = "127.0.0.1:8123"

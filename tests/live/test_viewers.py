@@ -16,9 +16,10 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from live.frames import decode
+from live.port import PortTaken, bound
 from live.replayed import Replayed
 from live.server import MOST_UNANSWERED, MOST_VIEWERS
-from live.serving import PortTaken, Serving, bound
+from live.serving import Serving
 
 WAIT_S = 20.0
 

@@ -1,0 +1,96 @@
+# pyright: strict
+"""A log for the Foxglove connection: its own messages, given as the page that plays it moves on."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, pack_note
+from daq.log import Log
+from live.foxglove.client import Turn
+from live.foxglove.protocol import Block, Offered, offered
+from live.foxglove.server import FoxgloveServer
+from live.transport import Transport
+
+_TURN_S = 1 / 30
+_END_S = 5.0
+
+
+class Played:
+    """The messages of a log by time.
+
+    Args:
+        log: open; it is read here and not needed afterwards.
+
+    Attributes:
+        offered: the channels, as they are advertised.
+    """
+
+    def __init__(self, log: Log) -> None:
+        sample_channels = [log.channel(topic) for topic in log]
+        self.offered: list[Offered] = offered(sample_channels)
+        self._numbers = {each.topic: each.number for each in self.offered}
+        self._samples: list[tuple[int, NDArray[np.int64], NDArray[Any]]] = []
+        for channel in sample_channels:
+            samples = log[channel.topic]
+            order = np.argsort(samples.time_ns, kind="stable")
+            messages = channel.pack(samples.columns)[order]
+            self._samples.append((self._numbers[channel.topic], samples.time_ns[order], messages))
+        notes = [
+            (int(note["time_ns"]), self._numbers[topic], pack_note(note))
+            for topic, found in ((EVENTS_TOPIC, log.events), (HEALTH_TOPIC, log.health))
+            for note in found
+        ]
+        self._notes = sorted(notes, key=lambda note: note[0])
+        self._note_ns = np.array([time_ns for time_ns, _, _ in self._notes], np.int64)
+
+    def turn(self, after_ns: int, until_ns: int, anew: bool = False) -> Turn:
+        """Messages of times after one instant and up to another, ns since 1970."""
+        blocks: list[Block] = []
+        for number, time_ns, messages in self._samples:
+            first, end = np.searchsorted(time_ns, [after_ns, until_ns], "right")
+            if end > first:
+                blocks.append(Block(number, time_ns[first:end], messages[first:end].tobytes()))
+        first, end = np.searchsorted(self._note_ns, [after_ns, until_ns], "right")
+        for time_ns, number, note in self._notes[first:end]:
+            blocks.append(Block(number, np.array([time_ns], np.int64), note))
+        return Turn(blocks, until_ns, anew)
+
+
+class Giving:
+    """Gives a log's messages to a server as its transport moves; a context.
+
+    Args:
+        played: the log.
+        transport: where it stands, s since `origin_ns`.
+        origin_ns: ns since 1970.
+        server: takes them.
+    """
+
+    def __init__(self, played: Played, transport: Transport, origin_ns: int, server: FoxgloveServer) -> None:
+        self._played, self._transport, self._origin_ns, self._server = played, transport, origin_ns, server
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._give, name="foxglove log", daemon=True)
+
+    def __enter__(self) -> Giving:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join(_END_S)
+
+    def _give(self) -> None:
+        jumps, at_ns = self._transport.jumps, self._now_ns() - 1
+        while not self._ending.wait(_TURN_S):
+            jumped, now_ns = self._transport.jumps != jumps, self._now_ns()
+            jumps = self._transport.jumps
+            self._server.show(self._played.turn(now_ns - 1 if jumped else at_ns, now_ns, jumped))
+            at_ns = now_ns
+
+    def _now_ns(self) -> int:
+        return self._origin_ns + round(self._transport.at() * 1e9)

@@ -1,0 +1,151 @@
+# pyright: strict
+"""The Foxglove connection's server, in a thread of its own: who gets in, what they are told first, how it ends.
+
+Loopback only: the protocol has no token, so whoever reaches the port reads. `live.guard` keeps pages of foreign origin
+out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+import uuid
+from collections.abc import Callable, Collection, Mapping, Sequence
+from http import HTTPStatus
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from daq.errors import RigError
+from live.foxglove.client import Client, Turn
+from live.foxglove.protocol import SUBPROTOCOLS, Offered, advertise, server_info
+from live.guard import LOOPBACK, hosts_of, judge_tokenless
+from live.port import PortTaken, bound
+
+USUAL_PORT = 8765
+"""Which Foxglove and Lichtblick propose."""
+MOST_CLIENTS = 16
+_LARGEST_MESSAGE, _MOST_UNREAD = 64 * 2**10, 4
+_SILENT_S, _CLOSE_S, _END_S = 20.0, 1.0, 5.0
+_QUIET = logging.getLogger("live.foxglove")
+_QUIET.addHandler(logging.NullHandler())
+_QUIET.propagate = False  # a port scanner is nothing to tell the operator of
+
+
+class FoxgloveServer:
+    """A connection that is there as long as the context lasts.
+
+    Args:
+        name: shown to clients.
+        offered: the channels.
+        metadata: shown to clients, too.
+        origins: of pages in a browser that may connect, besides the desktop programs; see live.guard.
+        port: 0 for any free one.
+        refused: told, by the server's thread, of a page that was refused: its origin.
+
+    Attributes:
+        url: where it is, once made.
+    Raises:
+        RigError: the port cannot be had.
+    """
+
+    def __init__(
+        self, name: str, offered: Sequence[Offered], metadata: Mapping[str, str], origins: Collection[str] = (),
+        port: int = USUAL_PORT, refused: Callable[[str], None] = lambda origin: None,
+    ) -> None:  # fmt: skip
+        try:
+            self._listening = bound("", port)
+        except PortTaken as fault:
+            raise RigError(
+                f"{LOOPBACK[0]}:{port}: the connection for Foxglove cannot be offered there "
+                f"({fault.__cause__ or fault}); another run may offer one, give another --foxglove-port"
+            ) from fault
+        port = int(self._listening.getsockname()[1])
+        self.url = f"ws://{LOOPBACK[0]}:{port}"
+        self._offered, self._hosts, self._origins = list(offered), frozenset(hosts_of("", port)), frozenset(origins)
+        self._first = (server_info(name, uuid.uuid4().hex, metadata), advertise(self._offered))
+        self._refused = refused
+        self._clients: list[Client] = []
+        self._left_out = 0
+        self._loop = asyncio.new_event_loop()
+        self._ending = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
+
+    def __enter__(self) -> FoxgloveServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(RuntimeError):  # it has ended by itself
+            self._loop.call_soon_threadsafe(self._ending.set)
+        if self._thread.is_alive():
+            self._thread.join(_END_S)
+        self._listening.close()
+
+    @property
+    def clients(self) -> list[Client]:
+        """Those that are connected now."""
+        return list(self._clients)
+
+    @property
+    def wanted(self) -> frozenset[int]:
+        """Numbers of the channels that somebody subscribed to."""
+        return frozenset(number for client in self.clients for number in client.subscriptions.by_channel)
+
+    @property
+    def left_out(self) -> int:
+        """Messages that clients, gone or here, did not take in time."""
+        return self._left_out + sum(client.left_out for client in self.clients)
+
+    def show(self, turn: Turn) -> None:
+        """Leave something for all clients; never waits. Any thread."""
+        for client in self.clients:
+            with contextlib.suppress(RuntimeError):  # the server has just ended
+                client.show(turn)
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._serve())
+        finally:
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        async with serve(
+            self._attend, sock=self._listening, subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
+            process_request=self._judge, compression=None, server_header=None, logger=_QUIET,
+            ping_interval=_SILENT_S, ping_timeout=_SILENT_S, close_timeout=_CLOSE_S,
+            max_size=_LARGEST_MESSAGE, max_queue=_MOST_UNREAD,
+        ):  # fmt: skip
+            await self._ending.wait()
+
+    def _judge(self, socket: ServerConnection, request: Request) -> Response | None:
+        headers = request.headers
+        came = headers.get_all("Origin")
+        code, why = judge_tokenless(headers.get_all("Host"), came, self._hosts, self._origins)
+        if code != 200:
+            if code == 403:
+                self._refused(", ".join(came))
+            return socket.respond(HTTPStatus(code), f"{why}\n")
+        if len(self._clients) >= MOST_CLIENTS:
+            return socket.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients already look\n")
+        return None
+
+    async def _attend(self, socket: ServerConnection) -> None:
+        client = Client(socket, self._offered)
+        with contextlib.suppress(ConnectionClosed):
+            for text in self._first:
+                await socket.send(text)
+            self._clients.append(client)
+            sending = asyncio.create_task(client.send())
+            try:
+                await client.listen()
+            finally:
+                self._clients.remove(client)
+                self._left_out += client.left_out
+                sending.cancel()
+                await asyncio.gather(sending, return_exceptions=True)

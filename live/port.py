@@ -1,0 +1,52 @@
+# pyright: strict
+"""A listening port for whoever serves here."""
+
+from __future__ import annotations
+
+import socket
+from ipaddress import ip_address
+
+from daq.errors import RigError
+from live.guard import LOOPBACK
+
+
+class PortTaken(RigError):
+    """The port cannot be had."""
+
+
+def bound(host: str, port: int) -> socket.socket:
+    """A listening socket's address, bound.
+
+    Args:
+        host: name or address under which others reach this machine; "" for this machine alone.
+        port: 0 for any free one.
+    Raises:
+        PortTaken: it cannot be bound, is no port, or the host stands for every address at once.
+    """
+    if not 0 <= port <= 65535:  # the system would take it modulo 65536
+        raise PortTaken(f"port {port}: expected a port of 1 … 65535, or 0 for any free one")
+    name = host or LOOPBACK[0]
+    if _is_any(name):
+        raise PortTaken(f"--host {host}: expected the name or address by which others reach this machine, not all of "
+                        "them: the page checks by which name it was asked for")  # fmt: skip
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM)[0]
+        made = socket.socket(family, kind, protocol)
+    except OSError as fault:
+        raise PortTaken(f"--host {host}: no address of this machine ({fault.strerror or fault})") from fault
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(address)
+        made.listen(64)
+    except OSError as fault:
+        made.close()
+        raise PortTaken(f"{name}:{port}: the page cannot be served there ({fault.strerror}); give another --port or "
+                        "--host") from fault  # fmt: skip
+    return made
+
+
+def _is_any(name: str) -> bool:
+    try:
+        return ip_address(name.strip("[]")).is_unspecified
+    except ValueError:
+        return not name.strip()

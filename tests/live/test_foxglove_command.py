@@ -1,0 +1,98 @@
+"""`--foxglove` as a command's option: off by itself, said in a line, on the loopback, ended with the run."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
+
+from cli.simulated import VirtualRigProcess
+
+RIG = [sys.executable, "-m", "cli.main"]
+OURS = [Subprotocol("foxglove.sdk.v1")]
+PAGE = "https://lichtblick.example"
+
+
+def _begun(running: subprocess.Popen[str]) -> str:
+    """The connection's address, as a line of JSON tells it."""
+    assert running.stdout is not None
+    for line in running.stdout:
+        if "foxglove" in (told := json.loads(line)):
+            return told["foxglove"]
+    raise AssertionError("it was never told")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
+def test_a_log_is_given_until_the_command_ends(point_log: Path) -> None:
+    command = [*RIG, "live", str(point_log), "--json", "--foxglove", "--foxglove-port", "0", "--foxglove-origin", PAGE]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        try:
+            url = _begun(running)
+            assert url.startswith("ws://127.0.0.1:")
+            with pytest.raises(InvalidStatus), connect(url, subprotocols=OURS, origin=Origin("https://evil.example")):
+                pass
+            with connect(url, subprotocols=OURS, origin=Origin(PAGE)) as line:
+                assert json.loads(line.recv(timeout=30))["name"] == point_log.name
+                topics = {each["topic"] for each in json.loads(line.recv(timeout=30))["channels"]}
+                assert {"laser/x", "laser/y", "pendulums", "motor", "events"} <= topics
+                assert isinstance(line.recv(timeout=30), bytes), "its clock goes on"
+                running.send_signal(signal.SIGTERM)
+                assert all(isinstance(data, bytes) for data in line), "ended as it should be"
+            rest, said = running.communicate(timeout=30)
+        finally:
+            running.kill()
+    assert (running.returncode, rest) == (0, "")
+    assert f"{url}; read-only; it asks for no token: anyone on this machine can read it" in said
+    assert "a page of https://evil.example asked for the rig's data and was refused" in said
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
+def test_a_recording_is_given_while_it_runs(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
+    settings = [part for setting in virtual_rig.port_settings() for part in ("--set", setting)]
+    command = [*RIG, "record", "virtual", "-o", str(tmp_path / "a.mcap"), "--time-scale", str(virtual_rig.clock.rate)]
+    with subprocess.Popen(
+        [*command, "--json", "--foxglove", "--foxglove-port", "0", *settings],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as running:  # fmt: skip
+        try:
+            with connect(_begun(running), subprotocols=OURS) as line:
+                line.recv(timeout=30)
+                line.recv(timeout=30)
+                line.send('{"op": "subscribe", "subscriptions": [{"id": 9, "channelId": 1}]}')
+                while (data := line.recv(timeout=60))[0] == 2:  # the clock alone, until it records
+                    pass
+                assert data[:5] == b"\x01\x09\x00\x00\x00"
+                running.send_signal(signal.SIGTERM)
+                for _ in line:
+                    pass
+            rest, said = running.communicate(timeout=60)
+        finally:
+            running.kill()
+    assert running.returncode == 0, said
+    assert json.loads(rest)["log"].endswith("a.mcap")
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "why"),
+    [
+        (["--foxglove-port", "70000"], 3, "127.0.0.1:70000: the connection for Foxglove cannot be offered"),
+        (["--foxglove-origin", "app.foxglove.dev"], 2, "expected a page's scheme"),
+        (["--foxglove-origin", "*"], 2, "expected a page's scheme"),
+        (["--foxglove-origin", "https://app.foxglove.dev/"], 2, "expected a page's scheme"),
+        (["--foxglove-host", "0.0.0.0"], 2, "--foxglove-host"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(point_log: Path, options: list[str], code: int, why: str) -> None:
+    done = subprocess.run(
+        [*RIG, "live", str(point_log), "--json", "--foxglove", *options],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    assert why in json.loads(done.stdout.splitlines()[-1])["error"]
