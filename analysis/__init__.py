@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from analysis.figures.residuals import draw_residuals
     from analysis.figures.slip import draw_slip
     from analysis.figures.spectrum import draw_spectrum
-    from analysis.figures.stability_map import draw_points_on_map
+    from analysis.figures.stability_map import MapPoint, draw_points_on_map
     from analysis.figures.time_history import draw_time
     from analysis.figures.waterfall import draw_waterfall
     from analysis.prediction import Prediction, predict_point
@@ -84,6 +84,7 @@ _HOME = {  # loaded when first used: an error class or one figure need not wait 
     "draw_multipliers": "analysis.figures.multipliers",
     "draw_health": "analysis.figures.health",
     "draw_residuals": "analysis.figures.residuals",
+    "MapPoint": "analysis.figures.stability_map",
     "draw_points_on_map": "analysis.figures.stability_map",
     "write_figure": "analysis.figures.page",
 }
@@ -91,6 +92,7 @@ _HOME = {  # loaded when first used: an error class or one figure need not wait 
 __all__ = [
     "Amplification",
     "AnalysisError",
+    "MapPoint",
     "NoStableState",
     "NotEnoughData",
     "OrbitEllipse",

@@ -18,7 +18,7 @@ from cli.guided_test import ending_words, run_test
 from cli.live import Live, LiveHost, LivePort, follow, page_beside
 from cli.numbers import TimeScale
 from cli.options import Json, Settings
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from cli.validation_page import whole_lines
 from cli.workbench import Workbench
 from daq.acquisition.session import Session
@@ -28,6 +28,7 @@ from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.test_inputs import possible_tests
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig

@@ -60,12 +60,12 @@ def diff(
         old: the parameters before.
         new: the parameters after.
     """
-    from identification.compare import compare, in_words  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification.compare import compare  # noqa: PLC0415 (scipy and numba take seconds to import)
 
     if not 0 < level < 1:
         raise RigFileError(f"rig parameters diff: --level expected a chance between 0 and 1, got {level:g}")
     found = compare(_load(old), _load(new))
-    words = in_words(found, level)
+    words = found.in_words(level)
     if json:
         print_json({"old": str(old), "new": str(new), "level": level, "words": words, **comparison_json(found)})
         return 0
@@ -88,7 +88,7 @@ def history(
     Args:
         places: parameters files, and folders in which they are looked for. Logs enter by being identified.
     """
-    from identification.compare import compare, in_words  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification.compare import compare  # noqa: PLC0415 (scipy and numba take seconds to import)
     from identification.history import history as follow  # noqa: PLC0415
 
     if plot is not None:
@@ -102,7 +102,7 @@ def history(
     first, last = found.instants[0], found.instants[-1]
     overall = None
     if len(found.instants) > 1 and set(first.parameters.values) & set(last.parameters.values):
-        overall = in_words(compare(first.parameters, last.parameters), level)
+        overall = compare(first.parameters, last.parameters).in_words(level)
     if json:
         print_json(_history_json(found, overall, plot))
         return 0

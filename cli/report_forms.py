@@ -8,7 +8,7 @@ from analysis.figures.fit import FitCurve
 from analysis.report.campaign import Changes, ConsistencyCheck, IdentificationResult, ParameterChange, TestEstimate
 from daq.signals.run import point_of
 from identification import Identification
-from identification.compare import compare, in_words
+from identification.compare import compare
 from rig_configs import IdentifiedParameters
 
 
@@ -51,7 +51,7 @@ def report_changes(label: str, old: IdentifiedParameters, new: IdentifiedParamet
     """
     found = compare(old, new)
     rows = [ParameterChange(c.name, c.old, c.new, c.change, c.std, c.p_holm) for c in found.changes]
-    return Changes(label, in_words(found, _LEVEL), rows, found.notes)
+    return Changes(label, found.in_words(_LEVEL), rows, found.notes)
 
 
 _LEVEL = 0.01

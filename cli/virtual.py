@@ -96,7 +96,7 @@ def _done(json: bool, words: str, **facts: Any) -> None:
 
 
 def _by_hand(control: Path | None, act: Callable[[Any], None]) -> None:
-    from cli.simulated import SimulatedOperator  # noqa: PLC0415
+    from daq.virtual_rig.simulated_operator import SimulatedOperator  # noqa: PLC0415
 
     with _operator(control) as line:
         act(SimulatedOperator(line))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from dynamics.equations.speed_history import SpeedHistory
     from dynamics.motions.batch import BatchMotion, simulate_batch
     from dynamics.motions.integrate import Motion, locked_orbit, simulate
+    from dynamics.stability.stability_map import StabilityMap, stability_map
     from dynamics.steady.outcome import ReleaseOutcome, release_outcome
     from dynamics.steady.steady_motions import multipliers, steady_states
     from dynamics.steady.steady_state import SteadyState
@@ -27,6 +28,7 @@ _HOME = {  # loaded when first used: a rig file can be read without waiting for 
     "RotorParameters": "dynamics.equations.parameters",
     "Scene": "dynamics.equations.scene",
     "SpeedHistory": "dynamics.equations.speed_history",
+    "StabilityMap": "dynamics.stability.stability_map",
     "SteadyState": "dynamics.steady.steady_state",
     "balanced_angles": "dynamics.equations.balancing",
     "balancing_region": "dynamics.equations.balancing",
@@ -37,6 +39,7 @@ _HOME = {  # loaded when first used: a rig file can be read without waiting for 
     "release_outcome": "dynamics.steady.outcome",
     "simulate": "dynamics.motions.integrate",
     "simulate_batch": "dynamics.motions.batch",
+    "stability_map": "dynamics.stability.stability_map",
     "steady_states": "dynamics.steady.steady_motions",
 }
 
@@ -50,6 +53,7 @@ __all__ = [
     "RotorParameters",
     "Scene",
     "SpeedHistory",
+    "StabilityMap",
     "SteadyState",
     "balanced_angles",
     "balancing_region",
@@ -60,6 +64,7 @@ __all__ = [
     "release_outcome",
     "simulate",
     "simulate_batch",
+    "stability_map",
     "steady_states",
 ]
 

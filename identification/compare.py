@@ -85,6 +85,22 @@ class Comparison:
         """Changes significant at a level, all looks counted; the most significant first."""
         return sorted((c for c in self.changes if c.p_holm < level), key=lambda c: c.p)
 
+    def in_words(self, level: float = 0.01) -> str:
+        """The comparison as an experimenter would say it; ± is one standard deviation."""
+        found = self.significant(level)
+        if found:
+            told = [f"{short(c.name)} {'grew' if c.change > 0 else 'fell'} by {_percent(c)}" for c in found]
+            rest = len(self.changes) - len(found)
+            return _listed(told) + ("; nothing else changed significantly" if rest else "")
+        if self.p < level:
+            leading = [c for c in sorted(self.changes, key=lambda c: -c.share) if c.share > 0.2]
+            told = [f"{short(c.name)} {'up' if c.change > 0 else 'down'} by {_percent(c)}" for c in leading]
+            return (
+                f"no single parameter changed significantly, but all together they did (p = {self.p:.1g}), "
+                f"mostly along {_listed(told)}"
+            )
+        return "nothing changed significantly"
+
 
 def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     """Compare two identifications of one rig.
@@ -179,23 +195,6 @@ def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
     out = np.empty(len(given))
     out[order] = np.minimum(stepped, 1.0)
     return out
-
-
-def in_words(comparison: Comparison, level: float = 0.01) -> str:
-    """The comparison as an experimenter would say it; ± is one standard deviation."""
-    found = comparison.significant(level)
-    if found:
-        told = [f"{short(c.name)} {'grew' if c.change > 0 else 'fell'} by {_percent(c)}" for c in found]
-        rest = len(comparison.changes) - len(found)
-        return _listed(told) + ("; nothing else changed significantly" if rest else "")
-    if comparison.p < level:
-        leading = [c for c in sorted(comparison.changes, key=lambda c: -c.share) if c.share > 0.2]
-        told = [f"{short(c.name)} {'up' if c.change > 0 else 'down'} by {_percent(c)}" for c in leading]
-        return (
-            f"no single parameter changed significantly, but all together they did (p = {comparison.p:.1g}), "
-            f"mostly along {_listed(told)}"
-        )
-    return "nothing changed significantly"
 
 
 def short(name: str) -> str:

@@ -18,7 +18,7 @@ from rich.console import Console
 from cli.guided_test_page import TestPage, readings
 from cli.keyboard import Keys
 from cli.main import run
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from daq.acquisition.recorder import Recorder
 from daq.acquisition.session import Session
 from daq.guided_tests.controls import Controls
@@ -28,6 +28,7 @@ from daq.guided_tests.start_ups import summed
 from daq.log import open_log
 from daq.log.outcome import ending, not_reached_of
 from daq.transports import HostClock
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import RigFileError, load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from cli.main import run
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from cli.tracking import LiveTracking, compile_tracker, imbalance_std
 from daq.acquisition.session import Session
 from daq.errors import LinkLost
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification.tracking.tracker import Tracker
 from rig_configs import IdentifiedParameters, load_rig
 

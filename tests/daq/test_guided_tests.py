@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cli.main import run
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
@@ -20,6 +20,7 @@ from daq.log.outcome import not_reached_of
 from daq.signals.completeness import missing_warnings
 from daq.signals.run import load_run
 from daq.transports import HostClock, slcan
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cli.check_page import look_at
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from daq.acquisition.device_check import device_checks
 from daq.acquisition.interlocks import Interlocks
 from daq.acquisition.session import Session
@@ -22,6 +22,7 @@ from daq.guided_tests.hands import SEEN_RAD, let_go
 from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.replay import check
 from daq.signals.run import load_run
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification import NotIdentifiable, identify
 from identification.pendulums.release import fit_release
 from identification.pendulums.suspension_knowledge import Knowledge

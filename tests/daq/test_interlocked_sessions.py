@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError, ProcedureError
@@ -19,6 +19,7 @@ from daq.guided_tests.procedure import Procedures
 from daq.log import open_log
 from daq.log.losses import losses_of
 from daq.replay import check
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.clock import ClockMap
 from daq.errors import DeviceError, LinkLost, RigError
@@ -21,6 +20,7 @@ from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from daq.signals.run import load_run
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 from rig_testing.fault_schedules import Fault, Schedule, draw, run
 

@@ -15,13 +15,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.errors import RigError
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.virtual_rig.motion import Trajectory
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 
 RPM = math.pi / 30

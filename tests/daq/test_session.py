@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from cli.demo import _radio_check
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from daq.acquisition.recorder import Recorder
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
@@ -23,6 +23,7 @@ from daq.log import open_log
 from daq.replay import check
 from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import TIME_SCALE

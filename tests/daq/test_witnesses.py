@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from cli.main import run as main
-from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, Channel
 from daq.drivers.items import Batch
@@ -21,6 +20,7 @@ from daq.log.file import LogFile
 from daq.replay import check
 from daq.signals.run import disagreements, load_run
 from daq.signals.witnesses import Agreement, Witness, agreement
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification import identify
 from rig_configs import load_rig
 from rig_configs.roles import Displacement, role_table

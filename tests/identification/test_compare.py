@@ -16,7 +16,7 @@ from synthetic import Campaign
 from test_joint import OWN, TRUTH, draw, spoilt
 
 from identification import Estimate, NotIdentifiable, identify
-from identification.compare import compare, holm, in_words
+from identification.compare import compare, holm
 from identification.history import history
 from identification.identify import Identification
 from identification.joint import joint_estimate
@@ -67,7 +67,7 @@ def test_a_changed_spring_is_said_in_plain_words() -> None:
     assert abs(change.relative - 0.05) < 4 * change.relative_std
     assert change.level == 0.001
     assert found.p < 1e-6
-    words = in_words(found)
+    words = found.in_words()
     assert re.match(r"k2 grew by (4.99|5.00)\d* ± 0.00\d+ %; ", words)
     assert words.endswith("nothing else changed significantly")
 
@@ -95,7 +95,7 @@ def test_changes_that_go_together_are_found_though_each_is_small() -> None:
     found = compare(old, new)
     assert found.significant() == []
     assert found.p < 1e-6
-    assert "all together they did" in in_words(found)
+    assert "all together they did" in found.in_words()
     assert sum(c.share for c in found.changes) == pytest.approx(1)
     # of files whose numbers were rounded to five digits nobody can know that
     old, new = (
@@ -226,7 +226,7 @@ def test_a_file_against_itself_has_not_changed() -> None:
     assert found.chi2 == 0
     assert found.p == 1
     assert [c.std for c in found.changes] == [0.0] * len(parameters.values)
-    assert in_words(found) == "nothing changed significantly"
+    assert found.in_words() == "nothing changed significantly"
 
 
 def test_files_without_tests_count_all_errors_as_independent() -> None:

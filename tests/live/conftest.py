@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from cli.simulated import SimulatedOperator
 from daq.acquisition.session import Session
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.log.snapshot import rig_of
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from live.model import Model
 from live.replayed import Replayed
 from live.serving import Serving

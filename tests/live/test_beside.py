@@ -16,13 +16,14 @@ import pytest
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.errors import OperatorStop, RigError
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from live.beside import Asking, LivePage
 from live.port import bound
 from rig_configs import load_rig
