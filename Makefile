@@ -1,6 +1,7 @@
 # Two commands do everything on a machine that has Python >= 3.11 and make:
 #   make demo    the main job on the built-in virtual rig, ends with a report
 #   make test    lint, types, layers and the whole test suite
+# After a change of a tutorial's code, make tutorials executes all of them anew and keeps their outputs.
 # The uv that wrote uv.lock is used: the one on the PATH if it has that version, else pip puts it into .tools.
 
 UV_VERSION := 0.13.9
@@ -13,7 +14,7 @@ UV := .tools/uv-$(UV_VERSION)/bin/uv
 UV_FILE := $(UV)
 endif
 
-.PHONY: demo test setup lint clean
+.PHONY: demo test tutorials setup lint clean
 
 demo: setup
 	$(UV) run --no-sync rig demo --out out/demo
@@ -21,6 +22,9 @@ demo: setup
 
 test: setup lint
 	$(UV) run --no-sync pytest -n 2
+
+tutorials: setup
+	$(UV) run --no-sync python -m tests.tutorials.notebooks
 
 lint: setup
 	$(UV) run --no-sync ruff check .

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from analysis.errors import AnalysisError, NoStableState, NotEnoughData
     from analysis.figures.bode import draw_bode
     from analysis.figures.dial import draw_dial
+    from analysis.figures.fit import FitCurve, fit_curves
     from analysis.figures.health import draw_health
     from analysis.figures.multipliers import draw_multipliers
     from analysis.figures.orbit import draw_orbit
@@ -84,6 +85,8 @@ _HOME = {  # loaded when first used: an error class or one figure need not wait 
     "draw_multipliers": "analysis.figures.multipliers",
     "draw_health": "analysis.figures.health",
     "draw_residuals": "analysis.figures.residuals",
+    "FitCurve": "analysis.figures.fit",
+    "fit_curves": "analysis.figures.fit",
     "MapPoint": "analysis.figures.stability_map",
     "draw_points_on_map": "analysis.figures.stability_map",
     "write_figure": "analysis.figures.page",
@@ -92,6 +95,7 @@ _HOME = {  # loaded when first used: an error class or one figure need not wait 
 __all__ = [
     "Amplification",
     "AnalysisError",
+    "FitCurve",
     "MapPoint",
     "NoStableState",
     "NotEnoughData",
@@ -121,6 +125,7 @@ __all__ = [
     "draw_spectrum",
     "draw_time",
     "draw_waterfall",
+    "fit_curves",
     "forward_backward",
     "full_spectrum",
     "measure",

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from analysis.figures.fit import FitCurve
+from analysis.figures.fit import fit_curves
 from analysis.report.campaign import Changes, ConsistencyCheck, IdentificationResult, ParameterChange, TestEstimate
-from daq.signals.run import point_of
 from identification import Identification
 from identification.compare import compare
 from rig_configs import IdentifiedParameters
@@ -22,25 +19,7 @@ def report_identification(found: Identification) -> IdentificationResult:
         ConsistencyCheck(r.parameter, r.z, f"{r.test} against the other tests, p = {r.p:.2g}")
         for r in found.consistency
     ]
-    fits = [
-        FitCurve(
-            title=f"{named.test}: {curve.label}",
-            time_s=curve.time_s,
-            measured=curve.measured * scale,
-            fitted=curve.fitted * scale,
-            unit=unit,
-            y_label=label,
-            aside=bool(point_of(named.test)),
-        )
-        for named in found.fits
-        for curve in named.fit.curves
-        for scale, unit, label in (_shown(curve.unit),)
-    ]
-    return IdentificationResult(found.parameters, estimates, checks, found.warnings, fits)
-
-
-def _shown(unit: str) -> tuple[float, str, str]:
-    return {"m": (1e3, "mm", "displacement"), "rad": (180 / np.pi, "°", "angle")}.get(unit, (1.0, unit, "value"))
+    return IdentificationResult(found.parameters, estimates, checks, found.warnings, fit_curves(found.fits))
 
 
 def report_changes(label: str, old: IdentifiedParameters, new: IdentifiedParameters) -> Changes:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
+from daq.signals.run import point_of
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,63 @@ class FitCurve:
         rest = self.measured - self.fitted
         rest = rest[np.isfinite(rest)]
         return float(np.sqrt(np.mean(rest**2))) if len(rest) else float("nan")
+
+
+class Fitted(Protocol):
+    """A measured signal beside its fit, as identification gives it."""
+
+    @property
+    def label(self) -> str: ...  # noqa: D102
+    @property
+    def unit(self) -> str: ...  # noqa: D102
+    @property
+    def time_s(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def measured(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def fitted(self) -> np.ndarray: ...  # noqa: D102
+
+
+class Fit(Protocol):
+    """A fit with its signals."""
+
+    @property
+    def curves(self) -> Sequence[Fitted]: ...  # noqa: D102
+
+
+class TestFit(Protocol):
+    """The fit of one test, as in `Identification.fits`."""
+
+    @property
+    def test(self) -> str: ...  # noqa: D102
+    @property
+    def fit(self) -> Fit: ...  # noqa: D102
+
+
+def fit_curves(fits: Sequence[TestFit]) -> list[FitCurve]:
+    """The signals of all fits in the units that figures have: mm and degrees.
+
+    Args:
+        fits: `Identification.fits`; their curves in m and rad.
+    """
+    return [
+        FitCurve(
+            title=f"{named.test}: {curve.label}",
+            time_s=curve.time_s,
+            measured=curve.measured * scale,
+            fitted=curve.fitted * scale,
+            unit=unit,
+            y_label=label,
+            aside=bool(point_of(named.test)),
+        )
+        for named in fits
+        for curve in named.fit.curves
+        for scale, unit, label in (_shown(curve.unit),)
+    ]
+
+
+def _shown(unit: str) -> tuple[float, str, str]:
+    return {"m": (1e3, "mm", "displacement"), "rad": (180 / np.pi, "°", "angle")}.get(unit, (1.0, unit, "value"))
 
 
 def draw_fit(curve: FitCurve, name: str) -> str:

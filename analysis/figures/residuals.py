@@ -29,7 +29,7 @@ def draw_residuals(curves: Sequence[FitCurve]) -> Figure:
     """A block for each curve: the whole record (left) and some cycles (right), residuals below in their own unit.
 
     Args:
-        curves: as identification gives them.
+        curves: `fit_curves(found.fits)` of an identification.
     Raises:
         NotEnoughData: there is none.
     """
