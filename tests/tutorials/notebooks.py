@@ -33,6 +33,7 @@ FOLDER = ROOT / "docs" / "tutorials"
 PACKAGES = ("analysis", "daq", "dynamics", "identification", "rig_configs", "rig_testing", "uncertainty")
 """Packages whose public names a tutorial may use; what else is the project's is none of its business."""
 OURS = (*PACKAGES, "benchmarks", "cli", "live", "tests")
+VARIES = "varies"
 DIGEST = "executed_sources_sha256"
 _LONGEST_S = 600
 _COLOURS = 96  # of a stored figure
@@ -176,11 +177,14 @@ def _public(module: str) -> Sequence[str]:
 
 
 def kinds(cell: NotebookNode) -> list[str]:
-    """What a cell's outputs are: of figures that they are some, of texts all but the numbers."""
+    """What a cell's outputs are: of figures that they are some, of texts all but the numbers.
+
+    Of a cell with the tag VARIES only that there is a text: which messages lie at a byte of a file depends on its packing.
+    """
     found: list[str] = []
     for output in cell.outputs:
         if output.output_type == "stream":
-            found.append(f"{output.name}: {_shape(output.text)}")
+            found.append(f"{output.name}: {'…' if VARIES in cell.metadata.get('tags', ()) else _shape(output.text)}")
         elif "image/png" in output.data:
             found.append("figure")
         else:
