@@ -179,7 +179,7 @@ def _public(module: str) -> Sequence[str]:
 def kinds(cell: NotebookNode) -> list[str]:
     """What a cell's outputs are: of figures that they are some, of texts all but the numbers.
 
-    Of a cell with the tag VARIES only that there is a text: which messages lie at a byte of a file depends on its packing.
+    Of a cell with the tag VARIES only that there is a text: what lies at a byte of a file depends on its packing.
     """
     found: list[str] = []
     for output in cell.outputs:
