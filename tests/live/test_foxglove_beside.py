@@ -16,7 +16,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from cli.simulated import SimulatedOperator, VirtualRigProcess
+from cli.simulated import VirtualRigProcess
 from daq.acquisition.recent import Recent
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, TACHO
@@ -25,6 +25,7 @@ from daq.errors import RigError
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
+from daq.virtual_rig.simulated_operator import SimulatedOperator
 from live.foxglove.beside import FoxgloveBeside
 from live.foxglove.protocol import SUBPROTOCOLS
 from live.foxglove.served import Packing, Refusals
