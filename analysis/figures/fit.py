@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
+from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
 from daq.signals.run import point_of
 
 
@@ -119,7 +119,7 @@ def draw_fit(curve: FitCurve, name: str) -> str:
         label(grid[0, 0], y=f"{curve.y_label}, {curve.unit}")
         label(grid[1, 0], y=f"residual, {curve.unit}")
         grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, fontsize=8, borderaxespad=0.2)
-        figure.align_ylabels(grid[:, 0])
+        pin(figure, grid, 0.03, 0.07)
         return to_svg(figure, name, f"Measured and fitted curve of {curve.title} with residuals")
 
 

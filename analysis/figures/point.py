@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.figures.style import MEASURED, MODEL, band, bins_for, drawing, label, outline, to_svg
+from analysis.figures.style import MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
 from analysis.prediction import Prediction
 from analysis.steady_state import SteadyMeasurement
 from daq.signals.run import Run
@@ -83,7 +83,7 @@ def draw_point(
         figure.legend(
             handles + [h for h, _ in extra], names + [n for _, n in extra], loc="upper right", ncols=4, fontsize=8.5
         )
-        figure.align_ylabels(grid[:, 0])
+        pin(figure, grid, 0.028, 0.05)
         return to_svg(figure, name, "Displacements and pendulum angles over time, measured and simulated")
 
 
