@@ -224,6 +224,7 @@ class Walk:
             self.open_place = self.damage.note(position, end, f"{damage}, left out", len(self.table))
             self.crc = None
             self.left_out_end = end  # perhaps a wrong length: the search still begins inside
+            self.search_from = max(self.search_from, position + 1)  # but not at this very chunk again
             return end
         earlier = self.table.add(position, head, chunk, position in self.believed)
         if earlier is not None:

@@ -63,6 +63,22 @@ def test_a_damaged_chunk_is_told_from_the_index(path):
         assert "27 messages of laser/x, raw/laser_x, tacho" in str(again)
 
 
+@pytest.mark.parametrize("shape", [s for s in SHAPES if " 25 samples a chunk" in s.name], ids=lambda shape: shape.name)
+def test_damage_across_the_end_of_a_chunk_is_one_place(path, shape):
+    """A bad sector takes a chunk's end and the beginning of its message indexes: one place, and counted once."""
+    data = bytearray(shape.data)
+    (start, end), (following, _) = chunk_places(data)[3:5]
+    data[end - 8 : end + 9] = bytes(17)
+    path.write_bytes(data)
+    with open_log(path) as log:
+        log.verify()
+        ours = [
+            place for place in log.missing if place.byte_start is not None and start <= place.byte_start < following
+        ]
+    assert len(ours) == 1
+    assert ours[0].byte_start == start
+
+
 def test_a_damaged_chunk_of_an_unfinished_log_is_told_from_its_message_indexes(path):
     shape = next(shape for shape in SHAPES if shape.name == "unfinished zstd, 25 samples a chunk")
     data = bytearray(shape.data)
