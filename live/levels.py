@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 KEPT = 2**18
 """Samples kept as they are: 65 s at 4 kHz."""
+KEPT_SLOW = 2**16
+"""The same of all but displacements: 65 s at 1 kHz, 11 min at 100 Hz. More would fill for an hour before it is full."""
 _FACTORS = (64, 4096)  # samples under one pair of the longer levels
 _KEPT_PAIRS = 2**16  # of each: 17 min and 18 h at 4 kHz
 _MOST_PER_BUCKET = 64  # rows looked at for one bucket, before a longer level is taken

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B, LOCKS_CLOSED, suspects
-from live.levels import KEPT, Array, Levels
+from live.levels import KEPT, KEPT_SLOW, Array, Levels
 from rig_configs.roles import Roles
 from rig_configs.schema import Rig
 
@@ -27,7 +27,7 @@ class Signals:
     Args:
         rig: whose channels they are.
         origin_ns: the instant from which seconds count, ns since 1970.
-        kept: samples of each that are kept as they are.
+        kept: samples of each displacement that are kept as they are, and of others at most.
 
     Attributes:
         by_name: "x", "y" (mm), "theta3", "theta4" (°, -30 … 330), "turned3", "turned4" (rad, unwrapped), "flags",
@@ -40,7 +40,7 @@ class Signals:
         self.rig, self.origin_ns = rig, origin_ns
         self._roles: Roles = rig.roles
         names = ("x", "y", "theta3", "theta4", "turned3", "turned4", "flags", "drive", "target", "marks", "turns")
-        self.by_name = {name: Levels(kept) for name in names}
+        self.by_name = {name: Levels(kept if name in ("x", "y") else min(kept, KEPT_SLOW)) for name in names}
         self.lock = threading.RLock()
         self._axis_of = {d.topic: d.axis for d in self._roles.displacements}
         self._mark: tuple[float, float] | None = None
