@@ -14,6 +14,7 @@ from analysis.quantities.amplification import amplification_factors
 from analysis.quantities.order_tracking import order_track
 from analysis.quantities.rotor_phase import phase_at
 from analysis.rig_model import RigModel
+from analysis.rounding import with_std
 from analysis.simulated_run import SimulatedRun, locked_angles, simulate_run
 from daq.signals.run import Run
 
@@ -23,6 +24,7 @@ Complex = NDArray[np.complex128]
 RPM = 30 / math.pi
 _SPREAD = 0.05  # of the mean speed: below it a run has one speed
 _STEADY_POINTS = 1500
+_STRAIGHT_RAD, _SHARE = math.radians(1.5), 0.25  # left beside a line: little, or little of what there was
 _SEEN = 3.0  # standard deviations above which a vector has a phase
 
 
@@ -74,24 +76,43 @@ class PassedVectors:
 
 
 def lag_words(found: PassedVectors) -> list[str]:
-    """How much later than the rotor's phase each displacement is stamped, by the simulated run, as sentences.
+    """How much later or earlier than the rotor's phase each displacement is stamped, by the simulated run, a sentence.
 
-    The lag is a straight line through the origin of phase against speed, weighted by the amplitudes.
+    A lag is a straight line through the origin of phase against speed, weighted by the amplitudes; its ± is half the
+    difference of the lags of slow and fast half of the weight. Where no line fits, something else differs.
     """
-    if not found.simulated:
-        return []
-    lags: list[str] = []
-    for name, measured in found.measured.items():
-        beside = _complex_interp(measured.speed_rad_s, found.simulated[name])
-        ahead = np.angle(measured.amplitude_m * np.conj(beside))
-        weight = np.abs(beside) * np.abs(measured.amplitude_m) * measured.speed_rad_s
-        good = np.isfinite(ahead) & np.isfinite(weight)
-        lag = -np.sum((weight * ahead)[good]) / np.sum((weight * measured.speed_rad_s)[good])
-        lags.append(f"{name} {1e3 * lag:+.2f} ms".replace("-", "−"))
-    return [
-        f"Measured less simulated phase is a straight line through 0 at standstill: stamps late by about "
-        f"{', '.join(lags)} against the rotor's phase. Every fit leaves this lag between the devices free."
-    ]
+    words = [_lag_word(name, found.simulated[name], seen) for name, seen in found.measured.items() if found.simulated]
+    lags = [word for word, is_line in words if is_line]
+    others = [word for word, is_line in words if not is_line]
+    told: list[str] = []
+    if lags:
+        told.append(
+            "Measured less simulated phase is a straight line through 0 at standstill, as of stamps that are shifted "
+            f"against the rotor's phase: {', '.join(lags)}. Every fit leaves this shift between the devices free."
+        )
+    if others:
+        told.append(f"No lag of the stamps explains measured less simulated phase: {', '.join(others)}.")
+    return told
+
+
+def _lag_word(name: str, model: Vectors, measured: Vectors) -> tuple[str, bool]:
+    """A displacement's lag in words, and whether it is one; else what a line leaves."""
+    speed, beside = measured.speed_rad_s, _complex_interp(measured.speed_rad_s, model)
+    ahead = np.angle(measured.amplitude_m * np.conj(beside))
+    weight = np.abs(beside) * np.abs(measured.amplitude_m)
+    good = np.isfinite(ahead) & np.isfinite(weight)
+    speed, ahead, weight = speed[good], ahead[good], weight[good]
+
+    def lag_of(part: NDArray[np.bool_] | slice) -> float:
+        return -float((weight * speed * ahead)[part].sum() / (weight * speed**2)[part].sum())
+
+    lag, passed = lag_of(slice(None)), np.cumsum(weight * speed**2)
+    slow = passed <= 0.5 * passed[-1]
+    std = 0.5 * abs(lag_of(slow) - lag_of(~slow)) if slow.any() else 0.0
+    rest = math.sqrt(float(np.average((ahead + lag * speed) ** 2, weights=weight)))
+    if rest > _STRAIGHT_RAD and rest > _SHARE * math.sqrt(float(np.average(ahead**2, weights=weight))):
+        return f"a line leaves {math.degrees(rest):.0f}° rms in {name}", False
+    return f"{name} {1e3 * abs(lag):.2f} ± {max(1e3 * std, 0.01):.2f} ms {'late' if lag > 0 else 'early'}", True
 
 
 def amplification_words(run: Run) -> list[str]:
@@ -110,7 +131,7 @@ def amplification_words(run: Run) -> list[str]:
     if not found:
         return []
     told = ", ".join(
-        f"{each.factor:.3g} ± {each.std:.1g} at {RPM * each.peak_rad_s:.1f} rpm, {math.degrees(each.axis_rad):.1f}°"
+        f"{with_std(each.factor, each.std)} at {RPM * each.peak_rad_s:.1f} rpm, {math.degrees(each.axis_rad):.1f}°"
         for each in sorted(found, key=lambda one: one.peak_rad_s)
     ).replace("-", "−")
     return [f"Amplification factors on the principal axes (at their angle from x towards y), as run through: {told}."]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from analysis.report.rounding import plain, with_std
+from analysis.rounding import plain, with_std
 from rig_configs.shared_errors import STANDARD
 from uncertainty import Budget, Budgets
 from uncertainty.rows import BudgetRow, budget_rows

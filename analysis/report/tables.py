@@ -12,8 +12,8 @@ import numpy as np
 
 from analysis.noticed import Noticed
 from analysis.report.campaign import Campaign, ParameterChange
-from analysis.report.rounding import plain, signed, with_std
 from analysis.results import PointResult
+from analysis.rounding import plain, signed, with_std
 from analysis.scores import Z_LIMIT, Score
 from daq.signals.run import Run
 from rig_configs import PARAMETER_UNITS

@@ -22,10 +22,10 @@ from analysis.prediction import known_axis_angle
 from analysis.report import tables
 from analysis.report.budget_tables import budget_tables
 from analysis.report.campaign import Campaign
-from analysis.report.rounding import plain
 from analysis.report.twin import need_free_twin, twin, twin_path
 from analysis.results import PointResult
 from analysis.rig_model import RigModel
+from analysis.rounding import plain
 from analysis.scores import Z_LIMIT
 from daq.signals.run import Run, point_of
 from dynamics.errors import DynamicsError

@@ -24,8 +24,8 @@ from analysis.report import (
     twin,
     write_report,
 )
-from analysis.report.rounding import plain, with_std
 from analysis.report.twin import twin_path
+from analysis.rounding import plain, with_std
 from daq.signals.run import Run
 from rig_configs import load_rig
 from uncertainty import Budgets, Source

@@ -45,8 +45,22 @@ def test_the_models_own_run_up_lies_on_itself_but_for_the_stamps_lag() -> None:
         size = np.interp(measured.speed_rad_s, simulated.speed_rad_s, np.abs(simulated.amplitude_m))
         seen = size > 0.1 * size.max()
         assert np.abs(measured.amplitude_m[seen]) == pytest.approx(size[seen], abs=0.02 * size.max())
-    lags = [float(text.replace("−", "-")) for text in re.findall(r"[xy] ([+−]\d+\.\d+) ms", lag_words(found)[0])]
+    lags = [float(text) for text in re.findall(r"[xy] (\d+\.\d+) ± \d+\.\d+ ms late", lag_words(found)[0])]
     assert lags == pytest.approx([1e3 * LAG_S] * 2, abs=0.3)  # free vibration lags with its own frequency
+
+
+def test_a_wrong_spring_is_no_lag_of_the_stamps() -> None:
+    """Stamps that are early by twice as much still make a line; a resonance at another place does not."""
+    found = passed_vectors(replace(run_up(), x_time_s=run_up().x_time_s - 3 * LAG_S), MODEL)
+    told = re.search(r"x (\d\.\d+) ± (\d\.\d+) ms early, y (\d\.\d+) ± \d\.\d+ ms late", lag_words(found)[0])
+    assert told is not None, lag_words(found)
+    x, x_std, y = (float(text) for text in told.groups())
+    assert abs(x - 2e3 * LAG_S) < 2 * x_std < 1.2  # free vibration beside it
+    assert y == pytest.approx(1e3 * LAG_S, abs=0.3)
+    stiff = replace(MODEL, physics=replace(MODEL.physics, k2_N_per_m=1.07 * MODEL.physics.k2_N_per_m))
+    words = " ".join(lag_words(passed_vectors(run_up(), stiff)))
+    assert re.search(r"No lag of the stamps explains .* rms in y", words)
+    assert not re.search(r"y \d+\.\d+ ± \d+\.\d+ ms", words)
 
 
 def test_one_laser_is_enough_for_a_bode_plot() -> None:
