@@ -11,6 +11,10 @@ import numpy as np
 from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
 from daq.signals.run import point_of
 
+_FINE = 1e3  # a residual so much smaller than its curve is shown in thousandths of the unit
+_SMALLER = {"mm": ("µm", 1e3), "°": ("m°", 1e3)}
+_TURN = {"°": 360.0}
+
 
 @dataclass(frozen=True)
 class FitCurve:
@@ -40,6 +44,15 @@ class FitCurve:
         rest = self.measured - self.fitted
         rest = rest[np.isfinite(rest)]
         return float(np.sqrt(np.mean(rest**2))) if len(rest) else float("nan")
+
+    @property
+    def residual_unit(self) -> tuple[str, float]:
+        """The residual's unit, a thousand times smaller where the residual is, and its factor."""
+        rest = np.abs(self.measured - self.fitted)
+        if self.unit not in _SMALLER or not np.isfinite(rest).any():
+            return self.unit, 1.0
+        size, swing = float(np.nanmax(rest)), float(np.nanmax(np.abs(self.measured)))
+        return _SMALLER[self.unit] if size < 0.1 * max(1.0, swing / _FINE) and size < 0.1 else (self.unit, 1.0)
 
 
 class Fitted(Protocol):
@@ -74,7 +87,7 @@ class TestFit(Protocol):
 
 
 def fit_curves(fits: Sequence[TestFit]) -> list[FitCurve]:
-    """The signals of all fits in the units that figures have: mm and degrees.
+    """The signals of all fits in the units that figures have: mm and degrees, angles ending in 0…360°.
 
     Args:
         fits: `Identification.fits`; their curves in m and rad.
@@ -83,8 +96,8 @@ def fit_curves(fits: Sequence[TestFit]) -> list[FitCurve]:
         FitCurve(
             title=f"{named.test}: {curve.label}",
             time_s=curve.time_s,
-            measured=curve.measured * scale,
-            fitted=curve.fitted * scale,
+            measured=curve.measured * scale - turns,
+            fitted=curve.fitted * scale - turns,
             unit=unit,
             y_label=label,
             aside=bool(point_of(named.test)),
@@ -92,7 +105,14 @@ def fit_curves(fits: Sequence[TestFit]) -> list[FitCurve]:
         for named in fits
         for curve in named.fit.curves
         for scale, unit, label in (_shown(curve.unit),)
+        for turns in (_whole_turns(curve.fitted * scale, unit),)
     ]
+
+
+def _whole_turns(fitted: np.ndarray, unit: str) -> float:
+    """What is to be taken off for the last value to lie within a turn; 0 for what does not turn."""
+    last = fitted[np.isfinite(fitted)][-1:]
+    return float(np.floor(last[0] / _TURN[unit]) * _TURN[unit]) if unit in _TURN and len(last) else 0.0
 
 
 def _shown(unit: str) -> tuple[float, str, str]:
@@ -101,8 +121,8 @@ def _shown(unit: str) -> tuple[float, str, str]:
 
 def draw_fit(curve: FitCurve, name: str) -> str:
     """SVG: the whole record and a stretch near its start, each with its residuals below."""
-    time = np.asarray(curve.time_s, float)
-    rest = curve.measured - curve.fitted
+    time, (unit, scale) = np.asarray(curve.time_s, float), curve.residual_unit
+    rest = scale * (curve.measured - curve.fitted)
     with drawing(8.6, 3.4) as figure:
         grid = figure.subplots(2, 2, sharex="col", height_ratios=(3, 1), width_ratios=(1.7, 1))
         figure.subplots_adjust(left=0.115, right=0.975, top=0.92, bottom=0.14, wspace=0.16, hspace=0.12)
@@ -117,7 +137,7 @@ def draw_fit(curve: FitCurve, name: str) -> str:
             label(top, title=title)
             label(bottom, "time, s")
         label(grid[0, 0], y=f"{curve.y_label}, {curve.unit}")
-        label(grid[1, 0], y=f"residual, {curve.unit}")
+        label(grid[1, 0], y=f"residual, {unit}")
         grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, fontsize=8, borderaxespad=0.2)
         pin(figure, grid, 0.03, 0.07)
         return to_svg(figure, name, f"Measured and fitted curve of {curve.title} with residuals")

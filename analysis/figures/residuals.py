@@ -21,8 +21,6 @@ _CLOSE_CYCLES = 8
 _CLOSE_SAMPLES = 900
 _HEIGHT_IN = 2.6
 _LONGEST = 14  # letters of a label
-_FINE = 1e3  # a residual so much smaller than its curve is shown in thousandths of the unit
-_SMALLER = {"mm": ("µm", 1e3), "°": ("m°", 1e3)}
 
 
 def draw_residuals(curves: Sequence[FitCurve]) -> Figure:
@@ -35,7 +33,10 @@ def draw_residuals(curves: Sequence[FitCurve]) -> Figure:
     """
     if not curves:
         raise NotEnoughData("expected logs of tests that identification fits (ring-down, spin-down, run-up), got none")
-    foot = ["A band is the least and the largest value of each stretch. rms: of the whole record's residuals."]
+    foot = [
+        "A band is the least and the largest value of each stretch. rms: of all values that were fitted; where samples "
+        "are many, each of these is a mean of several."
+    ]
     with sheet(WIDTH_IN, _HEIGHT_IN * len(curves), "Fit residuals", foot) as figure:
         outer = figure.add_gridspec(len(curves), 2, width_ratios=(1.8, 1))
         lefts: list[Axes] = []
@@ -62,15 +63,12 @@ def _block(upper: Axes, lower: Axes, curve: FitCurve, *, close: bool) -> None:
     crossings = np.flatnonzero(np.diff(np.signbit(np.nan_to_num(fitted - np.nanmean(fitted)))))
     part = _close(fitted, crossings) if close else slice(None)
     bins = _CLOSE_SAMPLES if close else bins_for(len(crossings) / 2)
-    unit, scale = _unit(curve, rest)
+    unit, scale = curve.residual_unit
     if len(time[part]) <= 2 * bins:
         upper.plot(time[part], measured[part], color=MEASURED, lw=3.0, alpha=0.5, label="measured")
     else:
         band(upper, time[part], measured[part], MEASURED, "measured", bins=bins)
-    before = len(upper.get_lines())
     outline(upper, time[part], fitted[part], MODEL, "fitted", bins=bins)
-    for line in upper.get_lines()[before:]:
-        line.set_linestyle((0, (5, 2)))
     band(lower, time[part], scale * rest[part], GREY, "rest: measured − fitted", bins=bins)
     lower.axhline(0.0, color="black", lw=0.7)
     reach = 1.15 * scale * float(np.nanmax(np.abs(rest))) or 1.0
@@ -80,14 +78,6 @@ def _block(upper: Axes, lower: Axes, curve: FitCurve, *, close: bool) -> None:
         label(lower, y=f"rest, {unit}")
     else:
         label(upper, title=f"rms {scale * curve.residual_rms:.3g} {unit}")
-
-
-def _unit(curve: FitCurve, rest: Array) -> tuple[str, float]:
-    """The residual's unit, a thousand times smaller where the residual is, and its factor."""
-    size, swing = float(np.nanmax(np.abs(rest))), float(np.nanmax(np.abs(curve.measured)))
-    if curve.unit in _SMALLER and size < 0.1 * max(1.0, swing / _FINE) and size < 0.1:
-        return _SMALLER[curve.unit]
-    return curve.unit, 1.0
 
 
 def _close(fitted: Array, crossings: NDArray[np.intp]) -> slice:

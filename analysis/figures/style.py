@@ -21,6 +21,8 @@ MEASURED = "#0072B2"
 MODEL = "#D55E00"
 GOOD = "#009E73"
 GREY = "#666666"
+DASHES = (0, (5, 2))
+"""Of what is computed: what was measured shows between them."""
 
 _SETTINGS: dict[Any, Any] = {
     "svg.hashsalt": "rig-report",
@@ -150,10 +152,10 @@ def band(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: st
 
 
 def outline(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
-    """A computed motion over a measured band: its envelope as two lines, or the curve itself when smooth."""
+    """A computed motion over a measured band, dashed: its envelope as two lines, or the curve itself when smooth."""
     if len(time) <= 2 * bins:
-        axes.plot(time, values, color=colour, lw=0.9, label=name)
+        axes.plot(time, values, color=colour, ls=DASHES, lw=0.9, label=name)
         return
     middle, low, high = envelope(time, values, bins)
-    axes.plot(middle, low, color=colour, lw=0.9, label=name)
-    axes.plot(middle, high, color=colour, lw=0.9)
+    axes.plot(middle, low, color=colour, ls=DASHES, lw=0.9, label=name)
+    axes.plot(middle, high, color=colour, ls=DASHES, lw=0.9)

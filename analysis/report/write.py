@@ -108,12 +108,13 @@ def _explained(campaign: Campaign) -> list[str]:
 
 
 def _fit(curve: FitCurve, index: int) -> dict[str, Any]:
+    unit, scale = curve.residual_unit
     return {
         "title": curve.title,
         "aside": curve.aside,
         "notes": curve.notes,
-        "rms": plain(curve.residual_rms, 2),
-        "unit": curve.unit,
+        "rms": plain(scale * curve.residual_rms, 2),
+        "unit": unit,
         "figure": Markup(draw_fit(curve, f"fit{index}")),
     }
 
