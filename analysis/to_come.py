@@ -65,16 +65,16 @@ class ToCome:
             return ""
         std = self.std
         angles = [
-            f"{name} moved on by {_stated(math.degrees(move), math.degrees(s))}°"
+            f"{name} by {_stated(math.degrees(move), math.degrees(s))}°"
             for name, move, s in zip(_NAMES, self.shift[:2], std[:2], strict=False)
             if abs(move) > 2 * s
         ]
         orbit = [
-            f"{name} moved on by {_stated(1e6 * move, 1e6 * s)} µm"
+            f"{name} by {_stated(1e6 * move, 1e6 * s)} µm"
             for name, move, s in zip(_NAMES[2:], np.hypot(self.shift[2::2], self.shift[3::2]), std[2::2], strict=True)
             if move > 3 * s
         ]
-        return f"{', '.join(angles + orbit)} in the limit" if angles or orbit else ""
+        return f"extrapolated to where it ends: {', '.join(angles + orbit)}" if angles or orbit else ""
 
     def to_json(self) -> dict[str, object]:
         """Plain values, units in the names; what is not known is None."""
@@ -92,7 +92,7 @@ class ToCome:
 def _stated(value: float, std: float) -> str:
     """A number with its uncertainty, both to the uncertainty's first digit."""
     digits = max(0, -math.floor(math.log10(max(std, 1e-9))))
-    return f"{value:.{digits}f} ± {std:.{digits}f}"
+    return f"{value:.{digits}f} ± {std:.{digits}f}".replace("-", "−")
 
 
 def to_come(run: Run, release_s: float, end_s: float, means: Array, stds: Array) -> ToCome:
