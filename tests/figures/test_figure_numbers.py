@@ -18,6 +18,7 @@ from analysis.figures.multipliers import speed_point
 from analysis.figures.order_vectors import changes_speed, lag_words, passed_vectors
 from analysis.figures.page import page
 from analysis.figures.slip import draw_slip
+from analysis.figures.waterfall import draw_waterfall
 from tests.figures.drawn_texts import drawn_texts
 from tests.figures.figure_runs import LAG_S, MODEL, point, run_up, run_up_history
 
@@ -115,3 +116,26 @@ def test_small_residuals_are_in_micrometres() -> None:
 def test_a_page_takes_its_title_as_text() -> None:
     text = page(draw_orbit(point("A")), "a < b & <script>alert(1)</script>")
     assert "<script>alert" not in text
+
+
+def test_every_order_of_a_cascade_is_named_where_its_line_ends() -> None:
+    figure = draw_waterfall(run_up(), MODEL)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        names = {text.get_text(): text.get_window_extent() for text in axes.texts}
+        lines = [
+            line for line in axes.get_lines() if line.get_zorder() == 1.5 and len(np.asarray(line.get_xdata())) > 2
+        ]
+        assert len(lines) == 3
+        area = axes.get_window_extent()
+        for order, line in enumerate(lines, 1):
+            ends = axes.transData.transform(line.get_xydata())
+            end = ends[ends[:, 0] <= area.x1 + 1][-1]
+            box = names[f"{order}×"]
+            away = max(box.x0 - end[0], end[0] - box.x1, box.y0 - end[1], end[1] - box.y1)
+            assert away < 20  # px at 100 a inch
+        low, high = axes.get_ylim()
+        reach = max(
+            float(np.max(np.asarray(line.get_ydata(), float))) for line in axes.get_lines() if line not in lines
+        )
+        assert reach > low + 0.85 * (high - low)
