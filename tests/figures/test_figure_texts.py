@@ -118,6 +118,16 @@ def test_the_health_of_a_log_can_be_read(tmp_path: Path) -> None:
         assert faults(draw_health(log)) == []
 
 
+def test_every_curve_of_a_logs_health_is_in_the_legend(tmp_path: Path) -> None:
+    with open_log(write_small_log(tmp_path / "small.mcap")) as log:
+        figure = draw_health(log)
+    (legend,) = figure.legends
+    named = {text.get_text().split(",")[0] for text in legend.get_texts()}
+    assert {"laser/x", "laser/y", "pendulums", "tacho", "motor"} <= named
+    looks = {(line.get_color(), line.get_linestyle()) for line in legend.get_lines()}
+    assert {(line.get_color(), line.get_linestyle()) for line in figure.axes[2].get_lines()} <= looks
+
+
 def test_every_kind_is_looked_at() -> None:
     assert set(_OF_RUNS) | set(_OTHERS) | {"health"} == set(KINDS)
 
