@@ -24,8 +24,8 @@ _COLOURS = (  # of the levels' bands, each darker than the one before: stable st
 )  # fmt: skip
 _FOOT = (
     "Thick line: |multiplier| 1; the balanced state (type I) is stable where it is smaller. Marks: state as measured; "
-    "circle type I, square type II,\ntriangle type III, cross slipping, plus not settled, diamond another. Dashed: resonances. "
-    "Dotted: the rig's stiffness ratio."
+    "circle type I, square type II,\ntriangle type III, cross slipping, plus not settled, diamond another. "
+    "Dashed: resonances. Dotted: the rig's stiffness ratio."
 )
 
 
