@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.projections.polar import PolarAxes
 
 from analysis.errors import NoStableState, NotEnoughData
@@ -29,6 +30,7 @@ Angles = tuple[float, float]
 _RADII = (1.0, 0.8)  # of A and B: they may stand on top of each other
 _MARKERS = "os"
 _TIMES = 1.96
+_ROOM_IN = 0.2  # above and below the dial: the layout takes 90° and 270° for narrower than they are
 _OVER = "#009E73"
 
 
@@ -58,7 +60,10 @@ def draw_dial(run: Run, model: RigModel | None = None, over: Run | None = None) 
     title = f"Pendulum dial: {Path(run.source).name} ({run.test}), {RPM * speed:.1f} rpm"
     foot = [ANGLE_FOOT, "Circle: pendulum A (θ3), square: pendulum B (θ4). Arcs: 95 % intervals."]
     extra = 1.4 if other is not None and predicted is not None else 0.0
-    with sheet(7.2 + extra, 3.9, title, foot) as figure:
+    with sheet(7.2 + extra, 4.2, title, foot) as figure:
+        engine = figure.get_layout_engine()
+        assert isinstance(engine, ConstrainedLayoutEngine)
+        engine.set(h_pad=_ROOM_IN)
         grid = figure.add_gridspec(1, 2, width_ratios=(4.1, 3.1 + extra))
         axes = figure.add_subplot(grid[0], projection="polar")
         _rotor(axes)
@@ -120,7 +125,7 @@ def _hands(axes: Axes, hands: _Hands, colour: str, text: str, kind: str) -> None
     for theta, half, radius, marker in zip(hands.theta, hands.half_width, _RADII, _MARKERS, strict=True):
         if kind == "held":
             axes.plot([theta], [radius], marker=marker, ms=9, mfc="none", mec=colour, mew=1.0, ls="",
-                      label=text if marker == "o" else None)  # fmt: skip
+                      label=f"{'A' if marker == 'o' else 'B'} {text}")  # fmt: skip
             continue
         filled = kind != "model"
         axes.plot(

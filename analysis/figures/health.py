@@ -5,7 +5,9 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,11 @@ from numpy.typing import NDArray
 from analysis.errors import NotEnoughData
 from analysis.figures.sheet import WIDTH_IN, Look, sheet
 from analysis.figures.style import label
+from daq.errors import LogError
 from daq.log import Log
 from daq.log.content import seconds, stretches
 from daq.log.samples import Samples
+from daq.log.snapshot import rig_of
 
 Array = NDArray[np.float64]
 
@@ -58,6 +62,21 @@ class _Gathered:
         default_factory=lambda: defaultdict[str, list[tuple[float, float]]](list)
     )
     reports: list[Mapping[str, Any]] = field(default_factory=list[Mapping[str, Any]])
+    device_of: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def channels(self, device: str) -> list[str]:
+        """What a device measures; empty where no role tells."""
+        return [topic for topic in self.streams if self.device_of.get(topic) == device]
+
+    def name(self, device: str) -> str:
+        """A device by its channels, as they are called in the other panels."""
+        return ", ".join(self.channels(device)) or device
+
+    def look(self, device: str, spare: int) -> Look:
+        """That of its first channel; of a device without any, a `spare` beyond the channels'."""
+        own = self.channels(device)
+        at = list(self.streams).index(own[0]) if own else len(self.streams) + spare
+        return _LOOKS[at % len(_LOOKS)]
 
     def add(self, part: Log, origin_ns: int) -> None:
         """Take a stretch of the log."""
@@ -109,6 +128,8 @@ def _gathered(log: Log) -> _Gathered:
     span = max((log.end_ns - log.start_ns) * 1e-9, _LEAST_BIN_S)
     bins = max(1, min(_MOST_BINS, int(span / _LEAST_BIN_S)))
     found = _Gathered(np.linspace(0.0, span, bins + 1))
+    with suppress(LogError):  # of another version: devices keep their own names
+        found.device_of = rig_of(log).roles.device_of
     for _, part in stretches(log):
         found.add(part, log.start_ns)
     for place in log.missing:  # of the file itself
@@ -122,9 +143,10 @@ def _rates(axes: Axes, found: _Gathered) -> None:
     middle = 0.5 * (found.edges_s[1:] + found.edges_s[:-1])
     width = found.edges_s[1] - found.edges_s[0]
     lowest = 90.0
-    for look, (topic, stream) in zip(_LOOKS, found.streams.items(), strict=False):
+    for look, (topic, stream) in zip(cycle(_LOOKS), found.streams.items(), strict=False):
         usual = float(np.median(stream.count[1:-1])) if len(stream.count) > 2 else float(stream.count.max())
         if usual < _LEAST_COUNT:  # marks of the rotor, say: one more or less in a stretch means nothing
+            axes.plot([], [], lw=1.4, label=f"{topic}, {usual / width:.4g} a second, age only", **look)
             continue
         share = 100 * stream.count / usual
         axes.plot(middle, share, drawstyle="steps-mid", lw=1.4, label=f"{topic}, {usual / width:.4g} a second", **look)
@@ -139,7 +161,9 @@ def _gaps(axes: Axes, found: _Gathered) -> None:
         spans = [(start, max(end - start, 2e-3 * float(found.edges_s[-1]))) for start, end in found.gaps[name]]
         axes.broken_barh(spans, (i - 0.35, 0.7), color="#CC3311")
     if names:
-        axes.set_yticks(range(len(names)), [f"{name} ({len(found.gaps[name])})" for name in names], fontsize=8)
+        axes.set_yticks(
+            range(len(names)), [f"{found.name(name)} ({len(found.gaps[name])})" for name in names], fontsize=8
+        )
         axes.set_ylim(-0.6, len(names) - 0.4)
     else:
         axes.set_yticks([])
@@ -150,7 +174,7 @@ def _gaps(axes: Axes, found: _Gathered) -> None:
 def _ages(axes: Axes, found: _Gathered) -> None:
     middle = 0.5 * (found.edges_s[1:] + found.edges_s[:-1])
     largest = 1.0
-    for look, stream in zip(_LOOKS, found.streams.values(), strict=False):
+    for look, stream in zip(cycle(_LOOKS), found.streams.values(), strict=False):
         axes.plot(middle, 1e3 * stream.age_s, lw=1.4, **look)
         if np.isfinite(stream.age_s).any():
             largest = max(largest, 1e3 * float(np.nanmax(stream.age_s)))
@@ -163,16 +187,17 @@ def _losses(axes: Axes, found: _Gathered, origin_ns: int) -> None:
     time = np.array([(report["time_ns"] - origin_ns) * 1e-9 for report in found.reports])
     devices = sorted({str(name) for report in found.reports for name in report.get("losses", {})})
     most, whole = 0, list[str]()
-    for look, device in zip(_LOOKS, devices, strict=False):
+    for spare, device in enumerate(devices):
         counts = [
             sum(int(n) for kind, n in report.get("losses", {}).get(device, {}).items() if kind not in _UNUSABLE)
             for report in found.reports
         ]
         most = max([most, *counts])
         if not any(counts):
-            whole.append(device)
+            whole.append(found.name(device))
             continue
-        axes.step(time, counts, where="post", lw=1.0, marker="o", ms=3, label=f"lost, {device}", **look)
+        look = found.look(device, spare)
+        axes.step(time, counts, where="post", lw=1.0, marker="o", ms=3, label=f"lost, {found.name(device)}", **look)
     axes.set_ylim(-0.04 * max(most, 1), 1.5 * max(most, 1))
     if not most:
         axes.set_yticks([0])

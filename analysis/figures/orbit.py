@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
@@ -36,6 +37,8 @@ _RAW_TURNS = 3
 _RAW_POINTS = 400  # drawn of them
 _WINDOW_TURNS = 4
 _PANELS = 6
+_MARGIN = 0.1  # of the larger extent, on either side
+_INTERVALS = 5  # of ticks
 _ROUND = 2e-3  # difference of the axes over the major one below which an orbit has no inclination worth a number
 _AT_REST_M = 1e-8
 _FOOT = (
@@ -156,22 +159,35 @@ def _panel(axes: Axes, panel: OrbitPanel, model: str, over: str) -> None:
         _ellipse(axes, panel.model, MODEL_LOOK, model, filled=False)
     if panel.over is not None:
         _ellipse(axes, panel.over, OVER_LOOK, over, filled=True)
+    _square(axes)
+    sense, size = _words(panel.measured)
+    axes.set_title(f"{RPM * panel.speed_rad_s:.1f} rpm, {sense}\n{size}", fontsize=8.5, parse_math=False)
+
+
+def _square(axes: Axes) -> None:
+    """Equal limits about the drawn paths, and ticks that stay when the layout widens one of them: it left them room."""
+    drawn = axes.dataLim
+    half = 0.5 * max(drawn.width, drawn.height)
+    x, y = 0.5 * (drawn.x0 + drawn.x1), 0.5 * (drawn.y0 + drawn.y1)
+    axes.update_datalim([(x - half, y - half), (x + half, y + half)])
+    axes.margins(_MARGIN)
+    half *= 1 + 2 * _MARGIN
+    ticks = MaxNLocator(_INTERVALS, steps=[1, 2, 5, 10])
+    axes.xaxis.set_major_locator(FixedLocator(ticks.tick_values(x - half, x + half)))
+    axes.yaxis.set_major_locator(FixedLocator(ticks.tick_values(y - half, y + half)))
     axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.12)
-    words = f"{RPM * panel.speed_rad_s:.1f} rpm\n{_words(panel.measured)}"
-    axes.set_title(words, fontsize=8.5, parse_math=False)
 
 
-def _words(orbit: OrbitEllipse) -> str:
-    """Semi-axes, inclination and sense in a line."""
+def _words(orbit: OrbitEllipse) -> tuple[str, str]:
+    """Sense; semi-axes and inclination."""
     if orbit.major_m < _AT_REST_M:
-        return "at rest"
+        return "at rest", ""
     at = (
         f" at {round(math.degrees(orbit.inclination_rad))}°".replace("-", "−")
         if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m
         else ""
     )
-    return f"{1e3 * orbit.major_m:.3g} × {1e3 * abs(orbit.minor_m):.3g} mm{at}, {orbit.precession}"
+    return f"{orbit.precession}", f"{1e3 * orbit.major_m:.3g} × {1e3 * abs(orbit.minor_m):.3g} mm{at}"
 
 
 def _path(orbit: OrbitEllipse, phase: Array) -> tuple[Array, Array]:

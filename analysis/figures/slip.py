@@ -27,6 +27,7 @@ from daq.signals.run import Run
 Array = NDArray[np.float64]
 
 _SPEEDS = 48
+_STILL_RAD = 0.05
 _BELOW, _ABOVE = 0.6, 1.12  # how far the model's curves go beyond the runs' speeds
 _FOOT = (
     "Slip order: a pendulum's speed against the rotor, turns a revolution; 0 stands still on the rotor, −1 stands "
@@ -61,7 +62,9 @@ def draw_slip(runs: Sequence[Run], model: RigModel | None = None) -> Figure:
     low, high = _BELOW * min(s[0] for s in speeds), _ABOVE * max(s[1] for s in speeds)
     ends = [_end(run) for run in runs if not changes_speed(run)]
     title = f"Pendulum angles and slip: {', '.join(Path(run.source).name for run in runs)}"
-    with sheet(WIDTH_IN, 5.4, title, [_FOOT]) as figure:
+    locked = [Path(run.source).name for run in runs if _locked(run)]
+    foot = [f"Pendulums locked throughout: {', '.join(locked)}; the model's states are of free ones.", _FOOT]
+    with sheet(WIDTH_IN, 5.4, title, foot if locked else [_FOOT]) as figure:
         grid = list(figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.3, 1)))
         if model is not None:
             found = steady_sweep(model, np.linspace(max(low, 0.25 * model.speeds_rad_s[0]), high, _SPEEDS))
@@ -86,6 +89,12 @@ def slips_of(run: Run) -> SlipTrack:
         return slip_track(run.angle_time_s, run.angle_rad, phase_at(run, run.angle_time_s))
     except ValueError as error:
         raise NotEnoughData(f"{run.source}: {error}") from error
+
+
+def _locked(run: Run) -> bool:
+    """Whether no pendulum was let go, nor moved on the rotor."""
+    moved = np.nanmax(run.angle_rad, axis=0) - np.nanmin(run.angle_rad, axis=0)
+    return not run.releases and bool(np.all(moved < _STILL_RAD))
 
 
 def _end(run: Run) -> _End:
@@ -114,7 +123,7 @@ def _branches(grid: Sequence[Axes], found: Sequence[SweptState], name: str) -> N
                 ls="", marker="o" if stable else "x", ms=3.2 if stable else 3.6,
                 color=MODEL_LOOK["color"] if stable else GREY, mew=0.7, label=text, alpha=1.0 if stable else 0.7,
             )  # fmt: skip
-    grid[2].axhline(0.0, **MODEL_LOOK)
+    grid[2].axhline(0.0, label=f"every steady state, {name}: slip 0", **MODEL_LOOK)
 
 
 def _point(grid: Sequence[Axes], end: _End) -> None:
@@ -136,14 +145,16 @@ def _point(grid: Sequence[Axes], end: _End) -> None:
 
 
 def _curve(grid: Sequence[Axes], run: Run) -> None:
+    held = ", locked" if _locked(run) else ""
     track = slips_of(run)
     speed = RPM * track.speed_rad_s
     for j in range(2):
         degrees = (np.degrees(track.angle_rad[:, j]) + 5.0) % 360.0 - 5.0
         degrees[1:][np.abs(np.diff(degrees)) > 180.0] = np.nan
-        grid[j].plot(speed, degrees, color=MEASURED, lw=2.2, alpha=0.6, label="measured through speeds")
+        grid[j].plot(speed, degrees, color=MEASURED if j == 0 else "black", lw=2.2 - j, alpha=0.6,
+                     ls="-" if j == 0 else "--", label="AB"[j] + " measured" + held)  # fmt: skip
         grid[2].plot(speed, track.slip_order[:, j], color=MEASURED if j == 0 else "black", lw=2.2 - j, alpha=0.6,
-                     ls="-" if j == 0 else "--", label=("A", "B")[j] + " measured")  # fmt: skip
+                     ls="-" if j == 0 else "--", label="AB"[j] + " measured" + held)  # fmt: skip
 
 
 def _axes(grid: Sequence[Axes], ends: Sequence[_End], span: tuple[float, float], model: RigModel | None) -> None:

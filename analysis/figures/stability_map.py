@@ -7,15 +7,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from analysis.figures.style import MODEL, drawing, label, to_svg
+from analysis.figures.sheet import LEAST_FONT_PT
+from analysis.figures.style import GREY, MODEL, drawing, label, to_svg
 from dynamics import RotorParameters
 from dynamics.stability.stability_map import StabilityMap, stability_map
 
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
 _MARKS = {"I": "o", "II": "s", "III": "^", "slipping": "X", "not settled": "P"}
+
+
+_COLOURS = (  # of the levels' bands, each darker than the one before: stable stays light in grey print
+    "#fbfcff", "#f0f3fb", "#e4e9f6", "#d7def1", "#c9d3ec",
+    "#f3c08a", "#e8ab6b", "#da9650", "#c67f38", "#a96724", "#7f4a15", "#4f2c0a",
+)  # fmt: skip
+_FOOT = (
+    "Thick line: |multiplier| 1; the balanced state (type I) is stable where it is smaller. Marks: state as measured; "
+    "circle type I, square type II,\ntriangle type III, cross slipping, plus not settled, diamond another. "
+    "Dashed: resonances. Dotted: the rig's stiffness ratio."
+)
 
 
 @dataclass(frozen=True)
@@ -51,8 +62,10 @@ def draw_points_on_map(physics: RotorParameters, points: Sequence[MapPoint], tit
     ratio = np.linspace(min(1.0, 0.5 * own), max(3.0, 1.7 * own), 120)
     figure = stability_map_figure(physics, stability_map(physics, omega, ratio, 1e-4), points)
     if title:
-        figure.set_size_inches(figure.get_figwidth(), figure.get_figheight() + 0.3)
-        figure.subplots_adjust(top=0.97 - 0.3 / figure.get_figheight())
+        figure.set_size_inches(figure.get_figwidth(), figure.get_figheight() + 0.7)
+        figure.subplots_adjust(top=0.97 - 0.3 / figure.get_figheight(), bottom=0.95 / figure.get_figheight())
+        figure.text(0.012, 0.06 / figure.get_figheight(), _FOOT, va="bottom", fontsize=LEAST_FONT_PT, color=GREY,
+                    parse_math=False)  # fmt: skip
         figure.text(0.012, 1 - 0.08 / figure.get_figheight(), title, va="top", fontsize=10, parse_math=False)
     return figure
 
@@ -69,8 +82,7 @@ def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: 
             _one_line(axes, found)
             return figure
         filled = axes.contourf(
-            omega, ratio, found.multiplier_max, levels=_LEVELS, extend="both", cmap="PuOr_r",
-            norm=TwoSlopeNorm(1.0, 0.6, 2.5),
+            omega, ratio, found.multiplier_max, levels=_LEVELS, extend="both", colors=_COLOURS,
         )  # fmt: skip
         axes.contour(omega, ratio, found.multiplier_max, levels=[1.0], colors="black", linewidths=1.6)
         _resonances(axes, omega, ratio)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,8 +27,10 @@ Array = NDArray[np.float64]
 _SPECTRA, _POINTS = 27, 200
 _FLAT = 0.01  # of the tallest line
 _TALLEST = 0.28  # of the axis, the largest line
+_TITLE_PAD_PT = 14.0  # names of natural frequencies stand below the title
 _ORDERS = (1, 2, 3)
-_RIGHTMOST = 0.82  # of the frequency axis, for what is written at the top; beyond is the scale
+_NEAR = 0.03  # of the frequency axis, half the width of an order's label
+_STRIP = 0.08  # of the axis, above all spectra, for the orders' labels
 _ORDER_SHARE = 2.6  # how far the frequency axis goes beyond 1× at the top
 _CHIRP = 1.6  # window by 1/√(change of frequency per second): the shortest that a passing line fills
 _WINDOW_S = (0.6, 8.0)
@@ -40,6 +43,26 @@ class _Cascade:
     levels: Array
     frequency_Hz: Array
     amplitude_mm: Array
+
+
+@dataclass(frozen=True)
+class _Row:
+    """What the panels of one displacement share: levels from `low` to `high`, level units per mm."""
+
+    low: float
+    high: float
+    scale: float
+    tallest_mm: float
+
+    @classmethod
+    def of(cls, shown: Sequence[_Cascade]) -> _Row:
+        low, high = min(float(c.levels[0]) for c in shown), max(float(c.levels[-1]) for c in shown)
+        tallest = max(float(np.max(c.amplitude_mm)) for c in shown)
+        return cls(low, high, _TALLEST * (high - low) / tallest, tallest)
+
+    def heights(self, cascade: _Cascade) -> Array:
+        """Spectra as they stand on the axis, shape (n, m)."""
+        return cascade.levels[:, None] + self.scale * cascade.amplitude_mm
 
 
 def draw_waterfall(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
@@ -65,11 +88,15 @@ def draw_waterfall(run: Run, model: RigModel | None = None, over: Run | None = N
         grid = figure.subplots(len(names), len(columns), squeeze=False, sharex=True, sharey="row")
         for row, name in zip(grid, names, strict=True):
             shown = [_cascade(p, p.signals[name], window_s, top_Hz, name) for p in columns if name in p.signals]
-            tallest = max(float(np.max(c.amplitude_mm)) for c in shown)
+            shared = _Row.of(shown)
             for axes, passage, cascade in zip(row, columns, shown, strict=False):
-                _draw(axes, cascade, tallest, MODEL if passage.is_model else MEASURED)
-                _lines(axes, passage, model, top_Hz)
-                label(axes, title=f"{name}, {passage.title}")
+                _draw(axes, cascade, shared, MODEL if passage.is_model else MEASURED)
+                _orders(axes, passage, cascade, shared)
+                _natural(axes, model, top_Hz)
+                axes.set_title(f"{name}, {passage.title}", pad=_TITLE_PAD_PT, parse_math=False)
+            bottom = shared.low - 0.03 * (shared.high - shared.low)
+            top = max(float(np.max(shared.heights(cascade))) for cascade in shown)
+            row[0].set_ylim(bottom, top + _STRIP * (top - bottom))
             label(row[0], y=columns[0].level_label)
         for axes in grid[-1]:
             label(axes, "frequency, Hz")
@@ -116,25 +143,23 @@ def _cascade(passage: Passage, signal: Displacement, window_s: float, top_Hz: fl
     return _Cascade(np.array(levels), frequency, np.array(rows))
 
 
-def _draw(axes: Axes, cascade: _Cascade, tallest: float, colour: str) -> None:
-    low, high = float(cascade.levels[0]), float(cascade.levels[-1])
-    scale = _TALLEST * (high - low) / tallest
-    for i, (level, row) in enumerate(zip(cascade.levels, cascade.amplitude_mm, strict=True)):
-        order = 2.0 + 0.01 * (len(cascade.levels) - i)  # what is lower stands in front
-        for part in _peaks(row, _FLAT * tallest):  # only these stand before what is behind
-            frequency = cascade.frequency_Hz[part]
+def _draw(axes: Axes, cascade: _Cascade, shared: _Row, colour: str) -> None:
+    levels, heights = cascade.levels, shared.heights(cascade)
+    for i, (level, row, height) in enumerate(zip(levels, cascade.amplitude_mm, heights, strict=True)):
+        order = 2.0 + 0.01 * (len(levels) - i)  # what is lower stands in front
+        for part in _peaks(row, _FLAT * shared.tallest_mm):  # only these stand before what is behind
             axes.fill_between(
-                frequency, level, level + scale * row[part], fc="white", ec="none", alpha=0.85, zorder=order
+                cascade.frequency_Hz[part], level, height[part], fc="white", ec="none", alpha=0.85, zorder=order
             )
-        axes.plot(cascade.frequency_Hz, level + scale * row, color=colour, lw=0.9, zorder=order + 0.001)
+        axes.plot(cascade.frequency_Hz, height, color=colour, lw=0.9, zorder=order + 0.001)
     axes.set_xlim(0, float(cascade.frequency_Hz[-1]))
-    axes.set_ylim(low - 0.03 * (high - low), high + (_TALLEST + 0.16) * (high - low))
-    step = 10 ** math.floor(math.log10(tallest))
-    bar = step * max(f for f in (1, 2, 5) if f * step <= tallest)
-    at = 0.965 * float(cascade.frequency_Hz[-1])
-    foot = high + 0.04 * (high - low)
-    axes.plot([at, at], [foot, foot + scale * bar], color="black", lw=2.2, zorder=6, solid_capstyle="butt")
-    axes.text(at * 0.985, foot + 0.5 * scale * bar, f"{bar:g} mm", ha="right", va="center", fontsize=8, zorder=6)
+    step = 10 ** math.floor(math.log10(shared.tallest_mm))
+    bar = step * max(f for f in (1, 2, 5) if f * step <= shared.tallest_mm)
+    at = 0.965 * float(cascade.frequency_Hz[-1])  # at the bottom, right of all orders
+    foot = shared.low + 0.04 * (shared.high - shared.low)
+    axes.plot([at, at], [foot, foot + shared.scale * bar], color="black", lw=2.2, zorder=6, solid_capstyle="butt")
+    axes.text(at * 0.985, foot + 0.5 * shared.scale * bar, f"{bar:g} mm", ha="right", va="center", fontsize=8, zorder=6,
+              bbox={"fc": "white", "ec": "none", "pad": 1.0})  # fmt: skip
 
 
 def _peaks(row: Array, least: float) -> list[slice]:
@@ -143,28 +168,41 @@ def _peaks(row: Array, least: float) -> list[slice]:
     return [slice(max(int(a) - 1, 0), int(b) + 1) for a, b in edges.reshape(-1, 2)]
 
 
-def _lines(axes: Axes, passage: Passage, model: RigModel | None, top_Hz: float) -> None:
-    """Orders along the run, and the column's natural frequencies."""
+def _orders(axes: Axes, passage: Passage, cascade: _Cascade, shared: _Row) -> None:
+    """Orders along the run, each named where its line ends: above the spectra, or at the right where it leaves them."""
     time = np.linspace(float(passage.run.mark_time_s[1]), float(passage.run.mark_time_s[-2]), 300)
     level, turns = passage.level(time), passage.orders_Hz(time)
     rising = np.argsort(level)
-    bottom, top = axes.get_ylim()
+    level, turns = level[rising], turns[rising]
+    top_Hz, heights = float(cascade.frequency_Hz[-1]), shared.heights(cascade)
     for k in _ORDERS:
-        axes.plot(k * turns[rising], level[rising], color="#555555", lw=0.8, ls=(0, (4, 3)), zorder=1.5)
-        end = float(k * turns[rising][-1])
-        if end < _RIGHTMOST * top_Hz:
-            _above(axes, end, f"{k}×", row=1)
+        inside = np.flatnonzero(k * turns <= top_Hz)
+        if not len(inside):
+            continue
+        axes.plot(k * turns, level, color="#555555", lw=0.8, ls=(0, (4, 3)), zorder=1.5)
+        end_Hz, end = float(k * turns[inside[-1]]), float(level[inside[-1]])
+        if inside[-1] == len(turns) - 1:
+            near = np.abs(cascade.frequency_Hz - end_Hz) <= _NEAR * top_Hz
+            _name(axes, f"{k}×", (end_Hz, max(end, float(np.max(heights[:, near])))), (0, 2), "center", "bottom")
+        else:
+            _name(axes, f"{k}×", (top_Hz, end), (3, 0), "left", "center")
+
+
+def _natural(axes: Axes, model: RigModel | None, top_Hz: float) -> None:
+    """The column's natural frequencies, named above the plot."""
     natural: Sequence[float] = () if model is None else [w / (2 * math.pi) for w in model.speeds_rad_s]
     for i, value in enumerate(natural):
-        if value < _RIGHTMOST * top_Hz:
+        if value < top_Hz:
             axes.axvline(value, color="#555555", lw=0.8, ls=":", zorder=1.5)
-            _above(axes, value, f"f{i + 1}", row=0)
-    axes.set_ylim(bottom, top)
+            axes.annotate(
+                f"f{i + 1}", (value, 1), (0, 1), xycoords=("data", "axes fraction"), textcoords="offset points",
+                fontsize=LEAST_FONT_PT, ha="center", va="bottom", color="#333333",
+            )  # fmt: skip
 
 
-def _above(axes: Axes, frequency_Hz: float, text: str, row: int) -> None:
-    """What a line is, at the top of the plot where no spectrum reaches; natural frequencies in a row of their own."""
-    axes.annotate(
-        text, (frequency_Hz, 1), (2, -1 - 11 * row), xycoords=("data", "axes fraction"), textcoords="offset points",
-        fontsize=LEAST_FONT_PT, va="top", color="#333333", zorder=6,
-    )  # fmt: skip
+def _name(
+    axes: Axes, text: str, at: tuple[float, float], off_pt: tuple[float, float],
+    ha: Literal["left", "center"], va: Literal["bottom", "center"],
+) -> None:  # fmt: skip
+    axes.annotate(text, at, off_pt, textcoords="offset points", fontsize=LEAST_FONT_PT, ha=ha, va=va, color="#333333",
+                  zorder=6, annotation_clip=False)  # fmt: skip

@@ -16,6 +16,7 @@ from matplotlib.transforms import Bbox
 from analysis.figures.sheet import LEAST_FONT_PT
 
 _TOUCH_PX = 1.5  # boxes have a margin about the letters
+_APART_PX = (4.0, 3.0)  # side by side, one above the other; closer texts read as one
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class DrawnText:
     text: str
     box: Bbox
     size_pt: float
+    owner: Axes | None
+    """Whose tick labels, title or annotation it is; None for the figure's own and for legends."""
 
 
 def drawn_texts(figure: Figure) -> list[DrawnText]:
@@ -32,18 +35,22 @@ def drawn_texts(figure: Figure) -> list[DrawnText]:
 
     def draw(self: Text, renderer: Any, *args: Any, **kwargs: Any) -> None:
         if self.get_visible() and self.get_text().strip():
-            found.append(DrawnText(self.get_text(), self.get_window_extent(renderer), float(self.get_fontsize())))
+            box = self.get_window_extent(renderer)
+            own = self.axes if isinstance(self.axes, Axes) else None
+            found.append(DrawnText(self.get_text(), box, float(self.get_fontsize()), owners.get(self, own)))
         original(self, renderer, *args, **kwargs)
 
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # once without looking: a layout may still move
+    ticks = [(axes, t) for axes in figure.axes for axis in (axes.xaxis, axes.yaxis) for t in axis.get_major_ticks()]
+    owners: dict[Text, Axes] = {label: axes for axes, tick in ticks for label in (tick.label1, tick.label2)}
     with patch.object(Text, "draw", draw):
         canvas.draw()
     return found
 
 
 def faults(figure: Figure) -> list[str]:
-    """Texts that overlap, leave the figure or are too small, and legends on plots; a sentence each."""
+    """Texts too near, on another plot, off the figure or too small, and legends on plots; a sentence each."""
     texts = drawn_texts(figure)
     paper = figure.bbox
     said = [f"{t.text!r} is {t.size_pt:g} pt" for t in texts if t.size_pt < LEAST_FONT_PT]
@@ -53,6 +60,13 @@ def faults(figure: Figure) -> list[str]:
         if t.box.x0 < paper.x0 - 1 or t.box.x1 > paper.x1 + 1 or t.box.y0 < paper.y0 - 1 or t.box.y1 > paper.y1 + 1
     ]
     said += [f"{a.text!r} and {b.text!r} overlap" for a, b in combinations(texts, 2) if _overlap(a.box, b.box)]
+    said += [f"{a.text!r} and {b.text!r} stand too close" for a, b in combinations(texts, 2) if _close(a.box, b.box)]
+    said += [
+        f"{t.text!r} lies on {_name(axes)}"
+        for t in texts
+        for axes in figure.axes
+        if t.owner is not None and _apart(t.owner, axes) and _overlap(t.box, axes.get_window_extent())
+    ]
     for legend in [*figure.legends, *(a.get_legend() for a in figure.axes if a.get_legend())]:
         box = legend.get_window_extent()
         said += [f"a legend lies on {_name(axes)}" for axes in figure.axes if _overlap(box, axes.get_window_extent())]
@@ -63,5 +77,19 @@ def _name(axes: Axes) -> str:
     return axes.get_title(loc="left") or axes.get_ylabel() or "a plot"
 
 
+def _apart(a: Axes, b: Axes) -> bool:
+    """Whether two axes have plots of their own; twins and secondary axes have not."""
+    return not _overlap(a.get_window_extent(), b.get_window_extent())
+
+
+def _gaps(a: Bbox, b: Bbox) -> tuple[float, float]:
+    return max(a.x0, b.x0) - min(a.x1, b.x1), max(a.y0, b.y0) - min(a.y1, b.y1)
+
+
+def _close(a: Bbox, b: Bbox) -> bool:
+    beside, above = _gaps(a, b)
+    return beside < _APART_PX[0] and above < _APART_PX[1] and not _overlap(a, b)
+
+
 def _overlap(a: Bbox, b: Bbox) -> bool:
-    return min(a.x1, b.x1) - max(a.x0, b.x0) > _TOUCH_PX and min(a.y1, b.y1) - max(a.y0, b.y0) > _TOUCH_PX
+    return max(_gaps(a, b)) < -_TOUCH_PX

@@ -17,7 +17,10 @@ from analysis.figures.fit import FitCurve
 from analysis.figures.multipliers import speed_point
 from analysis.figures.order_vectors import changes_speed, lag_words, passed_vectors
 from analysis.figures.page import page
+from analysis.figures.sheet import MODEL_LOOK
 from analysis.figures.slip import draw_slip
+from analysis.figures.stability_map import MapPoint, draw_points_on_map
+from analysis.figures.waterfall import draw_waterfall
 from tests.figures.drawn_texts import drawn_texts
 from tests.figures.figure_runs import LAG_S, MODEL, point, run_up, run_up_history
 
@@ -129,3 +132,45 @@ def test_small_residuals_are_in_micrometres() -> None:
 def test_a_page_takes_its_title_as_text() -> None:
     text = page(draw_orbit(point("A")), "a < b & <script>alert(1)</script>")
     assert "<script>alert" not in text
+
+
+def test_every_order_of_a_cascade_is_named_where_its_line_ends() -> None:
+    figure = draw_waterfall(run_up(), MODEL)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        names = {text.get_text(): text.get_window_extent() for text in axes.texts}
+        lines = [
+            line for line in axes.get_lines() if line.get_zorder() == 1.5 and len(np.asarray(line.get_xdata())) > 2
+        ]
+        assert len(lines) == 3
+        area = axes.get_window_extent()
+        for order, line in enumerate(lines, 1):
+            ends = axes.transData.transform(line.get_xydata())
+            end = ends[ends[:, 0] <= area.x1 + 1][-1]
+            box = names[f"{order}×"]
+            away = max(box.x0 - end[0], end[0] - box.x1, box.y0 - end[1], end[1] - box.y1)
+            assert away < 20  # px at 100 a inch
+        low, high = axes.get_ylim()
+        reach = max(
+            float(np.max(np.asarray(line.get_ydata(), float))) for line in axes.get_lines() if line not in lines
+        )
+        assert reach > low + 0.85 * (high - low)
+
+
+def test_slip_of_a_locked_run_up_says_so_and_names_each_line_once() -> None:
+    figure = draw_slip([run_up()], MODEL)
+    (legend,) = figure.legends
+    looks = [(line.get_color(), line.get_linestyle(), line.get_marker()) for line in legend.get_lines()]
+    assert len(set(looks)) == len(looks)
+    assert any("locked throughout: run-up-1.mcap" in text.text for text in drawn_texts(figure))
+    assert not any("locked throughout" in text.text for text in drawn_texts(draw_slip([point("A")])))
+    model = next(line for line in figure.axes[2].get_lines() if line.get_color() == MODEL_LOOK["color"])
+    assert model.get_label() in {text.get_text() for text in legend.get_texts()}
+
+
+def test_a_stability_map_in_grey_darkens_from_stable_to_unstable() -> None:
+    figure = draw_points_on_map(MODEL.physics, [MapPoint("A", 0.83, "III")], "map")
+    filled = next(each for each in figure.axes[0].collections if len(each.get_facecolor()) > 5)
+    grey = np.asarray(filled.get_facecolor())[:, :3] @ [0.299, 0.587, 0.114]
+    assert np.all(np.diff(grey) < -0.02)
+    assert any("triangle type III" in text.text for text in drawn_texts(figure))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from analysis.figures.sheet import sheet
 from analysis.figures.slip import draw_slip
 from analysis.figures.stability_map import MapPoint, draw_points_on_map
 from daq.log import open_log
+from daq.signals.run import Run
 from tests.daq.small_log import write_small_log
 from tests.figures.drawn_texts import drawn_texts, faults
 from tests.figures.figure_runs import MODEL, point, ring_down, run_up
@@ -32,9 +34,15 @@ _OF_RUNS: dict[str, tuple[Callable[[], Figure], ...]] = {
     ),
     "orbit": (
         lambda: KINDS["orbit"].draw(run_up(), MODEL),
+        lambda: KINDS["orbit"].draw(_sized(0.25), MODEL),
+        lambda: KINDS["orbit"].draw(_sized(1.1), MODEL),
         lambda: KINDS["orbit"].draw(point("A"), MODEL, point("B")),
     ),
-    "dial": (lambda: KINDS["dial"].draw(point("A"), MODEL, point("B")), lambda: KINDS["dial"].draw(point("D"))),
+    "dial": (
+        lambda: KINDS["dial"].draw(point("A"), MODEL, point("B")),
+        lambda: KINDS["dial"].draw(point("D")),
+        lambda: KINDS["dial"].draw(point("D"), MODEL),
+    ),
     "bode": (lambda: KINDS["bode"].draw(run_up(), MODEL, run_up(2)), lambda: KINDS["bode"].draw(run_up())),
     "polar": (lambda: KINDS["polar"].draw(run_up(), MODEL, run_up(2)),),
     "waterfall": (
@@ -50,6 +58,11 @@ _OF_RUNS: dict[str, tuple[Callable[[], Figure], ...]] = {
         lambda: KINDS["orders"].draw(point("D"), MODEL),
     ),
 }
+
+
+def _sized(share: float) -> Run:
+    """A run-up of other amplitudes: other ticks."""
+    return replace(run_up(), x_m=share * run_up().x_m, y_m=share * run_up().y_m)
 
 
 def _values(name: str, std: float) -> list[Value]:
@@ -105,6 +118,16 @@ def test_the_health_of_a_log_can_be_read(tmp_path: Path) -> None:
         assert faults(draw_health(log)) == []
 
 
+def test_every_curve_of_a_logs_health_is_in_the_legend(tmp_path: Path) -> None:
+    with open_log(write_small_log(tmp_path / "small.mcap")) as log:
+        figure = draw_health(log)
+    (legend,) = figure.legends
+    named = {text.get_text().split(",")[0] for text in legend.get_texts()}
+    assert {"laser/x", "laser/y", "pendulums", "tacho", "motor"} <= named
+    looks = {(line.get_color(), line.get_linestyle()) for line in legend.get_lines()}
+    assert {(line.get_color(), line.get_linestyle()) for line in figure.axes[2].get_lines()} <= looks
+
+
 def test_every_kind_is_looked_at() -> None:
     assert set(_OF_RUNS) | set(_OTHERS) | {"health"} == set(KINDS)
 
@@ -116,6 +139,20 @@ def test_a_long_title_and_a_long_legend_are_broken_into_lines() -> None:
             axes.plot([0, 1], [0, i], label=f"a curve with a long name, number {i}")
     assert faults(figure) == []
     assert len(drawn_texts(figure)) > 9
+
+
+def test_texts_of_neighbours_are_seen() -> None:
+    figure = Figure(figsize=(4, 2))
+    left, right = figure.add_axes((0.1, 0.2, 0.38, 0.7)), figure.add_axes((0.52, 0.2, 0.38, 0.7))
+    for axes, name in ((left, "left"), (right, "right")):
+        axes.set_title(name, loc="left", fontsize=8)
+    left.set_yticks([])
+    right.set_yticks([0.5], ["−10.0"])
+    right.set_xticks([])
+    left.set_xticks([0.40, 0.52], ["one", "two"], fontsize=7.5)
+    said = " ".join(faults(figure))
+    assert "'−10.0' lies on left" in said
+    assert "'one' and 'two' stand too close" in said
 
 
 def test_what_is_wrong_is_seen() -> None:
