@@ -42,8 +42,8 @@ _BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
 class _Viewer:
     """One line to one browser."""
 
-    def __init__(self, socket: WebSocket, pictures: Pictures) -> None:
-        self._socket, self._pictures = socket, pictures
+    def __init__(self, socket: WebSocket, pictures: Pictures, looked_at: Callable[[], None]) -> None:
+        self._socket, self._pictures, self._looked_at = socket, pictures, looked_at
         self.view = View()
         self.sent = self.answered = self.missed = 0
         self._free = asyncio.Event()
@@ -61,6 +61,7 @@ class _Viewer:
             if "seen" in asked:
                 self.answered = max(self.answered, min(int(asked["seen"]), self.sent))
                 self._free.set()
+                self._looked_at()
 
     async def show(self, extra: Callable[[], Facts]) -> None:
         """Send pictures, newest first, never more than the line and the viewer take."""
@@ -137,7 +138,7 @@ class Page:
             await socket.send_denial_response(PlainTextResponse(f"{MOST_VIEWERS} viewers already look\n", 503))
             return
         await socket.accept()
-        viewer = _Viewer(socket, self._pictures)
+        viewer = _Viewer(socket, self._pictures, self._source.looked_at)
         self._viewers.append(viewer)
         tasks = [asyncio.create_task(viewer.listen()), asyncio.create_task(viewer.show(self._extra))]
         try:

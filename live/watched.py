@@ -96,6 +96,9 @@ class Watched:
         """See Source."""
         return self._rate
 
+    def looked_at(self) -> None:
+        """See Source: a rig waits for nobody."""
+
     def facts(self) -> Facts:
         """See Source."""
         return self._facts
