@@ -80,7 +80,7 @@ class Replayed:
             "playing": transport.playing, "speed": transport.speed, "start_s": transport.start_s,
             "end_s": transport.end_s, "losses": _newest(self._health, at_s) or {}, "disk": _newest(self._disks, at_s),
             "losses_in_all": self._losses.words(), "can": ["play", "pause", "seek", "speed"],
-            "stop": "", "rates": "", "feed_dropped": 0, "trouble": "",
+            "stop": "", "rates": "", "feed_dropped": 0, "trouble": "", "stopping": False, "ended": False,
         }  # fmt: skip
 
     def events(self) -> list[Mapping[str, Any]]:
