@@ -280,7 +280,9 @@ class Dial {
     }).join("")).join("");
     const [a, b] = header.theta.map((v) => (v === null ? "–" : `${v.toFixed(1)}°`));
     const types = [...new Set(header.predicted.map((state) => state.type))].join(", ");
-    this.legend.textContent = `${header.locked ? "locked" : header.locked === false ? "free" : ""} ${types && types !== "locked" ? ` ◌ model: type ${types}` : types ? " ◌ model" : `, no model: ${header.why}`}`;
+    const locks = header.locked ? "locked" : header.locked === false ? "free" : "";
+    const model = types && types !== "locked" ? `◌ model: type ${types}` : types ? "◌ model" : header.why ? `no model: ${header.why}` : "no model";
+    this.legend.textContent = [locks, model].filter(Boolean).join(types ? "  " : ", ");
     this.spoken = `pendulums: θ3 ${a}, θ4 ${b}; predicted ${header.predicted.map((s) => `${s.type} at ${s.theta_deg.map((v) => v.toFixed(1)).join("° and ")}°`).join(", ") || header.why}`;
   }
 }

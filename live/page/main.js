@@ -69,14 +69,21 @@ const draw = () => {
 
 const STALE_OF = { x: ["strip-x", "orbit"], y: ["strip-y", "orbit"], angles: ["strip-theta3", "strip-theta4", "dial"], speed: ["strip-speed"] };
 const words = (header) => {
-  const limit = page.curves.header.stale_s, old = (name) => !ended() && (header.ages_s[name] === null || header.ages_s[name] > limit);
+  const limit = page.curves.header.stale_s;
+  const none = (name) => name in header.ages_s && header.ages_s[name] === null; // never a sample, as far as is shown
+  const old = (name) => !ended() && header.ages_s[name] > limit;
+  const waits = Object.keys(header.ages_s).every(none) ? "waiting for the rig" : "no data yet";
   const values = { x: header.last[0], y: header.last[1], theta3: header.theta[0], theta4: header.theta[1], speed: header.rpm };
   const group = { x: "x", y: "y", theta3: "angles", theta4: "angles", speed: "speed" };
-  for (const chart of page.charts) chart.say(values[chart.kind], group[chart.kind] in header.ages_s && old(group[chart.kind]));
-  byId("orbit").classList.toggle("stale", old("x") || old("y"));
-  byId("dial").classList.toggle("stale", "angles" in header.ages_s && old("angles"));
+  for (const chart of page.charts) { chart.say(values[chart.kind], old(group[chart.kind])); mark(chart.element, none(group[chart.kind]) ? waits : ""); }
+  for (const [id, names] of [["orbit", ["x", "y"]], ["dial", ["angles"]]]) {
+    byId(id).classList.toggle("stale", names.some(old));
+    mark(byId(id), names.some(none) ? waits : "");
+  }
   byId("rpm").querySelector(".share").textContent = header.rpm === null ? "–" : header.rpm.toFixed(0);
 };
+
+const mark = (panel, waits) => { if (waits) panel.dataset.waits = ended() ? "no data" : waits; else delete panel.dataset.waits; };
 
 const markLink = (now) => {
   const silent = (now - page.heard) / 1000, link = byId("link");
