@@ -199,9 +199,13 @@ class LivePage:
         session = self._session
         assert session is not None
         disk = session.disk()
-        can = [*self._asking.can(), *(["stop"] if self._stop is not None else []), "note"]
+        stopping, ended = session.trouble is not None, session.closed
+        tests = [] if stopping else self._asking.can()
+        can = [] if ended else [*tests, *(["stop"] if self._stop is not None else []), "note"]
+        log = {} if session.log is None else {"log": str(session.log)}
         return {
-            **self._facts, **self._asking.facts(), "losses": session.losses(), "rates": session.rates.now(),
+            **log, **self._facts, **self._asking.facts(), "stopping": stopping, "ended": ended,
+            "losses": session.losses(), "rates": session.rates.now(),
             "disk": None if disk is None else disk.facts(), "feed_dropped": self._newest.left_out,
             "trouble": str(session.trouble or session.left or ""), "can": can,
             "stop": "" if self._stop is not None else "whoever runs the rig stops it: this session only listens",

@@ -19,7 +19,7 @@ _QUIET = ("status", "reply", "acknowledge")
 
 
 class Replayed:
-    """See live.source.Source.
+    """See live.source.Source. It stands at its beginning until the first viewer has seen a picture.
 
     Args:
         log: open; it is read here and not needed afterwards.
@@ -43,6 +43,7 @@ class Replayed:
             self.signals.feed(topic, samples.time_ns, columns)
         span_s = float(self.signals.seconds(end_ns))
         self.transport = Transport(0.0, span_s, speed, *([clock] if clock else []))
+        self.transport.await_viewer()
         self._path, self._run = log.path, log.metadata.get("run", {})
         self._losses = losses_of(log)
         events = [{**event, "at_s": float(self.signals.seconds(int(event["time_ns"])))} for event in log.events]
@@ -65,6 +66,10 @@ class Replayed:
         """See Source: a log's deadlines are its own."""
         return 1.0
 
+    def looked_at(self) -> None:
+        """See Source."""
+        self.transport.looked_at()
+
     def facts(self) -> Facts:
         """See Source."""
         at_s, transport = self.transport.at(), self.transport
@@ -75,7 +80,7 @@ class Replayed:
             "playing": transport.playing, "speed": transport.speed, "start_s": transport.start_s,
             "end_s": transport.end_s, "losses": _newest(self._health, at_s) or {}, "disk": _newest(self._disks, at_s),
             "losses_in_all": self._losses.words(), "can": ["play", "pause", "seek", "speed"],
-            "stop": "", "rates": "", "feed_dropped": 0, "trouble": "",
+            "stop": "", "rates": "", "feed_dropped": 0, "trouble": "", "stopping": False, "ended": False,
         }  # fmt: skip
 
     def events(self) -> list[Mapping[str, Any]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import time
 from collections.abc import Callable
 from importlib import resources
@@ -33,7 +34,7 @@ FRAMES_PER_S = 30.0
 MOST_VIEWERS = 16
 MOST_UNANSWERED = 3
 """Frames that a viewer may have been sent and not answered: what a sleeping one can pile up."""
-_STATE_S, _SLOW_S = 0.2, 0.5
+_STATE_S, _SLOW_S, _LOOK_S = 0.2, 0.5, 0.02
 _LONGEST_MESSAGE, _LONGEST_NOTE = 4096, 2000
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
@@ -42,10 +43,11 @@ _BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
 class _Viewer:
     """One line to one browser."""
 
-    def __init__(self, socket: WebSocket, pictures: Pictures) -> None:
-        self._socket, self._pictures = socket, pictures
+    def __init__(self, socket: WebSocket, pictures: Pictures, looked_at: Callable[[], None]) -> None:
+        self._socket, self._pictures, self._looked_at = socket, pictures, looked_at
         self.view = View()
         self.sent = self.answered = self.missed = 0
+        self.told_s = -math.inf  # when the newest state that it was sent was made
         self._free = asyncio.Event()
         self._free.set()
 
@@ -61,6 +63,7 @@ class _Viewer:
             if "seen" in asked:
                 self.answered = max(self.answered, min(int(asked["seen"]), self.sent))
                 self._free.set()
+                self._looked_at()
 
     async def show(self, extra: Callable[[], Facts]) -> None:
         """Send pictures, newest first, never more than the line and the viewer take."""
@@ -76,6 +79,7 @@ class _Viewer:
                 state_s = now
                 facts = {**self._pictures.state(), **extra(), "missed": self.missed}
                 await self._socket.send_text(json.dumps(facts, ensure_ascii=False))
+                self.told_s = now
             if now - slow_s >= _SLOW_S:
                 slow_s = now
                 await self._socket.send_bytes(self._pictures.slow())
@@ -121,6 +125,12 @@ class Page:
         """Browsers that look now."""
         return len(self._viewers)
 
+    def tell_all(self, within_s: float) -> None:
+        """Wait until every viewer has been sent how things stand now, or for so long: one may be asleep. Any thread."""
+        begun_s = time.monotonic()
+        while any(viewer.told_s < begun_s for viewer in list(self._viewers)) and time.monotonic() < begun_s + within_s:
+            time.sleep(_LOOK_S)
+
     def _index(self, request: Request) -> Response:
         del request
         text = self._files["index.html"].read_text(encoding="utf-8")
@@ -137,7 +147,7 @@ class Page:
             await socket.send_denial_response(PlainTextResponse(f"{MOST_VIEWERS} viewers already look\n", 503))
             return
         await socket.accept()
-        viewer = _Viewer(socket, self._pictures)
+        viewer = _Viewer(socket, self._pictures, self._source.looked_at)
         self._viewers.append(viewer)
         tasks = [asyncio.create_task(viewer.listen()), asyncio.create_task(viewer.show(self._extra))]
         try:

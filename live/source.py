@@ -37,6 +37,10 @@ class Source(Protocol):
         """Seconds of the signals per second of the wall."""
         ...
 
+    def looked_at(self) -> None:
+        """A viewer has seen a picture."""
+        ...
+
     def facts(self) -> Facts:
         """What else the page shows; see `live.picture`."""
         ...

@@ -33,6 +33,7 @@ class Transport:
         self._clock = clock
         self._speed = _checked(speed)
         self._at_s, self._since, self._playing = start_s, clock(), True
+        self._awaits = False
 
     @property
     def playing(self) -> bool:
@@ -50,8 +51,18 @@ class Transport:
             return self._at_s
         return min(self.end_s, self._at_s + self._speed * (self._clock() - self._since))
 
+    def await_viewer(self) -> None:
+        """Stand at the beginning until somebody looks, or plays or pauses it by hand."""
+        self._at_s, self._playing, self._awaits = self.start_s, False, True
+
+    def looked_at(self) -> None:
+        """Somebody looks: play, where that was waited for."""
+        if self._awaits:
+            self.play()
+
     def play(self) -> None:
         """Go on; from the end, begin again."""
+        self._awaits = False
         if self.at() >= self.end_s:
             self._at_s, self._since = self.start_s, self._clock()
             self.jumps += 1
@@ -61,6 +72,7 @@ class Transport:
 
     def pause(self) -> None:
         """Stand where it is."""
+        self._awaits = False
         self._at_s, self._playing = self.at(), False
 
     def seek(self, to_s: float) -> None:

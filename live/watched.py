@@ -22,12 +22,12 @@ from live.source import Facts, Refused
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
-_ANSWER_S = 2.0
+_ANSWER_S, _LAST_WORDS_S = 2.0, 1.0
 _MOST_EVENTS = 2000
 _NOTHING: Facts = {
     "mode": "live", "test": "", "point": "", "started": "", "note": "", "step": "", "words": "opening the rig",
     "prompt": "", "share": None, "losses": {}, "disk": None, "can": [], "stop": "", "rates": "", "feed_dropped": 0,
-    "trouble": "", "answer": "", "log": "",
+    "trouble": "", "answer": "", "log": "", "stopping": False, "ended": False,
 }  # fmt: skip
 
 
@@ -47,15 +47,26 @@ class Watched:
         self._facts: Facts = {**_NOTHING, "title": title}
         self._events: deque[Mapping[str, Any]] = deque(maxlen=_MOST_EVENTS)
         self._heard: tuple[float, float] | None = None
+        self._end_s: float | None = None
         self._numbers, self._event_numbers = itertools.count(1), itertools.count()
         self._waiting: dict[int, tuple[threading.Event, Facts]] = {}
         self._sending = threading.Lock()
 
-    def follow(self) -> None:
-        """Take what is handed over until the other side is gone."""
+    def follow(self) -> bool:
+        """Take what is handed over until the other side says that it ends, or is gone without a word: False."""
         with contextlib.suppress(EOFError, OSError):
             while "end" not in (handed := self._pipe.recv()):
                 self._take(handed)
+            self._end({**self._facts, "ended": True, "can": []})
+            return True
+        return False
+
+    def _end(self, facts: Facts) -> None:
+        """The run is over: what is shown stands at its last sample, and nothing gets old."""
+        if self._end_s is None:
+            newest_s = self.signals.newest_s
+            self._end_s = newest_s if math.isfinite(newest_s) else self.heard_s()
+        self._facts = facts
 
     def _take(self, handed: Mapping[str, Any]) -> None:
         if "answer" in handed:
@@ -77,6 +88,8 @@ class Watched:
             facts = {**self._facts, **handed["facts"]}
             if facts["test"] != self._facts["test"]:
                 facts["since_s"] = heard_s  # the last test's figures are not this one's
+            if facts["ended"]:
+                self._end(facts)
             self._facts = facts
         self._heard = heard_s, time.monotonic()
 
@@ -86,6 +99,8 @@ class Watched:
 
     def heard_s(self) -> float:
         """See Source: it goes on while nothing is handed over, so that what is old looks old."""
+        if self._end_s is not None:
+            return self._end_s
         if self._heard is None:
             return 0.0
         heard_s, since = self._heard
@@ -95,6 +110,9 @@ class Watched:
     def rate(self) -> float:
         """See Source."""
         return self._rate
+
+    def looked_at(self) -> None:
+        """See Source: a rig waits for nobody."""
 
     def facts(self) -> Facts:
         """See Source."""
@@ -106,6 +124,8 @@ class Watched:
 
     def act(self, verb: str, given: Mapping[str, Any]) -> Facts:
         """See Source: the session's process does it."""
+        if self._facts["ended"]:
+            raise Refused(f"{verb}: the run has ended")
         number, came, answer = next(self._numbers), threading.Event(), Facts()
         self._waiting[number] = came, answer
         try:
@@ -137,4 +157,5 @@ def run_page(
         return
     with serving:
         pipe.send({"url": serving.url, "token": serving.token})
-        watched.follow()
+        if watched.follow():
+            serving.page.tell_all(_LAST_WORDS_S)

@@ -78,6 +78,7 @@ class Session:
         self.noted: list[Callable[[Event, int], None]] = []  # told of every event of the host, with its time
         self.reported: list[Callable[[Mapping[str, Any], int], None]] = []  # told of every health report, with its time
         self.left = ""  # at its end: of a rotor that may turn, or a drive that may hold it; empty when neither
+        self.log: Path | None = None  # of the newest recording
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())
         self._known = devices_of(rig.devices)
@@ -184,6 +185,11 @@ class Session:
                     self._links.close()
         if not stands and because is None:
             raise DeviceError(self.left)
+
+    @property
+    def closed(self) -> bool:
+        """Whether it has come to its end: the log is whole, the lines are given up."""
+        return self._core.closing
 
     def _ended(self, because: BaseException | None) -> str:
         """What ended the session or a log, in words; empty when nothing did."""
@@ -486,6 +492,7 @@ class Session:
         if seeds:
             attachments["clocks.json"] = json.dumps(seeds).encode()
         devices = tuple(self._known)
+        self.log = path if isinstance(path, Path) else path.path
         recorder = Recorder(path, self.clock, facts, attachments, devices, self._channels, self._edge.disk)
         self._begin_anew(recorder, before_s, seeds)
 

@@ -87,6 +87,8 @@ class Giving:
     def _give(self) -> None:
         jumps, at_ns = self._transport.jumps, self._now_ns() - 1
         while not self._ending.wait(_TURN_S):
+            if self._server.wanted:  # as a browser at the page: somebody looks
+                self._transport.looked_at()
             jumped, now_ns = self._transport.jumps != jumps, self._now_ns()
             jumps = self._transport.jumps
             self._server.show(self._played.turn(now_ns - 1 if jumped else at_ns, now_ns, jumped))

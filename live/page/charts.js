@@ -164,25 +164,27 @@ class Orbit {
 
 class Bode {
   constructor(element, { header, columns }) {
-    element.querySelector(".legend").innerHTML = 'measured ● model ―  <span class="kx">x</span> <span class="ky">y</span>';
+    element.querySelector(".legend").innerHTML = 'measured ●△, steady response, model ―┄: <span class="kx">x ● ―</span> <span class="ky">y △ ┄</span>  phase wrapped to ±180°';
     element.querySelector(".kx").style.color = INK.x; element.querySelector(".ky").style.color = INK.y;
     const border = () => ({ x_range: new Bokeh.Range1d({ start: 0, end: header.speed_rpm }), min_border_left: 50, min_border_right: 8 });
     const rpm = columns["model.rpm"];
     this.amplitudeRange = new Bokeh.Range1d({ start: 0, end: 1 });
     this.calm = new CalmRange(this.amplitudeRange, { from: 0, floor: 0.1 });
     const amplitude = plotOf(element.querySelector(".amplitude"), { ...border(), y_range: this.amplitudeRange });
-    amplitude.yaxis.axis_label = "mm"; amplitude.xaxis.major_label_text_font_size = "0px";
+    amplitude.yaxis.axis_label = "mm (0–peak)"; amplitude.xaxis.major_label_text_font_size = "0px";
     across(amplitude, header.amplitude_mm);
     const phase = plotOf(element.querySelector(".phase"), { ...border(), y_range: new Bokeh.Range1d({ start: -180, end: 180 }) });
-    phase.yaxis.axis_label = "phase, °"; phase.xaxis.axis_label = "rpm";
+    phase.yaxis.axis_label = "phase, ° (lead positive)"; phase.xaxis.axis_label = "rpm";
     phase.yaxis.ticker = new Bokeh.FixedTicker({ ticks: [-180, -90, 0, 90, 180] });
-    this.measured = {}; this.most = 0;
+    this.figures = { amplitude, phase }; this.measured = {}; this.most = 0;
     for (const axis of ["x", "y"]) {
       const model = polar(columns[`model.${axis}.re`], columns[`model.${axis}.im`]);
       for (const v of model.amplitude) if (v > this.most) this.most = v;
-      lineIn(amplitude, INK[axis], { line_alpha: 0.8 }).data = { x: rpm, y: model.amplitude };
-      lineIn(phase, INK[axis], { line_alpha: 0.8 }).data = broken(rpm, model.phase);
-      this.measured[axis] = [dotsIn(amplitude, INK[axis], { size: 5 }), dotsIn(phase, INK[axis], { size: 4 })];
+      const line = { line_alpha: 0.8, line_dash: axis === "y" ? [6, 4] : [] }; // told apart in grey, too
+      const dots = axis === "y" ? { marker: "triangle", line_color: INK.y, fill_color: null } : {};
+      lineIn(amplitude, INK[axis], line).data = { x: rpm, y: model.amplitude };
+      lineIn(phase, INK[axis], line).data = broken(rpm, model.phase);
+      this.measured[axis] = [dotsIn(amplitude, INK[axis], { size: 5, ...dots }), dotsIn(phase, INK[axis], { size: 4, ...dots })];
     }
     this.calm.fit(0, Math.min(this.most, 1.3 * header.amplitude_mm), 0);
   }
@@ -280,7 +282,9 @@ class Dial {
     }).join("")).join("");
     const [a, b] = header.theta.map((v) => (v === null ? "–" : `${v.toFixed(1)}°`));
     const types = [...new Set(header.predicted.map((state) => state.type))].join(", ");
-    this.legend.textContent = `${header.locked ? "locked" : header.locked === false ? "free" : ""} ${types && types !== "locked" ? ` ◌ model: type ${types}` : types ? " ◌ model" : `, no model: ${header.why}`}`;
+    const locks = header.locked ? "locked" : header.locked === false ? "free" : "";
+    const model = types && types !== "locked" ? `◌ model: type ${types}` : types ? "◌ model" : header.why ? `no model: ${header.why}` : "no model";
+    this.legend.textContent = [locks, model].filter(Boolean).join(types ? "  " : ", ");
     this.spoken = `pendulums: θ3 ${a}, θ4 ${b}; predicted ${header.predicted.map((s) => `${s.type} at ${s.theta_deg.map((v) => v.toFixed(1)).join("° and ")}°`).join(", ") || header.why}`;
   }
 }

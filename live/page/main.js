@@ -24,9 +24,10 @@ const connect = () => {
     else if (picture.header.kind === "slow") page.slow = picture;
     else { page.frame = picture; if (document.hidden) seen(picture.header.number); }
   };
-  socket.onclose = () => { page.tries += 1; setTimeout(connect, Math.min(5000, 250 * page.tries)); };
+  socket.onclose = () => { if (ended()) return; page.tries += 1; setTimeout(connect, Math.min(5000, 250 * page.tries)); };
   page.socket = socket;
 };
+const ended = () => !!page.state && !!page.state.ended;
 const send = (message) => { if (page.socket && page.socket.readyState === 1) page.socket.send(JSON.stringify(message)); };
 const seen = (number) => send({ seen: number });
 const sendView = () => {
@@ -68,20 +69,27 @@ const draw = () => {
 
 const STALE_OF = { x: ["strip-x", "orbit"], y: ["strip-y", "orbit"], angles: ["strip-theta3", "strip-theta4", "dial"], speed: ["strip-speed"] };
 const words = (header) => {
-  const limit = page.curves.header.stale_s, old = (name) => header.ages_s[name] === null || header.ages_s[name] > limit;
+  const limit = page.curves.header.stale_s;
+  const none = (name) => name in header.ages_s && header.ages_s[name] === null; // never a sample, as far as is shown
+  const old = (name) => !ended() && header.ages_s[name] > limit;
+  const waits = Object.keys(header.ages_s).every(none) ? "waiting for the rig" : "no data yet";
   const values = { x: header.last[0], y: header.last[1], theta3: header.theta[0], theta4: header.theta[1], speed: header.rpm };
   const group = { x: "x", y: "y", theta3: "angles", theta4: "angles", speed: "speed" };
-  for (const chart of page.charts) chart.say(values[chart.kind], group[chart.kind] in header.ages_s && old(group[chart.kind]));
-  byId("orbit").classList.toggle("stale", old("x") || old("y"));
-  byId("dial").classList.toggle("stale", "angles" in header.ages_s && old("angles"));
+  for (const chart of page.charts) { chart.say(values[chart.kind], old(group[chart.kind])); mark(chart.element, none(group[chart.kind]) ? waits : ""); }
+  for (const [id, names] of [["orbit", ["x", "y"]], ["dial", ["angles"]]]) {
+    byId(id).classList.toggle("stale", names.some(old));
+    mark(byId(id), names.some(none) ? waits : "");
+  }
   byId("rpm").querySelector(".share").textContent = header.rpm === null ? "–" : header.rpm.toFixed(0);
 };
 
+const mark = (panel, waits) => { if (waits) panel.dataset.waits = ended() ? "no data" : waits; else delete panel.dataset.waits; };
+
 const markLink = (now) => {
   const silent = (now - page.heard) / 1000, link = byId("link");
-  const gone = !page.socket || page.socket.readyState !== 1 || silent > 0.7;
-  link.classList.toggle("stale", gone);
-  const text = gone ? (page.heard ? `STALE ${silent.toFixed(0)} s` : "connecting") : page.held !== null ? "held" : page.state && page.state.mode === "replay" ? "replay" : "live";
+  const over = ended(), gone = !over && (!page.socket || page.socket.readyState !== 1 || silent > 0.7);
+  link.classList.toggle("stale", gone); link.classList.toggle("ended", over);
+  const text = over ? "run ended" : gone ? (page.heard ? `STALE ${silent.toFixed(0)} s` : "connecting") : page.held !== null ? "held" : page.state && page.state.mode === "replay" ? "replay" : "live";
   if (link.textContent !== text) link.textContent = text;
   if (gone && page.heard) for (const panel of document.querySelectorAll(".strip, #orbit, #dial")) panel.classList.add("stale");
 };
@@ -91,8 +99,9 @@ const takeState = (state) => {
   document.body.dataset.mode = state.mode;
   if (state.mode !== "replay") document.body.dataset.rig = "yes";
   document.title = `${state.title} – rig live`;
+  if (state.ended) for (const panel of document.querySelectorAll(".strip, #orbit, #dial")) panel.classList.remove("stale");
   byId("title").textContent = state.title;
-  byId("subtitle").textContent = [state.mode === "replay" ? "replay of a log" : state.mode, state.started, state.log].filter(Boolean).join("   ");
+  byId("subtitle").textContent = [state.ended ? "run ended" : state.mode === "replay" ? "replay of a log" : state.mode, state.started, state.log].filter(Boolean).join("   ");
   if (!page.limits) return;
   const nearest = page.limits.show(state.limits), big = byId("nearest");
   big.querySelector(".share").textContent = nearest ? `${Math.round(100 * nearest.used)} %` : "–";

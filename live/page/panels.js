@@ -60,12 +60,19 @@ const replaceWhenChanged = (element, key, make) => {
 const showTest = (element, state) => {
   const part = (name) => element.querySelector(name);
   const test = [state.test, state.point && !state.test.endsWith(state.point) ? state.point : ""].filter(Boolean).join(" ");
-  part(".step").textContent = test ? `${test}${state.step ? `: ${state.step}` : ""}` : "no test runs";
-  part(".words").textContent = state.words || state.note || "";
-  part(".prompt").hidden = !state.prompt; part(".prompt").textContent = state.prompt || "";
-  part("progress").hidden = state.share === null; if (state.share !== null) part("progress").value = state.share;
-  element.querySelectorAll("[data-verb]").forEach((button) => { button.hidden = state.mode === "replay" || !state.can.includes(button.dataset.verb); });
-  byId("note").hidden = !state.can.includes("note");
+  const step = test ? `${test}${state.step ? `: ${state.step}` : ""}` : "no test runs", over = state.ended || state.stopping;
+  const log = (state.log || "").split(/[\\/]/).pop();
+  part(".step").textContent = state.ended ? `run ended${log ? `: ${log}` : ""}` : step;
+  part(".words").textContent = state.ended ? (test ? `last step: ${step}` : state.note || "") : state.words || state.note || "";
+  part(".prompt").hidden = over || !state.prompt; part(".prompt").textContent = state.prompt || "";
+  part("progress").hidden = over || state.share === null; if (state.share !== null) part("progress").value = state.share;
+  element.querySelectorAll("[data-verb]").forEach((button) => { // what was offered stays in its place, without effect
+    const can = state.mode !== "replay" && state.can.includes(button.dataset.verb);
+    if (!over || state.mode === "replay") button.hidden = !can;
+    button.disabled = !can;
+  });
+  if (!over) byId("note").hidden = !state.can.includes("note");
+  byId("note").querySelectorAll("input, button").forEach((control) => { control.disabled = !state.can.includes("note"); });
   if (state.answer) part(".answer").textContent = state.answer;
 };
 

@@ -90,6 +90,22 @@ def test_a_session_is_shown_stopped_and_its_log_whole(
         assert log.metadata["foxglove"] == {"deviceName": "virtual", "deviceId": "virtual"}
 
 
+def test_a_session_that_has_ended_is_said_to_have_and_takes_nothing_more(
+    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+) -> None:
+    with LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here") as page:
+        with Session(plugged, virtual_rig.clock) as session:
+            session.start_recording(tmp_path / "a.mcap", {"test": "record", "rig": "virtual"})
+            page.follow(session, Asking(), session.stop, {})
+            assert not _state(page, lambda state: "stop" in state["can"] and "note" in state["can"])["ended"]
+        seen = _state(page, lambda state: state["ended"])
+        later = _state(page, lambda state: True)
+        assert Path(seen["log"]).name == "a.mcap"
+        assert seen["can"] == []
+        assert later["now_s"] == seen["now_s"], "it stands at its last sample"
+        assert _ask(page, "/act", verb="note", text="late") == (409, {"error": "note: the run has ended"})
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGSTOP")
 def test_a_dead_page_costs_the_recorder_nothing(tmp_path: Path) -> None:
     """Stopped in the middle, its pipe full: the session records on, bit for bit as without a page."""

@@ -291,6 +291,7 @@ def test_a_log_is_given_as_it_is_played_and_sought(server: FoxgloveServer, playe
     origin_ns = int(log["motor"].time_ns[0])
     clock_s = [0.0]
     transport = Transport(0.0, 60.0, 1.0, lambda: clock_s[0])
+    transport.await_viewer()  # whoever subscribes is one
     with _client(server) as line:
         _subscribed(line, "motor")
         with Giving(played, transport, origin_ns, server):

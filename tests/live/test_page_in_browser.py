@@ -55,6 +55,26 @@ def test_every_panel_draws_what_the_log_holds(page: Page, serving: Serving, repl
             assert drawn >= 25, f"{selector}: {drawn} pixels of {ink}"
 
 
+def test_the_bode_plot_says_what_it_compares_and_tells_x_from_y_in_grey(
+    page: Page, serving: Serving, replayed: Replayed
+) -> None:
+    _opened(page, serving, replayed, 20.0)
+    legend = page.locator("#bode .legend")
+    expect(legend).to_contain_text("steady response, model")
+    expect(legend).to_contain_text("phase wrapped to ±180°")
+    assert page.locator("#bode figcaption").evaluate("e => e.scrollWidth <= e.clientWidth")
+    drawn = page.evaluate(
+        """() => Object.values(page.bode.figures).map(figure => [figure.left[0].axis_label, figure.renderers
+        .map(({ glyph }) => [glyph.type, glyph.marker?.value ?? "", JSON.stringify(glyph.line_dash?.value ?? [])])])"""
+    )
+    assert [label for label, _ in drawn] == ["mm (0–peak)", "phase, ° (lead positive)"]
+    for _, glyphs in drawn:
+        lines, dots = ([g for g in glyphs if g[0] == kind] for kind in ("Line", "Scatter"))
+        assert len(lines) == len(dots) == 2
+        assert lines[0][2] != lines[1][2], "one dashed"
+        assert dots[0][1] != dots[1][1], "one hollow triangles"
+
+
 def test_seek_shows_another_instant(page: Page, serving: Serving, replayed: Replayed) -> None:
     _opened(page, serving, replayed, 20.0)
     before = page.locator("#strip-theta3 b").inner_text()

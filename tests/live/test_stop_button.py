@@ -28,6 +28,20 @@ def test_the_click_halts_the_drive_and_the_run_ends_whole(page: Page, tmp_path: 
     assert 0 < min(late_s) < WITHIN_S, late_s
 
 
+def _says_that_it_ended(page: Page, log: str) -> None:
+    """The server is gone by now: what it said last stands, and nothing asks for what nobody does any more."""
+    expect(page.locator("#link")).to_have_text("run ended", timeout=5_000)
+    expect(page.locator("#test .step")).to_have_text(f"run ended: {log}")
+    for control in ("[data-verb=pause]", "[data-verb=resume]", "[data-verb=abort]", "#note input", "#note button"):
+        expect(page.locator(control)).to_be_visible()
+        expect(page.locator(control)).to_be_disabled()
+    expect(page.locator("#stop")).to_be_disabled()
+    page.wait_for_timeout(1500)  # twice what a silent line is given
+    expect(page.locator("#link")).to_have_text("run ended")
+    expect(page.locator(".stale")).to_have_count(0)
+    expect(page.locator("#strip-x b")).to_contain_text("mm")
+
+
 def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
     """A run-up that is stopped by the button; all that does not depend on how busy the machine is, is asserted."""
     with VirtualRigProcess("virtual", ["virtual.seed=3"], 1.0) as rig:  # real time: a click is one of this world
@@ -53,12 +67,13 @@ def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
             clicked_ns = int(page.evaluate("window.clicked_ms") * 1e6)
             expect(page.locator("#alert")).to_contain_text("stopped by the button of the live page", timeout=5_000)
             rest, said = running.communicate(timeout=60)
+            (path,) = tmp_path.glob("*.mcap")
+            _says_that_it_ended(page, path.name)
         finally:
             running.kill()
             running.wait()
     assert running.returncode == 130, said
     assert json.loads(rest)["error"] == "stopped by the button of the live page"
-    (path,) = tmp_path.glob("*.mcap")
     with open_log(path) as log:
         assert log.verify() == []
         sent_ns = [

@@ -51,6 +51,21 @@ def test_play_at_the_end_begins_again() -> None:
     assert transport.at() == 2.0
 
 
+def test_it_waits_for_the_first_viewer_and_for_no_other() -> None:
+    transport, clock = made()
+    transport.await_viewer()
+    clock.now += 50
+    assert transport.at() == 0.0
+    assert not transport.playing
+    transport.looked_at()
+    clock.now += 2
+    assert transport.at() == 2.0
+    transport.pause()
+    transport.looked_at()
+    clock.now += 2
+    assert transport.at() == 2.0, "paused by hand: the next viewer does not start it"
+
+
 @pytest.mark.parametrize("paused", [True, False])
 def test_seek_goes_there_and_keeps_playing_or_standing(paused: bool) -> None:
     transport, clock = made()

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -15,7 +16,10 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
+from daq.log import open_log
+from daq.log.snapshot import rig_of
 from live.frames import decode
+from live.model import Model
 from live.port import PortTaken, bound
 from live.replayed import Replayed
 from live.server import MOST_UNANSWERED, MOST_VIEWERS
@@ -52,6 +56,23 @@ def test_a_viewer_that_answers_nothing_gets_no_more_than_a_few(serving: Serving)
         assert serving.page.viewers == 2
         assert asleep.sent == MOST_UNANSWERED
         assert serving.page._viewers[1].sent >= 40
+
+
+def test_a_replay_waits_at_its_beginning_until_somebody_looks(point_log: Path) -> None:
+    with open_log(point_log) as log:
+        source = Replayed(log, rig_of(log))
+    with Serving(source, Model(source.signals.rig)) as serving:
+        with _viewer(serving) as asleep:  # it gets what it may be sent, and answers nothing
+            for _ in range(MOST_UNANSWERED):
+                while not isinstance(data := asleep.recv(timeout=WAIT_S), bytes) or decode(data)[0]["kind"] != "frame":
+                    pass
+                assert decode(data)[0]["now_s"] == 0.0
+            assert not source.transport.playing
+        with _viewer(serving) as awake:
+            times = [frame["now_s"] for frame in _frames(awake, 10)]
+    assert times[0] == 0.0
+    assert 0 < times[-1] < 5
+    assert source.transport.playing
 
 
 def test_one_that_wakes_up_sees_the_newest_picture(serving: Serving, replayed: Replayed) -> None:
