@@ -29,7 +29,7 @@ _WINDOW_S = 1.0
 _MOST_WINDOWS = 30
 _LEAST_RAD, _LEAST_M = 1e-9, 1e-12  # a mean's noise is not taken smaller: signals that do not change at all have none
 _HARDLY = 0.1  # of its radius, by which an orbit may change and still be taken as radius and arc
-_SECOND_ORDER = 2.0  # that number; 0.5 to 1.5 at the points of rigs with 0.05 rad left
+_SECOND_ORDER = 2.0  # terms of second order over those of first order, per radian left; 1.1 and 1.3 at C of two rigs
 _NAMES = ("θ3", "θ4", "x", "y")
 
 

@@ -81,9 +81,11 @@ def lag_words(found: PassedVectors) -> list[str]:
     A lag is a straight line through the origin of phase against speed, weighted by the amplitudes; its ± is half the
     difference of the lags of slow and fast half of the weight. Where no line fits, something else differs.
     """
-    words = [_lag_word(name, found.simulated[name], seen) for name, seen in found.measured.items() if found.simulated]
-    lags = [word for word, is_line in words if is_line]
-    others = [word for word, is_line in words if not is_line]
+    if not found.simulated:
+        return []
+    words = [_lag_word(name, found.simulated[name], seen) for name, seen in found.measured.items()]
+    lags = [word for word, is_line in words if is_line and word]
+    others = [word for word, is_line in words if not is_line and word]
     told: list[str] = []
     if lags:
         told.append(
@@ -96,7 +98,7 @@ def lag_words(found: PassedVectors) -> list[str]:
 
 
 def _lag_word(name: str, model: Vectors, measured: Vectors) -> tuple[str, bool]:
-    """A displacement's lag in words, and whether it is one; else what a line leaves."""
+    """A displacement's lag in words, and whether it is one; else what a line leaves. No words of too few vectors."""
     speed, beside = measured.speed_rad_s, _complex_interp(measured.speed_rad_s, model)
     ahead = np.angle(measured.amplitude_m * np.conj(beside))
     weight = np.abs(beside) * np.abs(measured.amplitude_m)
@@ -106,9 +108,11 @@ def _lag_word(name: str, model: Vectors, measured: Vectors) -> tuple[str, bool]:
     def lag_of(part: NDArray[np.bool_] | slice) -> float:
         return -float((weight * speed * ahead)[part].sum() / (weight * speed**2)[part].sum())
 
-    lag, passed = lag_of(slice(None)), np.cumsum(weight * speed**2)
-    slow = passed <= 0.5 * passed[-1]
-    std = 0.5 * abs(lag_of(slow) - lag_of(~slow)) if slow.any() else 0.0
+    passed = np.cumsum(weight * speed**2)
+    slow = passed <= 0.5 * passed[-1:]
+    if not 0 < np.count_nonzero(slow) < len(slow) or not passed[slow][-1] > 0:
+        return "", False
+    lag, std = lag_of(slice(None)), 0.5 * abs(lag_of(slow) - lag_of(~slow))
     rest = math.sqrt(float(np.average((ahead + lag * speed) ** 2, weights=weight)))
     if rest > _STRAIGHT_RAD and rest > _SHARE * math.sqrt(float(np.average(ahead**2, weights=weight))):
         return f"a line leaves {math.degrees(rest):.0f}° rms in {name}", False

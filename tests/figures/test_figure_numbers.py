@@ -66,6 +66,19 @@ def test_a_wrong_spring_is_no_lag_of_the_stamps() -> None:
     assert not re.search(r"y \d+\.\d+ ± \d+\.\d+ ms", words)
 
 
+@pytest.mark.parametrize("kept", [0, 1])
+def test_too_few_vectors_tell_of_no_lag(kept: int) -> None:
+    """As of a run that was cut where it began, or a laser that saw nothing."""
+    found = passed_vectors(run_up(), MODEL)
+    few = {
+        name: replace(seen, amplitude_m=np.where(np.arange(len(seen.speed_rad_s)) < kept, seen.amplitude_m, np.nan))
+        for name, seen in found.measured.items()
+    }
+    assert lag_words(replace(found, measured=few)) == []
+    still = {name: replace(seen, amplitude_m=0 * seen.amplitude_m) for name, seen in found.measured.items()}
+    assert lag_words(replace(found, measured=still)) == []
+
+
 def test_one_laser_is_enough_for_a_bode_plot() -> None:
     figure = draw_bode(replace(run_up(), y_m=np.empty(0), y_time_s=np.empty(0)), MODEL)
     assert [axes.get_ylabel()[0] for axes in figure.axes] == ["x", "x"]
