@@ -4,8 +4,9 @@
 Window means of q quantities approach their limits together, m(t) = m∞ + Σ a_i e^{−λ_i (t−T)} with T the end of the
 last window: the rates are common (they are the motion's own), the amplitudes a_i free for each quantity. Four models
 are compared: none (the means stand), one rate, two rates, one decaying oscillation; rates may have the square of their
-part beside them, of a size that is known beforehand. They weigh by their marginal likelihood, so the covariance holds what the noise leaves where the rates are known, what the rates leave, and what the
-choice of the model leaves. A fifth, straight lines and growth, has no limit; its share of the posterior is reported.
+part beside them, of a size that is known beforehand. They weigh by their marginal likelihood, so the covariance holds
+what the noise leaves where the rates are known, what the rates leave, and what the choice of the model leaves. A
+fifth, straight lines and growth, has no limit; its share of the posterior is reported.
 
 An approach is exponential only near its end: 15 % of the change that is extrapolated beyond the last window is added as
 a standard deviation of its own.
