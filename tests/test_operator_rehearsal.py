@@ -12,6 +12,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -57,7 +58,7 @@ class Terminal:
     """A command in a terminal of its own, what it writes on standard error read as it comes.
 
     Attributes:
-        result: the first line of its standard output, where that was asked for.
+        result: the first line of its standard output, where that was asked for; all of it is shown when it ends amiss.
     """
 
     def __init__(self, folder: Path, words: list[str], answers: bool = False) -> None:
@@ -65,10 +66,10 @@ class Terminal:
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
         environment["PYTHONPATH"] = str(PAGE.parents[2])
         expanded = [name for word in words for name in (sorted(glob.glob(word, root_dir=folder)) or [word])]
+        self.written = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 (closed with the terminal)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "cli.main", *expanded], cwd=folder, env=environment, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE if answers else subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE if answers else self.written, stderr=subprocess.PIPE,
         )  # fmt: skip
         self.watchdog = threading.Timer(PATIENCE_S, self.process.kill)
         self.watchdog.start()
@@ -91,6 +92,11 @@ class Terminal:
             pass
         return self.process.wait()
 
+    def shown(self) -> str:
+        """What the second person saw on the screen."""
+        self.written.seek(0)
+        return f"{self.written.read()}{''.join(self.said)}"
+
     def __enter__(self) -> Terminal:
         return self
 
@@ -100,6 +106,7 @@ class Terminal:
         self.process.wait()
         assert self.process.stderr is not None
         self.process.stderr.close()
+        self.written.close()
 
 
 def carried_out(folder: Path, line: Line) -> None:
@@ -112,7 +119,7 @@ def carried_out(folder: Path, line: Line) -> None:
             assert words is not None, f"{' '.join(line.words)}: no hand for {prompt!r}"
             carried_out(folder, Line(words, 0))
         code = terminal.end()
-    assert code == line.code, f"rig {' '.join(line.words)}: exit {code}\n{''.join(terminal.said)}"
+        assert code == line.code, f"rig {' '.join(line.words)}: exit {code}\n{terminal.shown()}"
     assert list(hands) == [], f"{' '.join(line.words)}: not every hand was asked for"
 
 

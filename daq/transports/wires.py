@@ -60,8 +60,13 @@ class Wire(Protocol):
         """Whether a host has the port open."""
         ...
 
+    def pull(self) -> None:
+        """Pull the cable: the port is gone. Where the system lets it, its name stays taken until `close`: whoever asks
+        for it meanwhile finds nothing, not a port that another program was given under the same name."""
+        ...
+
     def close(self) -> None:
-        """Pull the cable."""
+        """Pull the cable and give its port's name back."""
         ...
 
 
@@ -134,7 +139,7 @@ class PtyWire(_Outbox):
             self._slave = -1
 
     def _underway(self) -> int:
-        if self._slave < 0:
+        if self._master < 0 or self._slave < 0:
             return 0
         import fcntl  # noqa: PLC0415 (POSIX only)
         import termios  # noqa: PLC0415
@@ -176,13 +181,21 @@ class PtyWire(_Outbox):
         watch.register(self._master, 0)  # a hang-up is told unasked
         return not any(what & select.POLLHUP for _, what in watch.poll(0))
 
+    def pull(self) -> None:
+        """See Wire. Linux keeps a pty's number while anybody has the host's end open."""
+        self._master = _closed(self._master)
+
     def close(self) -> None:
         """See Wire."""
-        for descriptor in (self._master, self._slave):
-            if descriptor >= 0:
-                with contextlib.suppress(OSError):
-                    os.close(descriptor)
-        self._master = self._slave = -1
+        self.pull()
+        self._slave = _closed(self._slave)
+
+
+def _closed(descriptor: int) -> int:
+    if descriptor >= 0:
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+    return -1
 
 
 class TcpWire(_Outbox):
@@ -283,6 +296,10 @@ class TcpWire(_Outbox):
         """See Wire."""
         self._accept()
         return self._peer is not None
+
+    def pull(self) -> None:
+        """See Wire. A TCP port's number is free at once; the system gives another one to who asks next."""
+        self.close()
 
     def close(self) -> None:
         """See Wire."""

@@ -131,7 +131,7 @@ class VirtualRig:
         match request.get("do"):
             case "unplug":
                 device = self._device(request)
-                self.wires[device].close()
+                self.wires[device].pull()
                 self._pulled.add(device)
             case "plug":
                 return {"ok": True, "port": self._plug(self._device(request))}
@@ -153,6 +153,7 @@ class VirtualRig:
         """Plug a device in again, as the system does: perhaps under another name."""
         if device not in self._pulled:
             raise ValueError(f"{device} is plugged in, at {self.wires[device].port}")
+        self.wires[device].close()
         wire = make_wire(self._link)
         wire.overrun_bytes = self.wires[device].overrun_bytes
         self.wires[device] = wire

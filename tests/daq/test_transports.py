@@ -34,7 +34,7 @@ class Peer:
 def _wired(wire: Any) -> Peer:
     link = open_link(wire.port, 921_600)
     wire.receive()  # a TCP wire accepts here
-    return Peer(link, wire.send, wire.receive, wire.close, wire.close)
+    return Peer(link, wire.send, wire.receive, wire.pull, wire.close)
 
 
 def _can() -> Peer:
@@ -98,6 +98,21 @@ def test_a_port_that_is_not_there_says_what_to_look_at() -> None:
         open_link("/dev/no-such-port", 921_600)
     with pytest.raises(LinkLost, match="plugged in"):
         open_link("socket://127.0.0.1:1", 921_600)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems may give a pty's name to the next who asks")
+def test_the_name_of_a_pulled_port_is_nobody_else_s() -> None:
+    pulled = PtyWire()
+    pulled.pull()
+    others = [PtyWire() for _ in range(8)]
+    try:
+        assert pulled.port not in [other.port for other in others]
+        assert not pulled.held_up()
+        with pytest.raises(LinkLost, match="cannot be opened"):
+            open_link(pulled.port, 921_600)
+    finally:
+        for wire in (pulled, *others):
+            wire.close()
 
 
 def test_host_clock_runs_at_its_rate() -> None:
