@@ -5,7 +5,9 @@
 A virtual rig at the speed of life in a process of its own; a session records it here, with lasers of 2 x 4 kHz. Cases:
 no page; a page that is looked at; viewers that answer nothing; a page whose process stands still. Of each: the longest
 waits between two reads of a laser in the log (the recorder's threads were kept), losses, processor time of the recorder
-and of the page, memory of the page. With --browser one viewer is Chromium. Linux only: it reads /proc.
+and of the page, memory of both. With --browser one viewer is Chromium, its memory beside. Linux only: it reads /proc.
+
+A real hour: --only "looked at" --seconds 3600 --viewers 1 --browser
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import signal
 import tempfile
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -89,7 +92,7 @@ def _viewer(page: LivePage, seen: Seen, answers: bool) -> Iterator[None]:
 
 
 @contextmanager
-def _chromium(page: LivePage, facts: dict[str, object]) -> Iterator[Callable[[], None]]:
+def _chromium(page: LivePage, facts: dict[str, list[float]]) -> Iterator[Callable[[], None]]:
     from playwright.sync_api import sync_playwright  # noqa: PLC0415 (only with --browser)
 
     program = next(b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if b)
@@ -100,15 +103,14 @@ def _chromium(page: LivePage, facts: dict[str, object]) -> Iterator[Callable[[],
         tab = browser.new_page(viewport={"width": 1600, "height": 900})
         tab.goto(page.url)
         tab.wait_for_timeout(3000)
-        client = tab.context.new_cdp_session(tab)
+        client, whole = tab.context.new_cdp_session(tab), browser.new_browser_cdp_session()
 
         def look() -> None:
+            facts["drawn"].append(int(tab.evaluate("page.drawn")))
+            processes = whole.send("SystemInfo.getProcessInfo")["processInfo"]
+            facts["renderer"].append(max(_rss_mb(each["id"]) for each in processes if each["type"] == "renderer"))
             client.send("HeapProfiler.collectGarbage")
-            heap = tab.evaluate("performance.memory.usedJSHeapSize / 1e6")
-            facts.setdefault("heap_MB", [])
-            heaps = facts["heap_MB"]
-            assert isinstance(heaps, list)
-            heaps.append((round(time.monotonic(), 1), round(heap, 1), int(tab.evaluate("page.drawn"))))
+            facts["heap"].append(tab.evaluate("performance.memory.usedJSHeapSize / 1e6"))
 
         yield look
         browser.close()
@@ -123,7 +125,7 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
         session = stack.enter_context(Session(rig, far.clock))
         pid = 0
         seen = [Seen() for _ in range(args.viewers)]
-        facts: dict[str, object] = {}
+        facts: dict[str, list[float]] = defaultdict(list)
         look: Callable[[], None] | None = None
         if page is not None:
             page.follow(session, Asking(), session.stop, {})
@@ -136,19 +138,18 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
         if name == "page stands still":
             os.kill(pid, signal.SIGSTOP)
         began = time.monotonic(), _cpu_s(os.getpid()), _cpu_s(pid) if pid else 0.0, sum(s.frames for s in seen)
-        memory: list[float] = []
-        for _ in range(4):
+        for _ in range(parts := max(4, round(seconds / 300))):
+            time.sleep(seconds / parts)
+            facts["recorder"].append(_rss_mb(os.getpid()))
+            if pid:
+                facts["page"].append(_rss_mb(pid))
             if look is not None:
                 look()
-            memory += [_rss_mb(pid)] if pid else []
-            time.sleep(seconds / 4)
         passed = time.monotonic() - began[0]
         ours, theirs = _cpu_s(os.getpid()) - began[1], (_cpu_s(pid) - began[2]) if pid else 0.0
         frames = (sum(s.frames for s in seen) - began[3]) / passed / len(seen)
         if name == "page stands still":
             os.kill(pid, signal.SIGCONT)
-        if look is not None:
-            look()
         losses = session.losses()
         path = session.stop_recording({})
     with open_log(path) as log:
@@ -159,9 +160,11 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
     print(
         f"{name:18} reads p50 {np.median(waits):5.2f} p99 {np.percentile(waits, 99):5.2f} max {waits.max():6.2f} ms, "
         f"lost {lost}; recorder {100 * ours / passed:4.1f} %, page {100 * theirs / passed:4.1f} % of a core; "
-        f"{frames:4.1f} frames/s each, memory {' '.join(f'{m:.0f}' for m in memory)} MB {facts or ''}",
+        f"{frames:4.1f} frames/s each",
         flush=True,
     )
+    for who, values in facts.items():
+        print(f"{'':18} {who + (', frames' if who == 'drawn' else ', MB'):15} {' '.join(f'{v:.0f}' for v in values)}")
 
 
 def _hour(rig_name: str, minutes: int = 60) -> None:
