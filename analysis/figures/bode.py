@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.figures.order_vectors import RPM, Vectors, amplification_words, lag_words, passed_vectors
+from analysis.figures.intervals import TIMES, band, interval_words, phase_half_deg
+from analysis.figures.order_vectors import RPM, Vectors, amplification_words, cut_words, passed_vectors
 from analysis.figures.sheet import (
     AMPLITUDE,
     MEASURED_LOOK,
@@ -22,10 +24,13 @@ from analysis.figures.sheet import (
     Look,
     sheet,
 )
+from analysis.figures.stamp_lag import lag_words
 from analysis.figures.style import label
 from analysis.rig_model import RigModel
 from analysis.simulated_run import NOT_FOLLOWED
 from daq.signals.run import Run
+
+_HEADROOM = 1.35  # of the largest measured amplitude; a steady resonance may leave the plot
 
 
 def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
@@ -47,7 +52,8 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
         )
     if model is not None and not own.simulated:
         foot.append(NOT_FOLLOWED)
-    foot += lag_words(own) + amplification_words(run)
+    tops = {name: _HEADROOM * float(np.max(np.abs(seen.amplitude_m))) for name, seen in own.measured.items()}
+    foot += cut_words(own, tops) + interval_words(own.measured) + lag_words(own) + amplification_words(run)
     with sheet(WIDTH_IN, 4.3, f"Bode plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
         grid = figure.subplots(2, len(own.measured), sharex=True, height_ratios=(1, 1.5), squeeze=False)
         for (upper, lower), (name, measured) in zip(grid.T, own.measured.items(), strict=True):
@@ -59,10 +65,11 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
                 _draw(upper, lower, own.steady[name], level, STEADY_LOOK, f"steady response, {_of(model)}")
             if other is not None and over is not None and name in other.measured:
                 _draw(upper, lower, other.measured[name], level, OVER_LOOK, f"measured, {Path(over.source).name}")
-            _amplitudes(lower, measured)
+            lower.set_ylim(0, 1e3 * tops[name])
+            lower.set_xlim(left=0)
             label(upper, y=f"{name} {PHASE}")
             label(lower, "speed, rpm", f"{name} {AMPLITUDE}")
-            _degrees(upper)
+        _degrees(list(grid[0]))
         figure.align_ylabels(grid)
     return figure
 
@@ -72,22 +79,21 @@ def _of(model: RigModel | None) -> str:
 
 
 def _draw(upper: Axes, lower: Axes, found: Vectors, level: Vectors, look: Look, text: str) -> None:
-    speed = RPM * found.speed_rad_s
-    upper.plot(speed, found.phase_deg(level), **look)
-    lower.plot(speed, 1e3 * np.abs(found.amplitude_m), label=text, **look)
+    speed, phase, size = RPM * found.speed_rad_s, found.phase_deg(level), 1e3 * np.abs(found.amplitude_m)
+    upper.plot(speed, phase, **look)
+    lower.plot(speed, size, label=text, **look)
+    if np.any(found.std_m > 0):
+        half, turn = 1e3 * TIMES * found.std_m, phase_half_deg(found)
+        band(lower, speed, np.maximum(size - half, 0.0), size + half, look["color"])
+        band(upper, speed, phase - turn, phase + turn, look["color"])
 
 
-def _amplitudes(axes: Axes, measured: Vectors) -> None:
-    """From zero to a little above what was measured; a steady resonance may leave the figure."""
-    top = 1e3 * float(np.max(np.abs(measured.amplitude_m)))
-    axes.set_ylim(0, 1.35 * top)
-    axes.set_xlim(left=0)
-
-
-def _degrees(axes: Axes) -> None:
-    """Ticks at multiples of 180°, 90° or 45°, by the range."""
-    low, high = axes.get_ylim()
-    step = 180.0 if high - low > 500 else 90.0 if high - low > 150 else 45.0
-    low, high = step * np.floor(low / step), step * np.ceil(high / step)
-    axes.set_yticks(np.arange(low, high + 1, step))
-    axes.set_ylim(low - 5, high + 5)
+def _degrees(panels: Sequence[Axes]) -> None:
+    """Ticks at multiples of 180°, 90° or 45°, by the widest range: one step, so that panels can be compared."""
+    widest = max(high - low for low, high in (axes.get_ylim() for axes in panels))
+    step = 180.0 if widest > 500 else 90.0 if widest > 150 else 45.0
+    for axes in panels:
+        low, high = axes.get_ylim()
+        low, high = step * np.floor(low / step), step * np.ceil(high / step)
+        axes.set_yticks(np.arange(low, high + 1, step))
+        axes.set_ylim(low - 5, high + 5)

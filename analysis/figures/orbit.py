@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,19 +13,22 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from analysis.errors import NotEnoughData
+from analysis.figures.intervals import TIMES, TIMES_IN_PLANE, area, interval_words
 from analysis.figures.order_vectors import (
     RPM,
+    ByName,
+    PassedVectors,
     Vectors,
     changes_speed,
     passed_vectors,
+    vectors_at_end,
 )
+from analysis.figures.recorded import need_vectors
 from analysis.figures.sheet import MODEL_LOOK, OVER_LOOK, WIDTH_IN, Look, sheet
-from analysis.figures.steady_part import steady_part
+from analysis.figures.stamp_lag import lag_words
+from analysis.figures.steady_part import SteadyPart, steady_part
 from analysis.figures.style import GREY, MEASURED, label
 from analysis.quantities.orbits import OrbitEllipse, orbit_ellipse
-from analysis.quantities.order_tracking import order_track
-from analysis.quantities.rotor_phase import phase_at
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
 
@@ -35,12 +37,14 @@ Array = NDArray[np.float64]
 _ELLIPSE_LOOK: Look = {"color": MEASURED, "ls": "-", "lw": 2.6, "alpha": 0.6}
 _RAW_TURNS = 3
 _RAW_POINTS = 400  # drawn of them
-_WINDOW_TURNS = 4
 _PANELS = 6
 _MARGIN = 0.1  # of the larger extent, on either side
 _INTERVALS = 5  # of ticks
 _ROUND = 2e-3  # difference of the axes over the major one below which an orbit has no inclination worth a number
 _AT_REST_M = 1e-8
+_SMALL_M = 1e-4  # written in µm below
+_ABOVE_NOISE = 3.5  # deviations of a semi-axis: noise alone gives a longer one once in a hundred times
+_CLEAR = 0.99  # of a tube's radius, the least way from its inner edge to its middle
 _FOOT = (
     "Index mark (filled measured, hollow model): where the disk centre is when the imbalance points along +x. Arrow: "
     "sense of motion; the rotor turns counterclockwise, from x to y."
@@ -49,11 +53,12 @@ _FOOT = (
 
 @dataclass(frozen=True)
 class OrbitPanel:
-    """One speed's orbit: measured samples of some revolutions (mm) and 1× ellipses."""
+    """One speed's orbit: measured samples of some revolutions (mm), 1× ellipses, deviations of the measured vectors."""
 
     speed_rad_s: float
     raw_mm: tuple[Array, Array]
     measured: OrbitEllipse
+    std_m: tuple[float, float]
     model: OrbitEllipse | None
     over: OrbitEllipse | None = None
 
@@ -67,19 +72,15 @@ def draw_orbit(run: Run, model: RigModel | None = None, over: Run | None = None)
     Raises:
         NotEnoughData: a displacement is missing, or the rotor did not turn.
     """
-    if not (len(run.x_time_s) and len(run.y_time_s)):
-        raise NotEnoughData(f"{run.source}: expected two displacements for an orbit, x or y has no sample")
+    need_vectors(run, "an orbit", both=True)
     passing = changes_speed(run)
-    panels = _passing(run, model) if passing else [_steady(run, model)]
-    if over is not None and not passing:
-        panels = [
-            OrbitPanel(p.speed_rad_s, p.raw_mm, p.measured, p.model, _steady(over, None).measured) for p in panels
-        ]
+    panels, compared = _passing(run, model, over) if passing else _steady(run, model, over)
+    foot = [_FOOT, *interval_words(compared.measured), *lag_words(compared)]
     rows, columns = (2, 3) if passing else (1, 1)
     size = (WIDTH_IN, 6.0) if passing else (5.6, 4.9)
     what = "model's ellipse, same run-up" if passing else "model's ellipse"
     named = "" if model is None else f"{what} ({model.name})"
-    with sheet(*size, f"Orbit, 1×: {Path(run.source).name} ({run.test})", _FOOT_LINES) as figure:
+    with sheet(*size, f"Orbit, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, panel in zip(grid.flat, panels, strict=True):
             _panel(axes, panel, named, "" if over is None else f"measured, {Path(over.source).name}")
@@ -90,31 +91,54 @@ def draw_orbit(run: Run, model: RigModel | None = None, over: Run | None = None)
     return figure
 
 
-_FOOT_LINES: Sequence[str] = (_FOOT,)
-
-
-def _steady(run: Run, model: RigModel | None) -> OrbitPanel:
+def _steady(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[OrbitPanel], PassedVectors]:
+    """The orbit of the last seconds, and its vectors beside the model's."""
     part = steady_part(run)
-    found: list[tuple[complex, float]] = []
-    for time, values in ((run.x_time_s, run.x_m), (run.y_time_s, run.y_m)):
-        t, v = part.cut(time, values)
-        try:
-            track = order_track(t, v, phase_at(run, t), revolutions=_WINDOW_TURNS)
-        except ValueError as error:
-            raise NotEnoughData(f"{run.source}: {error}") from error
-        found.append(track.mean(1))
-    orbit = None
-    if model is not None and run.releases:
+    measured, beside = vectors_at_end(run, part), _steady_model(run, part, model)
+    other = None
+    if over is not None:
+        need_vectors(over, "an orbit", both=True)
+        other = _ellipse_of(vectors_at_end(over, steady_part(over)))
+    last = part.last_turns(_RAW_TURNS)
+    panel = OrbitPanel(
+        part.speed_rad_s, _raw(run, last.from_s, last.to_s), _ellipse_of(measured), _stds(measured),
+        _ellipse_of(beside) if beside else None, other,
+    )  # fmt: skip
+    return [panel], PassedVectors(measured, beside, {})
+
+
+def _steady_model(run: Run, part: SteadyPart, model: RigModel | None) -> ByName:
+    """The model's vectors at the part's speed, one row each; empty without a steady state."""
+    if model is None:
+        return {}
+    if run.releases:
         _, angles = part.cut(run.angle_time_s, run.angle_rad)
         state = model.steady_state(part.speed_rad_s, angles.mean(axis=0).tolist() if len(angles) else None)
-        orbit = None if state is None else orbit_ellipse(*model.shown_orders(state.x_m, -1j * state.y_m))
-    elif model is not None:
+        if state is None:
+            return {}
+        shown = model.shown_orders(state.x_m, -1j * state.y_m)
+    else:
         held_x, held_y = model.locked(np.array([part.speed_rad_s]))
-        orbit = orbit_ellipse(complex(held_x[0]), complex(held_y[0])) if np.isfinite(held_x[0]) else None
-    (x, x_std), (y, y_std) = found
-    measured = orbit_ellipse(x, y, x_std, y_std)
-    last = part.last_turns(_RAW_TURNS)
-    return OrbitPanel(part.speed_rad_s, _raw(run, last.from_s, last.to_s), measured, orbit)
+        shown = complex(held_x[0]), complex(held_y[0])
+    if not np.isfinite(shown).all():
+        return {}
+    speed = np.array([part.speed_rad_s])
+    return {name: Vectors(speed, np.array([value]), np.zeros(1)) for name, value in zip("xy", shown, strict=True)}
+
+
+def _ellipse_of(found: ByName, speed_rad_s: float | None = None) -> OrbitEllipse:
+    """The ellipse at a speed, by default the only one."""
+    at = float(found["x"].speed_rad_s[0]) if speed_rad_s is None else speed_rad_s
+    return orbit_ellipse(_at(found["x"], at), _at(found["y"], at), *_stds(found, at))
+
+
+def _stds(found: ByName, speed_rad_s: float | None = None) -> tuple[float, float]:
+    """Standard deviations of x's and y's vectors at a speed, by default the only one, m."""
+    x, y = (
+        float(np.interp(v.speed_rad_s[0] if speed_rad_s is None else speed_rad_s, v.speed_rad_s, v.std_m))
+        for v in (found["x"], found["y"])
+    )
+    return x, y
 
 
 def _raw(run: Run, start: float, end: float) -> tuple[Array, Array]:
@@ -126,9 +150,13 @@ def _raw(run: Run, start: float, end: float) -> tuple[Array, Array]:
     return 1e3 * (x - float(np.nanmean(x)))[::step], 1e3 * (y - float(np.nanmean(y)))[::step]
 
 
-def _passing(run: Run, model: RigModel | None) -> list[OrbitPanel]:
-    """Orbits below, at and above both resonances of a run-up, as many as there are panels."""
+def _passing(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[OrbitPanel], PassedVectors]:
+    """Orbits below, at and above both resonances of a run-up, as many as there are panels, and all vectors."""
     found = passed_vectors(run, model)
+    other = None
+    if over is not None:
+        need_vectors(over, "an orbit", both=True)
+        other = passed_vectors(over, None).measured
     x, y = found.measured["x"], found.measured["y"]
     peaks = sorted(float(v.speed_rad_s[np.argmax(np.abs(v.amplitude_m))]) for v in (x, y))
     low, high = max(x.speed_rad_s[0], y.speed_rad_s[0]), min(x.speed_rad_s[-1], y.speed_rad_s[-1])
@@ -140,12 +168,20 @@ def _passing(run: Run, model: RigModel | None) -> list[OrbitPanel]:
     for speed in speeds.tolist():
         at = int(np.argmin(np.abs(marks - speed)))
         raw = _raw(run, float(run.mark_time_s[max(at - 1, 0)]), float(run.mark_time_s[min(at + 2, len(marks))]))
-        shown = None if not beside else orbit_ellipse(_at(beside["x"], speed), _at(beside["y"], speed))
-        panels.append(OrbitPanel(speed, raw, orbit_ellipse(_at(x, speed), _at(y, speed)), shown))
-    return panels
+        shown = _ellipse_of(beside, speed) if beside else None
+        second = None if other is None or not _within(other, speed) else _ellipse_of(other, speed)
+        own, std = _ellipse_of(found.measured, speed), _stds(found.measured, speed)
+        panels.append(OrbitPanel(speed, raw, own, std, shown, second))
+    return panels, found
+
+
+def _within(found: ByName, speed_rad_s: float) -> bool:
+    """Whether a run went through a speed."""
+    return all(v.speed_rad_s.min() <= speed_rad_s <= v.speed_rad_s.max() for v in found.values())
 
 
 def _at(found: Vectors, speed: float) -> complex:
+    """The vector at a speed."""
     return complex(
         np.interp(speed, found.speed_rad_s, found.amplitude_m.real),
         np.interp(speed, found.speed_rad_s, found.amplitude_m.imag),
@@ -155,6 +191,7 @@ def _at(found: Vectors, speed: float) -> complex:
 def _panel(axes: Axes, panel: OrbitPanel, model: str, over: str) -> None:
     axes.plot(*panel.raw_mm, color=GREY, lw=0.6, alpha=0.8, label="samples of three revolutions")
     _ellipse(axes, panel.measured, _ELLIPSE_LOOK, "measured", filled=True)
+    _interval(axes, panel)
     if panel.model is not None:
         _ellipse(axes, panel.model, MODEL_LOOK, model, filled=False)
     if panel.over is not None:
@@ -162,6 +199,30 @@ def _panel(axes: Axes, panel: OrbitPanel, model: str, over: str) -> None:
     _square(axes)
     sense, size = _words(panel.measured)
     axes.set_title(f"{RPM * panel.speed_rad_s:.1f} rpm, {sense}\n{size}", fontsize=8.5, parse_math=False)
+
+
+def _interval(axes: Axes, panel: OrbitPanel) -> None:
+    """A band along the measured ellipse, and where the index mark lies with 95 %."""
+    turn = np.linspace(0, 2 * math.pi, 361)
+    path = np.array(_path(panel.measured, turn))
+    scale = np.array([[max(1e3 * TIMES * std, 1e-9)] for std in panel.std_m])
+    scaled = path / scale  # in which the band is a tube of radius 1
+    along = np.gradient(scaled, axis=1)
+    across = np.array([-along[1], along[0]]) / np.maximum(np.hypot(along[0], along[1]), 1e-12)
+    outer, inner = sorted((scaled + across, scaled - across), key=_extent, reverse=True)
+    way = inner[:, :, None] - scaled[:, None, :]
+    apart: Array = np.asarray(np.min(np.hypot(way[0], way[1]), axis=1), np.float64)
+    inner = inner[:, apart > _CLEAR]  # elsewhere the tube has no hole
+    around = scale * np.concatenate([outer, inner[:, ::-1]], axis=1)
+    area(axes, around[0], around[1], MEASURED)
+    mark = _path(panel.measured, np.zeros(1))
+    wide = [1e3 * TIMES_IN_PLANE * std for std in panel.std_m]
+    area(axes, mark[0] + wide[0] * np.cos(turn), mark[1] + wide[1] * np.sin(turn), MEASURED)
+
+
+def _extent(path: Array) -> float:
+    """How far a closed path reaches, for telling the outer from the inner one."""
+    return float(np.sum(np.ptp(path, axis=1)))
 
 
 def _square(axes: Axes) -> None:
@@ -182,12 +243,14 @@ def _words(orbit: OrbitEllipse) -> tuple[str, str]:
     """Sense; semi-axes and inclination."""
     if orbit.major_m < _AT_REST_M:
         return "at rest", ""
+    sense = orbit.precession if orbit.major_m > _ABOVE_NOISE * orbit.std_m else "lost in noise"
     at = (
         f" at {round(math.degrees(orbit.inclination_rad))}°".replace("-", "−")
         if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m
         else ""
     )
-    return f"{orbit.precession}", f"{1e3 * orbit.major_m:.3g} × {1e3 * abs(orbit.minor_m):.3g} mm{at}"
+    unit, times = ("µm", 1e6) if orbit.major_m < _SMALL_M else ("mm", 1e3)
+    return sense, f"{times * orbit.major_m:.3g} × {times * abs(orbit.minor_m):.3g} {unit}{at}"
 
 
 def _path(orbit: OrbitEllipse, phase: Array) -> tuple[Array, Array]:

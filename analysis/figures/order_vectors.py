@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
+from analysis.figures.recorded import LEAST_MARKS, displacements, marks_words, need_vectors
+from analysis.figures.steady_part import SteadyPart, steady_part
 from analysis.quantities.amplification import amplification_factors
 from analysis.quantities.order_tracking import order_track
 from analysis.quantities.rotor_phase import phase_at
@@ -24,7 +27,7 @@ Complex = NDArray[np.complex128]
 RPM = 30 / math.pi
 _SPREAD = 0.05  # of the mean speed: below it a run has one speed
 _STEADY_POINTS = 1500
-_STRAIGHT_RAD, _SHARE = math.radians(1.5), 0.25  # left beside a line: little, or little of what there was
+_WINDOW_TURNS = 4  # of the windows over which a vector at one speed is averaged
 _SEEN = 3.0  # standard deviations above which a vector has a phase
 
 
@@ -62,7 +65,7 @@ ByName = dict[str, Vectors]
 
 @dataclass(frozen=True)
 class PassedVectors:
-    """Vectors of "x" and "y" in one run, of those that were recorded.
+    """Vectors of "x" and "y" in one run, of those that were recorded: over its speeds, or one of its last seconds.
 
     Attributes:
         measured: as the sensors saw them.
@@ -75,48 +78,18 @@ class PassedVectors:
     steady: ByName
 
 
-def lag_words(found: PassedVectors) -> list[str]:
-    """How much later or earlier than the rotor's phase each displacement is stamped, by the simulated run, a sentence.
+def cut_words(found: PassedVectors, tops_m: Mapping[str, float]) -> list[str]:
+    """Where the steady response goes beyond its plot, a sentence.
 
-    A lag is a straight line through the origin of phase against speed, weighted by the amplitudes; its ± is half the
-    difference of the lags of slow and fast half of the weight. Where no line fits, something else differs.
+    Args:
+        tops_m: up to where a plot goes, by displacement, m.
     """
-    if not found.simulated:
-        return []
-    words = [_lag_word(name, found.simulated[name], seen) for name, seen in found.measured.items()]
-    lags = [word for word, is_line in words if is_line and word]
-    others = [word for word, is_line in words if not is_line and word]
-    told: list[str] = []
-    if lags:
-        told.append(
-            "Measured less simulated phase is a straight line through 0 at standstill, as of stamps that are shifted "
-            f"against the rotor's phase: {', '.join(lags)}. Every fit leaves this shift between the devices free."
-        )
-    if others:
-        told.append(f"No lag of the stamps explains measured less simulated phase: {', '.join(others)}.")
-    return told
-
-
-def _lag_word(name: str, model: Vectors, measured: Vectors) -> tuple[str, bool]:
-    """A displacement's lag in words, and whether it is one; else what a line leaves. No words of too few vectors."""
-    speed, beside = measured.speed_rad_s, _complex_interp(measured.speed_rad_s, model)
-    ahead = np.angle(measured.amplitude_m * np.conj(beside))
-    weight = np.abs(beside) * np.abs(measured.amplitude_m)
-    good = np.isfinite(ahead) & np.isfinite(weight)
-    speed, ahead, weight = speed[good], ahead[good], weight[good]
-
-    def lag_of(part: NDArray[np.bool_] | slice) -> float:
-        return -float((weight * speed * ahead)[part].sum() / (weight * speed**2)[part].sum())
-
-    passed = np.cumsum(weight * speed**2)
-    slow = passed <= 0.5 * passed[-1:]
-    if not 0 < np.count_nonzero(slow) < len(slow) or not passed[slow][-1] > 0:
-        return "", False
-    lag, std = lag_of(slice(None)), 0.5 * abs(lag_of(slow) - lag_of(~slow))
-    rest = math.sqrt(float(np.average((ahead + lag * speed) ** 2, weights=weight)))
-    if rest > _STRAIGHT_RAD and rest > _SHARE * math.sqrt(float(np.average(ahead**2, weights=weight))):
-        return f"a line leaves {math.degrees(rest):.0f}° rms in {name}", False
-    return f"{name} {1e3 * abs(lag):.2f} ± {max(1e3 * std, 0.01):.2f} ms {'late' if lag > 0 else 'early'}", True
+    cut = [
+        f"{name} reaches {1e3 * float(size.max()):.3g} mm at {RPM * steady.speed_rad_s[int(np.argmax(size))]:.1f} rpm"
+        for name, steady in found.steady.items()
+        if name in tops_m and len(size := np.abs(steady.amplitude_m)) and float(size.max()) > tops_m[name]
+    ]
+    return [f"The steady response leaves the plot: {', '.join(cut)}."] if cut else []
 
 
 def amplification_words(run: Run) -> list[str]:
@@ -124,7 +97,7 @@ def amplification_words(run: Run) -> list[str]:
 
     None where a resonance is not whole, and where only one displacement was recorded.
     """
-    seen = _recorded(run)
+    seen = displacements(run)
     if len(seen) < 2:
         return []
     x, y = (order_track(time, values, phase_at(run, time)) for time, values in seen.values())
@@ -141,21 +114,15 @@ def amplification_words(run: Run) -> list[str]:
     return [f"Amplification factors on the principal axes (at their angle from x towards y), as run through: {told}."]
 
 
-def _complex_interp(speed: Array, found: Vectors) -> Complex:
-    order = np.argsort(found.speed_rad_s)
-    at, values = found.speed_rad_s[order], found.amplitude_m[order]
-    return np.interp(speed, at, values.real) + 1j * np.interp(speed, at, values.imag)
-
-
 def speed_range(run: Run) -> tuple[float, float]:
     """Least and largest speed between marks, rad/s.
 
     Raises:
         NotEnoughData: fewer than three marks.
     """
-    if len(run.mark_time_s) < 3:
+    if len(run.mark_time_s) < LEAST_MARKS:
         raise NotEnoughData(
-            f"{run.source}: expected a run with the rotor turning, its index passed {len(run.mark_time_s)} times; give "
+            f"{run.source} ({run.test}): expected index marks of a turning rotor, the log has {marks_words(run)}; give "
             "the log of a run-up or of a point"
         )
     speeds = np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)
@@ -191,16 +158,10 @@ def vectors_of(run: Run) -> ByName:
     Raises:
         NotEnoughData: no displacement, no marks, or too few samples between them.
     """
-    seen = _recorded(run)
+    seen = displacements(run)
     if not seen:
         raise NotEnoughData(f"{run.source}: expected displacements, the log has none")
     return {name: _tracked(run.source, time, values, phase_at(run, time)) for name, (time, values) in seen.items()}
-
-
-def _recorded(run: Run) -> dict[str, tuple[Array, Array]]:
-    """Times and values of the displacements there are."""
-    both = {"x": (run.x_time_s, run.x_m), "y": (run.y_time_s, run.y_m)}
-    return {name: pair for name, pair in both.items() if np.isfinite(pair[1]).any()}
 
 
 def simulated_vectors(simulated: SimulatedRun) -> ByName:
@@ -229,12 +190,57 @@ def steady_vectors(model: RigModel, run: Run) -> ByName:
     return {name: Vectors(speed[there], values[there], nothing) for name, values in (("x", x), ("y", y))}
 
 
+def vectors_at_end(run: Run, part: SteadyPart) -> ByName:
+    """Measured 1× vectors in a part at one speed, of those displacements that were recorded: one row each.
+
+    Raises:
+        NotEnoughData: too few samples or revolutions.
+    """
+    found: ByName = {}
+    for name, (time, values) in displacements(run).items():
+        at, seen = part.cut(time, values)
+        found[name] = _mean(run.source, at, seen, phase_at(run, at), part.speed_rad_s)
+    return found
+
+
+def compared_vectors(run: Run, simulated: SimulatedRun | None) -> PassedVectors | None:
+    """Measured vectors beside those of the same run simulated: over the speeds it goes through, or at its end.
+
+    Returns:
+        None where there is nothing to compare: not simulated, no displacement, too few revolutions.
+    """
+    if simulated is None:
+        return None
+    try:
+        if changes_speed(run):
+            return PassedVectors(vectors_of(run), simulated_vectors(simulated), {})
+        part = steady_part(run)
+        beside = {
+            name: _mean("simulated run", *part.cut(simulated.time_s, values), part.cut(simulated.time_s,
+                        simulated.phase_rad)[1], part.speed_rad_s)
+            for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
+        }  # fmt: skip
+        return PassedVectors(vectors_at_end(run, part), beside, {})
+    except NotEnoughData:
+        return None
+
+
+def _mean(source: str, time: Array, values: Array, phase: Array, speed_rad_s: float) -> Vectors:
+    try:
+        track = order_track(time, values, phase, revolutions=_WINDOW_TURNS)
+    except ValueError as error:
+        raise NotEnoughData(f"{source}: {error}") from error
+    amplitude, std = track.mean(1)
+    return Vectors(np.array([speed_rad_s]), np.array([amplitude]), np.array([std]))
+
+
 def passed_vectors(run: Run, model: RigModel | None) -> PassedVectors:
     """All vectors that a Bode or polar plot of one run shows.
 
     Raises:
-        NotEnoughData: the run does not go through speeds.
+        NotEnoughData: the run does not go through speeds, or lacks displacements or index marks.
     """
+    need_vectors(run, "a plot of 1× vectors")
     need_speeds(run, "1× vectors over speed")
     measured = vectors_of(run)
     if model is None:

@@ -13,7 +13,8 @@ from matplotlib.projections.polar import PolarAxes
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
 
-from analysis.figures.order_vectors import RPM, Vectors, lag_words, passed_vectors
+from analysis.figures.intervals import TIMES_IN_PLANE, area, interval_words
+from analysis.figures.order_vectors import RPM, Vectors, cut_words, passed_vectors
 from analysis.figures.sheet import (
     LEAST_FONT_PT,
     MEASURED_LOOK,
@@ -25,6 +26,7 @@ from analysis.figures.sheet import (
     Look,
     sheet,
 )
+from analysis.figures.stamp_lag import lag_words
 from analysis.figures.style import label
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
@@ -36,6 +38,10 @@ _MANY, _BETWEEN, _CURVE_POINTS = 1200, 8, 200
 _NICE_RPM = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
 _APART = 0.17  # of the radius, between two speeds that are written
 _BESIDE = 0.085  # of the radius, from the curve to its speed's number
+
+_HEADROOM = 1.12  # of the largest measured amplitude; a steady resonance may leave the plot
+_LEAST_CIRCLE = 0.011  # of the radius: half the width of the measured curve
+_CIRCLES = "Circles: where a vector lies with 95 %, about those for which that is wider than the line."
 
 
 def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
@@ -54,17 +60,21 @@ def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None)
         "Radius: 1× amplitude, mm (0–peak). Angle: phase, °, counterclockwise lead. Dots: speed in rpm.",
         PHASE_FOOT,
     ]
+    tops = {name: _HEADROOM * float(np.max(np.abs(seen.amplitude_m))) for name, seen in own.measured.items()}
+    foot += cut_words(own, tops) + interval_words(own.measured) + [_CIRCLES] + lag_words(own)
     named = "" if model is None else model.name
-    with sheet(WIDTH_IN, 4.3, f"Polar plot, 1×: {Path(run.source).name} ({run.test})", foot + lag_words(own)) as figure:
+    with sheet(WIDTH_IN, 4.3, f"Polar plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
         for column, (name, measured) in enumerate(own.measured.items()):
             axes = figure.add_subplot(1, len(own.measured), column + 1, projection="polar")
-            top = 1.12e3 * float(np.max(np.abs(measured.amplitude_m)))
+            top = 1e3 * tops[name]
             _curve(axes, measured, MEASURED_LOOK, "measured", top)
+            _circles(axes, measured, top, MEASURED_LOOK["color"])
             if own.simulated:
                 _curve(axes, own.simulated[name], MODEL_LOOK, f"same run simulated, {named}", top)
             if own.steady:
                 _curve(axes, own.steady[name], STEADY_LOOK, f"steady response, {named}", top)
             if other is not None and over is not None and name in other.measured:
+                _circles(axes, other.measured[name], top, OVER_LOOK["color"])
                 _curve(axes, other.measured[name], OVER_LOOK, f"measured, {Path(over.source).name}", top)
             _scales(axes, top, _speeds(axes, measured, top))
             label(axes, title=f"{name}, mm")
@@ -75,6 +85,15 @@ def _curve(axes: Axes, found: Vectors, look: Look, text: str, top: float) -> Non
     vectors = _smooth(found.amplitude_m)
     radius = 1e3 * np.abs(vectors)
     axes.plot(np.unwrap(np.angle(vectors)), np.where(radius <= top, radius, np.nan), label=text, **look)
+
+
+def _circles(axes: Axes, found: Vectors, top: float, colour: str) -> None:
+    """95 % of a vector: a circle about each that is large enough to be seen beside the curve."""
+    turn = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
+    for amplitude, std in zip(found.amplitude_m.tolist(), found.std_m.tolist(), strict=True):
+        if 1e3 * TIMES_IN_PLANE * std > _LEAST_CIRCLE * top:
+            edge = 1e3 * (amplitude + TIMES_IN_PLANE * std * turn)
+            area(axes, np.angle(edge), np.abs(edge), colour)
 
 
 def _smooth(vectors: Complex) -> Complex:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
+from analysis.figures.recorded import LEAST_MARKS, marks_words
 from analysis.steady_state import AVERAGE_S, plateau_end
 from daq.signals.run import Run
 
@@ -51,9 +52,9 @@ def steady_part(run: Run) -> SteadyPart:
     Raises:
         NotEnoughData: the rotor did not turn, or hardly.
     """
-    if len(run.mark_time_s) < 3:
+    if len(run.mark_time_s) < LEAST_MARKS:
         raise NotEnoughData(
-            f"{run.source}: expected a run with the rotor turning, its index passed {len(run.mark_time_s)} times"
+            f"{run.source} ({run.test}): expected index marks of a turning rotor, the log has {marks_words(run)}"
         )
     release = max((r.time_s for r in run.releases), default=math.nan)
     begin = float(run.mark_time_s[-3]) - AVERAGE_S if math.isnan(release) else release

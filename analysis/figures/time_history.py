@@ -13,9 +13,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
+from analysis.figures.alignment import aligned
 from analysis.figures.angles import ANGLE_FOOT, degree_ticks, whole_turns
-from analysis.figures.order_vectors import RPM, changes_speed
+from analysis.figures.order_vectors import RPM, changes_speed, compared_vectors
 from analysis.figures.sheet import WIDTH_IN, sheet
+from analysis.figures.stamp_lag import lag_words
 from analysis.figures.steady_part import steady_part
 from analysis.figures.style import GOOD, MEASURED, MODEL, band, bins_for, label, outline
 from analysis.rig_model import RigModel
@@ -48,12 +50,13 @@ def draw_time(run: Run, model: RigModel | None = None, over: Run | None = None) 
     Args:
         run: any; what was not recorded has no row.
         model: the same run simulated: measured speed, measured locks and releases. Where the rotor stands, nothing.
-        over: another run; of two with releases, these coincide.
+        over: another run, laid over this one by what happened in both (`alignment`).
     Raises:
         NotEnoughData: the run has neither displacements nor angles.
     """
     simulated = None if model is None else simulate_run(run, model)
-    rows = _rows(run, simulated, over)
+    alignment = None if over is None else aligned(run, over, Path(over.source).name)
+    rows = _rows(run, simulated, over, 0.0 if alignment is None else alignment.shift_s)
     if not rows:
         raise NotEnoughData(f"{run.source}: expected displacements, pendulum angles or index marks, it has none")
     whole, close = _spans(run)
@@ -61,8 +64,12 @@ def draw_time(run: Run, model: RigModel | None = None, over: Run | None = None) 
     foot.append(
         "Displacements about their mean. A band is the least and the largest sample of each stretch, not samples."
     )
+    if alignment is not None:
+        foot.append(alignment.words)
     if model is not None and simulated is None:
         foot.append(NOT_FOLLOWED)
+    compared = compared_vectors(run, simulated)
+    foot += [] if compared is None else lag_words(compared)
     names = (
         "" if model is None else f"same run simulated, {model.name}",
         "" if over is None else Path(over.source).name,
@@ -85,8 +92,7 @@ def draw_time(run: Run, model: RigModel | None = None, over: Run | None = None) 
     return figure
 
 
-def _rows(run: Run, simulated: SimulatedRun | None, over: Run | None) -> list[_Row]:
-    shift = _shift(run, over)
+def _rows(run: Run, simulated: SimulatedRun | None, over: Run | None, shift: float) -> list[_Row]:
     rows: list[_Row] = []
     for name in "xy":
         own = _displacement(run, name)
@@ -111,13 +117,6 @@ def _rows(run: Run, simulated: SimulatedRun | None, over: Run | None) -> list[_R
         other = None if over is None or len(over.mark_time_s) < 3 else _speed(over, shift)
         rows.append(_Row("speed, rpm", _speed(run), None, other))
     return rows
-
-
-def _shift(run: Run, over: Run | None) -> float:
-    """What to add to the other run's times: releases coincide where both have them."""
-    if over is None or not (run.releases and over.releases):
-        return 0.0
-    return min(r.time_s for r in run.releases) - min(r.time_s for r in over.releases)
 
 
 def _displacement(run: Run, name: str, shift: float = 0.0) -> Pair | None:

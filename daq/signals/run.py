@@ -78,6 +78,8 @@ class Run:
         witnesses: further sensors along an axis; x and y are those of the sensors that measure for the rig.
         turn_deg: by the rig file, from the x axis to the sensor of x, and from y to that of y: these stand at right
             angles, and x and y are what they see.
+        motor_start_s: when the motor was first told to turn faster or slower, since the run's start; nan where it was
+            not, or nothing recorded it.
     """
 
     test: str
@@ -103,6 +105,7 @@ class Run:
     witnesses: tuple[Witness, ...] = ()
     turn_deg: float = 0.0
     clock_shared_std: Mapping[str, float] = field(default_factory=dict)
+    motor_start_s: float = math.nan
 
     def agreements(self) -> list[Agreement]:
         """Every witness held against the sensor that measures along its axis for the rig."""
@@ -167,6 +170,7 @@ def load_run(path: str | Path) -> Run:
                 for name, line in lines.items()
             },
             losses=losses_of(log).flat,
+            motor_start_s=_motor_start(log, start_s),
             metadata={
                 **run,
                 "identities": identities_of(log),
@@ -274,6 +278,15 @@ def _laser(
     device_s = samples.device_ticks * DEVICE_TICK_S
     line = _line(device_s, samples.log_time_ns, start_s, _tolerance_ppm(role))
     return (line.host_s(device_s), displacement), line
+
+
+def _motor_start(log: Log, start_s: float) -> float:
+    """When the motor's target first became another than at the log's begin."""
+    samples = _samples(log, "motor")
+    if samples is None or "target_rpm" not in samples.columns:
+        return math.nan
+    changed = np.flatnonzero(samples.target_rpm != samples.target_rpm[0])
+    return float(_since(samples.time_ns[changed[0]], start_s)) if len(changed) else math.nan
 
 
 def _witnesses(log: Log, roles: Roles, start_s: float) -> tuple[Witness, ...]:

@@ -15,11 +15,12 @@ from analysis import NotEnoughData, draw_bode, draw_multipliers, draw_orbit, dra
 from analysis.figures.angles import degree_ticks, whole_turns
 from analysis.figures.fit import FitCurve
 from analysis.figures.multipliers import speed_point
-from analysis.figures.order_vectors import changes_speed, lag_words, passed_vectors
+from analysis.figures.order_vectors import changes_speed, passed_vectors
 from analysis.figures.page import page
 from analysis.figures.sheet import MODEL_LOOK
 from analysis.figures.slip import draw_slip
 from analysis.figures.stability_map import MapPoint, draw_points_on_map
+from analysis.figures.stamp_lag import lag_words
 from analysis.figures.waterfall import draw_waterfall
 from tests.figures.drawn_texts import drawn_texts
 from tests.figures.figure_runs import LAG_S, MODEL, point, run_up, run_up_history

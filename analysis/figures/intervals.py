@@ -1,0 +1,68 @@
+# pyright: strict, reportUnknownMemberType=false
+"""95 % intervals of order vectors in figures: light bands where they can be seen, and how wide they are in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from analysis.figures.order_vectors import Vectors
+
+Array = NDArray[np.float64]
+
+TIMES = 1.96
+"""Standard deviations of a 95 % interval of one number."""
+TIMES_IN_PLANE = math.sqrt(-2 * math.log(0.05))
+"""The same of a circle that holds 95 % of vectors, whose two parts have one deviation each."""
+NAME = "95 % interval"
+_LOOK: dict[str, Any] = {"alpha": 0.22, "lw": 0.0, "zorder": 1.2}
+
+
+def band(axes: Axes, x: Array, low: Array, high: Array, colour: str) -> None:
+    """Between two curves, under what is drawn."""
+    axes.fill_between(x, low, high, color=colour, label=NAME, **_LOOK)
+
+
+def area(axes: Axes, x: Array, y: Array, colour: str) -> None:
+    """Within a closed curve, under what is drawn."""
+    axes.fill(x, y, color=colour, label=NAME, **_LOOK)
+
+
+def phase_half_deg(found: Vectors) -> Array:
+    """Half of the 95 % interval of the phase, °, at most 180, shape (n,)."""
+    size = np.maximum(np.abs(found.amplitude_m), 1e-300)
+    return np.minimum(np.degrees(TIMES * found.std_m / size), 180.0)
+
+
+def interval_words(measured: Mapping[str, Vectors]) -> list[str]:
+    """How wide the intervals of vectors are, a sentence."""
+    told: list[str] = []
+    for name, found in measured.items():
+        good = np.isfinite(found.std_m) & np.isfinite(found.amplitude_m)
+        if not good.any():
+            continue
+        half, size = TIMES * found.std_m[good], np.abs(found.amplitude_m[good])
+        at = int(np.argmax(size))
+        phase = f"± {_two(float(phase_half_deg(found)[good][at]))}°" if size[at] > half[at] else "lost in noise"
+        largest = " of the largest" if len(size) > 1 else ""
+        told.append(f"{name} {_range_um(half)}, phase{largest} {phase}")
+    if not told:
+        return []
+    return [f"95 % intervals of the measured vectors, light where wider than the line: {'; '.join(told)}."]
+
+
+def _range_um(half_m: Array) -> str:
+    """Least and largest half width; one number where they are alike."""
+    low, high = _two(1e6 * float(half_m.min())), _two(1e6 * float(half_m.max()))
+    return f"± {low} µm" if low == high else f"± {low}…{high} µm"
+
+
+def _two(value: float) -> str:
+    """Two digits that count, without an exponent."""
+    digits = 1 - math.floor(math.log10(value)) if value > 0 else 0
+    return f"{round(value, digits):.{max(digits, 0)}f}"

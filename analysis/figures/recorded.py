@@ -1,0 +1,57 @@
+# pyright: strict
+"""What a run has recorded of what a figure needs, and the words for what it lacks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.errors import NotEnoughData
+from daq.signals.run import Run
+
+Array = NDArray[np.float64]
+
+LEAST_MARKS = 3
+
+
+def displacements(run: Run) -> dict[str, tuple[Array, Array]]:
+    """Times and values of the displacements there are: "x", "y"."""
+    both = {"x": (run.x_time_s, run.x_m), "y": (run.y_time_s, run.y_m)}
+    return {name: pair for name, pair in both.items() if np.isfinite(pair[1]).any()}
+
+
+def need_vectors(run: Run, what: str, *, both: bool = False) -> None:
+    """Refuse a run of which no vectors can be had, and say all that is missing.
+
+    Args:
+        what: that is to be drawn, for the message.
+        both: whether x and y are needed; else one is enough.
+    Raises:
+        NotEnoughData: displacements or index marks are missing.
+    """
+    there = displacements(run)
+    absent = [name for name in "xy" if name not in there]
+    lacking: list[str] = []
+    if len(absent) == 2:
+        lacking.append("no displacement (neither laser has a sample)")
+    elif absent and both:
+        lacking.append(f"no displacement {absent[0]} (its laser has no sample)")
+    if len(run.mark_time_s) < LEAST_MARKS:
+        lacking.append(marks_words(run))
+    if lacking:
+        raise NotEnoughData(
+            f"{run.source} ({run.test}): {what} needs {'both displacements' if both else 'a displacement'} and index "
+            f"marks of the turning rotor; this log has {' and '.join(lacking)}; give the log of a run-up or of a point"
+        )
+
+
+def marks_words(run: Run) -> str:
+    """Of a run with too few index marks: what that says, by what else is known."""
+    marks = len(run.mark_time_s)
+    if marks:
+        return f"only {marks} index mark{'s' if marks > 1 else ''}"
+    if math.isfinite(run.motor_start_s):
+        return "no index mark, though its motor was told to turn: the tachometer saw nothing"
+    return "no index mark (the rotor stood, or no tachometer was recorded)"

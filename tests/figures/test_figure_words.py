@@ -1,0 +1,183 @@
+"""What figures say in words: lags, intervals, what leaves a plot, what coincides, what a log lacks."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from analysis import NotEnoughData, draw_bode, draw_orbit
+from analysis.figures.alignment import aligned
+from analysis.figures.intervals import NAME
+from analysis.figures.kinds import KINDS
+from analysis.figures.order_vectors import passed_vectors
+from analysis.figures.stamp_lag import lag_words
+from daq.signals.run import Release, Run
+from tests.figures.drawn_texts import drawn_texts
+from tests.figures.figure_runs import LAG_S, MODEL, point, ring_down, run_up
+
+draw_time, draw_polar = KINDS["time"].draw, KINDS["polar"].draw
+_EMPTY = np.empty(0)
+
+
+def words(figure: Figure) -> str:
+    """All that a figure says, on one line."""
+    return re.sub(r"\s+", " ", " ".join(text.text for text in drawn_texts(figure)))
+
+
+def later(run: Run, shift_s: float) -> Run:
+    """The same run in a log that began earlier."""
+    return replace(
+        run, x_time_s=run.x_time_s + shift_s, y_time_s=run.y_time_s + shift_s, angle_time_s=run.angle_time_s + shift_s,
+        mark_time_s=run.mark_time_s + shift_s, motor_start_s=run.motor_start_s + shift_s,
+        releases=tuple(replace(release, time_s=release.time_s + shift_s) for release in run.releases),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("draw", [draw_bode, draw_polar, draw_orbit, draw_time])
+def test_every_figure_of_lasers_and_phase_names_their_lag(draw: object) -> None:
+    (sentence,) = lag_words(passed_vectors(run_up(), MODEL))
+    assert callable(draw)
+    assert sentence in words(draw(run_up(), MODEL))
+    assert "stamps that are shifted" not in words(draw(run_up()))
+
+
+@pytest.mark.parametrize("draw", [draw_orbit, draw_time])
+def test_a_shift_at_one_speed_is_named_as_a_phase(draw: object) -> None:
+    run = point("D")  # whose lasers are stamped a little early or late themselves
+    shifted = replace(run, x_time_s=run.x_time_s + LAG_S, y_time_s=run.y_time_s + LAG_S)
+    assert callable(draw)
+    late = [late_ms(words(draw(each, MODEL))) for each in (run, shifted)]
+    for name in "xy":
+        assert late[1][name] - late[0][name] == pytest.approx(1e3 * LAG_S, abs=0.02)
+
+
+def late_ms(said: str) -> dict[str, float]:
+    """By how much a figure says that x and y are stamped late, negative early."""
+    assert "At one speed a shift of the stamps cannot be told from a phase" in said
+    found = re.findall(r"([xy]) [\d.]+ ± [\d.]+° (?:ahead|behind), as of stamps ([\d.]+) ms (early|late)", said)
+    return {name: float(ms) * (1 if which == "late" else -1) for name, ms, which in found}
+
+
+def test_bands_hold_the_models_own_vectors() -> None:
+    figure = draw_bode(run_up(), MODEL)
+    found = passed_vectors(run_up(), None).measured["x"]
+    lower = figure.axes[2]
+    band = next(c for c in lower.collections if isinstance(c, PolyCollection) and c.get_label() == NAME)
+    edge = np.asarray(band.get_paths()[0].vertices, float)
+    at = int(np.argmax(found.std_m))
+    here = edge[np.isclose(edge[:, 0], 30 / math.pi * found.speed_rad_s[at]), 1]
+    half = 1e3 * 1.96 * found.std_m[at]
+    assert here.max() - here.min() == pytest.approx(min(2 * half, half + 1e3 * abs(found.amplitude_m[at])), rel=1e-6)
+    said = words(figure)
+    told = re.search(r"95 % intervals of the measured vectors.*?x ± ([\d.]+)…([\d.]+) µm", said)
+    assert told is not None, said
+    assert [float(number) for number in told.groups()] == pytest.approx(
+        [1e6 * 1.96 * float(limit(found.std_m)) for limit in (np.min, np.max)], rel=0.06
+    )
+
+
+@pytest.mark.parametrize("draw", [draw_polar, draw_orbit])
+def test_intervals_are_drawn_and_told_in_the_plane(draw: object) -> None:
+    assert callable(draw)
+    figure = draw(run_up())
+    assert any(patch.get_label() == NAME for axes in figure.axes for patch in axes.patches)
+    assert "95 % intervals of the measured vectors" in words(figure)
+
+
+def test_the_orbits_band_is_as_wide_as_its_interval() -> None:
+    run = point("D")
+    noisy = replace(run, x_m=run.x_m + 2e-3 * np.random.default_rng(3).standard_normal(len(run.x_m)))
+    figure = draw_orbit(noisy)
+    half_um = float(re.findall(r"x ± ([\d.]+) µm", words(figure))[0])
+    band, measured = figure.axes[0].patches[0], figure.axes[0].get_lines()[1]
+    beyond = np.asarray(band.get_xy(), float)[:, 0].max() - np.asarray(measured.get_xdata(), float).max()
+    assert 1e3 * beyond == pytest.approx(half_um, rel=0.06)
+
+
+def test_steady_curves_that_leave_a_plot_are_named() -> None:
+    found = passed_vectors(run_up(), MODEL).steady["x"]
+    largest = 1e3 * float(np.max(np.abs(found.amplitude_m)))
+    for draw in (draw_bode, draw_polar):
+        assert f"steady response leaves the plot: x reaches {largest:.3g} mm" in words(draw(run_up(), MODEL))
+
+
+def test_both_phase_panels_have_one_step() -> None:
+    run = run_up()
+    figure = draw_bode(replace(run, y_m=1e-3 * np.cos(np.interp(run.y_time_s, run.mark_time_s, run.mark_phase_rad))))
+    steps = [set(np.round(np.diff(axes.get_yticks()), 6)) for axes in figure.axes[:2]]
+    assert steps[0] == steps[1]
+    assert len(steps[0]) == 1
+
+
+def test_runs_over_each_other_coincide_where_the_same_happened() -> None:
+    released, plucked = point("A"), ring_down()
+    commanded = replace(run_up(), motor_start_s=0.5)
+    found = aligned(released, later(released, 1.25), "b.mcap")
+    assert found.shift_s == pytest.approx(-1.25)
+    assert "so that the first releases coincide" in found.words
+    found = aligned(commanded, later(commanded, -0.75), "b.mcap")
+    assert found.shift_s == pytest.approx(0.75)
+    assert "first motor commands" in found.words
+    found = aligned(plucked, later(ring_down(2), 2.0), "b.mcap")
+    assert found.shift_s == pytest.approx(-2.0, abs=2e-4)
+    assert "through rest after the pluck" in found.words
+    found = aligned(plucked, commanded, "b.mcap")
+    assert found.shift_s == 0.0
+    assert "begins where this log begins" in found.words
+
+
+def test_a_pluck_is_where_it_was_let_go_however_long_it_was_held() -> None:
+    run = ring_down()
+
+    def held(hold_s: float) -> Run:
+        time = np.arange(0.0, 1.0 + hold_s + 6.0, 1e-3)
+        since = time - 1.0 - hold_s
+        swing = np.exp(-0.4 * np.maximum(since, 0)) * np.cos(6 * np.pi * np.maximum(since, 0))
+        return replace(run, x_time_s=time, x_m=2e-3 * np.where(time < 1.0, 0.0, swing))
+
+    assert aligned(held(0.4), held(1.9), "b.mcap").shift_s == pytest.approx(-1.5, abs=1e-3)
+
+
+def test_the_time_history_says_what_coincides() -> None:
+    figure = draw_time(point("A"), None, later(point("A"), 1.25))
+    assert "is shifted by −1.250 s so that the first releases coincide" in words(figure)
+
+
+@pytest.mark.parametrize(
+    ("run", "said"),
+    [
+        (ring_down(), ["no index mark (the rotor stood, or no tachometer was recorded)"]),
+        (replace(ring_down(), motor_start_s=0.4), ["the tachometer saw nothing"]),
+        (replace(run_up(), x_m=_EMPTY, x_time_s=_EMPTY, y_m=_EMPTY, y_time_s=_EMPTY), ["no displacement (neither"]),
+        (
+            replace(ring_down(), x_m=_EMPTY, x_time_s=_EMPTY, y_m=_EMPTY, y_time_s=_EMPTY),
+            ["no displacement (neither laser has a sample)", "and no index mark"],
+        ),
+    ],
+)
+def test_a_log_is_told_all_that_it_lacks(run: Run, said: list[str]) -> None:
+    with pytest.raises(NotEnoughData) as error:
+        draw_bode(run, MODEL)
+    for part in said:
+        assert part in str(error.value)
+    assert ("no displacement" in str(error.value)) == (not len(run.x_m))
+
+
+def test_an_orbit_without_one_laser_names_it() -> None:
+    with pytest.raises(NotEnoughData, match="no displacement y"):
+        draw_orbit(replace(run_up(), y_m=_EMPTY, y_time_s=_EMPTY))
+
+
+def test_an_orbit_lost_in_noise_has_no_sense() -> None:
+    run = point("A")
+    noise = np.random.default_rng(5).standard_normal((2, len(run.x_m)))
+    still = replace(run, x_m=3e-6 * noise[0], y_m=3e-6 * noise[1][: len(run.y_m)], releases=(Release(0, 1.0),))
+    title = draw_orbit(still).axes[0].get_title(loc="left")
+    assert "lost in noise" in title
+    assert "µm" in title
