@@ -20,6 +20,7 @@ from cyclopts import App, CycloptsError
 from analysis.errors import AnalysisError
 from cli import answer, crash
 from cli.console import say, wait_for_compilation
+from cli.misused import error_panel, error_words
 from cli.numbers import NUMBERS_ARE_FINITE
 from daq.errors import LogError, OperatorStop, RigError
 from daq.version import software_version
@@ -134,10 +135,13 @@ def run(arguments: list[str]) -> int:
 def _carried_out(arguments: list[str]) -> int:
     try:
         with wait_for_compilation("log") if set(arguments[:1]) & _USE_COMPILED else nullcontext():
-            result = commands(arguments)(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+            result = commands(arguments)(
+                arguments, exit_on_error=False, print_error=True, error_formatter=error_panel,
+                result_action="return_value",
+            )  # fmt: skip
         return result if isinstance(result, int) else 0
     except CycloptsError as error:
-        answer.give_error(" ".join(str(error).split()), 2)  # on standard error cyclopts has said what is wrong
+        answer.give_error(" ".join(error_words(error).split()), 2)  # on standard error cyclopts has said the same
         return 2
     except BrokenPipeError:  # whoever read our output, `head` perhaps, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -4,14 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from cli.console import print_json, say, share_progress
 from cli.options import Json, Settings, what_if_words
+from daq.errors import LogError
 from rig_configs import IdentifiedParameters, RigFileError
+
+if TYPE_CHECKING:
+    from cli.plotted import Wanted
 
 Kind = Literal[
     "time", "orbit", "dial", "bode", "polar", "waterfall", "spectrum", "orders", "slip", "multipliers", "map",
@@ -41,30 +46,71 @@ def plot(
     and slip order. multipliers: in the plane and along the speed. map: stability map with the logs' points. residuals:
     what identification fitted. history: of parameters files. health: the streams of a log. An .html figure zooms and
     needs no network.
+
+    A folder stands for its logs. Those that a kind cannot show are named, the others drawn: exit 0 where all that were
+    named themselves are drawn, 2 where one of them, an unreadable log, or every log of a folder is not.
+
+    Args:
+        logs: logs, and folders of them; of history parameters files.
     """
-    from cli.plotted import figures_of  # noqa: PLC0415 (matplotlib and numba take seconds to import)
+    from cli.plotted import figures_of, logs_in  # noqa: PLC0415 (matplotlib and numba take seconds to import)
 
     if not logs:
         raise RigFileError(f"no log given; usage: rig plot {kind} LOG…")
     known = None if model is None else IdentifiedParameters.load(model)
-    wanted = figures_of(kind, logs, over, model, known, settings or [])
+    found, of_folders = logs_in(kind, logs)
+    wanted = figures_of(kind, found, over, model, known, settings or [])
     places = _places(kind, wanted.names, output, force)
-    with share_progress(f"drawing {kind}") as tell:
-        drawn: list[dict[str, Any]] = []
-        for i, (place, draw) in enumerate(zip(places, wanted.draws, strict=True)):
-            drawn.append(_drawn(place, draw(), force))
-            tell((i + 1) / len(places))
+    drawn, left = _draw_all(kind, wanted, places, force)
     if json:
         print_json({
             "kind": kind, "figures": drawn, "over": None if over is None else str(over),
             "model": None if model is None else str(model), "what_if": list(settings or []),
+            "not_drawn": [{"log": str(each.log), "reason": each.reason} for each in left],
         })  # fmt: skip
-        return 0
-    if settings:
-        print(what_if_words(settings))
-    for figure in drawn:
-        print(f"written to {figure['file']}")
-    return 0
+    else:
+        if settings:
+            print(what_if_words(settings))
+        for figure in drawn:
+            print(f"written to {figure['file']}")
+    for each in left:
+        say(f"not drawn: {each.reason}")
+    passed_over = all(each.lacks and each.log in of_folders for each in left)
+    return 0 if drawn and passed_over else 2
+
+
+@dataclass(frozen=True)
+class _NotDrawn:
+    """A log without a figure: why, and whether it merely lacks what the kind shows."""
+
+    log: Path
+    reason: str
+    lacks: bool
+
+
+def _draw_all(
+    kind: Kind, wanted: Wanted, places: Sequence[Path], force: bool
+) -> tuple[list[dict[str, Any]], list[_NotDrawn]]:
+    """What was drawn, as JSON says it, and what was not.
+
+    Raises:
+        AnalysisError, LogError: of the only log, or of a figure of all.
+    """
+    from analysis.errors import NotEnoughData  # noqa: PLC0415
+
+    drawn, left = list[dict[str, Any]](), list[_NotDrawn]()
+    with share_progress(f"drawing {kind}") as tell:
+        for i, (place, draw) in enumerate(zip(places, wanted.draws, strict=True)):
+            try:
+                drawn.append(_drawn(place, draw(), force))
+            except (NotEnoughData, LogError) as error:
+                if len(wanted.logs) < 2:
+                    raise
+                log, reason = wanted.logs[i], str(error)
+                named = reason if log.name in reason else f"{log}: {reason}"
+                left.append(_NotDrawn(log, named, isinstance(error, NotEnoughData)))
+            tell((i + 1) / len(places))
+    return drawn, left
 
 
 def _places(kind: Kind, names: Sequence[str], output: Path | None, force: bool) -> list[Path]:

@@ -23,12 +23,41 @@ Drawn = tuple[Figure, dict[str, Any]]
 _LEVEL = 0.01  # chance of marking any change of a parameter when there is none
 
 
+def logs_in(kind: str, places: Sequence[Path]) -> tuple[list[Path], frozenset[Path]]:
+    """Every log that was named and those of folders that were, at most one folder further down, and which are of these.
+
+    Args:
+        kind: one of KINDS; "history" takes folders of parameters files itself.
+    Raises:
+        RigFileError: a folder without logs.
+    """
+    if kind == "history":
+        return list(places), frozenset()
+    logs, of_folders = list[Path](), set[Path]()
+    for place in places:
+        if not place.is_dir():
+            logs.append(place)
+            continue
+        found = sorted([*place.glob("*.mcap"), *place.glob("*/*.mcap")])
+        if not found:
+            raise RigFileError(f"rig plot {kind}: {place}: expected logs (*.mcap) in this folder, found none")
+        more = [log for log in found if log not in logs]
+        logs += more
+        of_folders.update(more)
+    return logs, frozenset(of_folders)
+
+
 @dataclass(frozen=True)
 class Wanted:
-    """Figures to be drawn: what each file is called without its ending, and what draws it (with facts for JSON)."""
+    """Figures to be drawn: what each file is called without its ending, and what draws it (with facts for JSON).
+
+    Attributes:
+        logs: what each is of; none where one figure is of all.
+    """
 
     names: tuple[str, ...]
     draws: tuple[Callable[[], Drawn], ...]
+    logs: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -79,8 +108,9 @@ def figures_of(
         }[kind]  # fmt: skip
         return Wanted((_stem(logs[0]) if len(logs) == 1 else kind,), (partial(draw, logs, source),))
     if found.of == "log":
-        return Wanted(tuple(map(_stem, logs)), tuple(partial(_health, log) for log in logs))
-    return Wanted(tuple(map(_stem, logs)), tuple(partial(_run, found, log, over, source) for log in logs))
+        return Wanted(tuple(map(_stem, logs)), tuple(partial(_health, log) for log in logs), tuple(logs))
+    draws = tuple(partial(_run, found, log, over, source) for log in logs)
+    return Wanted(tuple(map(_stem, logs)), draws, tuple(logs))
 
 
 def _stem(log: Path) -> str:

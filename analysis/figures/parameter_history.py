@@ -12,11 +12,19 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 
 from analysis.figures.log_marks import drawable
+from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MEASURED, MODEL, drawing, label
 
 _TIMES = 1.96  # standard deviations of a 95 % interval
 _COLUMNS = 2
 _OUT = "#CC3311"
+_WIDEST = 9.0  # times the joint intervals, the highest panel: these still are a tenth of it
+_MARGIN = 0.08
+_TOLD = 2  # values off the scale that are written out
+_FOOT = (
+    "Panels go as far as single logs' values, up to nine times the joint intervals; an interval may leave its panel. "
+    "Arrows at an edge: values off the scale."
+)
 
 
 @dataclass(frozen=True)
@@ -52,10 +60,10 @@ def draw_parameter_history(
         rig: for the title.
     """
     rows = -(-len(units) // _COLUMNS)
-    with drawing(10.4, 1.0 + 1.9 * rows) as figure:
+    with drawing(10.4, 1.15 + 1.9 * rows) as figure:
         grid = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
         figure.subplots_adjust(
-            left=0.115, right=0.985, top=1 - 0.62 / (1.0 + 1.9 * rows), bottom=0.6 / (1.0 + 1.9 * rows),
+            left=0.115, right=0.985, top=1 - 0.62 / (1.15 + 1.9 * rows), bottom=0.75 / (1.15 + 1.9 * rows),
             hspace=0.35, wspace=0.28,
         )  # fmt: skip
         panels = list(grid.flat)
@@ -72,6 +80,7 @@ def draw_parameter_history(
         figure.legend(handles, names, loc="upper right", ncols=len(names), fontsize=8.5)
         title = "Parameters over time" + (f": {drawable(rig)}" if rig else "")
         figure.text(0.012, 0.985, title, va="top", fontsize=11, parse_math=False)
+        figure.text(0.012, 0.008, _FOOT, va="bottom", fontsize=LEAST_FONT_PT, color=GREY, parse_math=False)
         return figure
 
 
@@ -97,7 +106,7 @@ def _panel(
             change.text, (at, 1.0), (3, -9), xycoords=("data", "axes fraction"), textcoords="offset points",
             fontsize=8, color=MODEL, parse_math=False,
         )  # fmt: skip
-    _around(axes, own)
+    _limits(axes, own, [v for v in single if v.name == name])
     axes.ticklabel_format(axis="y", useOffset=False)
     short = name.partition("_")[0]
     label(axes, y="" if unit == "1" else unit, title=short)
@@ -109,9 +118,33 @@ def _days(values: Sequence[Value]) -> np.ndarray:
     return np.array([date2num(v.time) for v in values])
 
 
-def _around(axes: Axes, own: Sequence[Value]) -> None:
-    """The panel shows the joint estimates; single logs known far worse may leave it."""
+def _limits(axes: Axes, own: Sequence[Value], single: Sequence[Value]) -> None:
+    """All joint intervals and the values of single logs, as far as the joint ones stay readable beside them.
+
+    What lies beyond is marked by an arrow at the edge, its numbers stand above the panel.
+    """
     low = min(v.value - _TIMES * v.std for v in own)
     high = max(v.value + _TIMES * v.std for v in own)
-    room = 0.25 * (high - low) or 1e-6 * abs(high)
-    axes.set_ylim(low - room, high + room)
+    span = (high - low) or 1e-6 * abs(high)
+    room = 0.5 * (_WIDEST - 1) * span
+    shown = [v for v in single if low - room <= v.value <= high + room]
+    ends = [low, high, *(end for v in shown for end in (v.value - _TIMES * v.std, v.value + _TIMES * v.std))]
+    bottom, top = max(min(ends), low - room), min(max(ends), high + room)
+    margin = _MARGIN * (top - bottom)
+    axes.set_ylim(bottom - margin, top + margin)
+    beyond = [v for v in single if not low - room <= v.value <= high + room]
+    for value in beyond:
+        up = value.value > high
+        axes.plot(
+            _days([value]), [top + 0.4 * margin if up else bottom - 0.4 * margin], marker="^" if up else "v", ms=5.5,
+            ls="", mfc="white", mec=_OUT if value.left_out else GREY, clip_on=False, zorder=4,
+        )  # fmt: skip
+    if beyond:
+        axes.set_title(_beyond_words(beyond), loc="right", fontsize=LEAST_FONT_PT, color=GREY, parse_math=False)
+
+
+def _beyond_words(beyond: Sequence[Value]) -> str:
+    """Values that lie off the scale, as far as there is room for them."""
+    told = ", ".join(f"{v.value:.5g} ± {_TIMES * v.std:.2g}" for v in beyond[:_TOLD])
+    more = f" and {len(beyond) - _TOLD} more" if len(beyond) > _TOLD else ""
+    return f"off scale: {told}{more}"

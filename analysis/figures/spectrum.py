@@ -13,13 +13,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
-from analysis.figures.order_vectors import changes_speed
-from analysis.figures.sheet import OVER_LOOK, WIDTH_IN, Look, sheet
-from analysis.figures.steady_part import SteadyPart, steady_part
+from analysis.figures.order_vectors import RPM, changes_speed, speed_range
+from analysis.figures.recorded import LEAST_MARKS
+from analysis.figures.sheet import MODEL_LOOK, OVER_LOOK, WIDTH_IN, Look, sheet
+from analysis.figures.steady_part import SteadyPart, held_part, steady_part
 from analysis.figures.style import MEASURED, MODEL, label
 from analysis.quantities.orbits import orbit_ellipse
 from analysis.quantities.spectra import Spectrum, full_spectrum, power_density
 from analysis.rig_model import RigModel
+from analysis.simulated_run import NOT_FOLLOWED, SimulatedRun, simulate_run
 from daq.signals.run import Run
 
 Array = NDArray[np.float64]
@@ -39,17 +41,22 @@ class _Part:
     turns_Hz: float
     words: str
     steady: SteadyPart | None
+    passing: bool = False  # the run goes through speeds beside it
+
+
+_MODEL_FOOT = "Simulated: without the sensors' noise, so it goes below the measured floor and beyond the axis."
 
 
 def draw_spectrum(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
     """Full spectrum (above) and power densities (below).
 
     Args:
-        run: with both displacements; at one speed its last seconds, else the whole of it.
-        model: forward and backward 1× amplitudes of its steady state; natural frequencies.
+        run: with both displacements; of one that turns its last seconds at one speed or, of a run-up, its longest
+            stretch at one speed; of one at rest the whole.
+        model: the same of the same run simulated, 1× amplitudes of its steady state, natural frequencies.
         over: another run, drawn over it.
     Raises:
-        NotEnoughData: a displacement is missing, or the stretch is too short.
+        NotEnoughData: a displacement is missing, or no stretch at one speed is long enough.
     """
     part = _part(run)
     other = None if over is None else _part(over)
@@ -57,6 +64,9 @@ def draw_spectrum(run: Run, model: RigModel | None = None, over: Run | None = No
         "Full spectrum: amplitudes (0–peak) of x + iy; positive frequencies turn with the rotor (forward, x to y). "
         f"Power density: one-sided, its integral is the variance. Of {part.words}."
     ]
+    simulated = None if model is None else simulate_run(run, model)
+    if model is not None and part.steady is not None:
+        foot.append(_MODEL_FOOT if simulated is not None else NOT_FOLLOWED)
     title = f"Spectra: {Path(run.source).name} ({run.test})"
     with sheet(WIDTH_IN, 5.4, title, foot) as figure:
         upper, lower = figure.subplots(2, 1)
@@ -69,7 +79,10 @@ def draw_spectrum(run: Run, model: RigModel | None = None, over: Run | None = No
             _full(upper, other, around, OVER_LOOK["color"], f"full spectrum, {Path(over.source).name}")
             _densities(lower, other, (f"x {Path(over.source).name}", f"y {Path(over.source).name}"), over=True)
         if model is not None:
-            _model(upper, part, model, run)
+            if simulated is not None:
+                _simulated((upper, lower), part, simulated, around, f"same run simulated, {model.name}")
+            if not part.passing:
+                _model(upper, part, model, run)
             for natural in model.speeds_rad_s:
                 lower.axvline(natural / (2 * math.pi), color="#555555", lw=0.9, ls=":")
         _orders(upper, part.turns_Hz, around)
@@ -81,16 +94,23 @@ def draw_spectrum(run: Run, model: RigModel | None = None, over: Run | None = No
 def _part(run: Run) -> _Part:
     if not (np.isfinite(run.x_m).any() and np.isfinite(run.y_m).any()):
         raise NotEnoughData(f"{run.source}: expected both displacements for a full spectrum, x or y has no sample")
-    steady = None
-    if len(run.mark_time_s) > 2 and not changes_speed(run):
-        steady = steady_part(run)
+    steady: SteadyPart | None = None
+    passing = len(run.mark_time_s) >= LEAST_MARKS and changes_speed(run)
+    if len(run.mark_time_s) >= LEAST_MARKS:
+        steady = held_part(run) if passing else steady_part(run)
         start, end, turns = steady.from_s, steady.to_s, steady.speed_rad_s / (2 * math.pi)
         words = f"the last {end - start:.1f} s at speed"
+        if passing:
+            low, high = speed_range(run)
+            words = (
+                f"the longest stretch at one speed, {end - start:.1f} s at {RPM * steady.speed_rad_s:.1f} rpm from "
+                f"{start:.1f} s; the run goes through {RPM * low:.0f}…{RPM * high:.0f} rpm, as its waterfall shows"
+            )
     else:
         start, end, turns = float(run.x_time_s[0]), float(run.x_time_s[-1]), math.nan
-        words = f"the whole run, {end - start:.1f} s"
+        words = f"the whole run, {end - start:.1f} s; no index mark, so no orders"
     x, y = (_within(t, v, start, end) for t, v in ((run.x_time_s, run.x_m), (run.y_time_s, run.y_m)))
-    return _Part(x, y, turns, words, steady)
+    return _Part(x, y, turns, words, steady, passing)
 
 
 def _within(time: Array, values: Array, start: float, end: float) -> tuple[Array, Array]:
@@ -132,6 +152,24 @@ def _by_octaves(found: Spectrum) -> tuple[Array, Array]:
     edges: NDArray[np.int64] = np.asarray(np.unique(np.searchsorted(frequency, wanted)), np.int64)
     count = np.diff(np.append(edges, len(frequency)))
     return np.add.reduceat(frequency, edges) / count, np.add.reduceat(values, edges) / count
+
+
+def _simulated(panels: tuple[Axes, Axes], part: _Part, simulated: SimulatedRun, around: float, name: str) -> None:
+    """Both spectra of the simulated run in the same stretch; the axes stay as the measured ones need them."""
+    assert part.steady is not None
+    limits = [axes.get_ylim() for axes in panels]
+    time, x = part.steady.cut(simulated.time_s, simulated.x_m)
+    _, y = part.steady.cut(simulated.time_s, simulated.y_m)
+    window_s = min(_window_s(part), float(time[-1] - time[0]))
+    found = full_spectrum(time, x, y, window_s=window_s)
+    shown = np.abs(found.frequency_Hz) <= around
+    panels[0].plot(found.frequency_Hz[shown], 1e3 * found.values[shown], label=f"full spectrum, {name}", **MODEL_LOOK)
+    looks: tuple[Look, Look] = (MODEL_LOOK, {"color": "#8C6D1F", "ls": (0, (1, 1.5)), "lw": 1.6})
+    for which, values, look in zip("xy", (x, y), looks, strict=True):
+        density = power_density(time, values, window_s=window_s)
+        panels[1].plot(*_by_octaves(density), label=f"power density, {which} simulated", **look)
+    for axes, limit in zip(panels, limits, strict=True):
+        axes.set_ylim(*limit)
 
 
 def _model(axes: Axes, part: _Part, model: RigModel, run: Run) -> None:

@@ -17,6 +17,9 @@ from daq.signals.run import Run
 Array = NDArray[np.float64]
 
 _LEAST_TURNS = 4.0
+_HELD = 0.01  # of the speed, from the slowest to the fastest turn of a stretch at one speed
+_LEAST_HELD_S = 3.0  # gives spectra lines of less than 1 Hz
+_RPM = 30 / math.pi
 
 
 @dataclass(frozen=True)
@@ -66,3 +69,28 @@ def steady_part(run: Run) -> SteadyPart:
             f"{run.source}: {(last - first) / (2 * math.pi):.1f} revolutions at its end, at least 4 needed"
         )
     return SteadyPart(start, end, (last - first) / (end - start), release)
+
+
+def held_part(run: Run) -> SteadyPart:
+    """The longest stretch at one speed of a run that goes through speeds.
+
+    Raises:
+        NotEnoughData: none is long enough for a spectrum; the text says what the run does instead.
+    """
+    time, phase = run.mark_time_s, run.mark_phase_rad
+    speed = np.diff(phase) / np.diff(time)
+    best, first = (0, 0), 0
+    for last in range(len(speed)):
+        while np.ptp(speed[first : last + 1]) > _HELD * abs(float(np.mean(speed[first : last + 1]))):
+            first += 1
+        if time[last + 1] - time[first] > time[best[1]] - time[best[0]]:
+            best = (first, last + 1)
+    start, end = float(time[best[0]]), float(time[best[1]])
+    if end - start < _LEAST_HELD_S:
+        raise NotEnoughData(
+            f"{run.source} ({run.test}): expected a speed that stays within 1 % for {_LEAST_HELD_S:g} s, it goes from "
+            f"{_RPM * float(speed[0]):.1f} to {_RPM * float(speed[-1]):.1f} rpm and stays for {end - start:.1f} s at "
+            "most: one spectrum of it would smear every order; draw its waterfall or its orders instead"
+        )
+    release = max((r.time_s for r in run.releases), default=math.nan)
+    return SteadyPart(start, end, float(phase[best[1]] - phase[best[0]]) / (end - start), release)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -92,10 +93,62 @@ def test_a_figure_is_not_replaced_unasked(log: Path, tmp_path: Path, capsys: pyt
     assert out.read_text(encoding="utf-8").startswith("<?xml")
 
 
+def folder_of(tmp_path: Path, *logs: Path) -> Path:
+    """A folder with these logs in it."""
+    folder = tmp_path / "campaign"
+    folder.mkdir()
+    for log in logs:
+        shutil.copy(log, folder / log.name)
+    return folder
+
+
+def test_of_a_folder_those_logs_are_drawn_that_can_be(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, write_small_log(tmp_path / "a-small.mcap"), log)
+    told = plotted(capsys, "bode", folder, "-o", tmp_path / "out")
+    assert [Path(figure["file"]).name for figure in told["figures"]] == ["up.bode.svg"]
+    (left,) = told["not_drawn"]
+    assert left["log"] == str(folder / "a-small.mcap")
+    assert "expected a run through speeds" in left["reason"]
+    capsys.readouterr()
+    assert run(["plot", "bode", str(folder), "-o", str(tmp_path / "again")]) == 0
+    assert "not drawn:" in capsys.readouterr().err
+
+
+def test_a_log_that_was_named_and_is_not_drawn_is_bad_input(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = write_small_log(tmp_path / "a-small.mcap")
+    told = plotted(capsys, "bode", small, log, "-o", tmp_path / "out", code=2)
+    assert [Path(figure["file"]).name for figure in told["figures"]] == ["up.bode.svg"]
+    assert told["not_drawn"][0]["log"] == str(small)
+
+
+def test_an_unreadable_log_of_a_folder_keeps_no_other_from_being_drawn(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, log)
+    (folder / "a-broken.mcap").write_bytes(b"no log")
+    told = plotted(capsys, "bode", folder, "-o", tmp_path / "out", code=2)
+    assert len(told["figures"]) == 1
+    assert "a-broken.mcap" in told["not_drawn"][0]["reason"]
+
+
+def test_a_folder_without_a_figure_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small = write_small_log(tmp_path / "a-small.mcap")
+    folder = folder_of(tmp_path, small)
+    shutil.copy(small, folder / "b-small.mcap")
+    told = plotted(capsys, "bode", folder, "-o", tmp_path / "out", code=2)
+    assert told["figures"] == []
+    assert len(told["not_drawn"]) == 2
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["bode"], "no log given"),
+        (["bode", "."], "found none"),
         (["bode", "LOG", "-o", "bode.jpeg"], ".svg, .png, .pdf, .html"),
         (["bode", "LOG", "LOG", "-o", "bode.svg"], "give a folder"),
         (["bode", "LOG", "LOG"], "several logs would be drawn to"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from analysis.figures.alignment import aligned
 from analysis.figures.intervals import NAME
 from analysis.figures.kinds import KINDS
 from analysis.figures.order_vectors import passed_vectors
+from analysis.figures.parameter_history import Value, draw_parameter_history
 from analysis.figures.stamp_lag import lag_words
 from daq.signals.run import Release, Run
 from tests.figures.drawn_texts import drawn_texts
@@ -181,3 +183,59 @@ def test_an_orbit_lost_in_noise_has_no_sense() -> None:
     title = draw_orbit(still).axes[0].get_title(loc="left")
     assert "lost in noise" in title
     assert "µm" in title
+
+
+def holding(run: Run, hold_s: float) -> Run:
+    """A run-up that stays at its last speed for a while."""
+    turn_s = float(np.diff(run.mark_time_s)[-1])
+    marks = run.mark_time_s[-1] + turn_s * np.arange(1, int(hold_s / turn_s))
+    time = np.arange(0.0, float(marks[-1]), 1e-3)
+    mark_time = np.append(run.mark_time_s, marks)
+    phase = np.append(run.mark_phase_rad, run.mark_phase_rad[-1] + 2 * math.pi * np.arange(1, len(marks) + 1))
+    psi = np.interp(time, mark_time, phase)
+    return replace(
+        run, x_time_s=time, x_m=1e-3 * np.cos(psi), y_time_s=time, y_m=1e-3 * np.sin(psi), mark_time_s=mark_time,
+        mark_phase_rad=phase,
+    )  # fmt: skip
+
+
+def test_a_run_through_speeds_has_no_spectrum_but_that_of_a_stretch_at_one_speed() -> None:
+    with pytest.raises(NotEnoughData, match=r"goes from \d+\.\d to 8\d\d\.\d rpm.*draw its waterfall"):
+        KINDS["spectrum"].draw(run_up(), MODEL)
+    run = holding(run_up(), 6.0)
+    figure = KINDS["spectrum"].draw(run, MODEL)
+    said = words(figure)
+    assert re.search(r"longest stretch at one speed, [5-7]\.\d s at 8\d\d\.\d rpm", said), said
+    assert "the run goes through" in said
+    line = next(each for each in figure.axes[0].get_lines() if each.get_label() == "full spectrum, measured")
+    frequency, values = (np.asarray(each, float) for each in line.get_data())
+    turns_Hz = 1 / float(np.diff(run.mark_time_s)[-1])
+    assert frequency[np.argmax(values)] == pytest.approx(turns_Hz, abs=0.5)  # forward, of the speed that is held
+    assert values.max() == pytest.approx(1.0, rel=0.1)
+    assert values[np.abs(frequency - turns_Hz / 2) < 1].max() < 0.01
+
+
+def test_the_simulated_spectrum_lies_on_its_own_measured_one() -> None:
+    figure = KINDS["spectrum"].draw(point("D"), MODEL)
+    lines = {str(line.get_label()): line for line in figure.axes[0].get_lines()}
+    peaks = {name: float(np.max(np.asarray(line.get_ydata(), float))) for name, line in lines.items() if "full" in name}
+    assert set(peaks) == {"full spectrum, measured", "full spectrum, same run simulated, parameters.toml"}
+    assert min(peaks.values()) == pytest.approx(max(peaks.values()), rel=0.03)
+
+
+def test_single_logs_are_seen_beside_the_joint_estimate() -> None:
+    begun = datetime(2026, 3, 1, 9, 0, tzinfo=UTC)
+    joint = [Value("zeta1_1", begun, 0.02, 1e-6, "campaign")]
+    near = [Value("zeta1_1", begun + timedelta(minutes=i), 0.02 + 6e-6 * (i - 1), 3e-6, f"log {i}") for i in range(3)]
+    far = Value("zeta1_1", begun + timedelta(minutes=9), 0.0212, 4e-5, "log far", left_out=True)
+    figure = draw_parameter_history(joint, [*near, far], [], {"zeta1_1": "1"})
+    axes = figure.axes[0]
+    low, high = axes.get_ylim()
+    assert all(low < value.value < high for value in near)
+    joint_share = 2 * 1.96e-6 / (high - low)
+    assert 0.08 < joint_share < 0.5
+    assert "off scale: 0.0212 ± 7.8e-05" in words(figure)
+    arrows = [line for line in axes.get_lines() if line.get_marker() == "^"]
+    assert len(arrows) == 1
+    assert low < float(np.asarray(arrows[0].get_ydata(), float)[0]) < high
+    assert "off scale" not in words(draw_parameter_history(joint, near, [], {"zeta1_1": "1"})).split("Arrows")[0]
