@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -111,7 +112,11 @@ def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> Differen
         shifts, note = _shared(label, before, after, pairs)
         covariance = covariance + sum((np.outer(v, v) for v in shifts), 0.0)
         notes += [note] if note else []
-    notes += [f"{after.tests[j].estimate.source} is in both: its own errors cancel" for j in pairs.values()]
+    sources = [after.tests[j].estimate.source for j in pairs.values()]
+    both = [" + ".join(Path(log).name for log in source.split(" + ")) for source in sources]
+    if both:
+        is_, its = ("is", "its") if len(both) == 1 else ("are", "their")
+        notes.append(f"{', '.join(both)} {is_} in both: {its} own errors cancel")
     residue = max(_residue(first[0], old), _residue(second[0], new))
     blur = max(_LEAST_BLUR, _BLUR_OF_RESIDUE * residue)
     return Difference(names, 0.5 * (covariance + covariance.T), blur if pairs else 0.0, notes)

@@ -145,6 +145,6 @@ def _limits(axes: Axes, own: Sequence[Value], single: Sequence[Value]) -> None:
 
 def _beyond_words(beyond: Sequence[Value]) -> str:
     """Values that lie off the scale, as far as there is room for them."""
-    told = ", ".join(f"{v.value:.5g} ± {_TIMES * v.std:.2g}" for v in beyond[:_TOLD])
-    more = f" and {len(beyond) - _TOLD} more" if len(beyond) > _TOLD else ""
-    return f"off scale: {told}{more}"
+    numbers = list(dict.fromkeys(f"{v.value:.5g} ± {_TIMES * v.std:.2g}" for v in beyond))  # a log may be in two files
+    more = f" and {len(numbers) - _TOLD} more" if len(numbers) > _TOLD else ""
+    return f"off scale: {', '.join(numbers[:_TOLD])}{more}"

@@ -252,7 +252,7 @@ def _noise_row(score: Score, factor: float, unit: str) -> dict[str, str]:
     """An amplitude where none is predicted: no difference, but how often noise alone is as large."""
     noise = " and ".join(plain(s * factor, 3) for s in score.noise)
     return {
-        "measured": f"{plain(score.measured * factor, 3)} {unit}",
+        "measured": with_std(score.measured * factor, score.measured_std * factor, unit, digits=2),
         "predicted": f"0, noise {noise} {unit}",
         "difference": f"χ² = {plain(score.chi2, 3)} on {2 * len(score.noise)}, p = {plain(score.p, 2)}",
         "z": f"|{score.z:.2f}|",

@@ -24,6 +24,7 @@ from analysis.report import (
     twin,
     write_report,
 )
+from analysis.report.tables import quantity_rows
 from analysis.report.twin import twin_path
 from analysis.rounding import plain, with_std
 from daq.signals.run import Run
@@ -252,3 +253,12 @@ def test_envelope_covers_every_sample() -> None:
     assert (np.nanmin(low), np.nanmax(high)) == (v.min(), 7.0)
     assert bins_for(190) == 190
     assert bins_for(5) == 400
+
+
+def test_an_amplitude_where_none_is_predicted_has_its_uncertainty_too() -> None:
+    rig = load_rig("virtual")
+    drawn = draw(rig, 1)
+    validation = validate([point_run(rig, "B", 1, drawn=drawn, after_s=30.0)], rig, drawn.identified)
+    rows = [row for row in quantity_rows(validation.points["B"]) if "amplitude" in row["name"]]
+    assert all("noise" in row["predicted"] for row in rows)
+    assert all(re.search(r"^[\d.]+ ± [\d.]+ µm$", row["measured"]) for row in rows), rows

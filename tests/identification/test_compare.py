@@ -136,6 +136,17 @@ def test_the_std_of_a_change_with_shared_logs_is_what_many_draws_show() -> None:
     assert np.std(alone) < 0.8  # as independent the change would look too sure to be there
 
 
+def test_logs_in_both_are_named_in_one_sentence() -> None:
+    estimates, _ = draw(np.random.default_rng(5), ("spin-down", "spin-down", "point-E"))
+    notes = [
+        note for note in compare(parameters_of(estimates[:2]), parameters_of(estimates)).notes if "in both" in note
+    ]
+    assert len(notes) == 1
+    assert notes[0].endswith("are in both: their own errors cancel")
+    one = compare(parameters_of(estimates[:2]), parameters_of(estimates[1:])).notes
+    assert [note.partition(" is ")[2] for note in one if "in both" in note] == ["in both: its own errors cancel"]
+
+
 SETS = {
     "nested": ((0, 1, 2), (0, 1, 2, 3, 4)),
     "one less": ((0, 1, 2, 3, 4), (0, 1, 2, 3)),
