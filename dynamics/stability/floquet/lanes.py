@@ -163,6 +163,15 @@ def _largest(values):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def _sensitive(noise, norm, gap):
+    """How far noise in a matrix moves an eigenvalue with its neighbour at a distance.
+
+    A pair at distance g has condition ‖Φ‖/g: first order far apart, a square root where it merges.
+    """
+    return min(noise * (1 + norm / max(gap, 1e-300)), np.sqrt(noise * norm) + noise)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def _scales(length, rig, mass, scale):
     """Units of the state: x, y by sqrt(J/M_S), their rates by that times the frequency where it is above the speed."""
     scale[:] = 1.0
@@ -171,13 +180,107 @@ def _scales(length, rig, mass, scale):
         scale[4 + axis] = length * max(1.0, np.sqrt(rig[axis] / mass))
 
 
+@njit(cache=True, error_model="numpy", nogil=True)
+def half_turn_matrices(
+    table: NDArray[np.floating], rigs: NDArray[np.floating], units: NDArray[np.floating], found: NDArray[np.floating]
+) -> None:
+    """D Φ(π) for many points with one number of steps.
+
+    Args:
+        table: of the nodes.
+        rigs: shape (points, 6): κ1, κ2, γ1, γ2, δ3, δ4 (per radian of phase; γ and κ in kg).
+        units: of the eight states, shape (8,).
+        found: shape (points, 8, 8), filled, in these units.
+    """
+    points = rigs.shape[0]
+    rig, k, work = np.empty((6, _WIDE)), np.empty((STAGES, _STATE)), np.empty((4, _STATE))
+    for start in range(0, points, LANES):
+        for i in range(_WIDE):
+            point = min(start + i % LANES, points - 1)
+            for q in range(6):
+                rig[q, i] = rigs[point, q]
+        _march(table, rig, work, k)
+        for lane in range(min(LANES, points - start)):
+            _half_turn(work, lane, units, found[start + lane])
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
+def _four_matrices(row, weights, start, out):
+    """Weighted sums of a row's matrices, shape (n, 64), at four points into out (4, 64)."""
+    last = weights.shape[0] - 1
+    a, b, c, d = start, min(start + 1, last), min(start + 2, last), min(start + 3, last)
+    out[:] = 0.0
+    for j in range(weights.shape[1]):
+        wa, wb, wc, wd = weights[a, j], weights[b, j], weights[c, j], weights[d, j]
+        for q in range(_N * _N):
+            value = row[j, q]
+            out[0, q] += wa * value
+            out[1, q] += wb * value
+            out[2, q] += wc * value
+            out[3, q] += wd * value
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def multipliers_of_row(
+    row: NDArray[np.floating],
+    weights: NDArray[np.floating],
+    units: NDArray[np.floating],
+    rigs: NDArray[np.floating],
+    length: float,
+    mass: float,
+    error: float,
+    found: NDArray[np.floating],
+    errors: NDArray[np.floating],
+) -> None:
+    """Largest multipliers over a revolution along a row of a map whose half-turn matrices are interpolated.
+
+    Args:
+        row: matrices of the row's nodes, shape (nodes, 64), in `units`, shape (8,).
+        weights: of the nodes at each point, shape (points, nodes).
+        rigs, length, mass: as of `largest_multipliers`.
+        error: bound on the Frobenius norm of an interpolated matrix's error, in `units`.
+        found, errors: shape (points,), filled; NaN where the eigenvalues did not come out.
+    """
+    points = weights.shape[0]
+    matrices, a = np.empty((4, _N * _N)), np.empty((_N, _N))
+    values, scale = np.empty(_N, np.complex128), np.empty(_N)
+    for start in range(0, points, 4):
+        _four_matrices(row, weights, start, matrices)
+        for i in range(start, min(start + 4, points)):
+            _scales(length, rigs[i], mass, scale)
+            total = stretch = 0.0
+            for r in range(_N):
+                stretch = max(stretch, units[r] / scale[r], scale[r] / units[r])
+                for c in range(_N):
+                    value = matrices[i - start, _N * r + c] * (units[r] / scale[r]) * (scale[c] / units[c])
+                    a[r, c] = value
+                    total += value * value
+            norm = np.sqrt(total)
+            found[i] = errors[i] = np.nan
+            if not eigenvalues(a, values):
+                continue
+            best, gap = _largest(values)
+            modulus = abs(values[best])
+            bound = _sensitive(4 * _EPS * norm + error * stretch, norm, gap)
+            found[i] = modulus * modulus
+            errors[i] = (2 * modulus + bound) * bound
+
+
 # Of what the finer run changed it leaves 1/255, of a merging pair's move 1/16: a quarter of the eigenvalue's move is
 # on the safe side. Where that move happens to vanish the change of the whole matrix stands in.
 _MOVED, _CHANGE = 0.25, 1.0 / 16384.0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def largest_multipliers(fine, coarse, rigs, length, mass, found, errors):
+def largest_multipliers(
+    fine: NDArray[np.floating],
+    coarse: NDArray[np.floating],
+    rigs: NDArray[np.floating],
+    length: float,
+    mass: float,
+    found: NDArray[np.floating],
+    errors: NDArray[np.floating],
+) -> None:
     """Largest multiplier over a revolution, and a bound on its error, for many points with one number of steps.
 
     Args:
@@ -219,9 +322,6 @@ def largest_multipliers(fine, coarse, rigs, length, mass, found, errors):
             coarse_value = values[coarse_best]
             moved = min(abs(value - coarse_value), abs(value - np.conj(coarse_value)))
             moved = max(moved, abs(modulus - abs(coarse_value)))
-            # a pair at distance g has condition ‖Φ‖/g: first order far apart, a square root where it merges
-            noise = 4 * _EPS * norm
-            sensitive = min(noise * (1 + norm / max(gap, 1e-300)), np.sqrt(noise * norm) + noise)
-            bound = _MOVED * moved + _CHANGE * change + sensitive
+            bound = _MOVED * moved + _CHANGE * change + _sensitive(4 * _EPS * norm, norm, gap)
             found[start + lane] = modulus * modulus
             errors[start + lane] = (2 * modulus + bound) * bound
