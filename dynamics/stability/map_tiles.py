@@ -11,17 +11,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.equations.parameters import RotorParameters
-from dynamics.stability.floquet.lanes import multipliers_of_row
+from dynamics.stability.floquet.matrix_rows import multipliers_of_rows
 from dynamics.stability.floquet.matrix_surface import MatrixSurface, fit_surface, nodes_needed
-from dynamics.stability.map_points import MapPoints
+from dynamics.stability.map_plane import Plane
+from dynamics.stability.map_points import half_turns
+from dynamics.stability.map_rigs import MapRigs
 
-_MOST_NODES = 48  # along a side; more: two rectangles cost less
+_MOST_NODES = 40  # along a side; more: two rectangles cost less
+_FEWEST_NODES = 16
 _WORTH = 3.0  # points that one node's matrix costs as much as
 _ROWS = 8  # of a rectangle, that a thread takes at a time
-_WANTED = 2e-14  # of the matrices' norm: rounding
+_WANTED = 3e-14  # of the matrices' norm
 _NODE_ERROR = 2e-13  # of a node's matrix: (rate × span) · (rate × step)^8 times …
 _STEP_ERROR = 1e-7  # … this, measured on the nominal rig at Ω = 0.3 … 5, K = 1 … 16 against 256 steps
+_MOST_STEPS = 1024
+
+Indices = NDArray[np.intp]
+Array = NDArray[np.floating]
+Span = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -29,108 +36,93 @@ class Rectangle:
     """A part of a map whose matrices are interpolated.
 
     Attributes:
-        columns, rows: indices into the map's speed and stiffness ratios.
-        surface: over s = 1/Ω and r = √K.
-        units: of its matrices, shape (8,).
+        columns, rows: indices into the map's values of x and y.
+        surface: over the coordinates of x and y.
     """
 
-    columns: NDArray[np.intp]
-    rows: NDArray[np.intp]
+    columns: Indices
+    rows: Indices
     surface: MatrixSurface
-    units: NDArray[np.floating]
 
 
 class MapTiles:
     """Rectangles that cover as much of a map as is worth it.
 
     Args:
-        parameters, angles: see MapPoints.
-        speed_ratios, stiffness_ratios: of the map, shapes (n,) and (m,), in any order.
+        plane: of the map.
+        x, y: its values, shapes (n,) and (m,), in any order.
     """
 
-    def __init__(
-        self,
-        parameters: RotorParameters,
-        angles: tuple[float, float],
-        speed_ratios: NDArray[np.floating],
-        stiffness_ratios: NDArray[np.floating],
-    ) -> None:
-        self._parameters, self._angles = parameters, angles
-        self._speeds, self._stiffness = speed_ratios, stiffness_ratios
-        self._s, self._r = 1.0 / speed_ratios, np.sqrt(stiffness_ratios)
-        self._swing = max(1.0, 2 * parameters.zeta1, 2 * parameters.zeta2)  # of a suspension's mode over its frequency
-        losses, inertias = parameters.packed()[10:12], parameters.packed()[8:10]
-        rates = np.divide(losses, inertias, out=np.zeros(2), where=inertias > 0)
-        self._pendulums = float(np.max(rates)) / parameters.natural_frequencies_rad_s[0]
+    def __init__(self, plane: Plane, x: Array, y: Array) -> None:
+        self._plane = plane
+        self._u, self._v = plane.x.of(x), plane.y.of(y)
 
     def rectangles(self, pool: ThreadPoolExecutor) -> Iterator[Rectangle]:
         """The rectangles, one after the other."""
-        if not (self._parameters.a.present and self._parameters.b.present):
-            return
-        yield from self._within(pool, np.argsort(self._s), np.argsort(self._r))
+        yield from self._within(pool, np.argsort(self._u), np.argsort(self._v))
 
-    def _rates(self, s: float, r: float) -> tuple[float, float]:
-        """Fastest rates of the suspension and of the pendulums per radian of phase."""
-        return max(1.0, r) * self._swing * s, self._pendulums * s
-
-    def _half_phases(self, s: tuple[float, float], r: tuple[float, float]) -> tuple[float, float]:
-        """Half of what the fastest mode turns, or decays, over a rectangle along s and along r, rad."""
-        return np.pi / 2 * max(self._rates(s[1] - s[0], r[1])), np.pi / 2 * self._swing * s[1] * (r[1] - r[0])
-
-    def _within(
-        self, pool: ThreadPoolExecutor, columns: NDArray[np.intp], rows: NDArray[np.intp]
-    ) -> Iterator[Rectangle]:
+    def _within(self, pool: ThreadPoolExecutor, columns: Indices, rows: Indices) -> Iterator[Rectangle]:
         """Rectangles within sorted columns and rows."""
-        s, r = _span(self._s[columns]), _span(self._r[rows])
-        phases = self._half_phases(s, r)
-        n_s, n_r = nodes_needed(s, phases[0]), nodes_needed(r, phases[1])
-        if _WORTH * min(n_s, 16) * min(n_r, 16) > len(columns) * len(rows):
+        points = len(columns) * len(rows)
+        if points < _WORTH * min(len(columns), _FEWEST_NODES) * min(len(rows), _FEWEST_NODES):
             return
-        if max(n_s, n_r) > _MOST_NODES:
-            if n_s >= n_r:
-                cut = int(np.searchsorted(self._s[columns], sum(s) / 2))
-                parts = [(columns[:cut], rows), (columns[cut:], rows)]
-            else:
-                cut = int(np.searchsorted(self._r[rows], sum(r) / 2))
-                parts = [(columns, rows[:cut]), (columns, rows[cut:])]
+        spans = _span(self._u[columns]), _span(self._v[rows])
+        corners = self._rigs(*(np.array(c) for c in zip(*[(u, v) for v in spans[1] for u in spans[0]], strict=True)))
+        if corners is None:
+            return
+        phases = _half_phases(corners)
+        needed = [nodes_needed(span, phase) for span, phase in zip(spans, phases, strict=True)]
+        if max(needed) <= _MOST_NODES:
+            if points < _WORTH * needed[0] * needed[1]:
+                return
+            surface = self._surface(pool, spans, phases, corners)
+            if surface is not None:
+                yield Rectangle(columns, rows, surface)
+                return
+        if needed[0] >= needed[1]:
+            halves = _halves(self._u, columns)
+            parts = [(half, rows) for half in halves]
+        else:
+            halves = _halves(self._v, rows)
+            parts = [(columns, half) for half in halves]
+        if len(halves) == 2:
             for some_columns, some_rows in parts:
-                if len(some_columns) and len(some_rows):
-                    yield from self._within(pool, some_columns, some_rows)
-            return
-        if _WORTH * n_s * n_r > len(columns) * len(rows):
-            return
-        corner = MapPoints(self._parameters, self._angles, np.array([1.0 / s[1]]), np.array([r[1] ** 2]))
-        swing = np.pi * max(1.0, *self._rates(s[1], r[1]))
+                yield from self._within(pool, some_columns, some_rows)
+
+    def _rigs(self, u: Array, v: Array) -> MapRigs | None:
+        return self._plane.rigs(self._plane.x.back(u), self._plane.y.back(v))
+
+    def _surface(
+        self, pool: ThreadPoolExecutor, spans: tuple[Span, Span], phases: Span, corners: MapRigs
+    ) -> MatrixSurface | None:
+        """The matrices over a rectangle; None where they are not smooth, or too many steps are needed."""
+        units = np.max(corners.units, axis=0)
+        swing = np.pi * max(1.0, float(np.max(corners.swings)), float(np.max(corners.fades)))
+        if not swing < _MOST_STEPS:
+            return None
         steps = math.ceil(max(8.0, swing * (_STEP_ERROR * swing / _NODE_ERROR) ** (1 / 8)))
+        if steps > _MOST_STEPS:
+            return None
 
-        def matrices_at(s: NDArray[np.floating], r: NDArray[np.floating], finer: bool) -> NDArray[np.floating]:
-            points = MapPoints(self._parameters, self._angles, 1.0 / s, r**2)
-            return points.half_turns(pool, corner.units, 3 * steps // 2 if finer else steps)
+        def matrices_at(u: Array, v: Array, finer: bool) -> Array:
+            rigs = self._rigs(u, v)
+            if rigs is None or np.any(np.isnan(rigs.theta_rad)):
+                return np.full((len(u), 8, 8), np.nan)
+            return half_turns(pool, rigs, units, 3 * steps // 2 if finer else steps)
 
-        surface = fit_surface(matrices_at, s, r, phases, _WANTED)
-        if surface is not None:
-            yield Rectangle(columns, rows, surface, corner.units)
+        return fit_surface(matrices_at, *spans, phases, _WANTED)
 
     def multipliers(
         self, pool: ThreadPoolExecutor, rectangle: Rectangle
-    ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.floating], NDArray[np.floating]]]:
+    ) -> Iterator[tuple[Indices, Indices, Array, Array]]:
         """Rows, columns, largest multipliers and bounds, shape (rows, columns), of a rectangle, in parts."""
         surface, columns = rectangle.surface, rectangle.columns
-        weights = surface.weights_s(self._s[columns])
-        n_r, n_s = surface.nodes.shape[:2]
-        nodes = surface.nodes.reshape(n_r, -1)
+        weights = surface.weights_u(self._u[columns])
+        nodes = surface.nodes.reshape(*surface.nodes.shape[:2], -1)
 
-        def some(rows: NDArray[np.intp]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-            matrices = (surface.weights_r(self._r[rows]) @ nodes).reshape(len(rows), n_s, -1)
+        def some(rows: Indices) -> tuple[Array, Array]:
             found, errors = np.empty((len(rows), len(columns))), np.empty((len(rows), len(columns)))
-            for i, row in enumerate(rows):
-                points = MapPoints(
-                    self._parameters, self._angles, self._speeds[columns], np.full(len(columns), self._stiffness[row])
-                )
-                multipliers_of_row(
-                    matrices[i], weights, rectangle.units, points.rigs, points.length_m,
-                    self._parameters.total_mass_kg, surface.error, found[i], errors[i],
-                )  # fmt: skip
+            multipliers_of_rows(nodes, surface.weights_v(self._v[rows]), weights, surface.error, found, errors)
             return found, errors
 
         parts = np.array_split(rectangle.rows, -(-len(rectangle.rows) // _ROWS))
@@ -139,6 +131,24 @@ class MapTiles:
             yield pending[future], columns, *future.result()
 
 
-def _span(values: NDArray[np.floating]) -> tuple[float, float]:
+def _half_phases(corners: MapRigs) -> tuple[float, float]:
+    """Half of what the fastest mode turns, or decays, over a rectangle along u and along v, rad.
+
+    Args:
+        corners: u changes first.
+    """
+    rates = np.concatenate([np.pi * corners.swings, np.pi * corners.fades, corners.theta_rad]).reshape(-1, 2, 2)
+    along_u, along_v = (float(np.nanmax(np.abs(np.diff(rates, axis=axis)), initial=0.0)) / 2 for axis in (2, 1))
+    return along_u, along_v
+
+
+def _span(values: Array) -> Span:
     """First and last of sorted values."""
     return float(values[0]), float(values[-1])
+
+
+def _halves(values: Array, order: Indices) -> list[Indices]:
+    """Sorted indices, parted at the middle of their values; one part where all lie on one side."""
+    low, high = _span(values[order])
+    cut = int(np.searchsorted(values[order], (low + high) / 2))
+    return [part for part in (order[:cut], order[cut:]) if len(part)]

@@ -16,7 +16,8 @@ from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import NoBalancedState, OutsideDomain
 from dynamics.stability.floquet.lanes import LANES
-from dynamics.stability.map_points import MapPoints
+from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
+from dynamics.stability.map_points import explicit_multipliers
 from dynamics.stability.map_tiles import MapTiles
 
 _MOST_POINTS = 20_000_000
@@ -99,61 +100,75 @@ def stability_map(
     if not angles:
         raise NoBalancedState("no balanced state to map: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")
     type_one(parameters, *angles[0], parameters.speed_rad_s(1.0))  # refuses gravity and a pivot shift
-    tell = progress or (lambda share: None)
-    found, errors = np.full((2, len(stiffness), len(speeds)), np.nan)
-    interpolated = _interpolate(parameters, angles[0], (speeds, stiffness), accuracy, found, errors, tell)
-    rest = MapPoints(parameters, angles[0], np.tile(speeds, len(stiffness)), np.repeat(stiffness, len(speeds)))
-    served = _fill(rest, accuracy, found.reshape(-1), errors.reshape(-1), tell)
-    method = f"interpolated: {interpolated}; {served}"
+    plane = SpeedStiffnessPlane(parameters, angles[0])
+    found, errors, method = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or (lambda share: None))
     return StabilityMap(speeds, stiffness, found, errors, method, accuracy)
 
 
-def _interpolate(
-    parameters: RotorParameters,
-    angles: tuple[float, float],
-    ratios: tuple[NDArray[np.floating], NDArray[np.floating]],
+def multipliers_on_grid(
+    plane: Plane,
+    x: NDArray[np.floating],
+    y: NDArray[np.floating],
     accuracy: float,
-    found: NDArray[np.floating],
-    errors: NDArray[np.floating],
-    tell: Callable[[float], None],
-) -> int:
-    """Fill what rectangles serve to the accuracy; says how many points that were."""
-    tiles = MapTiles(parameters, angles, *ratios)
-    served = looked_at = 0
+    progress: Callable[[float], None],
+) -> tuple[NDArray[np.floating], NDArray[np.floating], str]:
+    """Largest multipliers of Type I on a grid of a plane.
+
+    Args:
+        x, y: values of the plane's numbers, shapes (n,) and (m,).
+        accuracy, progress: see `stability_map`.
+    Returns:
+        Multipliers and their bounds, shape (m, n), NaN where no balanced state exists; how many points which method
+        served.
+    Raises:
+        NotConverged: a point whose multiplier can't be had even roughly.
+    """
+    found, errors = np.full((2, len(y), len(x)), np.nan)
     with ThreadPoolExecutor(max_workers=_cores()) as pool:
+        tiles = MapTiles(plane, x, y)
         for rectangle in tiles.rectangles(pool):
             for rows, columns, multipliers, bounds in tiles.multipliers(pool, rectangle):
                 met = bounds <= accuracy * np.maximum(1.0, multipliers)
                 place = np.ix_(rows, columns)
                 found[place], errors[place] = np.where(met, multipliers, np.nan), np.where(met, bounds, np.nan)
-                served += int(np.count_nonzero(met))
-                looked_at += met.size
-                tell(served / found.size)
-    return served
+                progress(float(1 - np.isnan(found).mean()))
+        rest = np.flatnonzero(np.isnan(found))
+        left = _explicit(pool, plane, np.tile(x, len(y)), np.repeat(y, len(x)), rest, accuracy, found, errors, progress)
+    for done, point in enumerate(left):
+        row, column = divmod(int(point), len(x))
+        found[row, column], errors[row, column] = multiplier_at(plane, float(x[column]), float(y[row]), accuracy)
+        progress(1 - (len(left) - done - 1) / found.size)
+    counts = found.size - len(rest), len(rest) - len(left), len(left)
+    return (
+        found,
+        errors,
+        "interpolated: {}; explicit, {} points at once: {}; point by point: {}".format(counts[0], LANES, *counts[1:]),
+    )
 
 
-def _fill(
-    points: MapPoints,
+def _explicit(
+    pool: ThreadPoolExecutor,
+    plane: Plane,
+    x: NDArray[np.floating],
+    y: NDArray[np.floating],
+    rest: NDArray[np.intp],
     accuracy: float,
     found: NDArray[np.floating],
     errors: NDArray[np.floating],
-    tell: Callable[[float], None],
-) -> str:
-    """Compute every point that is still open; says how many each method served."""
-    rest = np.flatnonzero(np.isnan(found))
-    if len(rest) == 0:
-        return f"explicit, {LANES} points at once: 0; point by point: 0"
+    progress: Callable[[float], None],
+) -> NDArray[np.intp]:
+    """Fill what explicit steps serve of the points that are left; those that they do not serve."""
+    rigs = plane.rigs(x[rest], y[rest]) if len(rest) else None
+    if rigs is None:
+        return rest
+    there = np.flatnonzero(~np.isnan(rigs.theta_rad).any(axis=0))
+    rest, rigs = rest[there], rigs.at(there)
 
     def done(batch: NDArray[np.intp], multipliers: NDArray[np.floating], bounds: NDArray[np.floating]) -> None:
-        found[batch], errors[batch] = multipliers, bounds
-        tell(float(1 - np.isnan(found).mean()))
+        found.reshape(-1)[rest[batch]], errors.reshape(-1)[rest[batch]] = multipliers, bounds
+        progress(float(1 - np.isnan(found).mean()))
 
-    with ThreadPoolExecutor(max_workers=_cores()) as pool:
-        left = points.multipliers(pool, rest, accuracy, done)
-    for point in left:
-        found[point], errors[point] = points.one(int(point), accuracy)
-        tell(float(1 - np.isnan(found).mean()))
-    return f"explicit, {LANES} points at once: {len(rest) - len(left)}; point by point: {len(left)}"
+    return rest[explicit_multipliers(pool, rigs, accuracy, done)]
 
 
 def _cores() -> int:

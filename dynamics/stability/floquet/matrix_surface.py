@@ -1,9 +1,10 @@
 # pyright: strict
 """Half-turn matrices of a whole rectangle of a map, interpolated from few of them.
 
-D Φ(π) is an entire function of the springs, dampers and pendulum rates per radian of phase, so over a rectangle of
-s = 1/Ω and r = √K (the fundamental matrix turns with the phases ω_n s) its Chebyshev series falls faster than any
-power as soon as it has more terms than half the rectangle's phase. A map of 300 × 400 points needs some 2000 matrices.
+D Φ(π) is an entire function of the springs, dampers and pendulum rates per radian of phase. So over a rectangle of
+coordinates in which these are smooth (1/Ω and √K: modes turn by phases π ω_n/ω) its Chebyshev series falls faster
+than any power as soon as it has more terms than half the rectangle's phase. A map of 300 × 400 points needs some 1500
+matrices.
 Source: L. N. Trefethen, Approximation Theory and Approximation Practice, SIAM 2013, chapters 3, 8 and 17.
 """
 
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MatricesAt = Callable[[NDArray[np.floating], NDArray[np.floating], bool], NDArray[np.floating]]
-"""Matrices at s and r, each of shape (points,): shape (points, n, n). True: more accurate than those of the nodes."""
+"""Matrices at u and v, each of shape (points,): shape (points, n, n). True: more accurate than those of the nodes."""
 
 _EPS = float(np.finfo(float).eps)
 MOST_NODES = 64
@@ -30,39 +31,43 @@ _SAFETY = 2.0  # on the largest of their differences
 
 @dataclass(frozen=True)
 class MatrixSurface:
-    """Matrices over a rectangle of s and r.
+    """Matrices over a rectangle of coordinates u and v.
 
     Attributes:
-        s_range, r_range: the rectangle.
-        nodes: matrices at the Chebyshev points of the first kind, shape (n_r, n_s, n, n).
+        u_range, v_range: the rectangle.
+        nodes: matrices at the Chebyshev points of the first kind, shape (n_v, n_u, n, n).
         error: bound on the Frobenius norm of a matrix's error, in the units of the nodes.
     """
 
-    s_range: tuple[float, float]
-    r_range: tuple[float, float]
+    u_range: tuple[float, float]
+    v_range: tuple[float, float]
     nodes: NDArray[np.floating]
     error: float
 
-    def weights_s(self, s: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Share of each column of nodes in the matrix at s, shape (len(s), n_s)."""
-        return lagrange_basis(self.nodes.shape[1], self.s_range, s)
+    def weights_u(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Share of each column of nodes in the matrix at u, shape (len(u), n_u)."""
+        return lagrange_basis(self.nodes.shape[1], self.u_range, u)
 
-    def weights_r(self, r: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Share of each row of nodes in the matrix at r, shape (len(r), n_r)."""
-        return lagrange_basis(self.nodes.shape[0], self.r_range, r)
+    def weights_v(self, v: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Share of each row of nodes in the matrix at v, shape (len(v), n_v)."""
+        return lagrange_basis(self.nodes.shape[0], self.v_range, v)
 
 
 def nodes_needed(span: tuple[float, float], half_phase_rad: float) -> int:
     """Terms after which the Chebyshev series of e^{i x u}, |u| ≤ 1, has fallen to rounding: x + O(x^⅓) and some."""
     if span[0] == span[1]:
         return 1
-    return math.ceil(half_phase_rad + 7.0 * half_phase_rad ** (1 / 3) + 12.0)
+    return math.ceil(half_phase_rad + 7.0 * half_phase_rad ** (1 / 3) + 8.0)
+
+
+def _angles(n: int) -> NDArray[np.floating]:
+    return (np.pi / n) * (np.arange(n) + 0.5)
 
 
 def chebyshev_points(n: int, span: tuple[float, float]) -> NDArray[np.floating]:
     """Chebyshev points of the first kind in an interval, shape (n,), from its end to its beginning."""
     low, high = span
-    return (low + high) / 2 + (high - low) / 2 * np.cos(np.pi * (np.arange(n) + 0.5) / n)
+    return (low + high) / 2 + (high - low) / 2 * np.cos(_angles(n))
 
 
 def lagrange_basis(n: int, span: tuple[float, float], at: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -70,17 +75,16 @@ def lagrange_basis(n: int, span: tuple[float, float], at: NDArray[np.floating]) 
     low, high = span
     if n == 1:
         return np.ones((len(at), 1))
-    u = np.clip((2 * at - low - high) / (high - low), -1.0, 1.0)
-    order, nodes = np.arange(n), np.pi * (np.arange(n) + 0.5) / n
-    weight = np.full(n, 2.0 / n)
-    weight[0] = 1.0 / n
-    return np.cos(np.arccos(u)[:, None] * order) @ (weight[:, None] * np.cos(order[:, None] * nodes))
+    order = np.arange(n)
+    angle = np.arccos(np.clip((2 * at - low - high) / (high - low), -1.0, 1.0))
+    weight = np.where(order == 0, 1.0, 2.0) / n
+    return np.cos(angle[:, None] * order) @ (weight[:, None] * np.cos(order[:, None] * _angles(n)))
 
 
 def fit_surface(
     matrices_at: MatricesAt,
-    s_range: tuple[float, float],
-    r_range: tuple[float, float],
+    u_range: tuple[float, float],
+    v_range: tuple[float, float],
     half_phases_rad: tuple[float, float],
     wanted: float,
 ) -> MatrixSurface | None:
@@ -88,26 +92,26 @@ def fit_surface(
 
     Args:
         matrices_at: computes them.
-        s_range, r_range: the rectangle; low = high makes it a line.
-        half_phases_rad: half the phase that the fastest mode turns over the rectangle, along s and along r.
+        u_range, v_range: the rectangle; low = high makes it a line.
+        half_phases_rad: half the phase that the fastest mode turns over the rectangle, along u and along v.
         wanted: error that is good enough, relative to the largest norm.
     Returns:
         The surface; None where `MOST_NODES` nodes along a side do not reach what is wanted.
     """
-    n_s, n_r = (nodes_needed(span, phase) for span, phase in zip((s_range, r_range), half_phases_rad, strict=True))
-    while max(n_s, n_r) <= MOST_NODES:
-        s, r = chebyshev_points(n_s, s_range), chebyshev_points(n_r, r_range)
-        found = matrices_at(np.tile(s, n_r), np.repeat(r, n_s), False)
+    n_u, n_v = (nodes_needed(span, phase) for span, phase in zip((u_range, v_range), half_phases_rad, strict=True))
+    while max(n_u, n_v) <= MOST_NODES:
+        u, v = chebyshev_points(n_u, u_range), chebyshev_points(n_v, v_range)
+        found = matrices_at(np.tile(u, n_v), np.repeat(v, n_u), False)
         if not np.all(np.isfinite(found)):
             return None
-        nodes = found.reshape(n_r, n_s, *found.shape[1:])
+        nodes = found.reshape(n_v, n_u, *found.shape[1:])
         norm = float(np.max(np.linalg.norm(found, axis=(1, 2))))
-        tail_s, tail_r = _last_terms(nodes, 1), _last_terms(nodes, 0)
-        if max(tail_s, tail_r) <= wanted * norm:
-            error = _TAIL * (tail_s + tail_r) + _ROUNDINGS * _EPS * norm
-            return _held_against(MatrixSurface(s_range, r_range, nodes, error), matrices_at)
-        n_s += n_s // 4 if tail_s > wanted * norm else 0
-        n_r += n_r // 4 if tail_r > wanted * norm else 0
+        tail_u, tail_v = _last_terms(nodes, 1), _last_terms(nodes, 0)
+        if max(tail_u, tail_v) <= wanted * norm:
+            error = _TAIL * (tail_u + tail_v) + _ROUNDINGS * _EPS * norm
+            return _held_against(MatrixSurface(u_range, v_range, nodes, error), matrices_at)
+        n_u += n_u // 8 if tail_u > wanted * norm else 0
+        n_v += n_v // 8 if tail_v > wanted * norm else 0
     return None
 
 
@@ -116,8 +120,8 @@ def _last_terms(nodes: NDArray[np.floating], axis: int) -> float:
     n = nodes.shape[axis]
     if n == 1:
         return 0.0
-    orders, at = np.array([n - 2, n - 1]), np.pi * (np.arange(n) + 0.5) / n
-    terms = np.tensordot(2.0 / n * np.cos(orders[:, None] * at), nodes, (1, axis))
+    cosines = np.cos(np.array([[n - 2], [n - 1]]) * _angles(n))
+    terms = np.tensordot(2.0 / n * cosines, nodes, (1, axis))
     return float(np.max(np.linalg.norm(terms, axis=(-2, -1))))
 
 
@@ -126,7 +130,7 @@ def _held_against(surface: MatrixSurface, matrices_at: MatricesAt) -> MatrixSurf
     turn, corner = np.arange(1, _HELD_OUT + 1), np.arange(4)
     shares = np.concatenate([(0.7548776662466927 * turn) % 1.0, corner % 2])  # of Roberts' R2
     other = np.concatenate([(0.5698402909980532 * turn) % 1.0, corner // 2])
-    s, r = (low + (high - low) * at for (low, high), at in ((surface.s_range, shares), (surface.r_range, other)))
-    there = np.einsum("pr,ps,rsij->pij", surface.weights_r(r), surface.weights_s(s), surface.nodes)
-    apart = float(np.max(np.linalg.norm(there - matrices_at(s, r, True), axis=(1, 2))))
+    u, v = (low + (high - low) * at for (low, high), at in ((surface.u_range, shares), (surface.v_range, other)))
+    there = np.einsum("pv,pu,vuij->pij", surface.weights_v(v), surface.weights_u(u), surface.nodes)
+    apart = float(np.max(np.linalg.norm(there - matrices_at(u, v, True), axis=(1, 2))))
     return dataclasses.replace(surface, error=surface.error + _SAFETY * apart)
