@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 
@@ -101,3 +102,8 @@ def _next_rung(i: int, found: NDArray[np.floating], errors: NDArray[np.floating]
     factor = np.nan_to_num((errors / (accuracy * np.maximum(1.0, found))) ** (1 / 8), nan=2.0, posinf=2.0)
     steps = LADDER[i] * np.minimum(1.1 * factor, 4.0)
     return np.maximum(i + 1, np.asarray(np.searchsorted(np.array(LADDER), steps), np.intp))
+
+
+def cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -17,7 +17,7 @@ from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import half_turns
 from dynamics.stability.map_rigs import MapRigs
 
-_MOST_NODES = 40  # along a side; more: two rectangles cost less
+MOST_NODES = 40  # along a side; more: two rectangles cost less
 _FEWEST_NODES = 16
 _WORTH = 3.0  # points that one node's matrix costs as much as
 _ROWS = 8  # of a rectangle, that a thread takes at a time
@@ -45,6 +45,42 @@ class Rectangle:
     surface: MatrixSurface
 
 
+def needed_nodes(plane: Plane, u_range: Span, v_range: Span) -> tuple[int, int] | None:
+    """Nodes that a rectangle is expected to need along u and v; None where a pendulum is absent."""
+    corners = _corners(plane, u_range, v_range)
+    if corners is None:
+        return None
+    along_u, along_v = _half_phases(corners)
+    return nodes_needed(u_range, along_u), nodes_needed(v_range, along_v)
+
+
+def surface_over(pool: ThreadPoolExecutor, plane: Plane, u_range: Span, v_range: Span) -> MatrixSurface | None:
+    """The matrices over a rectangle; None where they are not smooth, or too many steps are needed."""
+    corners = _corners(plane, u_range, v_range)
+    if corners is None:
+        return None
+    units = np.max(corners.units, axis=0)
+    swing = np.pi * max(1.0, float(np.max(corners.swings)), float(np.max(corners.fades)))
+    if not swing < _MOST_STEPS:
+        return None
+    steps = math.ceil(max(8.0, swing * (_STEP_ERROR * swing / _NODE_ERROR) ** (1 / 8)))
+    if steps > _MOST_STEPS:
+        return None
+
+    def matrices_at(u: Array, v: Array, finer: bool) -> Array:
+        rigs = plane.rigs(plane.x.back(u), plane.y.back(v))
+        if rigs is None or np.any(np.isnan(rigs.theta_rad)):
+            return np.full((len(u), 8, 8), np.nan)
+        return half_turns(pool, rigs, units, 3 * steps // 2 if finer else steps)
+
+    return fit_surface(matrices_at, u_range, v_range, _half_phases(corners), _WANTED)
+
+
+def _corners(plane: Plane, u_range: Span, v_range: Span) -> MapRigs | None:
+    """Rigs at the corners of a rectangle; u changes first."""
+    return plane.rigs(plane.x.back(np.tile(u_range, 2)), plane.y.back(np.repeat(v_range, 2)))
+
+
 class MapTiles:
     """Rectangles that cover as much of a map as is worth it.
 
@@ -67,15 +103,13 @@ class MapTiles:
         if points < _WORTH * min(len(columns), _FEWEST_NODES) * min(len(rows), _FEWEST_NODES):
             return
         spans = _span(self._u[columns]), _span(self._v[rows])
-        corners = self._rigs(*(np.array(c) for c in zip(*[(u, v) for v in spans[1] for u in spans[0]], strict=True)))
-        if corners is None:
+        needed = needed_nodes(self._plane, *spans)
+        if needed is None:
             return
-        phases = _half_phases(corners)
-        needed = [nodes_needed(span, phase) for span, phase in zip(spans, phases, strict=True)]
-        if max(needed) <= _MOST_NODES:
+        if max(needed) <= MOST_NODES:
             if points < _WORTH * needed[0] * needed[1]:
                 return
-            surface = self._surface(pool, spans, phases, corners)
+            surface = surface_over(pool, self._plane, *spans)
             if surface is not None:
                 yield Rectangle(columns, rows, surface)
                 return
@@ -88,29 +122,6 @@ class MapTiles:
         if len(halves) == 2:
             for some_columns, some_rows in parts:
                 yield from self._within(pool, some_columns, some_rows)
-
-    def _rigs(self, u: Array, v: Array) -> MapRigs | None:
-        return self._plane.rigs(self._plane.x.back(u), self._plane.y.back(v))
-
-    def _surface(
-        self, pool: ThreadPoolExecutor, spans: tuple[Span, Span], phases: Span, corners: MapRigs
-    ) -> MatrixSurface | None:
-        """The matrices over a rectangle; None where they are not smooth, or too many steps are needed."""
-        units = np.max(corners.units, axis=0)
-        swing = np.pi * max(1.0, float(np.max(corners.swings)), float(np.max(corners.fades)))
-        if not swing < _MOST_STEPS:
-            return None
-        steps = math.ceil(max(8.0, swing * (_STEP_ERROR * swing / _NODE_ERROR) ** (1 / 8)))
-        if steps > _MOST_STEPS:
-            return None
-
-        def matrices_at(u: Array, v: Array, finer: bool) -> Array:
-            rigs = self._rigs(u, v)
-            if rigs is None or np.any(np.isnan(rigs.theta_rad)):
-                return np.full((len(u), 8, 8), np.nan)
-            return half_turns(pool, rigs, units, 3 * steps // 2 if finer else steps)
-
-        return fit_surface(matrices_at, *spans, phases, _WANTED)
 
     def multipliers(
         self, pool: ThreadPoolExecutor, rectangle: Rectangle

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import NoBalancedState, OutsideDomain
 from dynamics.stability.floquet.lanes import LANES
 from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
-from dynamics.stability.map_points import explicit_multipliers
+from dynamics.stability.map_points import cores, explicit_multipliers
 from dynamics.stability.map_tiles import MapTiles
 
 _MOST_POINTS = 20_000_000
@@ -124,7 +123,7 @@ def multipliers_on_grid(
         NotConverged: a point whose multiplier can't be had even roughly.
     """
     found, errors = np.full((2, len(y), len(x)), np.nan)
-    with ThreadPoolExecutor(max_workers=_cores()) as pool:
+    with ThreadPoolExecutor(max_workers=cores()) as pool:
         tiles = MapTiles(plane, x, y)
         for rectangle in tiles.rectangles(pool):
             for rows, columns, multipliers, bounds in tiles.multipliers(pool, rectangle):
@@ -169,8 +168,3 @@ def _explicit(
         progress(float(1 - np.isnan(found).mean()))
 
     return rest[explicit_multipliers(pool, rigs, accuracy, done)]
-
-
-def _cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

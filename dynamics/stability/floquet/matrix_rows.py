@@ -78,3 +78,35 @@ def multipliers_of_rows(
                 bound = sensitive(4 * EPS * norm + error, norm, gap)
                 found[line, i] = modulus * modulus
                 errors[line, i] = (2 * modulus + bound) * bound
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def eigenvalues_at(
+    nodes: NDArray[np.floating],
+    weights_v: NDArray[np.floating],
+    row_of: NDArray[np.intp],
+    weights_u: NDArray[np.floating],
+    values: NDArray[np.complexfloating],
+) -> None:
+    """Eigenvalues of interpolated matrices at scattered points, those of one row after another.
+
+    Args:
+        nodes: matrices of the nodes, shape (n_v, n_u, n²).
+        weights_v: of the rows of nodes in each row of points, shape (rows, n_v).
+        row_of: each point's row, rising, shape (points,).
+        weights_u: of the columns of nodes at each point, shape (points, n_u).
+        values: shape (points, n), filled; NaN where they did not come out.
+    """
+    n_v, n_u, entries = nodes.shape
+    flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
+    n, last = int(np.round(np.sqrt(entries))), -1
+    flat_matrix, found = np.empty(entries), np.empty(n, np.complex128)
+    for point in range(len(row_of)):
+        if row_of[point] != last:
+            last = row_of[point]
+            _row_of_matrices(flat, weights_v[last], row)
+        _row_of_matrices(row.reshape(n_u, entries), weights_u[point], flat_matrix)
+        if eigenvalues(flat_matrix.reshape(n, n), found):
+            values[point] = found
+        else:
+            values[point] = np.nan
