@@ -138,10 +138,10 @@ def _leaving(excess: Excess, at: complex, direction: float, step: float) -> comp
         return complex(round(exit_point.real), along) if upright else complex(along, round(exit_point.imag))
 
     middle = exit_point.imag if upright else exit_point.real
-    low, high = excess(point(middle - wide)), excess(point(middle + wide))
-    if not low * high < 0:
+    to_the_left = math.copysign(wide, way.real if upright else -way.imag)
+    if not (excess(point(middle - to_the_left)) >= 0.0 > excess(point(middle + to_the_left))):
         return None
-    return point(_root(lambda along: excess(point(along)), middle - wide, middle + wide))
+    return point(_root(lambda along: excess(point(along)), middle - to_the_left, middle + to_the_left))
 
 
 def _until_a_side(place: float, rate: float) -> float:
