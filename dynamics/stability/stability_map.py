@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +13,12 @@ from dynamics.arguments import need_number, numbers
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters, physics_of
-from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
-from dynamics.stability.floquet import floquet_multipliers
-from dynamics.stability.floquet.lanes import LANES, largest_multipliers, node_table
+from dynamics.errors import NoBalancedState, OutsideDomain
+from dynamics.stability.floquet.lanes import LANES
+from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
+from dynamics.stability.map_points import cores, explicit_multipliers
+from dynamics.stability.map_tiles import MapTiles
 
-_LADDER = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)  # steps per half revolution
-_BATCH = 128 * LANES  # points a thread takes at a time
 _MOST_POINTS = 20_000_000
 _LEAST_RATIO, _GREATEST_RATIO = 1e-15, 1e15  # beyond, squares and quotients leave the range of a double
 _FINEST = 1e-12
@@ -102,123 +99,72 @@ def stability_map(
     if not angles:
         raise NoBalancedState("no balanced state to map: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")
     type_one(parameters, *angles[0], parameters.speed_rad_s(1.0))  # refuses gravity and a pivot shift
-    grid = _Grid(parameters, angles[0], np.tile(speeds, len(stiffness)), np.repeat(stiffness, len(speeds)))
-    served = grid.fill(accuracy, progress or (lambda share: None))
-    shape = (len(stiffness), len(speeds))
-    return StabilityMap(speeds, stiffness, grid.found.reshape(shape), grid.errors.reshape(shape), served, accuracy)
+    plane = SpeedStiffnessPlane(parameters, angles[0])
+    found, errors, method = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or (lambda share: None))
+    return StabilityMap(speeds, stiffness, found, errors, method, accuracy)
 
 
-class _Grid:
-    """The points of a map, each with the number of steps it is tried with next."""
+def multipliers_on_grid(
+    plane: Plane,
+    x: NDArray[np.floating],
+    y: NDArray[np.floating],
+    accuracy: float,
+    progress: Callable[[float], None],
+) -> tuple[NDArray[np.floating], NDArray[np.floating], str]:
+    """Largest multipliers of Type I on a grid of a plane.
 
-    def __init__(
-        self,
-        parameters: RotorParameters,
-        angles: tuple[float, float],
-        speed_ratios: NDArray[np.floating],
-        stiffness_ratios: NDArray[np.floating],
-    ) -> None:
-        p = self.parameters = parameters
-        self.angles = angles
-        self.speed_ratios, self.stiffness_ratios = speed_ratios, stiffness_ratios
-        speed = speed_ratios * p.natural_frequencies_rad_s[0]
-        k2 = stiffness_ratios * p.k1_N_per_m
-        c1, c2 = p.damping_Ns_per_m[0], 2 * p.zeta2 * np.sqrt(k2 * p.total_mass_kg)
-        packed = p.packed()
-        self.rigs = np.column_stack(
-            [
-                p.k1_N_per_m / speed**2,
-                k2 / speed**2,
-                c1 / speed,
-                c2 / speed,
-                packed[10] / packed[8] / speed,
-                packed[11] / packed[9] / speed,
-            ]
-        )
-        self.length_m = math.sqrt((packed[8] + packed[9]) / 2 / p.total_mass_kg)
-        self.found = np.full(len(speed), np.nan)
-        self.errors = np.full(len(speed), np.nan)
-
-    def first_rung(self, accuracy: float) -> NDArray[np.intp]:
-        """Index into the ladder of steps to begin with; beyond its end: not a case for explicit steps.
-
-        Fitted: the finer of n/2 and n steps meets the accuracy when its step is 1.0 radian of the fastest
-        undamped rate at an accuracy of 1e-8 and a span of 20 radians, and falls with the ninth root of both.
-        """
-        mass = self.parameters.total_mass_kg
-        fast = np.sqrt(self.rigs[:, :2] / mass)
-        damped = np.maximum(self.parameters.zeta1, self.parameters.zeta2)
-        swing = np.pi * np.maximum(np.max(fast, axis=1), 1.0)
-        stiff = np.pi * np.maximum(np.max(self.rigs[:, 4:], axis=1), 2 * damped * np.max(fast, axis=1))
-        length = 1.0 * (accuracy / 1e-8 * 20.0 / swing) ** (1 / 9)
-        steps = np.maximum(swing / length, stiff / 2.5)
-        return np.searchsorted(np.array(_LADDER), steps)
-
-    def fill(self, accuracy: float, progress: Callable[[float], None]) -> str:
-        """Compute every point; says how many points each method served."""
-        rung = self.first_rung(accuracy)
-        both = self.parameters.a.present and self.parameters.b.present
-        if not both:
-            rung[:] = len(_LADDER)
-        open_points = np.ones(len(rung), bool)
-        with ThreadPoolExecutor(max_workers=_cores()) as pool:
-            for i in range(len(_LADDER)):
-                here = np.flatnonzero(open_points & (rung == i))
-                for batch in self._explicit(pool, here, _LADDER[i]):
-                    met = self.errors[batch] <= accuracy * np.maximum(1.0, self.found[batch])
-                    open_points[batch[met]] = False
-                    rung[batch[~met]] = self._next_rung(i, batch[~met], accuracy)
-                    progress(float(1 - open_points.mean()))
-        quick = int(np.count_nonzero(~open_points))
-        for point in np.flatnonzero(open_points):
-            self._one(int(point), accuracy)
-            open_points[point] = False
-            progress(float(1 - open_points.mean()))
-        return f"explicit, {LANES} points at once: {quick}; point by point: {len(rung) - quick}"
-
-    def _next_rung(self, i: int, points: NDArray[np.intp], accuracy: float) -> NDArray[np.intp]:
-        """Where points go that missed the accuracy with ladder[i] steps: the error falls with the eighth power."""
-        wanted = accuracy * np.maximum(1.0, self.found[points])
-        factor = np.nan_to_num((self.errors[points] / wanted) ** (1 / 8), nan=2.0, posinf=2.0)
-        return np.maximum(i + 1, np.searchsorted(np.array(_LADDER), _LADDER[i] * np.minimum(1.1 * factor, 4.0)))
-
-    def _explicit(self, pool: ThreadPoolExecutor, points: NDArray[np.intp], steps: int) -> Iterable[NDArray[np.intp]]:
-        """Run points with one number of steps on all cores; yields each batch when it is done."""
-        if len(points) == 0:
-            return
-        fine = node_table(self.parameters, *self.angles, steps)
-        coarse = node_table(self.parameters, *self.angles, steps // 2)
-        size = max(LANES, min(_BATCH, -(-len(points) // (2 * LANES)) * LANES))
-        pending = {}
-        for start in range(0, len(points), size):
-            batch = points[start : start + size]
-            found, errors = np.empty(len(batch)), np.empty(len(batch))
-            arguments = (fine, coarse, self.rigs[batch], self.length_m, self.parameters.total_mass_kg, found, errors)
-            pending[pool.submit(largest_multipliers, *arguments)] = (batch, found, errors)
-        for future in as_completed(pending):
-            future.result()
-            batch, found, errors = pending[future]
-            self.found[batch], self.errors[batch] = found, errors
-            yield batch
-
-    def _one(self, point: int, accuracy: float) -> None:
-        """One point by whatever method serves it."""
-        p = self.parameters
-        rig = dataclasses.replace(p, k2_N_per_m=float(self.stiffness_ratios[point]) * p.k1_N_per_m)
-        speed = float(self.speed_ratios[point]) * p.natural_frequencies_rad_s[0]
-        matrix = type_one(rig, *self.angles, speed)
-        for looser in (1.0, 1e2, 1e4, 1e6):
-            try:
-                answer = floquet_multipliers(matrix, min(looser * accuracy, 0.1))
-            except NotConverged as refusal:
-                last = refusal
-            else:
-                self.found[point], self.errors[point] = answer.largest, answer.error_estimate
-                return
-        where = f"Ω = {self.speed_ratios[point]:.6g}, K = {self.stiffness_ratios[point]:.6g}"
-        raise NotConverged(f"stability map at {where}: {last}; leave this point out") from last
+    Args:
+        x, y: values of the plane's numbers, shapes (n,) and (m,).
+        accuracy, progress: see `stability_map`.
+    Returns:
+        Multipliers and their bounds, shape (m, n), NaN where no balanced state exists; how many points which method
+        served.
+    Raises:
+        NotConverged: a point whose multiplier can't be had even roughly.
+    """
+    found, errors = np.full((2, len(y), len(x)), np.nan)
+    with ThreadPoolExecutor(max_workers=cores()) as pool:
+        tiles = MapTiles(plane, x, y)
+        for rectangle in tiles.rectangles(pool):
+            for rows, columns, multipliers, bounds in tiles.multipliers(pool, rectangle):
+                met = bounds <= accuracy * np.maximum(1.0, multipliers)
+                place = np.ix_(rows, columns)
+                found[place], errors[place] = np.where(met, multipliers, np.nan), np.where(met, bounds, np.nan)
+                progress(float(1 - np.isnan(found).mean()))
+        rest = np.flatnonzero(np.isnan(found))
+        left = _explicit(pool, plane, np.tile(x, len(y)), np.repeat(y, len(x)), rest, accuracy, found, errors, progress)
+    for done, point in enumerate(left):
+        row, column = divmod(int(point), len(x))
+        found[row, column], errors[row, column] = multiplier_at(plane, float(x[column]), float(y[row]), accuracy)
+        progress(1 - (len(left) - done - 1) / found.size)
+    counts = found.size - len(rest), len(rest) - len(left), len(left)
+    return (
+        found,
+        errors,
+        "interpolated: {}; explicit, {} points at once: {}; point by point: {}".format(counts[0], LANES, *counts[1:]),
+    )
 
 
-def _cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def _explicit(
+    pool: ThreadPoolExecutor,
+    plane: Plane,
+    x: NDArray[np.floating],
+    y: NDArray[np.floating],
+    rest: NDArray[np.intp],
+    accuracy: float,
+    found: NDArray[np.floating],
+    errors: NDArray[np.floating],
+    progress: Callable[[float], None],
+) -> NDArray[np.intp]:
+    """Fill what explicit steps serve of the points that are left; those that they do not serve."""
+    rigs = plane.rigs(x[rest], y[rest]) if len(rest) else None
+    if rigs is None:
+        return rest
+    there = np.flatnonzero(~np.isnan(rigs.theta_rad).any(axis=0))
+    rest, rigs = rest[there], rigs.at(there)
+
+    def done(batch: NDArray[np.intp], multipliers: NDArray[np.floating], bounds: NDArray[np.floating]) -> None:
+        found.reshape(-1)[rest[batch]], errors.reshape(-1)[rest[batch]] = multipliers, bounds
+        progress(float(1 - np.isnan(found).mean()))
+
+    return rest[explicit_multipliers(pool, rigs, accuracy, done)]

@@ -1,10 +1,12 @@
 """Type I on many points of a map at once: explicit Runge–Kutta of order 8 with eight points side by side.
 
-Points of a map share the pendulums, the balanced angles and the total mass. In the phase as independent variable
+In the phase as independent variable
     q'' = W(ψ) [−(κ1 x + γ1 x', κ2 y + γ2 y') + Σ_i S_i (2 θ_i' e_i − (θ_i + δ_i θ_i') n_i)],
-    θ_i'' = (S_i/J_i) n_i·q'' − δ_i θ_i',        κ = k/ω², γ = c/ω, δ_i = c_i/(J_i ω),
-only κ, γ, δ differ, so W, e and n at the nodes are computed once for all. Positions are integrals of rates: the
-stages of order one (A) and two (A²) need one stored acceleration each (the Nyström form of the same method).
+    θ_i'' = (S_i/J_i) n_i·q'' − δ_i θ_i',        κ = k/ω², γ = c/ω, δ_i = c_i/(J_i ω).
+As complex numbers e_i = e^{i(ψ+θ_i)}, n_i = −i e_i, and W a = (m a + g e^{2iψ} ā)/(m² − |g|²) (linearised.type_one): so
+W S_i e_i = e^{iψ} P_i and W S_i n_i = e^{iψ} Q_i with constants P_i, Q_i, and a point is 21 numbers. Positions are
+integrals of rates: the stages of order one (A) and two (A²) need one stored acceleration each (the Nyström form of
+the same method).
 """
 
 # pyright: reportMissingParameterType=false
@@ -16,7 +18,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.dormand_prince import NODES, STAGES, STEPS, WEIGHTS
 from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 
@@ -24,7 +25,8 @@ LANES = 8
 _N = 8
 _WIDE = _N * LANES  # one component of all columns and lanes
 _STATE = 4 * _WIDE
-_EPS = 2.220446049250313e-16
+EPS = 2.220446049250313e-16
+NUMBERS = 21
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 
 
@@ -46,26 +48,21 @@ _INDEX, _FIRST, _SECOND, _FOURS = _terms()
 _ALL_NODES = np.append(NODES, 1.0)
 
 
-def node_table(parameters: RotorParameters, theta3: float, theta4: float, steps: int) -> NDArray[np.floating]:
-    """What all points share at every stage of every step over half a revolution, shape (steps · 12, 15).
-
-    Columns: W_xx, W_xy, W_yy; 2 S W e for A (x, y) and B; S W n for A and B; (S/J) n for A and B.
-    """
-    s, j = parameters.packed()[5:7], parameters.packed()[8:10]
-    phase = ((np.arange(steps)[:, None] + NODES[None, :]) * (np.pi / steps)).ravel()
-    arm = np.exp(1j * (phase[:, None] + np.array([theta3, theta4])))
-    normal, mu = -1j * arm, s * s / j
-    m, g = parameters.total_mass_kg - mu.sum() / 2, -0.5 * np.sum(mu * arm**2, axis=1)
-    det = (m - np.abs(g)) * (m + np.abs(g))
-
-    def softened(a: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
-        return (m * a + g[:, None] * np.conj(a)) / det[:, None]
-
-    table = [(m + g.real) / det, g.imag / det, (m - g.real) / det]
-    for vectors in (softened(2 * s * arm), softened(s * normal), s / j * normal):
-        for i in range(2):
-            table += [vectors[:, i].real, vectors[:, i].imag]
-    return np.ascontiguousarray(np.column_stack(table))
+@njit(cache=True, error_model="numpy", nogil=True)
+def _at_phase(phase, numbers, c):
+    """What eight points' numbers are at a phase: W_xx, W_xy, W_yy and the six turning vectors, into c (15, LANES)."""
+    x, y = np.cos(phase), np.sin(phase)
+    x2, y2 = x * x - y * y, 2 * x * y
+    for lane in range(LANES):
+        real = x2 * numbers[7, lane] - y2 * numbers[8, lane]
+        c[0, lane] = numbers[6, lane] + real
+        c[1, lane] = x2 * numbers[8, lane] + y2 * numbers[7, lane]
+        c[2, lane] = numbers[6, lane] - real
+    for q in range(6):
+        for lane in range(LANES):
+            re, im = numbers[9 + 2 * q, lane], numbers[10 + 2 * q, lane]
+            c[3 + 2 * q, lane] = x * re - y * im
+            c[4 + 2 * q, lane] = x * im + y * re
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -74,21 +71,25 @@ def _accelerate(position, rate, c, rig, out):
 
     Args:
         position, rate, out: shape (256,): component, column, lane.
-        c: row of the node table.
-        rig: shape (6, 64): κ1, κ2, γ1, γ2, δ3, δ4 per column and lane.
+        c: shape (15, LANES), of `_at_phase`.
+        rig: shape (21, LANES): κ1, κ2, γ1, γ2, δ3, δ4 are read.
     """
-    for i in range(_WIDE):
-        va, vb = rate[2 * _WIDE + i], rate[3 * _WIDE + i]
-        fx = rig[0, i] * position[i] + rig[2, i] * rate[i]
-        fy = rig[1, i] * position[_WIDE + i] + rig[3, i] * rate[_WIDE + i]
-        la, lb = rig[4, i] * va, rig[5, i] * vb
-        ga, gb = position[2 * _WIDE + i] + la, position[3 * _WIDE + i] + lb
-        ax = c[3] * va + c[5] * vb - c[7] * ga - c[9] * gb - c[0] * fx - c[1] * fy
-        ay = c[4] * va + c[6] * vb - c[8] * ga - c[10] * gb - c[1] * fx - c[2] * fy
-        out[i] = ax
-        out[_WIDE + i] = ay
-        out[2 * _WIDE + i] = c[11] * ax + c[12] * ay - la
-        out[3 * _WIDE + i] = c[13] * ax + c[14] * ay - lb
+    for column in range(_N):
+        for lane in range(LANES):
+            i = column * LANES + lane
+            va, vb = rate[2 * _WIDE + i], rate[3 * _WIDE + i]
+            fx = rig[0, lane] * position[i] + rig[2, lane] * rate[i]
+            fy = rig[1, lane] * position[_WIDE + i] + rig[3, lane] * rate[_WIDE + i]
+            la, lb = rig[4, lane] * va, rig[5, lane] * vb
+            ga, gb = position[2 * _WIDE + i] + la, position[3 * _WIDE + i] + lb
+            ax = c[3, lane] * va + c[5, lane] * vb - c[7, lane] * ga - c[9, lane] * gb
+            ay = c[4, lane] * va + c[6, lane] * vb - c[8, lane] * ga - c[10, lane] * gb
+            ax -= c[0, lane] * fx + c[1, lane] * fy
+            ay -= c[1, lane] * fx + c[2, lane] * fy
+            out[i] = ax
+            out[_WIDE + i] = ay
+            out[2 * _WIDE + i] = c[11, lane] * ax + c[12, lane] * ay - la
+            out[3 * _WIDE + i] = c[13, lane] * ax + c[14, lane] * ay - lb
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -114,25 +115,33 @@ def _gather(stage, h, position, rate, k, new_position, new_rate):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _march(table, rig, work, k):
+def _march(steps, rig, work, k, c):
     """Fundamental matrices of eight points over half a revolution, into work[0] (positions) and work[1] (rates)."""
-    steps = table.shape[0] // STAGES
     h = np.pi / steps
     position, rate, new_position, new_rate = work[0], work[1], work[2], work[3]
     position[:] = 0.0
     rate[:] = 0.0
-    for c in range(4):
+    for column in range(4):
         for lane in range(LANES):
-            position[c * _WIDE + c * LANES + lane] = 1.0
-            rate[c * _WIDE + (4 + c) * LANES + lane] = 1.0
+            position[column * _WIDE + column * LANES + lane] = 1.0
+            rate[column * _WIDE + (4 + column) * LANES + lane] = 1.0
     k[:] = 0.0
     for step in range(steps):
         for stage in range(STAGES):
             _gather(stage, h, position, rate, k, new_position, new_rate)
-            _accelerate(new_position, new_rate, table[step * STAGES + stage], rig, k[stage])
+            _at_phase((step + NODES[stage]) * h, rig, c)
+            _accelerate(new_position, new_rate, c, rig, k[stage])
         _gather(STAGES, h, position, rate, k, new_position, new_rate)
         position[:] = new_position
         rate[:] = new_rate
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _eight(numbers, start, rig):
+    """The numbers of eight points, the last one repeated, into rig (21, LANES)."""
+    for lane in range(LANES):
+        for q in range(NUMBERS):
+            rig[q, lane] = numbers[min(start + lane, numbers.shape[0] - 1), q]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -149,7 +158,7 @@ def _half_turn(work, lane, scale, out):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _largest(values):
+def largest(values):
     """Index of the largest modulus and the distance of that eigenvalue to its nearest neighbour."""
     best = 0
     for i in range(1, _N):
@@ -163,12 +172,33 @@ def _largest(values):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _scales(length, rig, mass, scale):
-    """Units of the state: x, y by sqrt(J/M_S), their rates by that times the frequency where it is above the speed."""
-    scale[:] = 1.0
-    for axis in range(2):
-        scale[axis] = length
-        scale[4 + axis] = length * max(1.0, np.sqrt(rig[axis] / mass))
+def sensitive(noise, norm, gap):
+    """How far noise in a matrix moves an eigenvalue with its neighbour at a distance.
+
+    A pair at distance g has condition ‖Φ‖/g: first order far apart, a square root where it merges.
+    """
+    return min(noise * (1 + norm / max(gap, 1e-300)), np.sqrt(noise * norm) + noise)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def half_turn_matrices(
+    steps: int, numbers: NDArray[np.floating], units: NDArray[np.floating], found: NDArray[np.floating]
+) -> None:
+    """D Φ(π) for many points with one number of steps.
+
+    Args:
+        steps: per half revolution.
+        numbers: of the points, shape (points, 21); see map_rigs.MapRigs.
+        units: of the eight states, shape (8,).
+        found: shape (points, 8, 8), filled, in these units.
+    """
+    rig, c = np.empty((NUMBERS, LANES)), np.empty((15, LANES))
+    k, work = np.empty((STAGES, _STATE)), np.empty((4, _STATE))
+    for start in range(0, numbers.shape[0], LANES):
+        _eight(numbers, start, rig)
+        _march(steps, rig, work, k, c)
+        for lane in range(min(LANES, numbers.shape[0] - start)):
+            _half_turn(work, lane, units, found[start + lane])
 
 
 # Of what the finer run changed it leaves 1/255, of a merging pair's move 1/16: a quarter of the eigenvalue's move is
@@ -177,29 +207,32 @@ _MOVED, _CHANGE = 0.25, 1.0 / 16384.0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def largest_multipliers(fine, coarse, rigs, length, mass, found, errors):
+def largest_multipliers(
+    steps: int,
+    numbers: NDArray[np.floating],
+    units: NDArray[np.floating],
+    found: NDArray[np.floating],
+    errors: NDArray[np.floating],
+) -> None:
     """Largest multiplier over a revolution, and a bound on its error, for many points with one number of steps.
 
     Args:
-        fine, coarse: node tables of n and n/2 steps.
-        rigs: shape (points, 6): κ1, κ2, γ1, γ2, δ3, δ4 (per radian of phase; γ and κ in kg).
-        length: sqrt(J/M_S), m, and mass M_S, kg: units in which the matrix's blocks are comparable.
+        steps: of the finer of two runs, per half revolution; even.
+        numbers: of the points, shape (points, 21); see map_rigs.MapRigs.
+        units: of each point's states, in which the matrix's blocks are comparable, shape (points, 8).
         found, errors: shape (points,), filled; NaN where the eigenvalues did not come out.
     """
-    points = rigs.shape[0]
-    rig, k = np.empty((6, _WIDE)), np.empty((STAGES, _STATE))
+    points = numbers.shape[0]
+    rig, c, k = np.empty((NUMBERS, LANES)), np.empty((15, LANES)), np.empty((STAGES, _STATE))
     first, second = np.empty((4, _STATE)), np.empty((4, _STATE))
     a, b = np.empty((_N, _N)), np.empty((_N, _N))
-    values, scale = np.empty(_N, np.complex128), np.empty(_N)
+    values = np.empty(_N, np.complex128)
     for start in range(0, points, LANES):
-        for i in range(_WIDE):
-            point = min(start + i % LANES, points - 1)
-            for q in range(6):
-                rig[q, i] = rigs[point, q]
-        _march(fine, rig, first, k)
-        _march(coarse, rig, second, k)
+        _eight(numbers, start, rig)
+        _march(steps, rig, first, k, c)
+        _march(steps // 2, rig, second, k, c)
         for lane in range(min(LANES, points - start)):
-            _scales(length, rig[:, lane], mass, scale)
+            scale = units[start + lane]
             norm = _half_turn(first, lane, scale, a)
             _half_turn(second, lane, scale, b)
             change = 0.0
@@ -210,18 +243,15 @@ def largest_multipliers(fine, coarse, rigs, length, mass, found, errors):
             found[start + lane] = errors[start + lane] = np.nan
             if not eigenvalues(a, values):
                 continue
-            best, gap = _largest(values)
+            best, gap = largest(values)
             value = values[best]
             modulus = abs(value)
             if not eigenvalues(b, values):
                 continue
-            coarse_best, _ = _largest(values)
+            coarse_best, _ = largest(values)
             coarse_value = values[coarse_best]
             moved = min(abs(value - coarse_value), abs(value - np.conj(coarse_value)))
             moved = max(moved, abs(modulus - abs(coarse_value)))
-            # a pair at distance g has condition ‖Φ‖/g: first order far apart, a square root where it merges
-            noise = 4 * _EPS * norm
-            sensitive = min(noise * (1 + norm / max(gap, 1e-300)), np.sqrt(noise * norm) + noise)
-            bound = _MOVED * moved + _CHANGE * change + sensitive
+            bound = _MOVED * moved + _CHANGE * change + sensitive(4 * EPS * norm, norm, gap)
             found[start + lane] = modulus * modulus
             errors[start + lane] = (2 * modulus + bound) * bound

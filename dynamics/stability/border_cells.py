@@ -1,0 +1,131 @@
+# pyright: strict
+"""Cells of a plane that a border of stability passes through: a coarse grid, halved wherever it might.
+
+A cell is taken for clear when the excess e = max|μ| − 1 is farther from zero at all of its corners than its corners are
+from one another. So a border, an island or a band is missed only where it comes and goes within a cell in which the
+multiplier shows nothing of it; how fine the first grid is decides that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+Integers = NDArray[np.int64]
+Excess = Callable[[Array, Array], Array]
+"""max|μ| − 1 at x and y, each of shape (points,); NaN where no balanced state exists."""
+
+_BY = 2.0  # times the spread of a cell's corners, that they are to be away from zero
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Points of the finest grid over a range.
+
+    Attributes:
+        x_range, y_range: of the range.
+        columns, rows: cells of the finest grid along x and along y.
+    """
+
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    columns: int
+    rows: int
+
+    def x(self, i: Integers | Array) -> Array:
+        """Values of x on columns of points (numbers between them are allowed)."""
+        return self.x_range[0] + (self.x_range[1] - self.x_range[0]) * (np.asarray(i, float) / self.columns)
+
+    def y(self, j: Integers | Array) -> Array:
+        """Values of y on rows of points."""
+        return self.y_range[0] + (self.y_range[1] - self.y_range[0]) * (np.asarray(j, float) / self.rows)
+
+
+class KnownPoints:
+    """The excess at points of a lattice, each computed once."""
+
+    def __init__(self, lattice: Lattice, excess: Excess) -> None:
+        self._lattice, self._excess = lattice, excess
+        self._keys, self._values = np.empty(0, np.int64), np.empty(0)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def at(self, i: Integers, j: Integers) -> Array:
+        """The excess at points of the lattice, of any shape."""
+        keys = i * (self._lattice.rows + 1) + j
+        new = np.setdiff1d(keys.ravel(), self._keys)
+        if len(new):
+            columns, rows = np.divmod(new, self._lattice.rows + 1)
+            found = self._excess(self._lattice.x(columns), self._lattice.y(rows))
+            order = np.argsort(all_keys := np.concatenate([self._keys, new]), kind="stable")
+            self._keys, self._values = all_keys[order], np.concatenate([self._values, found])[order]
+        return self._values[np.searchsorted(self._keys, keys)]
+
+
+@dataclass(frozen=True)
+class BorderCells:
+    """Cells of the finest grid with a change of sign.
+
+    Attributes:
+        i, j: lower left corners, shape (cells,).
+        excess: at the corners, anticlockwise from there, shape (cells, 4).
+        clear_stable: share of the range in cells that are stable as a whole.
+    """
+
+    i: Integers
+    j: Integers
+    excess: Array
+    clear_stable: float
+
+
+def border_cells(
+    known: KnownPoints, columns: int, rows: int, levels: int, progress: Callable[[float], None]
+) -> BorderCells:
+    """Find the cells with a border in them.
+
+    Args:
+        known: of a lattice of columns · 2^levels × rows · 2^levels cells.
+        columns, rows: cells of the first grid.
+        levels: how often a cell is halved both ways.
+        progress: called with the share done.
+    """
+    size, stable = 2**levels, 0.0
+    grid = np.meshgrid(np.arange(columns, dtype=np.int64), np.arange(rows, dtype=np.int64), indexing="ij")
+    i, j = (part.ravel() * size for part in grid)
+    while True:
+        excess = _corners(known, i, j, size)
+        finite = np.isfinite(excess)
+        below = finite.all(axis=1) & np.all(excess < 0, axis=1)
+        share = size * size / (columns * rows * 4**levels)
+        if size == 1:
+            cut = finite.all(axis=1) & ~below & np.any(excess < 0, axis=1)
+            return BorderCells(i[cut], j[cut], excess[cut], stable + share * int(np.count_nonzero(below)))
+        open_cells = _may_hold_a_border(excess, finite)
+        stable += share * int(np.count_nonzero(below & ~open_cells))
+        size //= 2
+        i = np.concatenate([i[open_cells] + a * size for a, _ in _QUARTERS])
+        j = np.concatenate([j[open_cells] + b * size for _, b in _QUARTERS])
+        progress(1 - size / 2**levels)
+
+
+_QUARTERS = ((0, 0), (1, 0), (0, 1), (1, 1))
+_CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # anticlockwise
+
+
+def _corners(known: KnownPoints, i: Integers, j: Integers, size: int) -> Array:
+    """The excess at the corners of cells, anticlockwise from the lower left one, shape (cells, 4)."""
+    steps = _CORNERS * size
+    return known.at(i[:, None] + steps[:, 0], j[:, None] + steps[:, 1])
+
+
+def _may_hold_a_border(excess: Array, finite: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells whose corners are not farther from zero than from one another, and those where balance ends."""
+    whole = np.all(finite, axis=1)
+    spread = np.ptp(np.where(finite, excess, 0.0), axis=1)
+    nearest = np.min(np.where(finite, np.abs(excess), np.inf), axis=1)
+    return (whole & (nearest <= _BY * spread)) | (np.any(finite, axis=1) & ~whole)

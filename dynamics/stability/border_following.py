@@ -1,0 +1,175 @@
+# pyright: strict
+"""A border followed from one of its points: a step is predicted by the curve so far and corrected on a circle.
+
+In a unit square, e(x, y) = max|μ| − 1 is continuous but has kinks where one multiplier overtakes another. On a circle
+of radius s about a point of the border, e changes its sign where the border leaves the circle: the direction is
+narrowed down between one in which it is stable (on the left hand) and one in which it is not. Where the border turns
+by more than a few degrees, or is not near its chord halfway, the step is halved, down to 10⁻⁶, where corners are
+turned: so neither a thin band nor the tip of a tongue is cut off, whatever the grid was.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from dynamics.errors import NotConverged
+
+LONGEST, SHORTEST = 0.01, 1e-6  # steps
+_TURN = math.radians(3.0)  # of a step
+_ASIDE = 2.0 * _TURN  # that the border is looked for on both sides of what was predicted
+_SCAN = math.radians(7.0)
+_WIDEST = math.radians(175.0)
+_MOST = 20_000  # steps
+_ROUNDS, _NARROW = 80, 1e-13  # of narrowing a direction down
+_SLOPE = 1e-7  # of the square: distance over which the first direction is taken
+Excess = Callable[[complex], float]
+"""e at x + i y in the unit square; NaN outside it and where no balanced state exists."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Points of a border in order, x + i y.
+
+    Attributes:
+        points: what is stable lies on the left hand.
+        closed: the last point is the first one.
+    """
+
+    points: list[complex]
+    closed: bool
+
+
+def follow(excess: Excess, start: complex) -> Followed:
+    """The whole border through a point.
+
+    Args:
+        start: on the border, e = 0 to rounding.
+    Raises:
+        NotConverged: it does not end.
+    """
+    onward = _one_way(excess, start, _direction(excess, start))
+    if onward.closed:
+        return onward
+    back = _one_way(lambda at: -excess(at), start, _direction(excess, start) + math.pi)
+    return Followed([*reversed(back.points[1:]), *onward.points], False)
+
+
+def _direction(excess: Excess, at: complex) -> float:
+    """Along the border, with what is stable on the left hand, rad."""
+    best, found = -math.inf, 0.0
+    count = 64  # the diameter across which the excess changes most
+    around = [excess(at + _SLOPE * cmath.rect(1.0, 2 * math.pi * k / count)) for k in range(count)]
+    for k in range(count):
+        left, right = around[(k + count // 4) % count], around[(k - count // 4) % count]
+        if right - left > best:
+            best, found = right - left, 2 * math.pi * k / count
+    return found
+
+
+def _one_way(excess: Excess, start: complex, direction: float) -> Followed:
+    """From a point in a direction, until it comes back there, leaves the square or ends within it."""
+    points, step, before, curvature = [start], LONGEST / 8, 0.0, 0.0
+    chord = direction
+    for _ in range(_MOST):
+        at, ahead = points[-1], chord + curvature * (step + before) / 2
+        if len(points) > 4 and abs(at - start) < 0.9 * step and abs(_folded(ahead - direction)) < 0.5:
+            return Followed([*points, start], True)
+        if not _inside(at + step * cmath.rect(1.0, ahead)):
+            end = _leaving(excess, at, ahead, step)
+            if end is not None:
+                return Followed([*points, end], False)
+        found = _on_circle(excess, at, ahead, step, _ASIDE)
+        turn = math.inf if found is None else _folded(found - chord)
+        halfway = None if found is None else _on_circle(excess, at, found, step / 2, _TURN)
+        if (abs(turn) > _TURN or halfway is None) and step > SHORTEST:
+            step, curvature = max(step / 2, SHORTEST), 0.0
+            continue
+        if found is None:  # a corner
+            found, turn = _around(excess, at, chord, step), 0.0
+            if found is None:
+                return Followed(points, False)
+        if halfway is not None:
+            points.append(at + step / 2 * cmath.rect(1.0, halfway))
+        points.append(at + step * cmath.rect(1.0, found))
+        curvature = 2 * turn / (step + before) if before else 0.0
+        chord, before = found, step
+        if abs(turn) < _TURN / 2:
+            step = min(1.5 * step, LONGEST)
+    raise NotConverged(f"a border of stability does not end within {_MOST} steps from {start:.6g} of the range")
+
+
+def _on_circle(excess: Excess, at: complex, direction: float, step: float, aside: float) -> float | None:
+    """Direction in which the border leaves a circle; None where it is not within `aside` of the one predicted."""
+
+    def off(angle: float) -> float:
+        return excess(at + step * cmath.rect(1.0, angle))
+
+    right, left = off(direction - aside), off(direction + aside)
+    if not (right >= 0.0 > left):
+        return None
+    if right == 0.0:
+        return direction - aside
+    return _root(off, direction - aside, direction + aside)
+
+
+def _around(excess: Excess, at: complex, direction: float, step: float) -> float | None:
+    """The same, looked for ever farther from the direction predicted."""
+    for k in range(int(_WIDEST / _SCAN) + 1):
+        for side in (1, -1):
+            found = _on_circle(excess, at, direction + side * k * _SCAN, step, 0.6 * _SCAN)
+            if found is not None:
+                return found
+    return None
+
+
+def _leaving(excess: Excess, at: complex, direction: float, step: float) -> complex | None:
+    """Point on a side of the square at which the border leaves it within a step; None where it is not found there."""
+    way = cmath.rect(1.0, direction)
+    across, upwards = _until_a_side(at.real, way.real), _until_a_side(at.imag, way.imag)
+    length, upright = min(across, upwards), across <= upwards
+    exit_point = at + length * way
+    wide = max(2.0 * step * math.tan(_ASIDE), 1e-12)
+
+    def point(along: float) -> complex:
+        along = min(max(along, 0.0), 1.0)
+        return complex(round(exit_point.real), along) if upright else complex(along, round(exit_point.imag))
+
+    middle = exit_point.imag if upright else exit_point.real
+    to_the_left = math.copysign(wide, way.real if upright else -way.imag)
+    if not (excess(point(middle - to_the_left)) >= 0.0 > excess(point(middle + to_the_left))):
+        return None
+    return point(_root(lambda along: excess(point(along)), middle - to_the_left, middle + to_the_left))
+
+
+def _until_a_side(place: float, rate: float) -> float:
+    """Distance at which a coordinate comes to 0 or 1."""
+    return ((1.0 if rate > 0 else 0.0) - place) / rate if rate else math.inf
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Root between two places with values of different sign: the Illinois method, every fourth time a halving."""
+    at_low, at_high = function(low), function(high)
+    for turn in range(_ROUNDS):
+        if at_high == 0.0 or abs(high - low) <= _NARROW:
+            break
+        inner = (low * at_high - high * at_low) / (at_high - at_low)
+        middle = (low + high) / 2 if turn % 4 == 3 else inner
+        value = function(middle)
+        if (value > 0) == (at_high > 0):
+            at_low /= 2
+        else:
+            low, at_low = high, at_high
+        high, at_high = middle, value
+    return high
+
+
+def _inside(at: complex) -> bool:
+    return 0.0 <= at.real <= 1.0 and 0.0 <= at.imag <= 1.0
+
+
+def _folded(angle: float) -> float:
+    """An angle within ± π."""
+    return math.remainder(angle, 2 * math.pi)

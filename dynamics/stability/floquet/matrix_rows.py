@@ -1,0 +1,112 @@
+"""Largest multipliers along rows of a map whose half-turn matrices are interpolated."""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dynamics.stability.floquet.lanes import EPS, largest, sensitive
+from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
+
+_SIDE = 4  # points whose sums are taken side by side
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
+def _four_matrices(row, weights, start, out):
+    """Weighted sums of a row's matrices, shape (nodes, n²), at four points into out (4, n²)."""
+    last = weights.shape[0] - 1
+    a, b, c, d = start, min(start + 1, last), min(start + 2, last), min(start + 3, last)
+    out[:] = 0.0
+    for j in range(weights.shape[1]):
+        wa, wb, wc, wd = weights[a, j], weights[b, j], weights[c, j], weights[d, j]
+        for q in range(row.shape[1]):
+            value = row[j, q]
+            out[0, q] += wa * value
+            out[1, q] += wb * value
+            out[2, q] += wc * value
+            out[3, q] += wd * value
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
+def _row_of_matrices(nodes, weights, out):
+    """Weighted sum of rows of nodes, shape (rows, n), into out (n,)."""
+    out[:] = 0.0
+    for j in range(nodes.shape[0]):
+        weight = weights[j]
+        for q in range(nodes.shape[1]):
+            out[q] += weight * nodes[j, q]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def multipliers_of_rows(
+    nodes: NDArray[np.floating],
+    weights_v: NDArray[np.floating],
+    weights_u: NDArray[np.floating],
+    error: float,
+    found: NDArray[np.floating],
+    errors: NDArray[np.floating],
+) -> None:
+    """Largest multipliers over a revolution along rows.
+
+    Args:
+        nodes: matrices of the nodes, shape (n_v, n_u, n²).
+        weights_v: of the rows of nodes in each row of points, shape (rows, n_v).
+        weights_u: of the columns of nodes at each column of points, shape (columns, n_u).
+        error: bound on the Frobenius norm of an interpolated matrix's error.
+        found, errors: shape (rows, columns), filled; NaN where the eigenvalues did not come out.
+    """
+    n_v, n_u, entries = nodes.shape
+    flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
+    columns, n = weights_u.shape[0], int(np.round(np.sqrt(entries)))
+    matrices, a, values = np.empty((_SIDE, entries)), np.empty((n, n)), np.empty(n, np.complex128)
+    for line in range(weights_v.shape[0]):
+        _row_of_matrices(flat, weights_v[line], row)
+        for start in range(0, columns, _SIDE):
+            _four_matrices(row.reshape(n_u, entries), weights_u, start, matrices)
+            for i in range(start, min(start + _SIDE, columns)):
+                a[:] = matrices[i - start].reshape(n, n)
+                norm = np.sqrt(np.sum(a * a))
+                found[line, i] = errors[line, i] = np.nan
+                if not eigenvalues(a, values):
+                    continue
+                best, gap = largest(values)
+                modulus = abs(values[best])
+                bound = sensitive(4 * EPS * norm + error, norm, gap)
+                found[line, i] = modulus * modulus
+                errors[line, i] = (2 * modulus + bound) * bound
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def eigenvalues_at(
+    nodes: NDArray[np.floating],
+    weights_v: NDArray[np.floating],
+    row_of: NDArray[np.intp],
+    weights_u: NDArray[np.floating],
+    values: NDArray[np.complexfloating],
+) -> None:
+    """Eigenvalues of interpolated matrices at scattered points, those of one row after another.
+
+    Args:
+        nodes: matrices of the nodes, shape (n_v, n_u, n²).
+        weights_v: of the rows of nodes in each row of points, shape (rows, n_v).
+        row_of: each point's row, rising, shape (points,).
+        weights_u: of the columns of nodes at each point, shape (points, n_u).
+        values: shape (points, n), filled; NaN where they did not come out.
+    """
+    n_v, n_u, entries = nodes.shape
+    flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
+    n, last = int(np.round(np.sqrt(entries))), -1
+    flat_matrix, found = np.empty(entries), np.empty(n, np.complex128)
+    for point in range(len(row_of)):
+        if row_of[point] != last:
+            last = row_of[point]
+            _row_of_matrices(flat, weights_v[last], row)
+        _row_of_matrices(row.reshape(n_u, entries), weights_u[point], flat_matrix)
+        if eigenvalues(flat_matrix.reshape(n, n), found):
+            values[point] = found
+        else:
+            values[point] = np.nan

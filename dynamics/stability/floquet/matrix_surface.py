@@ -1,0 +1,136 @@
+# pyright: strict
+"""Half-turn matrices of a whole rectangle of a map, interpolated from few of them.
+
+D Φ(π) is an entire function of the springs, dampers and pendulum rates per radian of phase. So over a rectangle of
+coordinates in which these are smooth (1/Ω and √K: modes turn by phases π ω_n/ω) its Chebyshev series falls faster
+than any power as soon as it has more terms than half the rectangle's phase. A map of 300 × 400 points needs some 1500
+matrices.
+Source: L. N. Trefethen, Approximation Theory and Approximation Practice, SIAM 2013, chapters 3, 8 and 17.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+MatricesAt = Callable[[NDArray[np.floating], NDArray[np.floating], bool], NDArray[np.floating]]
+"""Matrices at u and v, each of shape (points,): shape (points, n, n). True: more accurate than those of the nodes."""
+
+_EPS = float(np.finfo(float).eps)
+MOST_NODES = 64
+_ROUNDINGS = 16.0  # of a matrix's norm: of the sums of the series
+_TAIL = 4.0  # a series that falls by half or more each term leaves less than its last two terms
+_HELD_OUT = 12  # points, beside the corners, at which the surface is held against the matrix itself
+_SAFETY = 2.0  # on the largest of their differences
+
+
+@dataclass(frozen=True)
+class MatrixSurface:
+    """Matrices over a rectangle of coordinates u and v.
+
+    Attributes:
+        u_range, v_range: the rectangle.
+        nodes: matrices at the Chebyshev points of the first kind, shape (n_v, n_u, n, n).
+        error: bound on the Frobenius norm of a matrix's error, in the units of the nodes.
+    """
+
+    u_range: tuple[float, float]
+    v_range: tuple[float, float]
+    nodes: NDArray[np.floating]
+    error: float
+
+    def weights_u(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Share of each column of nodes in the matrix at u, shape (len(u), n_u)."""
+        return lagrange_basis(self.nodes.shape[1], self.u_range, u)
+
+    def weights_v(self, v: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Share of each row of nodes in the matrix at v, shape (len(v), n_v)."""
+        return lagrange_basis(self.nodes.shape[0], self.v_range, v)
+
+
+def nodes_needed(span: tuple[float, float], half_phase_rad: float) -> int:
+    """Terms after which the Chebyshev series of e^{i x u}, |u| ≤ 1, has fallen to rounding: x + O(x^⅓) and some."""
+    if span[0] == span[1]:
+        return 1
+    return math.ceil(half_phase_rad + 7.0 * half_phase_rad ** (1 / 3) + 8.0)
+
+
+def _angles(n: int) -> NDArray[np.floating]:
+    return (np.pi / n) * (np.arange(n) + 0.5)
+
+
+def chebyshev_points(n: int, span: tuple[float, float]) -> NDArray[np.floating]:
+    """Chebyshev points of the first kind in an interval, shape (n,), from its end to its beginning."""
+    low, high = span
+    return (low + high) / 2 + (high - low) / 2 * np.cos(_angles(n))
+
+
+def lagrange_basis(n: int, span: tuple[float, float], at: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Values of the Lagrange polynomials of `chebyshev_points`, shape (len(at), n)."""
+    low, high = span
+    if n == 1:
+        return np.ones((len(at), 1))
+    order = np.arange(n)
+    angle = np.arccos(np.clip((2 * at - low - high) / (high - low), -1.0, 1.0))
+    weight = np.where(order == 0, 1.0, 2.0) / n
+    return np.cos(angle[:, None] * order) @ (weight[:, None] * np.cos(order[:, None] * _angles(n)))
+
+
+def fit_surface(
+    matrices_at: MatricesAt,
+    u_range: tuple[float, float],
+    v_range: tuple[float, float],
+    half_phases_rad: tuple[float, float],
+    wanted: float,
+) -> MatrixSurface | None:
+    """Interpolate matrices over a rectangle.
+
+    Args:
+        matrices_at: computes them.
+        u_range, v_range: the rectangle; low = high makes it a line.
+        half_phases_rad: half the phase that the fastest mode turns over the rectangle, along u and along v.
+        wanted: error that is good enough, relative to the largest norm.
+    Returns:
+        The surface; None where `MOST_NODES` nodes along a side do not reach what is wanted.
+    """
+    n_u, n_v = (nodes_needed(span, phase) for span, phase in zip((u_range, v_range), half_phases_rad, strict=True))
+    while max(n_u, n_v) <= MOST_NODES:
+        u, v = chebyshev_points(n_u, u_range), chebyshev_points(n_v, v_range)
+        found = matrices_at(np.tile(u, n_v), np.repeat(v, n_u), False)
+        if not np.all(np.isfinite(found)):
+            return None
+        nodes = found.reshape(n_v, n_u, *found.shape[1:])
+        norm = float(np.max(np.linalg.norm(found, axis=(1, 2))))
+        tail_u, tail_v = _last_terms(nodes, 1), _last_terms(nodes, 0)
+        if max(tail_u, tail_v) <= wanted * norm:
+            error = _TAIL * (tail_u + tail_v) + _ROUNDINGS * _EPS * norm
+            return _held_against(MatrixSurface(u_range, v_range, nodes, error), matrices_at)
+        n_u += n_u // 8 if tail_u > wanted * norm else 0
+        n_v += n_v // 8 if tail_v > wanted * norm else 0
+    return None
+
+
+def _last_terms(nodes: NDArray[np.floating], axis: int) -> float:
+    """Largest Frobenius norm of the last two terms of the Chebyshev series along an axis."""
+    n = nodes.shape[axis]
+    if n == 1:
+        return 0.0
+    cosines = np.cos(np.array([[n - 2], [n - 1]]) * _angles(n))
+    terms = np.tensordot(2.0 / n * cosines, nodes, (1, axis))
+    return float(np.max(np.linalg.norm(terms, axis=(-2, -1))))
+
+
+def _held_against(surface: MatrixSurface, matrices_at: MatricesAt) -> MatrixSurface:
+    """The surface with an error that covers what it is off by at its corners and at points spread over it."""
+    turn, corner = np.arange(1, _HELD_OUT + 1), np.arange(4)
+    shares = np.concatenate([(0.7548776662466927 * turn) % 1.0, corner % 2])  # of Roberts' R2
+    other = np.concatenate([(0.5698402909980532 * turn) % 1.0, corner // 2])
+    u, v = (low + (high - low) * at for (low, high), at in ((surface.u_range, shares), (surface.v_range, other)))
+    there = np.einsum("pv,pu,vuij->pij", surface.weights_v(v), surface.weights_u(u), surface.nodes)
+    apart = float(np.max(np.linalg.norm(there - matrices_at(u, v, True), axis=(1, 2))))
+    return dataclasses.replace(surface, error=surface.error + _SAFETY * apart)

@@ -1,0 +1,165 @@
+# pyright: strict
+"""Planes of which a map can be made: two numbers of a rig, and what a rig is at a pair of values."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.equations.balancing import balanced_angles
+from dynamics.equations.linearised import type_one
+from dynamics.equations.parameters import RotorParameters
+from dynamics.errors import DynamicsError, NoBalancedState, NotConverged
+from dynamics.stability.floquet import floquet_multipliers
+from dynamics.stability.map_rigs import MapRigs
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """In which function of a number the half-turn matrix is smooth.
+
+    Attributes:
+        of: the coordinate of values; back: values of coordinates.
+    """
+
+    of: Callable[[Array], Array]
+    back: Callable[[Array], Array]
+
+
+SAME = Coordinate(lambda value: value, lambda at: at)
+INVERSE = Coordinate(lambda value: 1.0 / value, lambda at: 1.0 / at)  # a speed: modes turn by ω_n/ω a radian
+ROOT = Coordinate(np.sqrt, np.square)  # a stiffness: its mode turns with the root
+
+
+class Plane(Protocol):
+    """Two numbers x and y of a rig, with everything else fixed."""
+
+    @property
+    def x(self) -> Coordinate:
+        """Coordinate of x."""
+        ...
+
+    @property
+    def y(self) -> Coordinate:
+        """Coordinate of y."""
+        ...
+
+    def rigs(self, x: Array, y: Array) -> MapRigs | None:
+        """What many points are, each of shape (points,); angles are NaN where no balanced state exists.
+
+        None: a pendulum is absent, which many points at once do not know.
+        """
+        ...
+
+    def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
+        """Rig, balanced angles (rad) and speed (rad/s) at one point.
+
+        Raises:
+            NoBalancedState: there is none.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class SpeedStiffnessPlane:
+    """x: speed ratio Ω = ω/ω_n1; y: stiffness ratio K = k2/k1; k1 and the damping ratios stay.
+
+    Attributes:
+        parameters: the rig.
+        angles: θ3, θ4 of its balanced state, rad.
+    """
+
+    parameters: RotorParameters
+    angles: tuple[float, float]
+    x: Coordinate = INVERSE
+    y: Coordinate = ROOT
+
+    def rigs(self, x: Array, y: Array) -> MapRigs | None:
+        """See Plane."""
+        p = self.parameters
+        if not (p.a.present and p.b.present):
+            return None
+        packed, n = p.packed(), len(x)
+        k = np.array([np.full(n, p.k1_N_per_m), p.k1_N_per_m * y])
+        c = 2 * np.array([[p.zeta1], [p.zeta2]]) * np.sqrt(k * p.total_mass_kg)
+        alike = (packed[5:7], packed[8:10], packed[10:12], np.array(self.angles))
+        moment, inertia, loss, theta = (np.repeat(pair[:, None], n, 1) for pair in alike)
+        speed = x * p.natural_frequencies_rad_s[0]
+        return MapRigs(np.full(n, p.total_mass_kg), k, c, moment, inertia, loss, theta, speed)
+
+    def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
+        """See Plane."""
+        p = self.parameters
+        return dataclasses.replace(p, k2_N_per_m=y * p.k1_N_per_m), self.angles, x * p.natural_frequencies_rad_s[0]
+
+
+@dataclass(frozen=True)
+class RigPlane:
+    """Any two numbers.
+
+    Attributes:
+        at: rig and running speed, rad/s, at a pair of values.
+        x, y: see Plane.
+    """
+
+    at: Callable[[float, float], tuple[RotorParameters, float]]
+    x: Coordinate = SAME
+    y: Coordinate = SAME
+
+    def rigs(self, x: Array, y: Array) -> MapRigs | None:
+        """See Plane."""
+        rigs: list[RotorParameters] = []
+        angles: list[tuple[float, float]] = []
+        speeds: list[float] = []
+        for one_x, one_y in zip(x.tolist(), y.tolist(), strict=True):
+            rig, speed = self.at(one_x, one_y)
+            if not (rig.a.present and rig.b.present):
+                return None
+            found = balanced_angles(rig)
+            rigs.append(rig)
+            angles.append(found[0] if found else (np.nan, np.nan))
+            speeds.append(speed)
+        return MapRigs.of(rigs, angles, speeds)
+
+    def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
+        """See Plane."""
+        rig, speed = self.at(x, y)
+        found = balanced_angles(rig)
+        if not found:
+            raise NoBalancedState(f"no balanced state at x = {x:.6g}, y = {y:.6g}")
+        return rig, found[0], speed
+
+
+def multiplier_at(plane: Plane, x: float, y: float, accuracy: float) -> tuple[float, float]:
+    """Largest multiplier of one point by whatever method serves it, with its bound; NaN without a balanced state.
+
+    Raises:
+        NotConverged: no method serves it, even roughly.
+    """
+    try:
+        matrix = type_one(*_spread(plane.one(x, y)))
+    except NoBalancedState:
+        return np.nan, np.nan
+    last: DynamicsError | None = None
+    for looser in (1.0, 1e2, 1e4, 1e6):
+        try:
+            answer = floquet_multipliers(matrix, min(looser * accuracy, 0.1))
+        except NotConverged as refusal:
+            last = refusal
+        else:
+            return answer.largest, answer.error_estimate
+    raise NotConverged(f"stability map at {x:.6g}, {y:.6g}: {last}; leave this point out") from last
+
+
+def _spread(
+    point: tuple[RotorParameters, tuple[float, float], float],
+) -> tuple[RotorParameters, float, float, float]:
+    rig, angles, speed = point
+    return rig, *angles, speed

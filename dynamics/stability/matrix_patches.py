@@ -1,0 +1,111 @@
+# pyright: strict
+"""Eigenvalues of the half-turn matrix anywhere in a range of a plane, from rectangles that cover all of it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.stability.floquet.matrix_rows import eigenvalues_at
+from dynamics.stability.floquet.matrix_surface import MatrixSurface
+from dynamics.stability.map_plane import Plane
+from dynamics.stability.map_tiles import MOST_NODES, needed_nodes, surface_over
+
+_BATCH = 1024  # points that a thread takes at a time
+_SMALLEST = 1 / 64  # side of a rectangle, of the range's: not smooth below that
+
+Array = NDArray[np.floating]
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class MatrixPatches:
+    """Rectangles over a range.
+
+    Attributes:
+        plane: whose half-turn matrices they are.
+        surfaces: one per rectangle; they share sides and leave out `bare`.
+        bare: rectangles (u and v from, to) in which no balanced state exists, or the matrix is not smooth.
+    """
+
+    plane: Plane
+    surfaces: tuple[MatrixSurface, ...]
+    bare: tuple[tuple[Span, Span], ...]
+
+    def eigenvalues(self, pool: ThreadPoolExecutor, x: Array, y: Array) -> NDArray[np.complexfloating]:
+        """Eigenvalues of D Φ(π), whose squares are the multipliers, largest modulus first, shape (points, 8).
+
+        NaN in bare rectangles.
+        """
+        u, v = self.plane.x.of(x), self.plane.y.of(y)
+        found = np.full((len(u), 8), np.nan, complex)
+        open_points = np.ones(len(u), bool)
+        for surface in self.surfaces:
+            here = np.flatnonzero(open_points & _inside(surface.u_range, u) & _inside(surface.v_range, v))
+            open_points[here] = False
+            here = here[np.argsort(v[here], kind="stable")]
+            parts = [here[start : start + _BATCH] for start in range(0, len(here), _BATCH)]
+            pending = [pool.submit(_values, surface, u[part], v[part]) for part in parts]
+            for part, values in zip(parts, pending, strict=True):
+                found[part] = values.result()
+        return found
+
+    def eigenvalues_there(self, x: float, y: float) -> NDArray[np.complexfloating]:
+        """The same of a single point, shape (8,)."""
+        u, v = self.plane.x.of(np.array([x])), self.plane.y.of(np.array([y]))
+        for surface in self.surfaces:
+            if _inside(surface.u_range, u)[0] and _inside(surface.v_range, v)[0]:
+                return _values(surface, u, v)[0]
+        return np.full(8, np.nan, complex)
+
+
+def cover(pool: ThreadPoolExecutor, plane: Plane, x_range: Span, y_range: Span) -> MatrixPatches:
+    """Cover a range with rectangles.
+
+    Args:
+        x_range, y_range: in values of the plane's numbers, each with low < high.
+    """
+    u, v = (tuple(sorted(c.of(np.array(r)).tolist())) for c, r in ((plane.x, x_range), (plane.y, y_range)))
+    surfaces: list[MatrixSurface] = []
+    bare: list[tuple[Span, Span]] = []
+    waiting = [((u[0], u[1]), (v[0], v[1]), 1.0, 1.0)]
+    while waiting:
+        u_range, v_range, u_share, v_share = waiting.pop()
+        needed = needed_nodes(plane, u_range, v_range)
+        if needed is not None and max(needed) <= MOST_NODES:
+            surface = surface_over(pool, plane, u_range, v_range)
+            if surface is not None:
+                surfaces.append(surface)
+                continue
+        if min(u_share, v_share) <= _SMALLEST:
+            bare.append((u_range, v_range))
+            continue
+        crowded = needed is not None and max(needed) > MOST_NODES
+        along_u = needed[0] >= needed[1] if needed is not None and crowded else u_share >= v_share
+        if along_u:
+            waiting += [(half, v_range, u_share / 2, v_share) for half in _halves(u_range)]
+        else:
+            waiting += [(u_range, half, u_share, v_share / 2) for half in _halves(v_range)]
+    return MatrixPatches(plane, tuple(surfaces), tuple(bare))
+
+
+def _halves(span: Span) -> tuple[Span, Span]:
+    middle = (span[0] + span[1]) / 2
+    return (span[0], middle), (middle, span[1])
+
+
+def _inside(span: Span, values: Array) -> NDArray[np.bool_]:
+    slack = 1e-12 * (abs(span[0]) + abs(span[1]))
+    return (values >= span[0] - slack) & (values <= span[1] + slack)
+
+
+def _values(surface: MatrixSurface, u: Array, v: Array) -> NDArray[np.complexfloating]:
+    """Eigenvalues at points with v in order, shape (points, n)."""
+    rows, row = np.unique(v, return_inverse=True)
+    nodes = surface.nodes.reshape(*surface.nodes.shape[:2], -1)
+    values = np.empty((len(u), surface.nodes.shape[-1]), complex)
+    eigenvalues_at(nodes, surface.weights_v(rows), np.asarray(row, np.intp), surface.weights_u(u), values)
+    return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1), 1)
