@@ -23,7 +23,7 @@ _ASIDE = 2.0 * _TURN  # that the border is looked for on both sides of what was 
 _SCAN = math.radians(7.0)
 _WIDEST = math.radians(175.0)
 _MOST = 20_000  # steps
-_ROUNDS, _NARROW = 80, 1e-13  # of narrowing a direction down
+_ROUNDS, _NARROW = 80, 1e-13  # of narrowing a point down, to this share of the square
 _SLOPE = 1e-7  # of the square: distance over which the first direction is taken
 Excess = Callable[[complex], float]
 """e at x + i y in the unit square; NaN outside it and where no balanced state exists."""
@@ -112,7 +112,7 @@ def _on_circle(excess: Excess, at: complex, direction: float, step: float, aside
         return None
     if right == 0.0:
         return direction - aside
-    return _root(off, direction - aside, direction + aside)
+    return _root(off, direction - aside, direction + aside, _NARROW / step)
 
 
 def _around(excess: Excess, at: complex, direction: float, step: float) -> float | None:
@@ -141,7 +141,7 @@ def _leaving(excess: Excess, at: complex, direction: float, step: float) -> comp
     to_the_left = math.copysign(wide, way.real if upright else -way.imag)
     if not (excess(point(middle - to_the_left)) >= 0.0 > excess(point(middle + to_the_left))):
         return None
-    return point(_root(lambda along: excess(point(along)), middle - to_the_left, middle + to_the_left))
+    return point(_root(lambda along: excess(point(along)), middle - to_the_left, middle + to_the_left, _NARROW))
 
 
 def _until_a_side(place: float, rate: float) -> float:
@@ -149,14 +149,19 @@ def _until_a_side(place: float, rate: float) -> float:
     return ((1.0 if rate > 0 else 0.0) - place) / rate if rate else math.inf
 
 
-def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Root between two places with values of different sign: the Illinois method, every fourth time a halving."""
+def _root(function: Callable[[float], float], low: float, high: float, narrow: float) -> float:
+    """Root between two places with values of different sign: the Illinois method, every fourth time a halving.
+
+    Ends where the next place is as near as `narrow` to the last one.
+    """
     at_low, at_high = function(low), function(high)
     for turn in range(_ROUNDS):
-        if at_high == 0.0 or abs(high - low) <= _NARROW:
+        if at_high == 0.0 or abs(high - low) <= narrow:
             break
         inner = (low * at_high - high * at_low) / (at_high - at_low)
         middle = (low + high) / 2 if turn % 4 == 3 else inner
+        if abs(middle - high) <= narrow:
+            return middle
         value = function(middle)
         if (value > 0) == (at_high > 0):
             at_low /= 2

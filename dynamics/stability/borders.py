@@ -134,7 +134,7 @@ def _followed(
         return lattice.x_range[0] + width * at.real, lattice.y_range[0] + height * at.imag
 
     def excess(at: complex) -> float:
-        return abs(patches.eigenvalues_there(*place(at))[0]) ** 2 - 1.0
+        return abs(patches.largest_there(*place(at))) ** 2 - 1.0
 
     seeds = crossings.columns / lattice.columns + 1j * crossings.rows / lattice.rows
     waiting = np.ones(len(seeds), bool)
@@ -145,7 +145,7 @@ def _followed(
         followed = follow(excess, seed)
         waiting[waiting] = ~_lie_on(seeds[waiting], np.array(followed.points))
         places = np.array([place(at) for at in followed.points])
-        roots = [patches.eigenvalues_there(x, y)[0] for x, y in places]
+        roots = [patches.largest_there(x, y) for x, y in places.tolist()]
         branches.append(Border(places[:, 0], places[:, 1], _upper(np.array(roots) ** 2), followed.closed))
         tell(float(1 - waiting.mean()))
     return branches

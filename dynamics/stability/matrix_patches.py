@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.stability.floquet.matrix_rows import eigenvalues_at
+from dynamics.stability.floquet.matrix_rows import eigenvalues_at, largest_eigenvalue_there
 from dynamics.stability.floquet.matrix_surface import MatrixSurface
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import MOST_NODES, needed_nodes, surface_over
 
+_SLACK = 1e-12  # by which a point on a side may be taken for one beyond it
 _BATCH = 1024  # points that a thread takes at a time
 _SMALLEST = 1 / 64  # side of a rectangle, of the range's: not smooth below that
 
@@ -53,13 +54,15 @@ class MatrixPatches:
                 found[part] = values.result()
         return found
 
-    def eigenvalues_there(self, x: float, y: float) -> NDArray[np.complexfloating]:
-        """The same of a single point, shape (8,)."""
-        u, v = self.plane.x.of(np.array([x])), self.plane.y.of(np.array([y]))
+    def largest_there(self, x: float, y: float) -> complex:
+        """The first of them at a single point; NaN in bare rectangles."""
+        u, v = (float(c.of(np.array(value))) for c, value in ((self.plane.x, x), (self.plane.y, y)))
         for surface in self.surfaces:
-            if _inside(surface.u_range, u)[0] and _inside(surface.v_range, v)[0]:
-                return _values(surface, u, v)[0]
-        return np.full(8, np.nan, complex)
+            shares = _share(surface.u_range, u), _share(surface.v_range, v)
+            if max(abs(shares[0]), abs(shares[1])) <= 1.0 + _SLACK:
+                nodes = surface.nodes.reshape(*surface.nodes.shape[:2], -1)
+                return complex(largest_eigenvalue_there(nodes, *shares))
+        return complex(np.nan, np.nan)
 
 
 def cover(pool: ThreadPoolExecutor, plane: Plane, x_range: Span, y_range: Span) -> MatrixPatches:
@@ -97,8 +100,13 @@ def _halves(span: Span) -> tuple[Span, Span]:
     return (span[0], middle), (middle, span[1])
 
 
+def _share(span: Span, value: float) -> float:
+    """Where a value lies between −1 and 1."""
+    return 0.0 if span[0] == span[1] else (2 * value - span[0] - span[1]) / (span[1] - span[0])
+
+
 def _inside(span: Span, values: Array) -> NDArray[np.bool_]:
-    slack = 1e-12 * (abs(span[0]) + abs(span[1]))
+    slack = _SLACK * (abs(span[0]) + abs(span[1]))
     return (values >= span[0] - slack) & (values <= span[1] + slack)
 
 

@@ -110,3 +110,46 @@ def eigenvalues_at(
             values[point] = found
         else:
             values[point] = np.nan
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _chebyshev_weights(share, weights):
+    """Values of the Lagrange polynomials of the Chebyshev points of the first kind at a place, −1 … 1 (barycentric)."""
+    n, total = len(weights), 0.0
+    if n == 1:
+        weights[0] = 1.0
+        return
+    for k in range(n):
+        angle = np.pi * (k + 0.5) / n
+        off = share - np.cos(angle)
+        if off == 0.0:
+            weights[:] = 0.0
+            weights[k] = 1.0
+            return
+        weights[k] = (1.0 - 2.0 * (k % 2)) * np.sin(angle) / off
+        total += weights[k]
+    for k in range(n):
+        weights[k] /= total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def largest_eigenvalue_there(nodes: NDArray[np.floating], share_u: float, share_v: float) -> complex:
+    """Eigenvalue of largest modulus of the interpolated matrix at one point; NaN where none came out.
+
+    Args:
+        nodes: matrices of the nodes, shape (n_v, n_u, n²).
+        share_u, share_v: where the point lies in the rectangle, −1 … 1 along each side.
+    """
+    n_v, n_u, entries = nodes.shape
+    weights_v, weights_u = np.empty(n_v), np.empty(n_u)
+    _chebyshev_weights(share_u, weights_u)
+    _chebyshev_weights(share_v, weights_v)
+    row, matrix = np.empty(n_u * entries), np.empty(entries)
+    _row_of_matrices(nodes.reshape(n_v, n_u * entries), weights_v, row)
+    _row_of_matrices(row.reshape(n_u, entries), weights_u, matrix)
+    n = int(np.round(np.sqrt(entries)))
+    values = np.empty(n, np.complex128)
+    if not eigenvalues(matrix.reshape(n, n), values):
+        return complex(np.nan, np.nan)
+    best, _ = largest(values)
+    return values[best]
