@@ -26,7 +26,16 @@ _RAMP_RPM_S = 60.0  # a rotor that is braked faster has no 1× to speak of
 _MOST_VECTORS, _MOST_TRACKED = 6000, 20_000
 _BATCH_S = 0.1  # of encoder samples that the tracker takes at once
 _ROW_S = 0.2
+_COMPILED_RPM = 400.0  # any speed will do
 _C3, _C4 = "c3_Nms_per_rad", "c4_Nms_per_rad"
+
+
+def compile_followers(model: Model) -> None:
+    """Have all compiled that the followers call, which takes tens of seconds once; nobody has to wait for it later."""
+    model.work_out(_COMPILED_RPM)
+    tracker = Tracker(model.physics)
+    tracker.feed_marks(np.array([0, 10**8]), np.array([0.0, 2 * math.pi]))
+    tracker.feed_encoders(np.arange(0, 10**9, 10**7), np.zeros((100, 2)))
 
 
 class Vectors:

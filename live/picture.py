@@ -9,20 +9,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from live.angles import shown_deg, within_a_turn
 from live.followers import Followers
 from live.frames import encode
 from live.levels import Array
 from live.limits import Lamps, distances
 from live.model import Model, Predicted
+from live.signals import DEG
 from live.source import Facts, Source
 
 STRIPS = ("x", "y", "theta3", "theta4", "drive", "target", "marks")
+_TURNED = {"theta3": "turned3", "theta4": "turned4"}  # angles are kept unwrapped, in rad
 STALE_S = 0.6
 """Wall seconds without a sample after which a panel is marked; the page looks 30 times a second."""
 _LONGEST_S, _SHORTEST_S = 1e6, 0.02
@@ -86,17 +89,19 @@ class Pictures:
         buckets: dict[str, float] = {}
         with self._signals.lock:
             for name in STRIPS:
-                levels = self._signals.by_name[name]
+                levels = self._signals.by_name[_TURNED.get(name, name)]
                 if not math.isfinite(levels.newest_s):
                     continue
                 stretch = levels.stretch(start_s, end_s, view.pixels)
+                if name in _TURNED:
+                    stretch = within_a_turn(replace(stretch, low=DEG * stretch.low, high=DEG * stretch.high))
                 columns[f"{name}.t"] = stretch.time_s - end_s
                 columns[f"{name}.low"] = stretch.low
                 if stretch.bucket_s:
                     columns[f"{name}.high"] = stretch.high
                 buckets[name] = stretch.bucket_s
             columns |= self._orbit(end_s)
-            theta = [self._signals.by_name[f"theta{n}"].last(end_s) % 360 for n in "34"]
+            theta = [shown_deg(DEG * self._signals.by_name[name].last(end_s)) for name in _TURNED.values()]
             values = [self._signals.by_name[name].last(end_s) for name in ("x", "y")]
             rpm, locked = self._signals.rpm(end_s), self._signals.locked(end_s)
         predicted, why = self._predicted(rpm, locked, theta)
@@ -210,7 +215,11 @@ def _nearest(states: list[Predicted], theta_deg: list[float]) -> Predicted | Non
 
 
 def _facts(state: Predicted) -> Facts:
-    return {"type": state.type, "theta_deg": list(state.theta_deg), "amplitude_mm": state.amplitude_mm}
+    return {
+        "type": state.type,
+        "theta_deg": [shown_deg(v) for v in state.theta_deg],
+        "amplitude_mm": state.amplitude_mm,
+    }
 
 
 def _number(value: float) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from typing import Any
 
 from daq.errors import LogError
@@ -87,8 +88,9 @@ class Replayed:
         """See Source."""
         return list(self._events[: bisect.bisect_right(self._event_s, self.transport.at())])
 
-    def act(self, verb: str, given: Mapping[str, Any]) -> Facts:
+    def act(self, verb: str, given: Mapping[str, Any]) -> Future[Facts]:
         """See Source."""
+        answer = Future[Facts]()
         try:
             match verb:
                 case "play":
@@ -103,7 +105,8 @@ class Replayed:
                     raise Refused(f"{verb}: a log is played, no rig is here")
         except (KeyError, TypeError, ValueError) as fault:
             raise Refused(f"{verb}: {fault}") from fault
-        return {"done": True, "at_s": self.transport.at()}
+        answer.set_result({"done": True, "at_s": self.transport.at()})
+        return answer
 
 
 def _newest(reports: list[tuple[float, Any]], at_s: float) -> Any:
