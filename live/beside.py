@@ -52,8 +52,8 @@ class Asking:
             return {}
         status = self.controls.status
         prompt = self._prompt if self._at == self._state() else ""
-        return {"test": status.test, "step": status.state, "words": status.words, "share": status.share,
-                "answer": status.answer, "prompt": prompt}  # fmt: skip
+        return {"test": status.test, "numbers": dict(status.numbers), "step": status.state, "words": status.words,
+                "share": status.share, "answer": status.answer, "prompt": prompt}  # fmt: skip
 
     def can(self) -> list[str]:
         """Verbs that make sense."""

@@ -21,10 +21,12 @@ from live.frames import encode
 from live.levels import Array
 from live.limits import Lamps, distances
 from live.model import Model, Predicted
+from live.planned import Ramp
 from live.signals import DEG
 from live.source import Facts, Source
 
 STRIPS = ("x", "y", "theta3", "theta4", "drive", "target", "marks")
+_VECTOR = ("rpm", "x.re", "x.im", "y.re", "y.im")
 _TURNED = {"theta3": "turned3", "theta4": "turned4"}  # angles are kept unwrapped, in rad
 STALE_S = 0.6
 """Wall seconds without a sample after which a panel is marked; the page looks 30 times a second."""
@@ -161,10 +163,15 @@ class Pictures:
             }
 
     def slow(self) -> bytes:
-        """What changes slowly: 1× vectors of the test so far, tracked damping."""
-        now_s, since_s = self._source.now_s(), float(self._source.facts().get("since_s", 0.0))
+        """What changes slowly: 1× vectors of the test so far and of its ramp as planned, tracked damping."""
+        facts = self._source.facts()
+        now_s, since_s = self._source.now_s(), float(facts.get("since_s", 0.0))
         vectors = self._followers.vectors.between(since_s, now_s)
-        columns = {f"bode.{name}": vectors[:, i] for i, name in enumerate(("rpm", "x.re", "x.im", "y.re", "y.im"))}
+        columns = {f"bode.{name}": vectors[:, i] for i, name in enumerate(_VECTOR)}
+        self._followers.wanted_ramp = Ramp.of(facts)
+        planned = self._followers.planned
+        if planned is not None and planned[0] == self._followers.wanted_ramp:
+            columns |= {f"ramp.{name}": planned[1][:, i] for i, name in enumerate(_VECTOR)}
         start = None
         if self._followers.damping is not None:
             tracked = self._followers.damping.between(since_s, now_s)

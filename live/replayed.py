@@ -46,6 +46,7 @@ class Replayed:
         self.transport = Transport(0.0, span_s, speed, *([clock] if clock else []))
         self.transport.await_viewer()
         self._path, self._run = log.path, log.metadata.get("run", {})
+        self._numbers = {name: float(self._run[name]) for name in ("top_rpm", "duration_s") if name in self._run}
         self._losses = losses_of(log)
         events = [{**event, "at_s": float(self.signals.seconds(int(event["time_ns"])))} for event in log.events]
         self._events = sorted((e for e in events if e["kind"] not in _QUIET), key=lambda e: e["at_s"])
@@ -75,7 +76,7 @@ class Replayed:
         """See Source."""
         at_s, transport = self.transport.at(), self.transport
         return {
-            "mode": "replay", "title": self._path.name, "test": self._run.get("test", ""),
+            "mode": "replay", "title": self._path.name, "test": self._run.get("test", ""), "numbers": self._numbers,
             "point": self._run.get("point", ""), "started": self._run.get("started", ""),
             "note": self._run.get("note", ""), "step": "", "words": "", "prompt": "", "share": None,
             "playing": transport.playing, "speed": transport.speed, "start_s": transport.start_s,

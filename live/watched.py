@@ -27,8 +27,9 @@ from rig_configs.schema import Rig
 _LAST_WORDS_S = 1.0
 _MOST_EVENTS = 2000
 _NOTHING: Facts = {
-    "mode": "live", "test": "", "point": "", "started": "", "note": "", "step": "", "words": "opening the rig",
-    "prompt": "", "share": None, "losses": {}, "disk": None, "can": [], "stop": "", "rates": "", "feed_dropped": 0,
+    "mode": "live", "test": "", "numbers": {}, "point": "", "started": "", "note": "", "step": "",
+    "words": "opening the rig", "prompt": "", "share": None, "losses": {}, "disk": None, "can": [],
+    "stop": "", "rates": "", "feed_dropped": 0,
     "trouble": "", "answer": "", "log": "", "stopping": False, "ended": False,
 }  # fmt: skip
 
@@ -156,7 +157,7 @@ def run_page(
     watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
     model = Model(rig, identified, source)
     if rig.roles.angles is not None:
-        compile_followers(model)  # before a rotor turns: the stop passes through here
+        compile_followers(rig, model)  # before a rotor turns: the stop passes through here
     try:
         serving = Serving(watched, model, host, port)
     except RigError as fault:

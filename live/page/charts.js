@@ -167,7 +167,8 @@ class Orbit {
 
 class Bode {
   constructor(element, { header, columns }) {
-    element.querySelector(".legend").innerHTML = 'measured&nbsp;●△, steady response,&nbsp;model&nbsp;―┄: <span class="kx">x&nbsp;●&nbsp;―</span> <span class="ky">y&nbsp;△&nbsp;┄</span> phase wrapped to&nbsp;±180°, lead&nbsp;positive';
+    element.querySelector(".legend").innerHTML = 'measured&nbsp;●△, steady response,&nbsp;model&nbsp;―┄<span class="ramp" hidden>, this&nbsp;ramp,&nbsp;model&nbsp;<span class="kr">―┄</span></span>: <span class="kx">x&nbsp;●&nbsp;―</span> <span class="ky">y&nbsp;△&nbsp;┄</span> phase wrapped to&nbsp;±180°, lead&nbsp;positive';
+    this.ramp = element.querySelector(".ramp"); element.querySelector(".kr").style.color = INK.model;
     element.querySelector(".kx").style.color = INK.x; element.querySelector(".ky").style.color = INK.y;
     const border = () => ({ x_range: new Bokeh.Range1d({ start: 0, end: header.speed_rpm }), min_border_left: 60, min_border_right: 8 });
     const rpm = columns["model.rpm"];
@@ -179,7 +180,7 @@ class Bode {
     const phase = plotOf(element.querySelector(".phase"), { ...border(), y_range: new Bokeh.Range1d({ start: -180, end: 180 }) });
     phase.yaxis.axis_label = "phase, °"; phase.xaxis.axis_label = "rpm";
     phase.yaxis.ticker = new Bokeh.FixedTicker({ ticks: [-180, -90, 0, 90, 180] });
-    this.figures = { amplitude, phase }; this.measured = {}; this.most = 0;
+    this.figures = { amplitude, phase }; this.measured = {}; this.planned = {}; this.most = 0;
     for (const axis of ["x", "y"]) {
       const model = polar(columns[`model.${axis}.re`], columns[`model.${axis}.im`]);
       for (const v of model.amplitude) if (v > this.most) this.most = v;
@@ -187,18 +188,24 @@ class Bode {
       const dots = axis === "y" ? { marker: "triangle", line_color: INK.y, fill_color: null } : {};
       lineIn(amplitude, INK[axis], line).data = { x: rpm, y: model.amplitude };
       lineIn(phase, INK[axis], line).data = broken(rpm, model.phase);
+      const white = { line_alpha: 0.9, line_width: 1.1, line_dash: line.line_dash };
+      this.planned[axis] = [lineIn(amplitude, INK.model, white), lineIn(phase, INK.model, white)];
       this.measured[axis] = [dotsIn(amplitude, INK[axis], { size: 5, ...dots }), dotsIn(phase, INK[axis], { size: 4, ...dots })];
     }
     this.calm.fit(0, Math.min(this.most, 1.3 * header.amplitude_mm), 0);
   }
   draw({ columns }, now) {
-    const rpm = columns["bode.rpm"] || [];
+    const rpm = columns["bode.rpm"] || [], ahead = columns["ramp.rpm"] || [];
     let most = 0;
+    this.ramp.hidden = !ahead.length;
     for (const axis of ["x", "y"]) {
       const found = polar(columns[`bode.${axis}.re`], columns[`bode.${axis}.im`]);
       this.measured[axis][0].data = { x: rpm, y: found.amplitude };
       this.measured[axis][1].data = { x: rpm, y: found.phase };
-      for (const v of found.amplitude) if (v > most) most = v;
+      const planned = polar(columns[`ramp.${axis}.re`], columns[`ramp.${axis}.im`]);
+      this.planned[axis][0].data = { x: ahead, y: planned.amplitude };
+      this.planned[axis][1].data = broken(ahead, planned.phase);
+      for (const v of [...found.amplitude, ...planned.amplitude]) if (v > most) most = v;
     }
     this.calm.fit(0, Math.max(most, this.most), now);
     return rpm.length;

@@ -27,7 +27,7 @@ from live.replayed import Replayed
 from live.serving import Serving
 from rig_configs import load_rig
 
-SIZE = {"width": 1440, "height": 860}
+WIDTH, HEIGHT = 1440, 860
 PLACE = Path(__file__).parents[2] / "docs" / "figures" / "live_page.png"
 WAIT_MS = 60_000
 
@@ -51,6 +51,7 @@ def draw(page: Page, log: Path, at_s: float, out: Path) -> None:
         page.goto(serving.url)
         expect(page.locator("#position")).to_have_text(re.compile(rf"^{at_s:.1f} s of"), timeout=WAIT_MS)
         expect(page.locator("#dial .legend")).to_contain_text("model", timeout=WAIT_MS)
+        expect(page.locator("#bode .ramp")).to_be_visible(timeout=WAIT_MS)
         before = -1
         while (count := page.evaluate("page.bode.measured.x[0].data.x.length")) != before or count == 0:
             before = count
@@ -70,7 +71,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as player:
         log = args.log or recorded(Path(folder))
         browser = player.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        draw(browser.new_page(viewport=SIZE), log, args.at, args.out)
+        draw(browser.new_page(viewport={"width": WIDTH, "height": HEIGHT}), log, args.at, args.out)
         browser.close()
     print(args.out)
 

@@ -157,7 +157,7 @@ def test_all_is_compiled_before_the_page_is_offered(monkeypatch: pytest.MonkeyPa
     """A stop passes through the page's process: it is not to wait for a compiler there while a rotor turns."""
     ours, theirs = Pipe()
     told_before: list[bool] = []
-    monkeypatch.setattr(watched, "compile_followers", lambda model: told_before.append(ours.poll()))
+    monkeypatch.setattr(watched, "compile_followers", lambda rig, model: told_before.append(ours.poll()))
     monkeypatch.setattr(signal, "signal", lambda number, how: None)
     with ours, theirs:
         ours.send({"end": True})

@@ -70,8 +70,10 @@ def test_the_bode_plot_says_what_it_compares_and_tells_x_from_y_in_grey(
     assert [label for label, _ in drawn] == ["mm (0–peak)", "phase, °"]
     for _, glyphs in drawn:
         lines, dots = ([g for g in glyphs if g[0] == kind] for kind in ("Line", "Scatter"))
-        assert len(lines) == len(dots) == 2
-        assert lines[0][2] != lines[1][2], "one dashed"
+        assert (len(lines), len(dots)) == (4, 2)
+        x, ramp_x, y, ramp_y = (line[2] for line in lines)
+        assert x != y, "one dashed"
+        assert (ramp_x, ramp_y) == (x, y), "the ramp's as the steady response's"
         assert dots[0][1] != dots[1][1], "one hollow triangles"
 
 
@@ -190,8 +192,8 @@ def test_the_wheel_over_a_chart_changes_the_window(page: Page, serving: Serving,
 def test_what_a_finger_meets_is_large_and_what_a_mouse_meets_is_not(
     browser: Browser, serving: Serving, replayed: Replayed, touch: bool, least_px: float, most_px: float
 ) -> None:
-    size = {"width": 390, "height": 844} if touch else {"width": 1400, "height": 900}
-    page = browser.new_page(viewport=size, is_mobile=touch, has_touch=touch)
+    width, height = (390, 844) if touch else (1400, 900)
+    page = browser.new_page(viewport={"width": width, "height": height}, is_mobile=touch, has_touch=touch)
     _opened(page, serving, replayed, 20.0)
     page.evaluate("document.body.dataset.rig = 'yes'")
     boxes = page.evaluate(  # at once: the next state hides again what a replay does not offer
