@@ -10,7 +10,7 @@ const ask = async (path, body) => {
   return said;
 };
 const page = { socket: null, charts: [], curves: null, frame: null, slow: null, heard: 0, held: null, window: 10, drawn: 0, state: null, tries: 0, turned: 0, rests: 0, drew: false, stopped: -Infinity };
-const BUSY_MS = 50; // between two turns of the browser, one of which drew
+const BUSY_MS = 50, MOST_REST_MS = 200; // between two turns of the browser, one of which drew; a tab that slept had none for hours
 const strips = byId("charts");
 
 const connect = () => {
@@ -55,7 +55,7 @@ const draw = () => {
   const now = performance.now(), took = now - page.turned;
   page.turned = now;
   markLink(now);
-  if (page.drew && took > BUSY_MS) page.rests = now + took; // a machine that is busy: half of the time is left to STOP
+  if (page.drew && took > BUSY_MS) page.rests = now + Math.min(took, MOST_REST_MS); // a machine that is busy: half of the time is left to STOP
   page.drew = false;
   if (now < page.rests) return;
   if (page.slow && page.bode) {

@@ -209,3 +209,9 @@ def test_what_a_finger_meets_is_large_and_what_a_mouse_meets_is_not(
         assert wide >= least_px, name
         assert high >= least_px, name
         assert high <= most_px or name == "stop"
+
+
+def test_a_tab_that_slept_draws_again_at_once(page: Page, serving: Serving, replayed: Replayed) -> None:
+    _opened(page, serving, replayed, 20.0)
+    before = page.evaluate("() => { page.turned -= 3.6e6; page.drew = true; return page.drawn; }")
+    page.wait_for_function("before => page.drawn > before + 3", arg=before, timeout=WAIT_MS)
