@@ -1,34 +1,26 @@
 # pyright: strict
-"""The page beside a session: a process of its own, fed with copies of what is newest.
-
-The session's threads do nothing for it. One thread here looks at the newest samples 30 times a second, as the terminal
-does, and writes them into a pipe; while the page does not take them, this thread waits, and what it then missed is
-counted. Another carries out what the page asks for.
-"""
+"""The page beside a session, in a process of its own, and what it may ask for; what it missed of samples is counted."""
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import threading
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from multiprocessing.connection import Connection
 from typing import Any
 
 from daq.acquisition.session import Session
 from daq.drivers.items import Event
 from daq.errors import DeviceError, RigError
 from daq.guided_tests.controls import Controls
+from live.fed_process import FedProcess, emptied
 from live.newest import Newest
 from live.signals import Signals
 from live.watched import run_page
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
-_TURN_S, _FACTS_S = 1 / 30, 0.2
-_START_S, _END_S, _FEED_ENDS_S = 60.0, 10.0, 1.0
+_FACTS_S = 0.2
 _MOST_EVENTS = 500
 _QUIET = ("status", "reply", "acknowledge")
 _TOO_LONG = ("excerpt",)  # facts of events that the page does not show
@@ -60,8 +52,8 @@ class Asking:
             return {}
         status = self.controls.status
         prompt = self._prompt if self._at == self._state() else ""
-        return {"test": status.test, "step": status.state, "words": status.words, "share": status.share,
-                "answer": status.answer, "prompt": prompt}  # fmt: skip
+        return {"test": status.test, "numbers": dict(status.numbers), "step": status.state, "words": status.words,
+                "share": status.share, "answer": status.answer, "prompt": prompt}  # fmt: skip
 
     def can(self) -> list[str]:
         """Verbs that make sense."""
@@ -69,8 +61,8 @@ class Asking:
         return [*tests, *(["confirm"] if tests and self.confirmed is not None and self._prompt else [])]
 
 
-class LivePage:
-    """A page for one session; a context, entered before the session and left after it.
+class LivePage(FedProcess):
+    """A page for one session; see FedProcess.
 
     Args:
         rig: the session's, with identified parameters laid over it where there are any.
@@ -80,69 +72,31 @@ class LivePage:
         title: of the page.
         host, port: as live.port.bound takes them.
 
-    Attributes:
-        url, token: once it is entered.
     Raises:
-        RigError: the page cannot be served.
+        RigError: on entering; the page cannot be served.
     """
 
     def __init__(
         self, rig: Rig, identified: IdentifiedParameters | None, source: str, rate: float, title: str,
         host: str = "", port: int = 0,
     ) -> None:  # fmt: skip
-        self.url = self.token = ""
-        self._ours, theirs = multiprocessing.get_context("spawn").Pipe()
-        self._process = multiprocessing.get_context("spawn").Process(
-            target=run_page, args=(theirs, rig, identified, source, rate, title, host, port), name="live page",
-            daemon=True,
+        super().__init__(
+            "live page", "the live page", run_page, (rig, identified, source, rate, title, host, port)
         )  # fmt: skip
-        self._theirs: Connection = theirs
-        self._sending = threading.Lock()
-        self._ending = threading.Event()
-        self._session: Session | None = None
-        self._asking, self._facts = Asking(), dict[str, Any]()
+        self._asking, self._facts, self._facts_s = Asking(), dict[str, Any](), -math.inf
         self._stop: Callable[[str], None] | None = None
         self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
         self._newest = Newest(Signals(rig, 0).topics)
-        self._threads = [
-            threading.Thread(target=run, name=name, daemon=True)
-            for name, run in (("live feed", self._feed), ("live requests", self._serve))
-        ]
 
-    def __enter__(self) -> LivePage:
-        self._process.start()
-        self._theirs.close()
-        try:
-            came: dict[str, Any] = self._ours.recv() if self._ours.poll(_START_S) else {"failed": "it did not start"}
-        except EOFError:
-            came = {"failed": "its process ended"}
-        if "failed" in came:
-            self.__exit__()
-            raise RigError(f"the live page: {came['failed']}")
-        self.url, self.token = came["url"], came["token"]
-        self._threads[1].start()
-        return self
+    @property
+    def url(self) -> str:
+        """The page's address, with its token."""
+        return str(self.offered["url"])
 
-    def __exit__(self, *_: object) -> None:
-        self._ending.set()
-        if self._session is not None:
-            with contextlib.suppress(ValueError):
-                self._session.observers.remove(self._happened)
-                self._session.noted.remove(self._noted)
-        if self._threads[0].is_alive():
-            self._threads[0].join(_FEED_ENDS_S)
-        if self._threads[0].is_alive():  # it waits for a page that takes nothing any more
-            self._process.kill()
-        else:
-            with contextlib.suppress(OSError, ValueError):
-                self._send({"end": True})
-        self._process.join(_END_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        if self._threads[1].is_alive():
-            self._threads[1].join(_END_S)  # the other end of the pipe is closed by now
-        self._ours.close()
+    @property
+    def token(self) -> str:
+        """The page's."""
+        return str(self.offered["token"])
 
     def follow(
         self, session: Session, asking: Asking, stop: Callable[[str], None] | None, facts: Mapping[str, Any]
@@ -155,16 +109,12 @@ class LivePage:
             stop: stops the rotor at once and ends the run, with a reason; None where the rig is not ours to stop.
             facts: what else the page shows: "note", "log" …
         """
-        self._session, self._asking, self._stop, self._facts = session, asking, stop, dict(facts)
-        session.observers.append(self._happened)
-        session.noted.append(self._noted)
-        self._threads[0].start()
+        self._asking, self._stop, self._facts = asking, stop, dict(facts)
+        self._feed_from(session)
 
-    # --- what happens, told by the session's threads: kept, no more ----------------------------------------------
-
-    def _happened(self, event: Event) -> None:
-        if event.kind not in _QUIET and self._session is not None:
-            self._noted(event, self._session.clock.now_ns())
+    def _happened(self, session: Session, event: Event) -> None:
+        if event.kind not in _QUIET:
+            super()._happened(session, event)
 
     def _noted(self, event: Event, host_ns: int) -> None:
         facts = {name: value for name, value in event.facts.items() if name not in _TOO_LONG}
@@ -172,32 +122,15 @@ class LivePage:
             {"time_ns": host_ns, **facts, "kind": event.kind, "device": event.device, "text": event.text}
         )
 
-    # --- handing over --------------------------------------------------------------------------------------------
-
-    def _feed(self) -> None:
-        facts_s = 0.0
-        with contextlib.suppress(OSError, ValueError):  # the page is gone; the session goes on
-            while not self._ending.wait(_TURN_S):
-                now = time.monotonic()
-                facts = self._said() if now - facts_s >= _FACTS_S else None
-                facts_s = now if facts is not None else facts_s
-                self._send(self._copied(facts))
-            self._send(self._copied(self._said()))
-
-    def _copied(self, facts: dict[str, Any] | None) -> dict[str, Any]:
-        session = self._session
-        assert session is not None
+    def _copied(self, session: Session, last: bool) -> Mapping[str, Any]:
+        now_s = time.monotonic()
+        facts = self._said(session) if last or now_s - self._facts_s >= _FACTS_S else None
+        self._facts_s = now_s if facts is not None else self._facts_s
         heard_ns = session.clock.now_ns()
         rows = self._newest.take(session.recent, heard_ns)
-        events: list[dict[str, Any]] = []
-        with contextlib.suppress(IndexError):
-            while True:
-                events.append(self._events.popleft())
-        return {"heard_ns": heard_ns, "rows": rows, "events": events, "facts": facts}
+        return {"heard_ns": heard_ns, "rows": rows, "events": emptied(self._events), "facts": facts}
 
-    def _said(self) -> dict[str, Any]:
-        session = self._session
-        assert session is not None
+    def _said(self, session: Session) -> dict[str, Any]:
         disk = session.disk()
         stopping, ended = session.trouble is not None, session.closed
         tests = [] if stopping else self._asking.can()
@@ -211,21 +144,13 @@ class LivePage:
             "stop": "" if self._stop is not None else "whoever runs the rig stops it: this session only listens",
         }  # fmt: skip
 
-    def _send(self, what: Mapping[str, Any]) -> None:
-        with self._sending:
-            self._ours.send(what)
-
-    # --- what the page asks for ----------------------------------------------------------------------------------
-
-    def _serve(self) -> None:
-        with contextlib.suppress(EOFError, OSError, ValueError):
-            while not self._ending.is_set():
-                asked = self._ours.recv()
-                try:
-                    answer = self._act(asked["act"], asked["given"])
-                except Exception as why:  # whatever became of this one, the next stop is heard
-                    answer = {"error": f"{why}" if isinstance(why, RigError) else f"{type(why).__name__}: {why}"}
-                self._send({"answer": answer, "to": asked["number"]})
+    def _heard(self, said: Mapping[str, Any]) -> None:
+        """The page asks for something."""
+        try:
+            answer = self._act(said["act"], said["given"])
+        except Exception as why:  # whatever became of this one, the next stop is heard
+            answer = {"error": f"{why}" if isinstance(why, RigError) else f"{type(why).__name__}: {why}"}
+        self._send({"answer": answer, "to": said["number"]})
 
     def _act(self, verb: str, given: Mapping[str, Any]) -> dict[str, Any]:
         session, controls = self._session, self._asking.controls

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,8 @@ from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
-Complex = NDArray[np.complex128]
+Complex, Real = NDArray[np.complex128], NDArray[np.float64]
+Value = TypeVar("Value", complex, Real)
 _ACCURACY = 1e-4
 _MOST_KEPT = 2000  # speeds whose steady states are kept
 _LEAST_RPM = 20.0
@@ -100,6 +102,12 @@ class Model:
 
     def _shown(self, x_m: complex, y_m: complex) -> tuple[complex, complex]:
         """x = Re(X e^{iψ}), y = Im(Y e^{iψ}) of the stiffness axes, in m, as both real parts in the sensors', in mm."""
-        x, y = x_m, -1j * y_m
-        c, s = math.cos(self._turn_rad), math.sin(self._turn_rad)
-        return 1e3 * (x * c + y * s), 1e3 * (-x * s + y * c)
+        return self._turned(x_m, -1j * y_m)
+
+    def shown(self, x_m: Real, y_m: Real) -> tuple[Real, Real]:
+        """Displacements along the stiffness axes, m, shape (n,), as those along the sensors', mm."""
+        return self._turned(x_m, y_m)
+
+    def _turned(self, x: Value, y: Value) -> tuple[Value, Value]:
+        c, s = 1e3 * math.cos(self._turn_rad), 1e3 * math.sin(self._turn_rad)
+        return x * c + y * s, y * c - x * s

@@ -9,20 +9,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from live.angles import shown_deg, within_a_turn
 from live.followers import Followers
 from live.frames import encode
 from live.levels import Array
 from live.limits import Lamps, distances
 from live.model import Model, Predicted
+from live.planned import Ramp
+from live.signals import DEG
 from live.source import Facts, Source
 
 STRIPS = ("x", "y", "theta3", "theta4", "drive", "target", "marks")
+_VECTOR = ("rpm", "x.re", "x.im", "y.re", "y.im")
+_TURNED = {"theta3": "turned3", "theta4": "turned4"}  # angles are kept unwrapped, in rad
 STALE_S = 0.6
 """Wall seconds without a sample after which a panel is marked; the page looks 30 times a second."""
 _LONGEST_S, _SHORTEST_S = 1e6, 0.02
@@ -86,17 +91,19 @@ class Pictures:
         buckets: dict[str, float] = {}
         with self._signals.lock:
             for name in STRIPS:
-                levels = self._signals.by_name[name]
+                levels = self._signals.by_name[_TURNED.get(name, name)]
                 if not math.isfinite(levels.newest_s):
                     continue
                 stretch = levels.stretch(start_s, end_s, view.pixels)
+                if name in _TURNED:
+                    stretch = within_a_turn(replace(stretch, low=DEG * stretch.low, high=DEG * stretch.high))
                 columns[f"{name}.t"] = stretch.time_s - end_s
                 columns[f"{name}.low"] = stretch.low
                 if stretch.bucket_s:
                     columns[f"{name}.high"] = stretch.high
                 buckets[name] = stretch.bucket_s
             columns |= self._orbit(end_s)
-            theta = [self._signals.by_name[f"theta{n}"].last(end_s) % 360 for n in "34"]
+            theta = [shown_deg(DEG * self._signals.by_name[name].last(end_s)) for name in _TURNED.values()]
             values = [self._signals.by_name[name].last(end_s) for name in ("x", "y")]
             rpm, locked = self._signals.rpm(end_s), self._signals.locked(end_s)
         predicted, why = self._predicted(rpm, locked, theta)
@@ -156,10 +163,15 @@ class Pictures:
             }
 
     def slow(self) -> bytes:
-        """What changes slowly: 1× vectors of the test so far, tracked damping."""
-        now_s, since_s = self._source.now_s(), float(self._source.facts().get("since_s", 0.0))
+        """What changes slowly: 1× vectors of the test so far and of its ramp as planned, tracked damping."""
+        facts = self._source.facts()
+        now_s, since_s = self._source.now_s(), float(facts.get("since_s", 0.0))
         vectors = self._followers.vectors.between(since_s, now_s)
-        columns = {f"bode.{name}": vectors[:, i] for i, name in enumerate(("rpm", "x.re", "x.im", "y.re", "y.im"))}
+        columns = {f"bode.{name}": vectors[:, i] for i, name in enumerate(_VECTOR)}
+        self._followers.wanted_ramp = Ramp.of(facts)
+        planned = self._followers.planned
+        if planned is not None and planned[0] == self._followers.wanted_ramp:
+            columns |= {f"ramp.{name}": planned[1][:, i] for i, name in enumerate(_VECTOR)}
         start = None
         if self._followers.damping is not None:
             tracked = self._followers.damping.between(since_s, now_s)
@@ -210,7 +222,11 @@ def _nearest(states: list[Predicted], theta_deg: list[float]) -> Predicted | Non
 
 
 def _facts(state: Predicted) -> Facts:
-    return {"type": state.type, "theta_deg": list(state.theta_deg), "amplitude_mm": state.amplitude_mm}
+    return {
+        "type": state.type,
+        "theta_deg": [shown_deg(v) for v in state.theta_deg],
+        "amplitude_mm": state.amplitude_mm,
+    }
 
 
 def _number(value: float) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from typing import Any
 
 from daq.errors import LogError
@@ -45,6 +46,7 @@ class Replayed:
         self.transport = Transport(0.0, span_s, speed, *([clock] if clock else []))
         self.transport.await_viewer()
         self._path, self._run = log.path, log.metadata.get("run", {})
+        self._numbers = {name: float(self._run[name]) for name in ("top_rpm", "duration_s") if name in self._run}
         self._losses = losses_of(log)
         events = [{**event, "at_s": float(self.signals.seconds(int(event["time_ns"])))} for event in log.events]
         self._events = sorted((e for e in events if e["kind"] not in _QUIET), key=lambda e: e["at_s"])
@@ -74,7 +76,7 @@ class Replayed:
         """See Source."""
         at_s, transport = self.transport.at(), self.transport
         return {
-            "mode": "replay", "title": self._path.name, "test": self._run.get("test", ""),
+            "mode": "replay", "title": self._path.name, "test": self._run.get("test", ""), "numbers": self._numbers,
             "point": self._run.get("point", ""), "started": self._run.get("started", ""),
             "note": self._run.get("note", ""), "step": "", "words": "", "prompt": "", "share": None,
             "playing": transport.playing, "speed": transport.speed, "start_s": transport.start_s,
@@ -87,8 +89,9 @@ class Replayed:
         """See Source."""
         return list(self._events[: bisect.bisect_right(self._event_s, self.transport.at())])
 
-    def act(self, verb: str, given: Mapping[str, Any]) -> Facts:
+    def act(self, verb: str, given: Mapping[str, Any]) -> Future[Facts]:
         """See Source."""
+        answer = Future[Facts]()
         try:
             match verb:
                 case "play":
@@ -103,7 +106,8 @@ class Replayed:
                     raise Refused(f"{verb}: a log is played, no rig is here")
         except (KeyError, TypeError, ValueError) as fault:
             raise Refused(f"{verb}: {fault}") from fault
-        return {"done": True, "at_s": self.transport.at()}
+        answer.set_result({"done": True, "at_s": self.transport.at()})
+        return answer
 
 
 def _newest(reports: list[tuple[float, Any]], at_s: float) -> Any:

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, cast
 
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
@@ -35,6 +34,7 @@ MOST_VIEWERS = 16
 MOST_UNANSWERED = 3
 """Frames that a viewer may have been sent and not answered: what a sleeping one can pile up."""
 _STATE_S, _SLOW_S, _LOOK_S = 0.2, 0.5, 0.02
+_ANSWER_S = 2.0
 _LONGEST_MESSAGE, _LONGEST_NOTE = 4096, 2000
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
@@ -186,10 +186,13 @@ class Page:
         return await self._asked(verb, cast("dict[str, Any]", given))
 
     async def _asked(self, verb: str, given: dict[str, Any]) -> Response:
+        """Passed on by this thread: another one would be waited for, twice as long as all else on a busy machine."""
         try:
-            return JSONResponse(await run_in_threadpool(self._source.act, verb, given))
+            return JSONResponse(await asyncio.wait_for(asyncio.wrap_future(self._source.act(verb, given)), _ANSWER_S))
         except Refused as why:
             return JSONResponse({"error": str(why)}, 409)
+        except TimeoutError:
+            return JSONResponse({"error": f"{verb}: no answer from the recorder within {_ANSWER_S:g} s"}, 409)
 
 
 def _files() -> list[Path]:

@@ -17,8 +17,6 @@ from rig_configs.roles import Roles
 from rig_configs.schema import Rig
 
 MM, DEG = 1e3, 180 / math.pi
-FIRST_DEG = -30.0
-"""Angles are drawn from here, one turn on: a pendulum at 0° does not flicker between the chart's ends."""
 
 
 class Signals:
@@ -30,8 +28,8 @@ class Signals:
         kept: samples of each displacement that are kept as they are, and of others at most.
 
     Attributes:
-        by_name: "x", "y" (mm), "theta3", "theta4" (°, -30 … 330), "turned3", "turned4" (rad, unwrapped), "flags",
-            "drive", "target" (rpm), "marks" (rpm between index marks), "turns" (revolutions counted at a mark).
+        by_name: "x", "y" (mm), "turned3", "turned4" (θ3, θ4, rad, unwrapped), "flags", "drive", "target" (rpm),
+            "marks" (rpm between index marks), "turns" (revolutions counted at a mark).
         heard_s: when a channel's newest sample was taken, by topic.
         lock: hold it while looking at several at once.
     """
@@ -39,7 +37,7 @@ class Signals:
     def __init__(self, rig: Rig, origin_ns: int, kept: int = KEPT) -> None:
         self.rig, self.origin_ns = rig, origin_ns
         self._roles: Roles = rig.roles
-        names = ("x", "y", "theta3", "theta4", "turned3", "turned4", "flags", "drive", "target", "marks", "turns")
+        names = ("x", "y", "turned3", "turned4", "flags", "drive", "target", "marks", "turns")
         self.by_name = {name: Levels(kept if name in ("x", "y") else min(kept, KEPT_SLOW)) for name in names}
         self.lock = threading.RLock()
         self._axis_of = {d.topic: d.axis for d in self._roles.displacements}
@@ -82,9 +80,7 @@ class Signals:
 
     def _angles(self, time_s: Array, columns: Mapping[str, NDArray[Any]]) -> None:
         for number in "34":
-            turned = np.asarray(columns[f"theta{number}_rad"], np.float64)
-            self.by_name[f"turned{number}"].add(time_s, turned)
-            self.by_name[f"theta{number}"].add(time_s, np.mod(DEG * turned - FIRST_DEG, 360.0) + FIRST_DEG)
+            self.by_name[f"turned{number}"].add(time_s, np.asarray(columns[f"theta{number}_rad"], np.float64))
         self.by_name["flags"].add(time_s, np.asarray(columns["flags"], np.float64))
 
     def _marks(self, time_s: Array, turns: Array) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Future
 from typing import Any, Protocol
 
 from live.signals import Signals
@@ -49,10 +50,12 @@ class Source(Protocol):
         """What happened up to now, in order: kind, device, text, at_s, a rising number and more."""
         ...
 
-    def act(self, verb: str, given: Mapping[str, Any]) -> Facts:
-        """Do what somebody at the page asks for; it may take a second.
+    def act(self, verb: str, given: Mapping[str, Any]) -> Future[Facts]:
+        """Have done what somebody at the page asks for: passed on at once, by the caller's thread.
 
+        Returns:
+            The answer, when there is one; Refused where it cannot be done here.
         Raises:
-            Refused: it cannot be done here.
+            Refused: the same, where it is plain at once.
         """
         ...

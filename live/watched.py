@@ -11,10 +11,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
 from daq.errors import RigError
+from live.followers import compile_followers
 from live.model import Model
 from live.serving import Serving
 from live.signals import Signals
@@ -22,11 +24,12 @@ from live.source import Facts, Refused
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
-_ANSWER_S, _LAST_WORDS_S = 2.0, 1.0
+_LAST_WORDS_S = 1.0
 _MOST_EVENTS = 2000
 _NOTHING: Facts = {
-    "mode": "live", "test": "", "point": "", "started": "", "note": "", "step": "", "words": "opening the rig",
-    "prompt": "", "share": None, "losses": {}, "disk": None, "can": [], "stop": "", "rates": "", "feed_dropped": 0,
+    "mode": "live", "test": "", "numbers": {}, "point": "", "started": "", "note": "", "step": "",
+    "words": "opening the rig", "prompt": "", "share": None, "losses": {}, "disk": None, "can": [],
+    "stop": "", "rates": "", "feed_dropped": 0,
     "trouble": "", "answer": "", "log": "", "stopping": False, "ended": False,
 }  # fmt: skip
 
@@ -49,7 +52,7 @@ class Watched:
         self._heard: tuple[float, float] | None = None
         self._end_s: float | None = None
         self._numbers, self._event_numbers = itertools.count(1), itertools.count()
-        self._waiting: dict[int, tuple[threading.Event, Facts]] = {}
+        self._waiting: dict[int, Future[Facts]] = {}
         self._sending = threading.Lock()
 
     def follow(self) -> bool:
@@ -70,11 +73,7 @@ class Watched:
 
     def _take(self, handed: Mapping[str, Any]) -> None:
         if "answer" in handed:
-            waiting = self._waiting.pop(handed["to"], None)
-            if waiting is not None:
-                came, answer = waiting
-                answer.update(handed["answer"])
-                came.set()
+            self._answered(handed["to"], handed["answer"])
             return
         if self._heard is None:
             self.signals.origin_ns = int(handed["heard_ns"]) // 10**9 * 10**9
@@ -92,6 +91,15 @@ class Watched:
                 self._end(facts)
             self._facts = facts
         self._heard = heard_s, time.monotonic()
+
+    def _answered(self, number: int, answer: Facts) -> None:
+        waiting = self._waiting.get(number)
+        if waiting is None or not waiting.set_running_or_notify_cancel():
+            return  # nobody waits for it any more
+        if "error" in answer:
+            waiting.set_exception(Refused(str(answer["error"])))
+        else:
+            waiting.set_result(answer)
 
     def now_s(self) -> float:
         """See Source."""
@@ -122,22 +130,19 @@ class Watched:
         """See Source."""
         return list(self._events)
 
-    def act(self, verb: str, given: Mapping[str, Any]) -> Facts:
+    def act(self, verb: str, given: Mapping[str, Any]) -> Future[Facts]:
         """See Source: the session's process does it."""
         if self._facts["ended"]:
             raise Refused(f"{verb}: the run has ended")
-        number, came, answer = next(self._numbers), threading.Event(), Facts()
-        self._waiting[number] = came, answer
+        number, answer = next(self._numbers), Future[Facts]()
+        self._waiting[number] = answer
+        answer.add_done_callback(lambda _: self._waiting.pop(number, None))  # also of one nobody waits for
         try:
             with self._sending:
                 self._pipe.send({"act": verb, "given": dict(given), "number": number})
         except (OSError, ValueError) as fault:
+            answer.cancel()
             raise Refused(f"{verb}: the recorder is gone") from fault
-        if not came.wait(_ANSWER_S):
-            self._waiting.pop(number, None)
-            raise Refused(f"{verb}: no answer from the recorder within {_ANSWER_S:g} s")
-        if "error" in answer:
-            raise Refused(str(answer["error"]))
         return answer
 
 
@@ -150,8 +155,11 @@ def run_page(
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
+    model = Model(rig, identified, source)
+    if rig.roles.angles is not None:
+        compile_followers(rig, model)  # before a rotor turns: the stop passes through here
     try:
-        serving = Serving(watched, Model(rig, identified, source), host, port)
+        serving = Serving(watched, model, host, port)
     except RigError as fault:
         pipe.send({"failed": str(fault)})
         return

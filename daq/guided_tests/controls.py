@@ -8,7 +8,8 @@ and answers in `status`. A pause takes effect in the next state in which the rig
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 Verb = Literal["pause", "resume", "abort", "note"]
@@ -36,6 +37,7 @@ class Status:
         share: of the state that is done, 0 … 1; None where that cannot be estimated.
         paused: whether it waits for `resume`.
         answer: to the newest request; empty when there is nothing to answer.
+        numbers: the test's, as it was asked for.
     """
 
     test: str = ""
@@ -44,6 +46,7 @@ class Status:
     share: float | None = None
     paused: bool = False
     answer: str = ""
+    numbers: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 class Controls:

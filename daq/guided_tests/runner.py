@@ -218,6 +218,6 @@ class Runner:
 
     def _show(self, state: State, look: Look, *, paused: bool = False) -> None:
         words = look.words or (f"waiting for {state.waits_for}" if state.waits_for else state.does)
-        answer, test = self._controls.status.answer, self._orders.asked.test
-        self._controls.status = Status(test, state.name, words, look.share, paused, answer)
+        answer, asked = self._controls.status.answer, self._orders.asked
+        self._controls.status = Status(asked.test, state.name, words, look.share, paused, answer, asked.numbers)
         self._orders.tell(words, look.share)

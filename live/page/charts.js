@@ -16,6 +16,7 @@ const plotOf = (element, options) => {
     axis.major_tick_line_color = "#2b3846"; axis.minor_tick_line_color = null; axis.axis_label_standoff = 2;
   }
   for (const grid of [figure.xgrid, figure.ygrid]) grid.grid_line_color = INK.grid;
+  element.inert = true; // a canvas takes the keyboard's focus and does nothing with it; the panel around it has the words
   Bokeh.Plotting.show(figure, element);
   return figure;
 };
@@ -66,8 +67,8 @@ const niceStep = (rough) => {
 const STRIP = {
   x: { name: "x", unit: "mm", digits: 3, lines: ["x"], symmetric: true },
   y: { name: "y", unit: "mm", digits: 3, lines: ["y"], symmetric: true },
-  theta3: { name: "θ3", unit: "°", digits: 1, lines: ["theta3"], fixed: [-45, 345] },
-  theta4: { name: "θ4", unit: "°", digits: 1, lines: ["theta4"], fixed: [-45, 345] },
+  theta3: { name: "θ3", unit: "°", digits: 1, lines: ["theta3"], fixed: [-15, 365] },
+  theta4: { name: "θ4", unit: "°", digits: 1, lines: ["theta4"], fixed: [-15, 365] },
   speed: { name: "speed", unit: "rpm", digits: 0, lines: ["target", "drive", "marks"], from: 0, floor: 40 },
 };
 
@@ -125,22 +126,24 @@ class StripChart {
     if (this.calm) this.calm.fit(low, high, now);
   }
   say(value, stale) {
-    const text = value === null || value === undefined ? "–" : `${value.toFixed(this.how.digits)} ${this.how.unit}`;
+    const text = value === null || value === undefined ? "–" : `${rounded(value, this.how.digits)} ${this.how.unit}`;
     this.value.textContent = text;
     this.element.classList.toggle("stale", stale);
     this.spoken = `${this.how.name} over time, now ${stale ? "stale" : text}`;
   }
 }
 
+const rounded = (value, digits) => value.toFixed(digits).replace(/^-(?=[0.]*$)/, ""); // no "-0.0"
 const spanWords = (s) => (s < 1 ? `${(1000 * s).toPrecision(3)} ms` : `${s.toPrecision(3)} s`);
 
 class Orbit {
   constructor(element, limits) {
     this.limit = limits.amplitude_mm; this.legend = element.querySelector(".legend");
-    this.legend.textContent = "measured ― model ┄";
+    this.legend.textContent = "measured\u00a0― model\u00a0┄";
     this.ranges = [0, 1].map(() => new Bokeh.Range1d({ start: -0.1, end: 0.1 }));
     this.figure = plotOf(element.querySelector(".plot"), { x_range: this.ranges[0], y_range: this.ranges[1], match_aspect: true });
     this.figure.xaxis.axis_label = "x, mm"; this.figure.yaxis.axis_label = "y, mm";
+    for (const axis of [this.figure.xaxis, this.figure.yaxis]) axis.ticker = new Bokeh.BasicTicker({ desired_num_ticks: 4 });
     this.track = lineIn(this.figure, INK.x, { line_width: 1.8 });
     this.model = lineIn(this.figure, INK.model, { line_dash: [5, 4], line_width: 1.6 });
     this.now = dotsIn(this.figure, INK.y, { size: 8 });
@@ -164,9 +167,10 @@ class Orbit {
 
 class Bode {
   constructor(element, { header, columns }) {
-    element.querySelector(".legend").innerHTML = 'measured ●△, steady response, model ―┄: <span class="kx">x ● ―</span> <span class="ky">y △ ┄</span>  phase wrapped to ±180°';
+    element.querySelector(".legend").innerHTML = 'measured&nbsp;●△, steady response,&nbsp;model&nbsp;―┄<span class="ramp" hidden>, this&nbsp;ramp,&nbsp;model&nbsp;<span class="kr">―┄</span></span>: <span class="kx">x&nbsp;●&nbsp;―</span> <span class="ky">y&nbsp;△&nbsp;┄</span> phase wrapped to&nbsp;±180°, lead&nbsp;positive';
+    this.ramp = element.querySelector(".ramp"); element.querySelector(".kr").style.color = INK.model;
     element.querySelector(".kx").style.color = INK.x; element.querySelector(".ky").style.color = INK.y;
-    const border = () => ({ x_range: new Bokeh.Range1d({ start: 0, end: header.speed_rpm }), min_border_left: 50, min_border_right: 8 });
+    const border = () => ({ x_range: new Bokeh.Range1d({ start: 0, end: header.speed_rpm }), min_border_left: 60, min_border_right: 8 });
     const rpm = columns["model.rpm"];
     this.amplitudeRange = new Bokeh.Range1d({ start: 0, end: 1 });
     this.calm = new CalmRange(this.amplitudeRange, { from: 0, floor: 0.1 });
@@ -174,9 +178,9 @@ class Bode {
     amplitude.yaxis.axis_label = "mm (0–peak)"; amplitude.xaxis.major_label_text_font_size = "0px";
     across(amplitude, header.amplitude_mm);
     const phase = plotOf(element.querySelector(".phase"), { ...border(), y_range: new Bokeh.Range1d({ start: -180, end: 180 }) });
-    phase.yaxis.axis_label = "phase, ° (lead positive)"; phase.xaxis.axis_label = "rpm";
+    phase.yaxis.axis_label = "phase, °"; phase.xaxis.axis_label = "rpm";
     phase.yaxis.ticker = new Bokeh.FixedTicker({ ticks: [-180, -90, 0, 90, 180] });
-    this.figures = { amplitude, phase }; this.measured = {}; this.most = 0;
+    this.figures = { amplitude, phase }; this.measured = {}; this.planned = {}; this.most = 0;
     for (const axis of ["x", "y"]) {
       const model = polar(columns[`model.${axis}.re`], columns[`model.${axis}.im`]);
       for (const v of model.amplitude) if (v > this.most) this.most = v;
@@ -184,18 +188,24 @@ class Bode {
       const dots = axis === "y" ? { marker: "triangle", line_color: INK.y, fill_color: null } : {};
       lineIn(amplitude, INK[axis], line).data = { x: rpm, y: model.amplitude };
       lineIn(phase, INK[axis], line).data = broken(rpm, model.phase);
+      const white = { line_alpha: 0.9, line_width: 1.1, line_dash: line.line_dash };
+      this.planned[axis] = [lineIn(amplitude, INK.model, white), lineIn(phase, INK.model, white)];
       this.measured[axis] = [dotsIn(amplitude, INK[axis], { size: 5, ...dots }), dotsIn(phase, INK[axis], { size: 4, ...dots })];
     }
     this.calm.fit(0, Math.min(this.most, 1.3 * header.amplitude_mm), 0);
   }
   draw({ columns }, now) {
-    const rpm = columns["bode.rpm"] || [];
+    const rpm = columns["bode.rpm"] || [], ahead = columns["ramp.rpm"] || [];
     let most = 0;
+    this.ramp.hidden = !ahead.length;
     for (const axis of ["x", "y"]) {
       const found = polar(columns[`bode.${axis}.re`], columns[`bode.${axis}.im`]);
       this.measured[axis][0].data = { x: rpm, y: found.amplitude };
       this.measured[axis][1].data = { x: rpm, y: found.phase };
-      for (const v of found.amplitude) if (v > most) most = v;
+      const planned = polar(columns[`ramp.${axis}.re`], columns[`ramp.${axis}.im`]);
+      this.planned[axis][0].data = { x: ahead, y: planned.amplitude };
+      this.planned[axis][1].data = broken(ahead, planned.phase);
+      for (const v of [...found.amplitude, ...planned.amplitude]) if (v > most) most = v;
     }
     this.calm.fit(0, Math.max(most, this.most), now);
     return rpm.length;
@@ -280,11 +290,11 @@ class Dial {
       const [x, y] = this.at(angle, 34 - 6 * i);
       return `<circle cx="${x}" cy="${y}" r="7" fill="none" stroke="${colours[i]}" stroke-width="1.4" stroke-dasharray="3 2"/>`;
     }).join("")).join("");
-    const [a, b] = header.theta.map((v) => (v === null ? "–" : `${v.toFixed(1)}°`));
+    const [a, b] = header.theta.map((v) => (v === null ? "–" : `${rounded(v, 1)}°`));
     const types = [...new Set(header.predicted.map((state) => state.type))].join(", ");
     const locks = header.locked ? "locked" : header.locked === false ? "free" : "";
     const model = types && types !== "locked" ? `◌ model: type ${types}` : types ? "◌ model" : header.why ? `no model: ${header.why}` : "no model";
     this.legend.textContent = [locks, model].filter(Boolean).join(types ? "  " : ", ");
-    this.spoken = `pendulums: θ3 ${a}, θ4 ${b}; predicted ${header.predicted.map((s) => `${s.type} at ${s.theta_deg.map((v) => v.toFixed(1)).join("° and ")}°`).join(", ") || header.why}`;
+    this.spoken = `pendulums: θ3 ${a}, θ4 ${b}; predicted ${header.predicted.map((s) => `${s.type} at ${s.theta_deg.map((v) => rounded(v, 1)).join("° and ")}°`).join(", ") || header.why}`;
   }
 }

@@ -9,7 +9,8 @@ const ask = async (path, body) => {
   if (!answer.ok || said.error) throw new Error(said.error || `answer ${answer.status}`);
   return said;
 };
-const page = { socket: null, charts: [], curves: null, frame: null, slow: null, heard: 0, held: null, window: 10, drawn: 0, state: null, tries: 0 };
+const page = { socket: null, charts: [], curves: null, frame: null, slow: null, heard: 0, held: null, window: 10, drawn: 0, state: null, tries: 0, turned: 0, rests: 0, drew: false, stopped: -Infinity };
+const BUSY_MS = 50, MOST_REST_MS = 200; // between two turns of the browser, one of which drew; a tab that slept had none for hours
 const strips = byId("charts");
 
 const connect = () => {
@@ -51,14 +52,18 @@ const build = (picture) => {
 
 const draw = () => {
   requestAnimationFrame(draw);
-  const now = performance.now();
+  const now = performance.now(), took = now - page.turned;
+  page.turned = now;
   markLink(now);
+  if (page.drew && took > BUSY_MS) page.rests = now + Math.min(took, MOST_REST_MS); // a machine that is busy: half of the time is left to STOP
+  page.drew = false;
+  if (now < page.rests) return;
   if (page.slow && page.bode) {
     const count = page.bode.draw(page.slow, now); page.tracked.draw(page.slow, now); page.slow.count = count; page.slow = null;
   }
   const picture = page.frame;
   if (!picture || !page.curves) return;
-  page.frame = null;
+  page.frame = null; page.drew = true;
   const { header } = picture;
   for (const chart of page.charts) chart.draw(picture, now);
   page.orbit.draw(picture, now); page.dial.draw(picture);
@@ -135,12 +140,12 @@ const act = (verb, given) => ask("act", { verb, ...given }).then((said) => { byI
 const failed = (error) => { alertOf(error.message); };
 
 const stop = () => {
-  const button = byId("stop");
-  if (button.disabled) return;
+  const button = byId("stop"), since = performance.now();
+  if (button.disabled || since - page.stopped < 500) return; // a press and its click are one
+  page.stopped = since;
   button.classList.add("sent");
-  const since = performance.now();
   ask("stop").then(() => { button.firstChild.textContent = "STOPPED"; byId("test").querySelector(".answer").textContent = `the stop was ordered ${(performance.now() - since).toFixed(0)} ms after the click`; })
-    .catch((error) => { button.classList.remove("sent"); alertOf(`STOP FAILED: ${error.message}. Use the emergency stop at the rig`); });
+    .catch((error) => { page.stopped = -Infinity; button.classList.remove("sent"); alertOf(`STOP FAILED: ${error.message}. Use the emergency stop at the rig`); });
 };
 
 const setWindow = (seconds) => {
@@ -151,6 +156,7 @@ const setWindow = (seconds) => {
 };
 
 byId("stop").addEventListener("click", stop);
+byId("stop").addEventListener("pointerdown", (event) => { if (event.pointerType === "mouse" && event.button === 0) stop(); }); // a finger may only scroll
 byId("window").addEventListener("change", (event) => setWindow(Number(event.target.value)));
 byId("zoom-in").addEventListener("click", () => setWindow(page.window / 2));
 byId("zoom-out").addEventListener("click", () => setWindow(page.window * 2));

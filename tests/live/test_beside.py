@@ -8,10 +8,12 @@ import signal
 import sys
 import time
 from http.client import HTTPConnection
+from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import anyio.to_thread
 import pytest
 from websockets.sync.client import connect
 from websockets.typing import Origin
@@ -24,8 +26,11 @@ from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from live import watched
 from live.beside import Asking, LivePage
+from live.model import Model
 from live.port import bound
+from live.serving import Serving
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 
@@ -137,8 +142,8 @@ def test_a_page_that_was_killed_does_not_end_the_session(virtual_rig: VirtualRig
         page.follow(session, Asking(), session.stop, {})
         assert page._process.pid is not None
         os.kill(page._process.pid, signal.SIGKILL)
-        page._threads[0].join(WAIT_S)
-        assert not page._threads[0].is_alive(), "the feed ends with its page"
+        page._feeding.join(WAIT_S)
+        assert not page._feeding.is_alive(), "the feed ends with its page"
         session.check()
         session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
 
@@ -146,6 +151,46 @@ def test_a_page_that_was_killed_does_not_end_the_session(virtual_rig: VirtualRig
 def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
     with bound("", 0) as taken, pytest.raises(RigError, match=r"the live page: .*--port"):
         LivePage(load_rig("virtual"), None, "", 1.0, "", "", taken.getsockname()[1]).__enter__()
+
+
+def test_all_is_compiled_before_the_page_is_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop passes through the page's process: it is not to wait for a compiler there while a rotor turns."""
+    ours, theirs = Pipe()
+    told_before: list[bool] = []
+    monkeypatch.setattr(watched, "compile_followers", lambda rig, model: told_before.append(ours.poll()))
+    monkeypatch.setattr(signal, "signal", lambda number, how: None)
+    with ours, theirs:
+        ours.send({"end": True})
+        watched.run_page(theirs, load_rig("virtual"), None, "rig file", 1.0, "virtual", "", 0)
+        assert told_before == [False]
+        assert ours.recv()["url"].startswith("http://")
+
+
+def test_what_is_asked_waits_for_no_other_thread_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def busy(*_: object, **__: object) -> None:
+        raise AssertionError("no thread is free")
+
+    monkeypatch.setattr(anyio.to_thread, "run_sync", busy)
+    ours, theirs = Pipe()
+    source = watched.Watched(load_rig("virtual"), theirs, 1.0, "virtual")
+    with ours, theirs, Serving(source, Model(source.signals.rig)) as serving:
+        parts = urlsplit(serving.url)
+        connection = HTTPConnection(parts.netloc, timeout=WAIT_S)
+        connection.request("POST", f"/stop?{parts.query}", "{}", {"Origin": f"http://{parts.netloc}"})
+        assert ours.poll(WAIT_S), "the stop was passed on"
+        asked = ours.recv()
+        assert asked["act"] == "stop"
+        source._take({"answer": {"done": True}, "to": asked["number"]})
+        assert json.loads(connection.getresponse().read()) == {"done": True}
+        connection.request("POST", f"/stop?{parts.query}", "{}", {"Origin": f"http://{parts.netloc}"})
+        answer = connection.getresponse()  # nobody takes this one
+        assert (answer.status, json.loads(answer.read())) == (
+            409, {"error": "stop: no answer from the recorder within 2 s"}
+        )  # fmt: skip
+        assert ours.recv()["act"] == "stop"
+        source._take({"answer": {"done": True}, "to": 2})  # too late, and no harm
+        assert source._waiting == {}
+        connection.close()
 
 
 def test_a_prompt_is_shown_until_the_test_goes_on() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 
 from live.replayed import Replayed
 from live.serving import Serving
@@ -61,17 +61,19 @@ def test_the_bode_plot_says_what_it_compares_and_tells_x_from_y_in_grey(
     _opened(page, serving, replayed, 20.0)
     legend = page.locator("#bode .legend")
     expect(legend).to_contain_text("steady response, model")
-    expect(legend).to_contain_text("phase wrapped to ±180°")
+    expect(legend).to_contain_text("phase wrapped to ±180°, lead positive")
     assert page.locator("#bode figcaption").evaluate("e => e.scrollWidth <= e.clientWidth")
     drawn = page.evaluate(
         """() => Object.values(page.bode.figures).map(figure => [figure.left[0].axis_label, figure.renderers
         .map(({ glyph }) => [glyph.type, glyph.marker?.value ?? "", JSON.stringify(glyph.line_dash?.value ?? [])])])"""
     )
-    assert [label for label, _ in drawn] == ["mm (0–peak)", "phase, ° (lead positive)"]
+    assert [label for label, _ in drawn] == ["mm (0–peak)", "phase, °"]
     for _, glyphs in drawn:
         lines, dots = ([g for g in glyphs if g[0] == kind] for kind in ("Line", "Scatter"))
-        assert len(lines) == len(dots) == 2
-        assert lines[0][2] != lines[1][2], "one dashed"
+        assert (len(lines), len(dots)) == (4, 2)
+        x, ramp_x, y, ramp_y = (line[2] for line in lines)
+        assert x != y, "one dashed"
+        assert (ramp_x, ramp_y) == (x, y), "the ramp's as the steady response's"
         assert dots[0][1] != dots[1][1], "one hollow triangles"
 
 
@@ -164,3 +166,52 @@ def test_a_replay_has_no_stop_button_and_the_keyboard_plays_it(
     page.locator("body").press("Space")
     expect(page.locator("#play")).to_have_text("pause", timeout=WAIT_MS)
     assert replayed.transport.playing
+
+
+def test_the_keyboard_reaches_the_controls_and_nothing_else(page: Page, serving: Serving, replayed: Replayed) -> None:
+    _opened(page, serving, replayed, 20.0)
+    page.wait_for_function("() => page.drawn > 3")
+    reached: list[str] = []
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.id || document.activeElement.tagName"))
+    assert set(reached) == {"window", "zoom-in", "zoom-out", "hold", "OL", "play", "seek", "speed", "BODY"}
+    for panel in ("#strip-x", "#orbit", "#dial", "#bode", "#tracked"):
+        assert page.locator(panel).get_attribute("role") == "img"
+        expect(page.locator(panel)).to_have_attribute("aria-label", re.compile(r"\w+"), timeout=WAIT_MS)
+
+
+def test_the_wheel_over_a_chart_changes_the_window(page: Page, serving: Serving, replayed: Replayed) -> None:
+    _opened(page, serving, replayed, 20.0)
+    page.locator("#strip-y .plot").hover(force=True)
+    page.mouse.wheel(0, 100)
+    expect(page.locator("#window")).not_to_have_value("10")
+
+
+@pytest.mark.parametrize(("touch", "least_px", "most_px"), [(True, 40, 48), (False, 24, 32)])
+def test_what_a_finger_meets_is_large_and_what_a_mouse_meets_is_not(
+    browser: Browser, serving: Serving, replayed: Replayed, touch: bool, least_px: float, most_px: float
+) -> None:
+    width, height = (390, 844) if touch else (1400, 900)
+    page = browser.new_page(viewport={"width": width, "height": height}, is_mobile=touch, has_touch=touch)
+    _opened(page, serving, replayed, 20.0)
+    page.evaluate("document.body.dataset.rig = 'yes'")
+    boxes = page.evaluate(  # at once: the next state hides again what a replay does not offer
+        """() => {
+        document.querySelectorAll("#test [data-verb], #note").forEach((e) => { e.hidden = false; });
+        return [...document.querySelectorAll("button, select, input")].filter((e) => e.offsetParent)
+        .map((e) => [e.id || e.textContent, e.getBoundingClientRect().width, e.getBoundingClientRect().height]); }"""
+    )
+    page.close()
+    names = {name for name, *_ in boxes}
+    assert {"stop", "window", "zoom-in", "zoom-out", "hold", "play", "seek", "abort"} <= names
+    for name, wide, high in boxes:
+        assert wide >= least_px, name
+        assert high >= least_px, name
+        assert high <= most_px or name == "stop"
+
+
+def test_a_tab_that_slept_draws_again_at_once(page: Page, serving: Serving, replayed: Replayed) -> None:
+    _opened(page, serving, replayed, 20.0)
+    before = page.evaluate("() => { page.turned -= 3.6e6; page.drew = true; return page.drawn; }")
+    page.wait_for_function("before => page.drawn > before + 3", arg=before, timeout=WAIT_MS)

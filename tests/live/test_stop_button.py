@@ -16,7 +16,7 @@ from daq.log import open_log
 WITHIN_S = 0.2
 ATTEMPTS = 3  # a machine that is busy with something else may keep browser and rig waiting
 QUICK_STOP = b"t205402000000"  # SLCAN: the drive's command, controlword 2, target 0
-NOTE_CLICK = """document.getElementById("stop").addEventListener("click", () => {
+NOTE_CLICK = """document.getElementById("stop").addEventListener("pointerdown", () => {
   window.clicked_ms = performance.timeOrigin + performance.now();
 }, { capture: true })"""
 
