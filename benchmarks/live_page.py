@@ -18,6 +18,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import subprocess
 import tempfile
 import threading
 import time
@@ -45,6 +46,7 @@ from live.watched import Watched
 from rig_configs import load_rig
 
 _TICKS = os.sysconf("SC_CLK_TCK")
+_UNITS = {"drawn": ", frames", "nodes": " of DOM"}
 
 
 @dataclass
@@ -93,27 +95,36 @@ def _viewer(page: LivePage, seen: Seen, answers: bool) -> Iterator[None]:
 
 @contextmanager
 def _chromium(page: LivePage, facts: dict[str, list[float]]) -> Iterator[Callable[[], None]]:
+    """A browser that nobody watches but for a moment now and then: a debugger that listens keeps all it hears."""
     from playwright.sync_api import sync_playwright  # noqa: PLC0415 (only with --browser)
 
     program = next(b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if b)
-    with sync_playwright() as player:
-        browser = player.chromium.launch(
-            executable_path=program, args=["--no-sandbox", "--enable-precise-memory-info"]
-        )  # fmt: skip
-        tab = browser.new_page(viewport={"width": 1600, "height": 900})
-        tab.goto(page.url)
-        tab.wait_for_timeout(3000)
-        client, whole = tab.context.new_cdp_session(tab), browser.new_browser_cdp_session()
+    with ExitStack() as stack:
+        profile = Path(stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True)))
+        options = ["--headless=new", "--no-sandbox", "--enable-precise-memory-info", "--window-size=1600,900"]
+        options += ["--remote-debugging-port=0", f"--user-data-dir={profile}", "--no-first-run"]
+        browser = stack.enter_context(
+            subprocess.Popen([program, *options, page.url], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        )
+        stack.callback(browser.terminate)
+        player = stack.enter_context(sync_playwright())
+        while not (said := profile / "DevToolsActivePort").exists() or not said.read_text().count("\n"):
+            time.sleep(0.1)
+        port = said.read_text().split()[0]
 
         def look() -> None:
+            there = player.chromium.connect_over_cdp(f"http://127.0.0.1:{port}")
+            tab = next(t for t in there.contexts[0].pages if t.url.startswith(page.url.split("?")[0]))
+            whole, client = there.new_browser_cdp_session(), tab.context.new_cdp_session(tab)
             facts["drawn"].append(int(tab.evaluate("page.drawn")))
             processes = whole.send("SystemInfo.getProcessInfo")["processInfo"]
             facts["renderer"].append(max(_rss_mb(each["id"]) for each in processes if each["type"] == "renderer"))
             client.send("HeapProfiler.collectGarbage")
             facts["heap"].append(tab.evaluate("performance.memory.usedJSHeapSize / 1e6"))
+            facts["nodes"].append(client.send("Memory.getDOMCounters")["nodes"])
+            there.close()
 
         yield look
-        browser.close()
 
 
 def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
@@ -164,7 +175,7 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
         flush=True,
     )
     for who, values in facts.items():
-        print(f"{'':18} {who + (', frames' if who == 'drawn' else ', MB'):15} {' '.join(f'{v:.0f}' for v in values)}")
+        print(f"{'':18} {who + _UNITS.get(who, ', MB'):15} {' '.join(f'{v:.0f}' for v in values)}")
 
 
 def _hour(rig_name: str, minutes: int = 60) -> None:
