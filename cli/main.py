@@ -69,8 +69,8 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
     },
     "cli.model": {
         "predict": "Steady states, stability and amplitudes at a point or a speed, and where a release ends.",
-        "map": "Largest multiplier of the balanced state over speed ratio and stiffness ratio.",
     },
+    "cli.maps": {"map": "Where the balanced state is stable, over any two numbers of the rig file."},
     "cli.plan": {
         "plan": "Say which experiments reach a wanted uncertainty: how long, what amplitude, what rate; exit 1 when "
         "none can.",

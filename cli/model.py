@@ -1,9 +1,8 @@
-"""Commands that ask the model alone: predict, map."""
+"""What the model alone says of a rig: predict."""
 
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -261,95 +260,3 @@ def _by_end(releases: list[dict[str, Any]]) -> dict[tuple[str, ...], list[dict[s
 def _near_one(multiplier: float) -> str:
     """Six digits, or the difference from 1 where they would hide it."""
     return f"{multiplier:.6f}" if abs(multiplier - 1) > 1e-4 else f"1 {multiplier - 1:+.3e}"
-
-
-def map(
-    rig: str,
-    *,
-    speed_ratio: Annotated[str, Parameter(help="A:B:N, N values from A to B")],
-    stiffness_ratio: Annotated[str, Parameter(help="A:B:N, N values from A to B")],
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
-    plot: Plot = None,
-    accuracy: Accuracy = 1e-8,
-    parameters: ParametersPath = None,
-    settings: Settings = None,
-    json: Json = False,
-) -> int:
-    """Largest multiplier of the balanced state over speed ratio and stiffness ratio."""
-    need_place("rig map:", output, plot)
-    if output is not None and output.suffix != ".npz":
-        raise RigFileError(f"rig map: -o expected a name ending in .npz, got {output}")
-    omega = _axis("--speed-ratio", speed_ratio)
-    stiffness = _axis("--stiffness-ratio", stiffness_ratio)
-    known = IdentifiedParameters.load(parameters) if parameters else None
-    loaded = load_rig(rig, known, settings or [])
-    if known and known.slow_roll and known.slow_roll.bow_m:
-        say("the map leaves the bow out: a bent shaft has no state at rest")
-    if loaded.physics.a.friction_arm_m or loaded.physics.b.friction_arm_m:
-        say("the map leaves dry friction out")
-    with wait_for_compilation("stability map"):
-        from dynamics.stability.stability_map import stability_map  # noqa: PLC0415
-
-        stability_map(loaded.physics, omega[:1], stiffness[:1], accuracy)
-    started = time.perf_counter()
-    with share_progress(f"{len(omega) * len(stiffness)} points") as progress:
-        found = stability_map(loaded.physics, omega, stiffness, accuracy, progress)
-    seconds = time.perf_counter() - started
-    if output is not None:
-        np.savez_compressed(
-            output,
-            speed_ratio=found.speed_ratio,
-            stiffness_ratio=found.stiffness_ratio,
-            multiplier_max=found.multiplier_max,
-            error_estimate=found.error_estimate,
-        )
-    if plot is not None:
-        from analysis.figures.stability_map import MapPoint, stability_map_figure  # noqa: PLC0415
-        from analysis.figures.style import save  # noqa: PLC0415
-
-        points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in loaded.points.items()]
-        save(plot, stability_map_figure(loaded.physics, found, points))
-    stable = float(np.mean(found.multiplier_max + found.error_estimate < 1.0))
-    result = {
-        "points": int(found.multiplier_max.size),
-        "seconds": seconds,
-        "microseconds_per_point": 1e6 * seconds / found.multiplier_max.size,
-        "method": found.method,
-        "accuracy": accuracy,
-        "largest_error_estimate": float(np.max(found.error_estimate)),
-        "stable_share": stable,
-        "points_beyond_accuracy": found.missed,
-        "what_if": list(settings or []),
-        "file": None if output is None else str(output),
-        "plot": None if plot is None else str(plot),
-    }
-    if json:
-        print_json(result)
-        return 0
-    print(
-        f"{result['points']} points in {seconds:.3g} s ({result['microseconds_per_point']:.3g} µs a point), "
-        f"balanced state stable on {100 * stable:.1f} %, largest error estimate {result['largest_error_estimate']:.1g}"
-    )
-    print(f"method: {found.method}")
-    if settings:
-        print(what_if_words(settings))
-    for path in (output, plot):
-        if path is not None:
-            print(f"written to {path}")
-    if found.missed:
-        say(f"{found.missed} points are known less well than asked; error_estimate says how well")
-    if output is None and plot is None:
-        say("nothing kept: give -o FILE.npz for the arrays, --plot FILE for the figure")
-    return 0
-
-
-def _axis(option: str, text: str) -> np.ndarray:
-    """A:B:N as N evenly spaced values."""
-    try:
-        first, last, count = text.split(":")
-        low, high, n = float(first), float(last), int(count)
-    except ValueError:
-        raise RigFileError(f"rig map: {option} expected A:B:N, for example 0.4:6:400, got {text!r}") from None
-    if not (0 < low <= high < math.inf and 1 <= n <= 10_000_000) or (n > 1 and low == high):
-        raise RigFileError(f"rig map: {option} expected 0 < A < B and N from 1 to ten million, got {text!r}")
-    return np.linspace(low, high, n)

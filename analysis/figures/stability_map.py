@@ -12,9 +12,12 @@ from matplotlib.figure import Figure
 from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MODEL, drawing, label, to_svg
 from dynamics import RotorParameters
-from dynamics.stability.stability_map import StabilityMap, stability_map
+from dynamics.stability.borders import Borders
+from dynamics.stability.stability_map import PlaneMap, StabilityMap, stability_map
 
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
+_USUAL = ("speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
+_SHORT: dict[str, str] = {_USUAL[0]: "Ω", _USUAL[1]: "K"}
 _MARKS = {"I": "o", "II": "s", "III": "^", "slipping": "X", "not settled": "P"}
 
 
@@ -73,41 +76,129 @@ def draw_points_on_map(physics: RotorParameters, points: Sequence[MapPoint], tit
 def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: Sequence[MapPoint]) -> Figure:
     """The largest Type I multiplier as filled contours, with both resonance lines and the points on the rig's line."""
     own = physics.k2_N_per_m / physics.k1_N_per_m
-    omega, ratio = found.speed_ratio, found.stiffness_ratio
+    grid = _Grid(found.speed_ratio, found.stiffness_ratio, found.multiplier_max)
+    return _figure(grid, _USUAL, (False, False), None, points, own)
+
+
+def plane_map_figure(
+    found: PlaneMap,
+    names: tuple[str, str],
+    logarithmic: tuple[bool, bool],
+    borders: Borders | None = None,
+    as_decay_rate: bool = False,
+    points: Sequence[MapPoint] = (),
+    own_stiffness_ratio: float | None = None,
+) -> Figure:
+    """A map over any two numbers as filled contours, white where no balanced state exists.
+
+    Args:
+        names: of the axes.
+        logarithmic: whether an axis is.
+        borders: drawn in place of the map's own contour, a line each for flutter, divergence and period doubling.
+        as_decay_rate: show the decay rate per second instead of the multiplier.
+        points: marked, over speed ratio and stiffness ratio only.
+        own_stiffness_ratio: the rig's, where y is one: x and y are then speed ratio and stiffness ratio.
+    """
+    values = found.decay_rate_per_s if as_decay_rate else found.multiplier_max
+    grid = _Grid(found.x, found.y, values, as_decay_rate)
+    return _figure(grid, names, logarithmic, borders, points, own_stiffness_ratio)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Values over x and y, shape (len(y), len(x))."""
+
+    x: np.ndarray
+    y: np.ndarray
+    values: np.ndarray
+    is_rate: bool = False
+
+    @property
+    def border(self) -> float:
+        """The value at which stability ends."""
+        return 0.0 if self.is_rate else 1.0
+
+    @property
+    def name(self) -> str:
+        """For the bar."""
+        return "decay rate, 1/s" if self.is_rate else "largest |multiplier|"
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Twelve bands, five of them stable, darker where it is less so."""
+        if not self.is_rate:
+            return _LEVELS
+        stable, unstable = (float(np.nanmax(sign * self.values, initial=0.0)) or 1.0 for sign in (1, -1))
+        shares = (-0.9, -0.7, -0.5, -0.35, -0.2, -0.1, 0.0, 0.15, 0.3, 0.5, 0.75)
+        return tuple(float(f"{share * (stable if share > 0 else unstable):.2g}") for share in shares)
+
+
+def _figure(
+    grid: _Grid, names: tuple[str, str], logarithmic: tuple[bool, bool], borders: Borders | None,
+    points: Sequence[MapPoint], own: float | None,
+) -> Figure:  # fmt: skip
+    x, y = grid.x, grid.y
     with drawing(8.6, 4.4) as figure:
         axes = figure.add_subplot()
-        figure.subplots_adjust(left=0.075, right=1.04, top=0.97, bottom=0.12)
+        figure.subplots_adjust(left=0.075, right=1.02 if grid.is_rate else 1.04, top=0.97, bottom=0.12)
         axes.grid(False)
-        if min(len(omega), len(ratio)) < 2:
-            _one_line(axes, found)
+        if min(len(x), len(y)) < 2:
+            _one_line(axes, grid, names, logarithmic)
             return figure
-        filled = axes.contourf(
-            omega, ratio, found.multiplier_max, levels=_LEVELS, extend="both", colors=_COLOURS,
-        )  # fmt: skip
-        axes.contour(omega, ratio, found.multiplier_max, levels=[1.0], colors="black", linewidths=1.6)
-        _resonances(axes, omega, ratio)
-        axes.set_xlim(omega[0], omega[-1])
-        axes.set_ylim(ratio[0], ratio[-1])
-        if ratio[0] <= own <= ratio[-1]:
+        colours = _COLOURS[::-1] if grid.is_rate else _COLOURS
+        shown = np.ma.masked_invalid(grid.values)
+        filled = axes.contourf(x, y, shown, levels=grid.levels, extend="both", colors=colours)
+        if borders is None:
+            axes.contour(x, y, shown, levels=[grid.border], colors="black", linewidths=1.6)
+        else:
+            _draw_borders(axes, borders)
+        if own is not None:
+            _resonances(axes, x, y)
+        axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+        if logarithmic[0]:
+            axes.set_xscale("log")
+        if logarithmic[1]:
+            axes.set_yscale("log")
+        if own is not None and y[0] <= own <= y[-1]:
             axes.axhline(own, color="#333333", lw=0.6, ls=":")
-            _points(axes, [p for p in points if omega[0] <= p.speed_ratio <= omega[-1]], own)
-        label(axes, "speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
-        bar = figure.colorbar(filled, ax=axes, ticks=_LEVELS, pad=0.01)
-        bar.set_label("largest |multiplier| over one revolution")
+            _points(axes, [p for p in points if x[0] <= p.speed_ratio <= x[-1]], own)
+        label(axes, *names)
+        bar = figure.colorbar(filled, ax=axes, ticks=grid.levels, pad=0.01, format="%g" if grid.is_rate else None)
+        bar.set_label("decay rate, 1/s" if grid.is_rate else "largest |multiplier| over one revolution")
         return figure
 
 
-def _one_line(axes: Axes, found: StabilityMap) -> None:
+_LINES = {"flutter": "-", "divergence": "--", "period doubling": ":"}
+
+
+def _draw_borders(axes: Axes, borders: Borders) -> None:
+    """Each border, its line by how stability is lost."""
+    for branch in borders.branches:
+        kinds = np.array(branch.kind)
+        for kind in dict.fromkeys(branch.kind):
+            here = kinds == kind
+            here[:-1] |= here[1:]  # up to where the next kind begins
+            axes.plot(
+                np.where(here, branch.x, np.nan),
+                np.where(here, branch.y, np.nan),
+                color="black",
+                lw=1.6,
+                ls=_LINES[kind],
+            )
+
+
+def _one_line(axes: Axes, grid: _Grid, names: tuple[str, str], logarithmic: tuple[bool, bool]) -> None:
     """A map of one row or one column is a curve."""
-    along_speed = len(found.speed_ratio) > 1 or len(found.stiffness_ratio) == 1
-    x = found.speed_ratio if along_speed else found.stiffness_ratio
+    along_x = len(grid.x) > 1 or len(grid.y) == 1
+    x, fixed = (grid.x, grid.y[0]) if along_x else (grid.y, grid.x[0])
     axes.figure.subplots_adjust(right=0.97)
     axes.grid(True)
-    axes.plot(x, found.multiplier_max.ravel(), color=MODEL, marker="o" if len(x) == 1 else "")
-    axes.axhline(1.0, color="black", lw=0.9)
-    fixed = f"K = {found.stiffness_ratio[0]:g}" if along_speed else f"Ω = {found.speed_ratio[0]:g}"
-    name = "speed ratio Ω = ω/ω_n1" if along_speed else "stiffness ratio K = k2/k1"
-    label(axes, name, f"largest |multiplier| at {fixed}")
+    axes.plot(x, grid.values.ravel(), color=MODEL, marker="o" if len(x) == 1 else "")
+    axes.axhline(grid.border, color="black", lw=0.9)
+    if logarithmic[0 if along_x else 1]:
+        axes.set_xscale("log")
+    name, other = names if along_x else names[::-1]
+    label(axes, name, f"{grid.name} at {_SHORT.get(other, other)} = {fixed:g}")
 
 
 def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:

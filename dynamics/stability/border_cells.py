@@ -29,20 +29,33 @@ class Lattice:
     Attributes:
         x_range, y_range: of the range.
         columns, rows: cells of the finest grid along x and along y.
+        logarithmic: whether x, and whether y, is spaced evenly in its logarithm.
     """
 
     x_range: tuple[float, float]
     y_range: tuple[float, float]
     columns: int
     rows: int
+    logarithmic: tuple[bool, bool] = (False, False)
 
     def x(self, i: Integers | Array) -> Array:
         """Values of x on columns of points (numbers between them are allowed)."""
-        return self.x_range[0] + (self.x_range[1] - self.x_range[0]) * (np.asarray(i, float) / self.columns)
+        return _between(self.x_range, np.asarray(i, float) / self.columns, self.logarithmic[0])
 
     def y(self, j: Integers | Array) -> Array:
         """Values of y on rows of points."""
-        return self.y_range[0] + (self.y_range[1] - self.y_range[0]) * (np.asarray(j, float) / self.rows)
+        return _between(self.y_range, np.asarray(j, float) / self.rows, self.logarithmic[1])
+
+    def place(self, at: complex) -> tuple[float, float]:
+        """x and y of a point of the unit square that stands for the range."""
+        return float(self.x(np.array(at.real * self.columns))), float(self.y(np.array(at.imag * self.rows)))
+
+
+def _between(span: tuple[float, float], share: Array, logarithmic: bool) -> Array:
+    """Values a share of the way, the last one exact."""
+    low, high = span
+    inner = low * (high / low) ** share if logarithmic else low + (high - low) * share
+    return np.where(share == 1.0, high, inner)
 
 
 class KnownPoints:

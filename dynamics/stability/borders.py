@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from dynamics.errors import OutsideDomain
 from dynamics.stability.border_cells import KnownPoints, Lattice, border_cells
 from dynamics.stability.border_crossings import Crossings, crossings_of
-from dynamics.stability.border_following import follow
+from dynamics.stability.border_following import SHORTEST, follow
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import cores
 from dynamics.stability.matrix_patches import MatrixPatches, cover
 
 _FIRST = (96, 72)  # cells of the first grid
 _LEVELS = 2
-_OFF, _SLACK = 0.02, 1e-7  # how far off a chord its curve may be: of the chord, which turns by 3°, and besides
+_OFF, _SLACK = 0.02, 2 * SHORTEST  # how far off a chord its curve may be: of the chord, which turns by 3°, and besides
 _REAL = 1e-9  # |Im μ| below which a multiplier counts as real
 
 Array = NDArray[np.floating]
@@ -64,8 +64,9 @@ class Borders:
 
     Attributes:
         branches: the longest first.
-        stable_share: of the range's area in x and y, where the balanced state exists and is stable.
-        complete_to: sides of the finest cells in x and y: what is smaller may have been missed.
+        stable_share: of the range's area where the balanced state exists and is stable; of a logarithmic axis its
+            logarithm counts.
+        complete_to: sides of the finest cells as shares of the range: what is smaller may have been missed.
         computed: points of the grid that were computed.
         bare: parts of the range in the plane's coordinates (u from, to; v from, to) in which no balanced state exists,
             or its matrix is not smooth: no border is looked for there.
@@ -82,7 +83,9 @@ def stability_borders(
     plane: Plane,
     x_range: Span,
     y_range: Span,
+    *,
     levels: int = _LEVELS,
+    logarithmic: tuple[bool, bool] = (False, False),
     progress: Callable[[float], None] | None = None,
 ) -> Borders:
     """Every border of stability of Type I in a range of a plane.
@@ -90,16 +93,19 @@ def stability_borders(
     Args:
         x_range, y_range: from, to, in values of the plane's numbers.
         levels: how often a cell of the first grid (96 × 72) is halved both ways; 0 … 7.
+        logarithmic: whether x, and whether y, is divided evenly in its logarithm.
         progress: called with the share done, 0 … 1.
     Raises:
-        OutsideDomain: an empty range, or a number of levels outside.
+        OutsideDomain: an empty range, a logarithm of what is not above 0, or a number of levels outside.
     """
     if not (x_range[0] < x_range[1] and y_range[0] < y_range[1] and np.all(np.isfinite([*x_range, *y_range]))):
         raise OutsideDomain(f"ranges must rise and be finite, got x {x_range} and y {y_range}")
+    if any(low <= 0 for (low, _), log in zip((x_range, y_range), logarithmic, strict=True) if log):
+        raise OutsideDomain(f"logarithmic ranges must lie above 0, got x {x_range} and y {y_range}")
     if not 0 <= levels <= 7:
         raise OutsideDomain(f"levels must lie in 0 … 7, got {levels!r}")
     tell = progress or _unheard
-    lattice = Lattice(x_range, y_range, _FIRST[0] << levels, _FIRST[1] << levels)
+    lattice = Lattice(x_range, y_range, _FIRST[0] << levels, _FIRST[1] << levels, logarithmic)
     with ThreadPoolExecutor(max_workers=cores()) as pool:
         patches = cover(pool, plane, x_range, y_range)
         tell(0.2)
@@ -114,7 +120,7 @@ def stability_borders(
     return Borders(
         tuple(sorted(branches, key=lambda branch: -len(branch.x))),
         cells.clear_stable + float(crossings.stable_share.sum()) / (lattice.columns * lattice.rows),
-        ((x_range[1] - x_range[0]) / lattice.columns, (y_range[1] - y_range[0]) / lattice.rows),
+        (1 / lattice.columns, 1 / lattice.rows),
         len(known),
         patches.bare,
     )
@@ -128,13 +134,9 @@ def _followed(
     patches: MatrixPatches, lattice: Lattice, crossings: Crossings, tell: Callable[[float], None]
 ) -> list[Border]:
     """Follow borders until every crossing of the grid lies on one."""
-    width, height = lattice.x_range[1] - lattice.x_range[0], lattice.y_range[1] - lattice.y_range[0]
-
-    def place(at: complex) -> tuple[float, float]:
-        return lattice.x_range[0] + width * at.real, lattice.y_range[0] + height * at.imag
 
     def excess(at: complex) -> float:
-        return abs(patches.largest_there(*place(at))) ** 2 - 1.0
+        return abs(patches.largest_there(*lattice.place(at))) ** 2 - 1.0
 
     seeds = crossings.columns / lattice.columns + 1j * crossings.rows / lattice.rows
     waiting = np.ones(len(seeds), bool)
@@ -144,7 +146,7 @@ def _followed(
         waiting[np.argmax(waiting)] = False
         followed = follow(excess, seed)
         waiting[waiting] = ~_lie_on(seeds[waiting], np.array(followed.points))
-        places = np.array([place(at) for at in followed.points])
+        places = np.array([lattice.place(at) for at in followed.points])
         roots = [patches.largest_there(x, y) for x, y in places.tolist()]
         branches.append(Border(places[:, 0], places[:, 1], _upper(np.array(roots) ** 2), followed.closed))
         tell(float(1 - waiting.mean()))

@@ -58,6 +58,10 @@ class Plane(Protocol):
         """
         ...
 
+    def speeds_rad_s(self, x: Array, y: Array) -> Array:
+        """Running speeds ω of many points, rad/s, shape (points,)."""
+        ...
+
     def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
         """Rig, balanced angles (rad) and speed (rad/s) at one point.
 
@@ -91,8 +95,11 @@ class SpeedStiffnessPlane:
         c = 2 * np.array([[p.zeta1], [p.zeta2]]) * np.sqrt(k * p.total_mass_kg)
         alike = (packed[5:7], packed[8:10], packed[10:12], np.array(self.angles))
         moment, inertia, loss, theta = (np.repeat(pair[:, None], n, 1) for pair in alike)
-        speed = x * p.natural_frequencies_rad_s[0]
-        return MapRigs(np.full(n, p.total_mass_kg), k, c, moment, inertia, loss, theta, speed)
+        return MapRigs(np.full(n, p.total_mass_kg), k, c, moment, inertia, loss, theta, self.speeds_rad_s(x, y))
+
+    def speeds_rad_s(self, x: Array, y: Array) -> Array:
+        """See Plane."""
+        return x * self.parameters.natural_frequencies_rad_s[0] + 0.0 * y
 
     def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
         """See Plane."""
@@ -123,10 +130,16 @@ class RigPlane:
             if not (rig.a.present and rig.b.present):
                 return None
             found = balanced_angles(rig)
+            if found and (rig.gravity_m_per_s2 or rig.pivot_shift_m or rig.bow_m):
+                type_one(rig, *found[0], speed)  # says why it has no state at rest
             rigs.append(rig)
             angles.append(found[0] if found else (np.nan, np.nan))
             speeds.append(speed)
         return MapRigs.of(rigs, angles, speeds)
+
+    def speeds_rad_s(self, x: Array, y: Array) -> Array:
+        """See Plane."""
+        return np.array([self.at(a, b)[1] for a, b in zip(x.tolist(), y.tolist(), strict=True)])
 
     def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
         """See Plane."""

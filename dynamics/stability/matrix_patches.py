@@ -83,7 +83,7 @@ def cover(pool: ThreadPoolExecutor, plane: Plane, x_range: Span, y_range: Span) 
             if surface is not None:
                 surfaces.append(surface)
                 continue
-        if min(u_share, v_share) <= _SMALLEST:
+        if min(u_share, v_share) <= _SMALLEST or _unbalanced(plane, u_range, v_range):
             bare.append((u_range, v_range))
             continue
         crowded = needed is not None and max(needed) > MOST_NODES
@@ -93,6 +93,13 @@ def cover(pool: ThreadPoolExecutor, plane: Plane, x_range: Span, y_range: Span) 
         else:
             waiting += [(u_range, half, u_share, v_share / 2) for half in _halves(v_range)]
     return MatrixPatches(plane, tuple(surfaces), tuple(bare))
+
+
+def _unbalanced(plane: Plane, u_range: Span, v_range: Span) -> bool:
+    """Whether no balanced state exists at any of 25 points of a rectangle."""
+    u, v = (part.ravel() for part in np.meshgrid(np.linspace(*u_range, 5), np.linspace(*v_range, 5)))
+    rigs = plane.rigs(plane.x.back(u), plane.y.back(v))
+    return rigs is not None and bool(np.all(np.isnan(rigs.theta_rad)))
 
 
 def _halves(span: Span) -> tuple[Span, Span]:

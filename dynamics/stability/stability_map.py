@@ -56,6 +56,72 @@ class StabilityMap:
         return self.multiplier_max + self.error_estimate < 1.0
 
 
+@dataclass(frozen=True)
+class PlaneMap:
+    """The largest multiplier of Type I over a grid of any two numbers of a rig.
+
+    Attributes:
+        plane: whose map it is.
+        x, y: values of its numbers, shapes (n,) and (m,).
+        multiplier_max, error_estimate: as of StabilityMap, shape (m, n); NaN where no balanced state exists.
+        method, accuracy: see StabilityMap.
+    """
+
+    plane: Plane
+    x: NDArray[np.floating]
+    y: NDArray[np.floating]
+    multiplier_max: NDArray[np.floating]
+    error_estimate: NDArray[np.floating]
+    method: str
+    accuracy: float
+
+    @property
+    def missed(self) -> int:
+        """Points whose bound is larger than what was asked for."""
+        return int(np.count_nonzero(self.error_estimate > self.accuracy * np.maximum(1.0, self.multiplier_max)))
+
+    @property
+    def decay_rate_per_s(self) -> NDArray[np.floating]:
+        """How fast what disturbs the balance dies away, −ln(multiplier_max) over the time of a turn, shape (m, n)."""
+        grid = np.meshgrid(self.x, self.y)
+        speeds = self.plane.speeds_rad_s(*(part.ravel() for part in grid)).reshape(self.multiplier_max.shape)
+        return -np.log(self.multiplier_max) * speeds / (2 * np.pi)
+
+
+def plane_map(
+    plane: Plane,
+    x: NDArray[np.floating],
+    y: NDArray[np.floating],
+    accuracy: float = 1e-8,
+    progress: Callable[[float], None] | None = None,
+) -> PlaneMap:
+    """Largest modulus of the Type I multipliers over one revolution on a grid of a plane.
+
+    Args:
+        x, y: values of the plane's numbers, shapes (n,) and (m,), finite.
+        accuracy: bound on the error, relative to max(1, largest modulus); 1e-12 … 0.1.
+        progress: called with the share of points done, 0 … 1, from the calling thread.
+    Raises:
+        OutsideDomain: values that are not finite, an accuracy outside the range, too many points; gravity, a pivot
+            shift or a bow, with which no state is at rest.
+        NotConverged: a point whose multiplier can't be had even roughly; the message names it.
+    """
+    x, y = (np.atleast_1d(numbers(name, values)) for name, values in (("x", x), ("y", y)))
+    if x.ndim != 1 or y.ndim != 1 or not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
+        raise OutsideDomain(f"x and y must be one-dimensional and finite, got {x!r} and {y!r}")
+    _need_size(len(x), len(y), accuracy)
+    found, errors, method = multipliers_on_grid(plane, x, y, accuracy, progress or (lambda share: None))
+    return PlaneMap(plane, x, y, found, errors, method, accuracy)
+
+
+def _need_size(columns: int, rows: int, accuracy: float) -> None:
+    need_number(accuracy=accuracy)
+    if not _FINEST <= accuracy <= 0.1:
+        raise OutsideDomain(f"accuracy must lie in {_FINEST:g} … 0.1, got {accuracy!r}")
+    if columns * rows > _MOST_POINTS:
+        raise OutsideDomain(f"a map holds at most {_MOST_POINTS:.0e} points, asked {columns} × {rows}")
+
+
 def stability_map(
     rig: RotorParameters | object,
     speed_ratios: NDArray[np.floating],
@@ -89,11 +155,7 @@ def stability_map(
                 f"{name} must be above 0 and lie in {_LEAST_RATIO:g} … {_GREATEST_RATIO:g}, got "
                 f"{values.min():g} … {values.max():g}"
             )
-    need_number(accuracy=accuracy)
-    if not _FINEST <= accuracy <= 0.1:
-        raise OutsideDomain(f"accuracy must lie in {_FINEST:g} … 0.1, got {accuracy!r}")
-    if len(speeds) * len(stiffness) > _MOST_POINTS:
-        raise OutsideDomain(f"a map holds at most {_MOST_POINTS:.0e} points, asked {len(speeds)} × {len(stiffness)}")
+    _need_size(len(speeds), len(stiffness), accuracy)
     parameters = physics_of(rig)
     angles = balanced_angles(parameters)
     if not angles:

@@ -20,7 +20,7 @@ NEEDED = {  # what else a command needs to come as far as its numbers; nothing o
     "export": (f"{ABSENT}.mcap", "-o", f"{ABSENT}.csv"),
     "import": (f"{ABSENT}.csv", "-o", f"{ABSENT}.mcap", "--rig", f"{ABSENT}.toml", "--test", "t", "--x", "1:mm"),
     "replay": (f"{ABSENT}.mcap", "--to", "pty"),
-    "map": (f"{ABSENT}.toml", "--speed-ratio", "1:2:3", "--stiffness-ratio", "1:2:3"),
+    "map": (f"{ABSENT}.toml", "--x", "speed_ratio=1:2:3", "--y", "stiffness_ratio=1:2:3"),
     "demo": ("--rig", f"{ABSENT}.toml"),
     "diff": (f"{ABSENT}.toml", f"{ABSENT}.toml"),
     "plan": (f"{ABSENT}.toml", "--want", "zeta1=1%"),

@@ -57,14 +57,14 @@ def test_predict_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path, suffi
 def test_map_writes_arrays_and_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arrays, figure = tmp_path / "map.npz", tmp_path / "map.png"
     code, out, _ = said(
-        capsys, "map", "virtual", "--speed-ratio", "0.5:6:23", "--stiffness-ratio", "1:15:8",
+        capsys, "map", "virtual", "--x", "speed_ratio=0.5:6:23", "--y", "stiffness_ratio=1:15:8",
         "-o", str(arrays), "--plot", str(figure), "--json",
     )  # fmt: skip
     result = json.loads(out)
     assert code == 0
     assert result["points"] == 184
     with np.load(arrays) as found:
-        assert set(found) == {"speed_ratio", "stiffness_ratio", "multiplier_max", "error_estimate"}
+        assert set(found) == {"speed_ratio", "stiffness_ratio", "multiplier_max", "error_estimate", "decay_rate_per_s"}
         assert found["multiplier_max"].shape == found["error_estimate"].shape == (8, 23)
         assert np.all(found["error_estimate"] <= 1e-8 * np.maximum(1, found["multiplier_max"]))
     assert figure.stat().st_size > 5000
@@ -82,8 +82,8 @@ def test_set_changes_the_prediction(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["predict", "virtual", "--point", "Z"], 2, "no point 'Z'"),
         (["predict", "virtual"], 2, "give one of --point"),
-        (["map", "virtual", "--speed-ratio", "1:2", "--stiffness-ratio", "1:15:8"], 2, "expected A:B:N"),
-        (["map", "virtual", "--speed-ratio", "2:1:5", "--stiffness-ratio", "1:15:8"], 2, "0 < A < B"),
+        (["map", "virtual", "--x", "speed_ratio=1:2", "--y", "stiffness_ratio=1:15:8"], 2, "expected KEY=A:B:N"),
+        (["map", "virtual", "--x", "speed_ratio=2:1:5", "--y", "stiffness_ratio=1:15:8"], 2, "0 < A < B"),
         (["predict", "virtual", "--point", "A", "--set", "rotor.mass=3"], 2, "did you mean rotor.mass_kg"),
         (["predict", "nosuch", "--point", "A"], 2, "no such rig file"),
         (["nosuchverb"], 2, "nosuchverb"),
@@ -143,17 +143,17 @@ def test_a_map_of_one_row_is_a_curve_and_bad_places_are_refused_first(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     figure = tmp_path / "row.svg"
-    axes = ["--speed-ratio", "1:2:5", "--stiffness-ratio"]
-    assert said(capsys, "map", "virtual", *axes, "2:2:1", "--plot", str(figure))[0] == 0
+    axes = ["--x", "speed_ratio=1:2:5", "--y"]
+    assert said(capsys, "map", "virtual", *axes, "stiffness_ratio=2:2:1", "--plot", str(figure))[0] == 0
     assert "largest |multiplier| at K = 2" in figure.read_text(encoding="utf-8")
     for option, word in (
         (["-o", str(tmp_path / "a.csv")], ".npz"),
         (["--plot", str(tmp_path / "no" / "a.svg")], "no folder"),
     ):
-        code, _, err = said(capsys, "map", "virtual", *axes, "2:3:2", *option)
+        code, _, err = said(capsys, "map", "virtual", *axes, "stiffness_ratio=2:3:2", *option)
         assert code == 2
         assert word in err
-    code, _, err = said(capsys, "map", "virtual", "--speed-ratio", "1:2:100000", "--stiffness-ratio", "1:2:100000")
+    code, _, err = said(capsys, "map", "virtual", "--x", "speed_ratio=1:2:100000", "--y", "stiffness_ratio=1:2:100000")
     assert code == 2
     assert "at most" in err
 

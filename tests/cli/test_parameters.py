@@ -235,7 +235,7 @@ def test_values_are_rounded_to_two_digits_of_their_uncertainty(
         (["identify", "no.mcap", "-o"], "rig identify: -o"),
         (["validate", "virtual", "no.mcap", "--parameters", "no.toml", "--report"], "rig validate: --report"),
         (["predict", "virtual", "--speed-ratio", "2", "--plot"], "rig predict: --plot"),
-        (["map", "virtual", "--speed-ratio", "1:2:3", "--stiffness-ratio", "1:2:3", "-o"], "rig map:"),
+        (["map", "virtual", "--x", "speed_ratio=1:2:3", "--y", "stiffness_ratio=1:2:3", "-o"], "rig map:"),
         (["log", "no.mcap", "--plot"], "rig log: --plot"),
     ],
 )

@@ -108,7 +108,7 @@ def borders_of(
 ) -> tuple[SpeedStiffnessPlane, Borders]:
     parameters = rig(zeta=zeta)
     plane = SpeedStiffnessPlane(parameters, balanced_angles(parameters)[0])
-    return plane, stability_borders(plane, x_range, y_range, 1, silent)
+    return plane, stability_borders(plane, x_range, y_range, levels=1, progress=silent)
 
 
 def test_the_thin_band_above_the_second_resonance_is_found() -> None:
@@ -148,7 +148,7 @@ def test_where_balance_ends_nothing_is_claimed() -> None:
     from dynamics.stability.map_plane import RigPlane
     from tests.dynamics.test_map_planes import damped_and_unbalanced
 
-    found = stability_borders(RigPlane(damped_and_unbalanced), (0.05, 0.075), (5e-4, 2e-3), 0, silent)
+    found = stability_borders(RigPlane(damped_and_unbalanced), (0.05, 0.075), (5e-4, 2e-3), levels=0, progress=silent)
     assert found.bare
     assert max(u[1] for u, _ in found.bare) == pytest.approx(0.075)
     assert min(u[0] for u, _ in found.bare) == pytest.approx(0.0675, abs=0.0005)
@@ -158,7 +158,7 @@ def test_where_balance_ends_nothing_is_claimed() -> None:
 def test_ranges_and_levels_outside_are_refused(x_range: tuple[float, float], levels: int) -> None:
     plane = SpeedStiffnessPlane(rig(), balanced_angles(rig())[0])
     with pytest.raises(OutsideDomain, match=r"ranges|levels"):
-        stability_borders(plane, x_range, (1.0, 4.0), levels)
+        stability_borders(plane, x_range, (1.0, 4.0), levels=levels)
 
 
 def test_changed_damping_changes_the_stable_share() -> None:

@@ -19,9 +19,12 @@ from analysis.figures.parameter_history import Value, draw_parameter_history
 from analysis.figures.residuals import draw_residuals
 from analysis.figures.sheet import sheet
 from analysis.figures.slip import draw_slip
-from analysis.figures.stability_map import MapPoint, draw_points_on_map
+from analysis.figures.stability_map import MapPoint, draw_points_on_map, plane_map_figure
 from daq.log import open_log
 from daq.signals.run import Run
+from dynamics import RotorParameters
+from dynamics.stability.map_plane import RigPlane
+from dynamics.stability.stability_map import PlaneMap, plane_map
 from tests.daq.small_log import write_small_log
 from tests.figures.drawn_texts import drawn_texts, faults
 from tests.figures.figure_runs import MODEL, point, ring_down, run_up
@@ -90,6 +93,14 @@ def _residuals() -> Figure:
     return draw_residuals([ring_down_x, FitCurve("spin-down: A", time[:900], angle + noise[:900], angle, "°", "angle")])
 
 
+def _plane() -> PlaneMap:
+    def at(speed_ratio: float, zeta: float) -> tuple[RotorParameters, float]:
+        physics = replace(MODEL.physics, zeta1=zeta, zeta2=zeta)
+        return physics, physics.speed_rad_s(speed_ratio)
+
+    return plane_map(RigPlane(at), np.linspace(0.5, 6, 40), np.geomspace(0.005, 0.2, 12), 1e-6)
+
+
 _OTHERS: dict[str, Callable[[], Figure]] = {
     "slip": lambda: draw_slip([point("A"), point("B"), point("D")], MODEL),
     "multipliers": lambda: draw_multipliers([speed_point(point(name)) for name in "ABD"], MODEL),
@@ -97,6 +108,9 @@ _OTHERS: dict[str, Callable[[], Figure]] = {
         MODEL.physics,
         [MapPoint("A", 0.83, "III"), MapPoint("B", 1.6, "I"), MapPoint("C", 2.6, "not settled")],
         "Stability map: virtual, parameters.toml",
+    ),
+    "plane map": lambda: plane_map_figure(
+        _plane(), ("speed ratio Ω = ω/ω_n1", "suspension.zeta1 = suspension.zeta2"), (False, True), None, True
     ),
     "residuals": _residuals,
     "history": _history,

@@ -1,0 +1,106 @@
+"""`rig map` over any two numbers, with borders; what it refuses and why."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.main import run
+from cli.map_axes import plane_over, read_axis
+from dynamics.stability.map_plane import RigPlane, SpeedStiffnessPlane
+from rig_configs import RigFileError, load_rig
+
+DAMPING = "pendulums.a.damping_Nms_per_rad+pendulums.b.damping_Nms_per_rad=1e-4:1e-2:12:log"
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = run(list(arguments))
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_any_two_numbers_with_borders(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    arrays, figure = tmp_path / "map.npz", tmp_path / "map.svg"
+    code, out, _ = said(
+        capsys, "map", "virtual", "--x", "speed_ratio=1:2:20", "--y", DAMPING, "--borders", "--quantity", "decay-rate",
+        "-o", str(arrays), "--plot", str(figure), "--json",
+    )  # fmt: skip
+    result = json.loads(out)
+    assert code == 0
+    assert (result["x"], result["points"]) == ("speed_ratio", 240)
+    assert result["y"] == DAMPING.partition("=")[0]
+    (border,) = result["borders"]
+    assert set(border["kinds"]) == {"flutter"}
+    with np.load(arrays) as found:
+        line, multiplier = found["border_1"], found["border_1_multiplier"]
+        rate, largest, speed = found["decay_rate_per_s"], found["multiplier_max"], found["speed_ratio"]
+        damping = found["pendulums.a.damping_Nms_per_rad"]
+    assert damping == pytest.approx(np.geomspace(1e-4, 1e-2, 12))
+    assert np.abs(multiplier) == pytest.approx(1, abs=1e-10)
+    assert rate == pytest.approx(
+        -np.log(largest) * speed * 3.0, rel=0.01
+    )  # ω_n1 of the nominal rig is 3 turns a second
+    for row, value in enumerate(damping[1:-1], 1):
+        at = np.interp(value, *line[np.argsort(line[:, 1])].T[::-1])
+        assert np.array_equal(largest[row] < 1, speed > at)
+    text = figure.read_text("utf-8")
+    assert "decay rate, 1/s" in text
+    assert "pendulums.a.damping_Nms_per_rad" in text
+
+
+def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = said(
+        capsys, "map", "virtual", "--x", "imbalance.radius_m=0.06:0.075:12", "--y", DAMPING, "--speed-ratio", "1.6"
+    )
+    assert code == 0
+    assert "no balanced state exists on 50.0 %" in out
+    assert "nothing kept" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--x", "imbalance.radius_m=0.01:0.02:5", "--y", DAMPING], "neither axis is a speed"),
+        (["--x", "imbalance.radus_m=0.01:0.02:5"], "did you mean imbalance.radius_m"),
+        (["--x", "imbalance.radius_m=0.5:2:5"], "imbalance.radius_m"),
+        (["--x", "speed_ratio=1:2:5", "--y", "speed_rpm=100:200:5"], "both axes"),
+        (["--x", "speed_ratio+speed_rpm=1:2:5"], "cannot change alike"),
+        (["--x", "speed_ratio=0:2:5"], "0 < A < B"),
+        (["--x", "suspension.zeta1=0:0.1:5:log"], "0 < A < B"),
+        (["--x", "suspension.zeta1=0:0.1:5:lin"], "KEY=A:B:N:log"),
+        (["--x", "suspension.zeta1=0:0.1:x"], "KEY=A:B:N"),
+        (["--x", "suspension.zeta1=0.1:0.1:1", "--borders"], "span a range"),
+        (["--point", "Z"], "no point 'Z'"),
+        (["--point", "A", "--speed-ratio", "2"], "only one of"),
+        (["--x", "suspension.gravity_m_per_s2=0:9:4"], "gravity"),
+    ],
+)
+def test_what_is_refused_says_why(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
+    y = [] if "--y" in arguments else ["--y", "speed_ratio=1:2:3"] if "speed" not in arguments[1] else []
+    code, _, err = said(capsys, "map", "virtual", *arguments, *y)
+    assert code in (1, 2)
+    assert words in err
+
+
+def test_the_usual_plane_and_any_other_agree() -> None:
+    axes = read_axis("--x", "speed_ratio=1.2:5:4"), read_axis("--y", "stiffness_ratio=2:9:3")
+    usual = plane_over("virtual", None, [], axes, None)
+    other = plane_over("virtual", None, [], axes[::-1], None)
+    assert isinstance(usual, SpeedStiffnessPlane)
+    assert isinstance(other, RigPlane)
+    rig, _, speed = usual.one(1.7, 4.0)
+    there, _, same_speed = other.one(4.0, 1.7)
+    assert there == rig
+    assert same_speed == pytest.approx(speed)
+
+
+def test_a_speed_beside_the_axes_is_taken() -> None:
+    axes = read_axis("--x", "suspension.zeta1=0.01:0.1:3"), read_axis("--y", "suspension.k2_N_per_m=1e4:4e4:3")
+    rig, _, speed = plane_over("virtual", None, ["suspension.zeta2=0.03"], axes, 31.0).one(0.05, 2e4)
+    assert (rig.zeta1, rig.zeta2, rig.k2_N_per_m, speed) == (0.05, 0.03, 2e4, 31.0)
+    assert rig.k1_N_per_m == load_rig("virtual").physics.k1_N_per_m
+    with pytest.raises(RigFileError, match="neither axis"):
+        plane_over("virtual", None, [], axes, None)
