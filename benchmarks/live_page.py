@@ -109,6 +109,8 @@ def _chromium(page: LivePage, facts: dict[str, list[float]]) -> Iterator[Callabl
         stack.callback(browser.terminate)
         player = stack.enter_context(sync_playwright())
         while not (said := profile / "DevToolsActivePort").exists() or not said.read_text().count("\n"):
+            if browser.poll() is not None:
+                raise RuntimeError(f"{program} ended with {browser.returncode} before it offered a port")
             time.sleep(0.1)
         port = said.read_text().split()[0]
 

@@ -61,12 +61,14 @@ def map(
     with wait_for_compilation("stability map"):
         from cli.map_axes import plane_over, read_axis  # noqa: PLC0415
         from dynamics.stability.borders import stability_borders  # noqa: PLC0415
+        from dynamics.stability.map_tiles import compile_tiles  # noqa: PLC0415
         from dynamics.stability.stability_map import plane_map  # noqa: PLC0415
 
         axes = read_axis("--x", x), read_axis("--y", y)
         speed = _speed(loaded, point, speed_ratio, speed_rpm)
         plane = plane_over(rig, known, settings or [], axes, speed)
         plane_map(plane, axes[0].values[:1], axes[1].values[:1], accuracy)
+        compile_tiles()
     started = time.perf_counter()
     with share_progress(f"{len(axes[0].values) * len(axes[1].values)} points") as progress:
         found = plane_map(plane, axes[0].values, axes[1].values, accuracy, progress)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.stability.floquet.lanes import NUMBERS, half_turn_matrices
 from dynamics.stability.floquet.matrix_rows import multipliers_of_rows
 from dynamics.stability.floquet.matrix_surface import MatrixSurface, fit_surface, nodes_needed
 from dynamics.stability.map_plane import Plane
@@ -140,6 +141,13 @@ class MapTiles:
         pending = {pool.submit(some, rows): rows for rows in parts}
         for future in as_completed(pending):
             yield pending[future], columns, *future.result()
+
+
+def compile_tiles() -> None:
+    """Have compiled what a map's rectangles call, so that who times a map does not time the compiler."""
+    half_turn_matrices(2, np.ones((1, NUMBERS)), np.ones(8), np.empty((1, 8, 8)))
+    one, found, errors = np.ones((1, 1)), np.empty((1, 1)), np.empty((1, 1))
+    multipliers_of_rows(np.ones((1, 1, 64)), one, one, 0.0, found, errors)
 
 
 def _half_phases(corners: MapRigs) -> tuple[float, float]:

@@ -199,6 +199,7 @@ def multipliers_on_grid(
         row, column = divmod(int(point), len(x))
         found[row, column], errors[row, column] = multiplier_at(plane, float(x[column]), float(y[row]), accuracy)
         progress(1 - (len(left) - done - 1) / found.size)
+    progress(1.0)  # where no balanced state exists nothing was left to do
     counts = found.size - len(rest), len(rest) - len(left), len(left)
     return (
         found,

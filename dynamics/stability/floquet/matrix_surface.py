@@ -3,7 +3,7 @@
 
 D Φ(π) is an entire function of the springs, dampers and pendulum rates per radian of phase. So over a rectangle of
 coordinates in which these are smooth (1/Ω and √K: modes turn by phases π ω_n/ω) its Chebyshev series falls faster
-than any power as soon as it has more terms than half the rectangle's phase. A map of 300 × 400 points needs some 1500
+than any power as soon as it has more terms than half the rectangle's phase. A map of 300 × 400 points needs some 2000
 matrices.
 Source: L. N. Trefethen, Approximation Theory and Approximation Practice, SIAM 2013, chapters 3, 8 and 17.
 """
