@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.worlds.motion import Mechanics, SwingingMass, Turning, moved
-from cli.runs import load_runs
+from studies.runs import load_runs
 from daq.exchange import import_recording, make_recipe
 from identification import IdentificationError, identify
 from rig_configs import load_rig

@@ -51,3 +51,4 @@ SecondsOrNone = Annotated[float, Parameter(validator=between(0, LONGEST_S, low_t
 PositiveRpm = Annotated[float, Parameter(validator=between(0, 1e6))]
 Positive = Annotated[float, Parameter(validator=between(0, 1e9))]
 Chance = Annotated[float, Parameter(validator=between(0, math.nextafter(1, 0)))]
+WholeCount = Annotated[int, Parameter(validator=between(0, 1e7))]

@@ -41,7 +41,7 @@ def report(
     """
     from cli.offline import print_points  # noqa: PLC0415 (matplotlib and numba take seconds to import)
     from cli.reporting import reported  # noqa: PLC0415
-    from cli.runs import load_runs, validated  # noqa: PLC0415
+    from studies.runs import load_runs, validated  # noqa: PLC0415
     from daq.signals.run import point_of  # noqa: PLC0415
 
     logs = _logs(places)

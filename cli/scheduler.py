@@ -1,0 +1,57 @@
+# pyright: strict
+"""Who works a study's tiles out, and how the person at the terminal sees it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from cli.console import say, share_progress
+
+if TYPE_CHECKING:
+    from studies.study import Study
+    from studies.tile_files import TileFolder
+
+Scheduler = Annotated[
+    str | None,
+    Parameter(help="local:N processes of this machine, or a dask scheduler as tcp://HOST:PORT or tls://HOST:PORT"),
+]
+
+
+def worked_out(study: Study, place: Path, scheduler: str | None, what: str) -> TileFolder:
+    """Work a study out, with progress; a study that was begun goes on.
+
+    Args:
+        place: folder of its tiles.
+        scheduler: who works; None: this machine.
+        what: its tiles, in a word for the progress bar.
+    Returns:
+        The folder, every tile in it.
+    Raises:
+        StudyError, DynamicsError: it cannot be worked out.
+    """
+    from studies.engines import engine_of  # noqa: PLC0415
+    from studies.engines.threads import Threads  # noqa: PLC0415
+    from studies.running import run_study  # noqa: PLC0415
+    from studies.study import kind_named  # noqa: PLC0415
+    from studies.tile_files import TileFolder  # noqa: PLC0415
+
+    if scheduler is None and not kind_named(study.kind).uses_threads:
+        scheduler = f"local:{os.cpu_count() or 1}"
+    engine = engine_of(scheduler, say) if scheduler else Threads()
+    folder = TileFolder(place, study)
+    if there := len(folder.finished()):
+        say(f"{there} of {study.tiles} {what} are in {place} already and are not worked out again")
+    try:
+        with share_progress(f"{study.tiles} {what}, {engine.name}") as progress:
+            run_study(folder, engine, lambda done, total: progress(done / total))
+    except KeyboardInterrupt:
+        say(
+            f"{len(folder.finished())} of {study.tiles} {what} are done and kept in {place}; the same command goes on "
+            "from there"
+        )
+        raise
+    return folder

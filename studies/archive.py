@@ -1,0 +1,175 @@
+# pyright: strict
+"""Every campaign of an archive identified anew, with today's software or another rig file: what would be found now?"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.errors import LogError, RecordingError
+from daq.log.verdicts import digest_of
+from identification import IdentificationError, identify
+from rig_configs import IdentifiedParameters
+from rig_configs.load import rig_from_text
+from studies.errors import StudyInputError
+from studies.runs import load_runs
+from studies.study import Answer, Study
+from studies.tile_files import TileFolder
+
+
+@dataclass(frozen=True)
+class ArchivedCampaign:
+    """Logs that are identified together.
+
+    Attributes:
+        name: the folder they lie in, seen from the archive's.
+        logs: absolute paths, the same on every worker's host.
+    """
+
+    name: str
+    logs: tuple[Path, ...]
+
+
+def campaigns_in(archives: Sequence[Path]) -> list[ArchivedCampaign]:
+    """Campaigns of archives: the logs of one folder are one campaign.
+
+    Raises:
+        StudyInputError: there is no log.
+    """
+    found: list[ArchivedCampaign] = []
+    for archive in archives:
+        folders: dict[Path, list[Path]] = {}
+        for log in sorted(archive.rglob("*.mcap")):
+            folders.setdefault(log.parent, []).append(log.resolve())
+        for folder, logs in sorted(folders.items()):
+            inner = folder.relative_to(archive)
+            found.append(ArchivedCampaign((archive.name / inner).as_posix(), tuple(logs)))
+    if not found:
+        raise StudyInputError(f"no log in {', '.join(map(str, archives))}: expected folders with NAME.mcap files")
+    return found
+
+
+def archive_study(
+    rig_source: str,
+    rig_text: str,
+    settings: Sequence[str],
+    campaigns: Sequence[ArchivedCampaign],
+    progress: Callable[[float], None] | None = None,
+) -> Study:
+    """The study that identifies campaigns anew. Every log is read for its digest.
+
+    Args:
+        rig_source: the rig file's name, for messages.
+        rig_text: its text.
+        settings: "key=value" laid over it.
+        progress: told the share of the logs that is read, 0 … 1.
+    Raises:
+        LogError: a log cannot be read.
+    """
+    total, done, asked = sum(len(one.logs) for one in campaigns), 0, list[dict[str, Any]]()
+    for one in campaigns:
+        digests: dict[str, str] = {}
+        for log in one.logs:
+            digests[str(log)] = digest_of(log)
+            done += 1
+            if progress is not None:
+                progress(done / total)
+        asked.append({"name": one.name, "logs": digests})
+    return Study.of(
+        "archive", {"rig": rig_text, "source": rig_source, "settings": list(settings), "campaigns": asked}
+    )
+
+
+@lru_cache(maxsize=4)
+def _asked(text: str) -> Mapping[str, Any]:
+    return json.loads(text)
+
+
+class Archive:
+    """See Kind: a campaign's parameters as the text of parameters.toml, and warnings; an `error` in words instead
+    where its logs identify nothing.
+    """
+
+    uses_threads = False
+
+    def tiles(self, text: str) -> int:
+        """See Kind."""
+        return len(_asked(text)["campaigns"])
+
+    def warm_up(self, text: str) -> None:
+        """See Kind: importing is all that can be done beforehand; the first campaign compiles the rest."""
+
+    def answer(self, text: str, tile: int, threads: int) -> Answer:
+        """See Kind."""
+        asked = _asked(text)
+        name, logs = asked["campaigns"][tile]["name"], asked["campaigns"][tile]["logs"]
+        rig = rig_from_text(asked["source"], asked["rig"], None, asked["settings"])
+        try:
+            runs = load_runs(list(logs))
+            for run in runs:
+                if run.metadata["digest"] != logs[run.source]:
+                    raise StudyInputError(
+                        f"{run.source}: expected the log with {logs[run.source]}, here it is "
+                        f"{run.metadata['digest']}; have all hosts see the same archive"
+                    )
+            found = identify(runs, rig)
+        except (IdentificationError, LogError, RecordingError) as fault:
+            return {"name": np.array(name), "error": np.array(f"{type(fault).__name__}: {fault}")}
+        return {
+            "name": np.array(name),
+            "parameters": np.array(_toml(found.parameters)),
+            "warnings": np.array(found.warnings, dtype=str),
+        }
+
+
+def _toml(parameters: IdentifiedParameters) -> str:
+    with tempfile.TemporaryDirectory(prefix="rig-archive-") as folder:
+        path = Path(folder) / "parameters.toml"
+        parameters.save(path)
+        return path.read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Reidentified:
+    """What one campaign's logs give now.
+
+    Attributes:
+        name: of the campaign.
+        parameters: None where they identify nothing.
+        text: of its parameters.toml, or why there is none.
+        warnings: of the identification.
+    """
+
+    name: str
+    parameters: IdentifiedParameters | None
+    text: str
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def all_of(cls, folder: TileFolder) -> list[Reidentified]:
+        """From the finished tiles of a folder.
+
+        Raises:
+            FolderFault: one is damaged.
+        """
+        found: list[Reidentified] = []
+        for tile in sorted(folder.finished()):
+            row = folder.read(tile)
+            name = str(row["name"])
+            if "error" in row:
+                found.append(cls(name, None, str(row["error"]), ()))
+            else:
+                text = str(row["parameters"])
+                known = IdentifiedParameters.from_text(text, name)
+                found.append(cls(name, known, text, tuple(map(str, row["warnings"]))))
+        return found
+
+
+KIND = Archive()

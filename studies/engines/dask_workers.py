@@ -1,0 +1,199 @@
+# pyright: strict
+"""Tiles on dask's workers, wherever they run.
+
+dask keeps results in its workers' memory and forgets them with its scheduler. So results are fetched and released as
+they come, no more tiles than a few for each worker are given out at a time, and what a lost scheduler had in hand is
+given out again to the next one at the same address.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from ipaddress import ip_address
+from typing import Any, Self
+from urllib.parse import urlsplit
+
+from studies.errors import EngineLost, EngineMissing, TileFailed
+from studies.study import Study
+from studies.worker import answer_tile
+
+_AHEAD = 2  # tiles that are given out for each thread of a worker
+_LEAST_AHEAD = 4
+_PATIENCE_S = 60.0  # for a scheduler that is gone, and for workers to come
+_DEATHS = 10  # of workers with a tile in hand, before it is given up
+_LOOK_S = 2.0  # how often the number of workers is asked for
+_WAIT_S = 0.2  # for a tile, before the scheduler is looked at
+_CONNECTION_FAULTS = (OSError, CancelledError)  # a timeout is an OSError, a closed connection too
+
+
+class DaskWorkers:
+    """The workers of a dask scheduler.
+
+    Args:
+        address: tcp://HOST:PORT, or tls://HOST:PORT with dask's own settings of certificates.
+        tell: told what is waited for, and what was lost.
+        patience_s: how long a scheduler, or workers, are waited for.
+    Raises:
+        EngineMissing: dask is not installed.
+    """
+
+    def __init__(self, address: str, tell: Callable[[str], None], patience_s: float = _PATIENCE_S) -> None:
+        try:
+            import distributed  # noqa: PLC0415 (of an extra; a second to import)
+        except ImportError as missing:
+            raise EngineMissing(
+                f"--scheduler {address} needs dask, which is not installed here ({missing}); "
+                "pip install 'pendulum-balancer-rig[studies]', or use --scheduler local:N"
+            ) from missing
+        self.name, self._address, self._tell, self._patience_s = address, address, tell, patience_s
+        self._dask: Any = distributed
+        self._client: Any = None
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told here, in plain words
+        if address.startswith("tcp://") and not _loopback(address):
+            tell(
+                f"{address} is not of this machine and not encrypted: whoever reaches that port can run programs on the "
+                "workers; use tls:// or an ssh tunnel"
+            )
+
+    def __enter__(self) -> Self:
+        self._connect()
+        return self
+
+    def __exit__(self, *ending: Any) -> None:
+        """Let go of the scheduler; tiles in hand are dropped there."""
+        self._disconnect()
+
+    def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
+        """See Engine."""
+        left, deaths = list(reversed(tiles)), Counter[int]()
+        while left:
+            done = set[int]()
+            try:
+                for tile, content in self._by_one_scheduler(study, left, deaths):
+                    done.add(tile)
+                    yield tile, content
+            except _SchedulerLost:
+                self._tell(f"the scheduler at {self._address} is gone; what is done is kept")
+                self._disconnect()
+                self._connect()
+            left = [tile for tile in left if tile not in done]
+
+    def _by_one_scheduler(
+        self, study: Study, tiles: list[int], deaths: Counter[int]
+    ) -> Iterator[tuple[int, bytes]]:
+        """Tiles as they are done, as long as the scheduler lives."""
+        client, left, running = self._client, list(tiles), dict[Any, int]()
+        window, looked, seen = 0, -_LOOK_S, time.monotonic()
+        while left or running:
+            if time.monotonic() - looked > _LOOK_S:
+                looked, threads = time.monotonic(), self._threads()
+                window = max(_LEAST_AHEAD, _AHEAD * threads)
+                seen = time.monotonic() if threads else seen
+                if time.monotonic() - seen > self._patience_s:
+                    raise EngineLost(
+                        f"no worker at {self._address} for {self._patience_s:.0f} s; start some with "
+                        f"`dask worker {self._address}` and give the same command again: what is done is kept"
+                    )
+            while left and len(running) < window:
+                tile = left.pop()
+                running[self._submit(study, tile, deaths[tile])] = tile
+            for future in self._ended(client, running):
+                tile = running.pop(future)
+                content = self._result(future, tile, deaths)
+                if content is None:
+                    left.append(tile)
+                else:
+                    yield tile, content
+
+    def _submit(self, study: Study, tile: int, deaths: int) -> Any:
+        arguments = study.kind, study.text, study.software, tile
+        key = f"{study.digest}-{tile:06d}" + (f"-{deaths}" if deaths else "")
+        with _scheduler_needed():
+            return self._client.submit(answer_tile, *arguments, key=key, pure=False)
+
+    def _ended(self, client: Any, running: dict[Any, int]) -> list[Any]:
+        """Futures that are over, after a wait of a fraction of a second at most."""
+        try:
+            self._dask.wait(list(running), timeout=_WAIT_S, return_when="FIRST_COMPLETED")
+        except TimeoutError:
+            pass
+        except (OSError, CancelledError) as fault:
+            raise _SchedulerLost from fault
+        if client.status != "running":
+            raise _SchedulerLost
+        return [future for future in running if future.status != "pending"]
+
+    def _result(self, future: Any, tile: int, deaths: Counter[int]) -> bytes | None:
+        """A tile's content; None when its worker died and it is to be given out again."""
+        with _scheduler_needed():
+            fault = future.exception(timeout=self._patience_s) if future.status == "error" else None
+            content = future.result(timeout=self._patience_s) if future.status == "finished" else None
+        if fault is None and content is None:
+            raise _SchedulerLost  # cancelled
+        future.release()
+        if not isinstance(fault, self._dask.KilledWorker):
+            if fault is not None:
+                raise fault
+            return content
+        deaths[tile] += 1
+        if deaths[tile] >= _DEATHS:
+            raise TileFailed(
+                f"tile {tile}: workers died again and again with it in hand; is their memory full? What is done is kept"
+            )
+        self._tell(f"workers died with tile {tile} in hand; it is given out again")
+        return None
+
+    def _threads(self) -> int:
+        """Threads of all workers there are now."""
+        with _scheduler_needed():
+            return sum(self._client.nthreads().values())
+
+    def _connect(self) -> None:
+        started, told = time.monotonic(), False
+        while self._client is None:
+            waited = time.monotonic() - started
+            try:
+                self._client = self._dask.Client(self._address, timeout=max(1.0, min(5.0, self._patience_s)),
+                                                 set_as_default=False)  # fmt: skip
+            except OSError as fault:
+                if waited > self._patience_s:
+                    raise EngineLost(
+                        f"expected a dask scheduler at {self._address}, none answered for {waited:.0f} s ({fault}); "
+                        "start one with `dask scheduler` and give the same command again: what is done is kept"
+                    ) from fault
+                if not told:
+                    self._tell(f"waiting for a scheduler at {self._address}, at most {self._patience_s:.0f} s")
+                told = True
+
+    def _disconnect(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            with suppress(*_CONNECTION_FAULTS):
+                client.close(timeout=2)
+
+
+class _SchedulerLost(Exception):
+    """The connection to the scheduler is gone, and all it knew."""
+
+
+@contextmanager
+def _scheduler_needed() -> Iterator[None]:
+    """Take a broken connection for a lost scheduler."""
+    try:
+        yield
+    except _CONNECTION_FAULTS as fault:
+        raise _SchedulerLost from fault
+
+
+def _loopback(address: str) -> bool:
+    """Whether an address is of this machine alone."""
+    host = urlsplit(address).hostname or ""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

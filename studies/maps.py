@@ -1,0 +1,86 @@
+# pyright: strict
+"""Maps over two numbers of a rig, in rectangles of about a second."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.maps.answer import compile_maps
+from analysis.maps.question import MapQuestion
+from dynamics.stability.map_plane import Plane
+from dynamics.stability.stability_map import plane_map
+from studies.study import Answer, Study
+from studies.tile_files import TileFolder
+
+_MOST_POINTS = 131_072  # of a tile: about a second of one processor
+_MOST_COLUMNS = 400
+Part = tuple[slice, slice]
+"""Rows and columns of a map."""
+
+
+def map_study(question: MapQuestion) -> Study:
+    """The study that answers a map's question, its borders left out."""
+    asked = question.as_json()
+    return Study.of("map", {name: asked[name] for name in asked if name not in ("quantity", "borders")})
+
+
+def parts_of(columns: int, rows: int) -> list[Part]:
+    """The tiles of a map, row by row.
+
+    Args:
+        columns, rows: points of the map.
+    """
+    across = _cuts(columns, -(-columns // _MOST_COLUMNS))
+    widest = max(part.stop - part.start for part in across)
+    up = _cuts(rows, -(-rows * widest // _MOST_POINTS))
+    return [(some_rows, some_columns) for some_rows in up for some_columns in across]
+
+
+def _cuts(count: int, parts: int) -> list[slice]:
+    """Nearly equal parts."""
+    ends = [count * i // parts for i in range(parts + 1)]
+    return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+
+@lru_cache(maxsize=8)
+def _asked(text: str) -> tuple[MapQuestion, list[Part]]:
+    """The question and its tiles."""
+    question = MapQuestion.of_json({**json.loads(text), "quantity": "multiplier", "borders": False})
+    return question, parts_of(question.x.count, question.y.count)
+
+
+@lru_cache(maxsize=8)
+def _plane(text: str) -> tuple[Plane, NDArray[np.floating], NDArray[np.floating]]:
+    """The plane and the values of its numbers."""
+    question = _asked(text)[0]
+    return question.plane(), question.x.values, question.y.values
+
+
+class Maps:
+    """See Kind: `multiplier_max` and `error_estimate` of a rectangle, shape (rows, columns), and how they were had."""
+
+    uses_threads = True
+
+    def tiles(self, text: str) -> int:
+        """See Kind."""
+        return len(_asked(text)[1])
+
+    def warm_up(self, text: str) -> None:
+        """See Kind."""
+        compile_maps(_asked(text)[0])
+
+    def answer(self, text: str, tile: int, threads: int) -> Answer:
+        """See Kind."""
+        rows, columns = _asked(text)[1][tile]
+        plane, x, y = _plane(text)
+        accuracy = _asked(text)[0].accuracy
+        found = plane_map(plane, x[columns], y[rows], accuracy, threads=threads)
+        return {"multiplier_max": found.multiplier_max, "error_estimate": found.error_estimate, "methods": found.methods}
+
+
+KIND = Maps()

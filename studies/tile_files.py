@@ -1,0 +1,117 @@
+# pyright: strict
+"""Finished tiles on the disk: one file each, whole or not there, named by the digest of what was asked."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from studies.errors import FolderFault
+from studies.study import Answer, Study
+
+
+def packed(answer: Answer) -> bytes:
+    """A tile's arrays as the bytes of its file: the same arrays give the same bytes."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, values in answer.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.asanyarray(values), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue(), zipfile.ZIP_DEFLATED)
+    return stream.getvalue()
+
+
+class TileFolder:
+    """A folder with the finished tiles of one study, or of several.
+
+    Args:
+        path: made where it is missing.
+        study: whose tiles are read and written.
+    Raises:
+        FolderFault: it cannot be made or written to.
+    """
+
+    def __init__(self, path: Path, study: Study) -> None:
+        self.path, self.study = path, study
+        with self._faults():
+            path.mkdir(parents=True, exist_ok=True)
+            self._write(f"{study.digest}.json", study.text.encode())
+        self._pattern = re.compile(rf"{study.digest}-([0-9]+)\.npz")
+
+    def finished(self) -> set[int]:
+        """Numbers of the tiles that are there."""
+        with self._faults():
+            matches = (self._pattern.fullmatch(name) for name in os.listdir(self.path))
+        return {number for match in matches if match and (number := int(match[1])) < self.study.tiles}
+
+    def keep(self, tile: int, content: bytes) -> None:
+        """Write a tile's file.
+
+        Raises:
+            FolderFault: the disk is full, or gone.
+        """
+        with self._faults():
+            self._write(self._name(tile), content)
+
+    def read(self, tile: int) -> Answer:
+        """A finished tile's arrays.
+
+        Raises:
+            FolderFault: the file is not there or is damaged; it says what to do.
+        """
+        path = self.path / self._name(tile)
+        try:
+            with zipfile.ZipFile(path) as archive:
+                return {
+                    name.removesuffix(".npy"): np.lib.format.read_array(
+                        io.BytesIO(archive.read(name)), allow_pickle=False
+                    )
+                    for name in archive.namelist()
+                }
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as fault:
+            raise FolderFault(
+                f"{path}: expected a finished tile, it cannot be read ({fault}); delete it and give the same command "
+                "again: this tile alone is worked out anew"
+            ) from fault
+
+    def forget(self) -> None:
+        """Remove the tiles, and the folder when nothing else is in it."""
+        with self._faults():
+            for tile in self.finished():
+                (self.path / self._name(tile)).unlink(missing_ok=True)
+            (self.path / f"{self.study.digest}.json").unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self.path.rmdir()
+
+    def _name(self, tile: int) -> str:
+        return f"{self.study.digest}-{tile:06d}.npz"
+
+    def _write(self, name: str, content: bytes) -> None:
+        part = self.path / f".{name}.{os.getpid()}.part"
+        try:
+            with part.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(part, self.path / name)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise
+
+    @contextlib.contextmanager
+    def _faults(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as fault:
+            raise FolderFault(
+                f"{self.path}: a finished tile cannot be kept ({fault.strerror or fault}); make room or choose another "
+                "folder, and give the same command again: what is there is not worked out anew"
+            ) from fault
