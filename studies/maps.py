@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.maps.answer import compile_maps
 from analysis.maps.question import MapQuestion
 from dynamics.stability.map_plane import Plane
-from dynamics.stability.stability_map import plane_map
+from dynamics.stability.stability_map import StabilityMap, plane_map
 from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 
@@ -80,7 +79,26 @@ class Maps:
         plane, x, y = _plane(text)
         accuracy = _asked(text)[0].accuracy
         found = plane_map(plane, x[columns], y[rows], accuracy, threads=threads)
-        return {"multiplier_max": found.multiplier_max, "error_estimate": found.error_estimate, "methods": found.methods}
+        return {"multiplier_max": found.multiplier_max, "error_estimate": found.error_estimate, "counts": np.array(found.counts)}
+
+
+def assembled(folder: TileFolder) -> tuple[MapQuestion, StabilityMap]:
+    """The whole map of a folder that has every tile.
+
+    Raises:
+        FolderFault: a tile is damaged or missing.
+    """
+    text = folder.study.text
+    question, parts = _asked(text)
+    plane, x, y = _plane(text)
+    found, errors = np.empty((len(y), len(x))), np.empty((len(y), len(x)))
+    counts = np.zeros(3, int)
+    for tile, part in enumerate(parts):
+        answer = folder.read(tile)
+        found[part], errors[part] = answer["multiplier_max"], answer["error_estimate"]
+        counts += answer["counts"]
+    interpolated, explicit, one_by_one = map(int, counts)
+    return question, StabilityMap(plane, x, y, found, errors, (interpolated, explicit, one_by_one), question.accuracy)
 
 
 KIND = Maps()

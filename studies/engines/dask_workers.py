@@ -119,7 +119,8 @@ class DaskWorkers:
     def _ended(self, client: Any, running: dict[Any, int]) -> list[Any]:
         """Futures that are over, after a wait of a fraction of a second at most."""
         try:
-            self._dask.wait(list(running), timeout=_WAIT_S, return_when="FIRST_COMPLETED")
+            with client.as_current():
+                self._dask.wait(list(running), timeout=_WAIT_S, return_when="FIRST_COMPLETED")
         except TimeoutError:
             pass
         except (OSError, CancelledError) as fault:
