@@ -45,7 +45,21 @@ def load_rig(
     Raises:
         RigFileError: lists every fault with file, key, what was expected, what came, and the nearest known name.
     """
-    source, text = _read(path_or_name)
+    return rig_from_text(*rig_text(path_or_name), parameters, settings)
+
+
+def rig_from_text(
+    source: str,
+    text: str,
+    parameters: str | Path | IdentifiedParameters | None = None,
+    settings: Mapping[str, Any] | Sequence[str] = (),
+) -> Rig:
+    """A rig from the text of a rig file; see load_rig.
+
+    Args:
+        source: where the text is from, for messages.
+        text: TOML.
+    """
     raw = parse_toml(text, source)
     if parameters is not None:
         known = parameters if isinstance(parameters, IdentifiedParameters) else IdentifiedParameters.load(parameters)
@@ -194,7 +208,14 @@ def _relative(current: float, text: str, key: str, source: str) -> float:
     return int(changed) if isinstance(current, int) and changed == int(changed) else changed
 
 
-def _read(path_or_name: str | Path) -> tuple[str, str]:
+def rig_text(path_or_name: str | Path) -> tuple[str, str]:
+    """Where a rig file is from, and its text.
+
+    Args:
+        path_or_name: see load_rig.
+    Raises:
+        RigFileError: there is no such file, or it cannot be read.
+    """
     path = Path(path_or_name)
     if not path.suffix and str(path_or_name) in shipped_rigs():
         name = f"{path_or_name}.toml"

@@ -198,13 +198,26 @@ class IdentifiedParameters:
             ParametersFileError: the file is absent, not TOML, or lacks values or covariance.
         """
         try:
-            raw = parse_toml(read_text(Path(path)), str(path))
+            text = read_text(Path(path))
         except OSError as error:
             raise ParametersFileError(f"{path}: cannot be read: {error}. `rig identify` writes one") from error
         except RigFileError as error:
-            log = Path(path).suffix in (".mcap", ".part")
-            why = f"{path}: this is a log; `rig identify` makes parameters of it" if log else str(error)
-            raise ParametersFileError(why) from error
+            raise _no_parameters(path, error) from error
+        return cls.from_text(text, path)
+
+    @classmethod
+    def from_text(cls, text: str, path: str | Path) -> IdentifiedParameters:
+        """The parameters that the text of a parameters.toml holds.
+
+        Args:
+            path: where it is from, for messages.
+        Raises:
+            ParametersFileError: it is not TOML, or lacks values or covariance.
+        """
+        try:
+            raw = parse_toml(text, str(path))
+        except RigFileError as error:
+            raise _no_parameters(path, error) from error
         try:
             order = raw["covariance"]["order"]
             values = {name: _number(raw[name]["value"]) for name in order}
@@ -222,6 +235,11 @@ class IdentifiedParameters:
                 f"{path}: expected parameters as `rig identify` writes them: a table each, [covariance] with order "
                 f"and matrix; problem: {error!r}"
             ) from error
+
+
+def _no_parameters(path: str | Path, error: RigFileError) -> ParametersFileError:
+    log = Path(path).suffix in (".mcap", ".part")
+    return ParametersFileError(f"{path}: this is a log; `rig identify` makes parameters of it" if log else str(error))
 
 
 def _vectors(table: Mapping[str, Any]) -> dict[str, np.ndarray]:

@@ -13,7 +13,7 @@ from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MODEL, drawing, label, to_svg
 from dynamics import RotorParameters
 from dynamics.stability.borders import Borders
-from dynamics.stability.stability_map import PlaneMap, StabilityMap, stability_map
+from dynamics.stability.stability_map import StabilityMap, stability_map
 
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
 _USUAL = ("speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
@@ -76,12 +76,12 @@ def draw_points_on_map(physics: RotorParameters, points: Sequence[MapPoint], tit
 def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: Sequence[MapPoint]) -> Figure:
     """The largest Type I multiplier as filled contours, with both resonance lines and the points on the rig's line."""
     own = physics.k2_N_per_m / physics.k1_N_per_m
-    grid = _Grid(found.speed_ratio, found.stiffness_ratio, found.multiplier_max)
+    grid = _Grid(found.x, found.y, found.multiplier_max)
     return _figure(grid, _USUAL, (False, False), None, points, own)
 
 
 def plane_map_figure(
-    found: PlaneMap,
+    found: StabilityMap,
     names: tuple[str, str],
     logarithmic: tuple[bool, bool],
     borders: Borders | None = None,

@@ -67,9 +67,9 @@ def map_rows(
 
 
 def _rig_at(parameters: RotorParameters, found: StabilityMap, place: int) -> Rig:
-    row, column = divmod(place, len(found.speed_ratio))
-    k2 = float(found.stiffness_ratio[row]) * parameters.k1_N_per_m
-    return dataclasses.replace(parameters, k2_N_per_m=k2), parameters.speed_rad_s(float(found.speed_ratio[column]))
+    row, column = divmod(place, len(found.x))
+    k2 = float(found.y[row]) * parameters.k1_N_per_m
+    return dataclasses.replace(parameters, k2_N_per_m=k2), parameters.speed_rad_s(float(found.x[column]))
 
 
 def _heyoka_multipliers(rigs: list[Rig], tolerance: float) -> tuple[list[float], float]:

@@ -1,4 +1,4 @@
-"""Largest multiplier of the balanced state over a plane of speed ratio and stiffness ratio."""
+"""Largest multiplier of the balanced state over two numbers of a rig."""
 
 from __future__ import annotations
 
@@ -26,45 +26,16 @@ _FINEST = 1e-12
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """The largest multiplier of Type I over a grid.
-
-    Attributes:
-        speed_ratio: Ω = ω/ω_n1, shape (n,).
-        stiffness_ratio: K = k2/k1, shape (m,).
-        multiplier_max: largest modulus over one revolution, shape (m, n).
-        error_estimate: bound on its error, shape (m, n); more than was asked for where no method gives that
-            (see `missed`).
-        accuracy: what was asked for.
-        method: how many points which method served.
-    """
-
-    speed_ratio: NDArray[np.floating]
-    stiffness_ratio: NDArray[np.floating]
-    multiplier_max: NDArray[np.floating]
-    error_estimate: NDArray[np.floating]
-    method: str
-    accuracy: float
-
-    @property
-    def missed(self) -> int:
-        """Points whose bound is larger than what was asked for."""
-        return int(np.count_nonzero(self.error_estimate > self.accuracy * np.maximum(1.0, self.multiplier_max)))
-
-    @property
-    def stable(self) -> NDArray[np.bool_]:
-        """Whether the largest multiplier lies inside the unit circle by more than its error, shape (m, n)."""
-        return self.multiplier_max + self.error_estimate < 1.0
-
-
-@dataclass(frozen=True)
-class PlaneMap:
-    """The largest multiplier of Type I over a grid of any two numbers of a rig.
+    """The largest multiplier of Type I over a grid of two numbers of a rig.
 
     Attributes:
         plane: whose map it is.
-        x, y: values of its numbers, shapes (n,) and (m,).
-        multiplier_max, error_estimate: as of StabilityMap, shape (m, n); NaN where no balanced state exists.
-        method, accuracy: see StabilityMap.
+        x, y: values of its numbers, shapes (n,) and (m,); of `stability_map` speed ratio Ω and stiffness ratio K.
+        multiplier_max: largest modulus over one revolution, shape (m, n); NaN where no balanced state exists.
+        error_estimate: bound on its error, shape (m, n); more than was asked for where no method gives that
+            (see `missed`).
+        method: how many points which method served.
+        accuracy: what was asked for.
     """
 
     plane: Plane
@@ -81,6 +52,11 @@ class PlaneMap:
         return int(np.count_nonzero(self.error_estimate > self.accuracy * np.maximum(1.0, self.multiplier_max)))
 
     @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Whether the largest multiplier lies inside the unit circle by more than its error, shape (m, n)."""
+        return self.multiplier_max + self.error_estimate < 1.0
+
+    @property
     def decay_rate_per_s(self) -> NDArray[np.floating]:
         """How fast what disturbs the balance dies away, −ln(multiplier_max) over the time of a turn, shape (m, n)."""
         grid = np.meshgrid(self.x, self.y)
@@ -94,7 +70,7 @@ def plane_map(
     y: NDArray[np.floating],
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
-) -> PlaneMap:
+) -> StabilityMap:
     """Largest modulus of the Type I multipliers over one revolution on a grid of a plane.
 
     Args:
@@ -111,7 +87,7 @@ def plane_map(
         raise OutsideDomain(f"x and y must be one-dimensional and finite, got {x!r} and {y!r}")
     _need_size(len(x), len(y), accuracy)
     found, errors, method = multipliers_on_grid(plane, x, y, accuracy, progress or (lambda share: None))
-    return PlaneMap(plane, x, y, found, errors, method, accuracy)
+    return StabilityMap(plane, x, y, found, errors, method, accuracy)
 
 
 def _need_size(columns: int, rows: int, accuracy: float) -> None:
@@ -163,7 +139,7 @@ def stability_map(
     type_one(parameters, *angles[0], parameters.speed_rad_s(1.0))  # refuses gravity and a pivot shift
     plane = SpeedStiffnessPlane(parameters, angles[0])
     found, errors, method = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or (lambda share: None))
-    return StabilityMap(speeds, stiffness, found, errors, method, accuracy)
+    return StabilityMap(plane, speeds, stiffness, found, errors, method, accuracy)
 
 
 def multipliers_on_grid(

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from analysis.maps.axes import MapAxis
+from analysis.maps.planes import plane_over
 from cli.main import run
-from cli.map_axes import plane_over, read_axis
-from dynamics.stability.map_plane import RigPlane, SpeedStiffnessPlane
+from cli.map_axes import read_axis
+from dynamics.stability.map_plane import Plane, RigPlane, SpeedStiffnessPlane
 from rig_configs import RigFileError, load_rig
 
 DAMPING = "pendulums.a.damping_Nms_per_rad+pendulums.b.damping_Nms_per_rad=1e-4:1e-2:12:log"
@@ -85,10 +88,14 @@ def test_what_is_refused_says_why(capsys: pytest.CaptureFixture[str], arguments:
     assert words in err
 
 
+def plane(axes: tuple[MapAxis, MapAxis], settings: Sequence[str] = (), speed_rad_s: float | None = None) -> Plane:
+    return plane_over(lambda further: load_rig("virtual", None, [*settings, *further]), axes, speed_rad_s)
+
+
 def test_the_usual_plane_and_any_other_agree() -> None:
     axes = read_axis("--x", "speed_ratio=1.2:5:4"), read_axis("--y", "stiffness_ratio=2:9:3")
-    usual = plane_over("virtual", None, [], axes, None)
-    other = plane_over("virtual", None, [], axes[::-1], None)
+    usual = plane(axes)
+    other = plane(axes[::-1])
     assert isinstance(usual, SpeedStiffnessPlane)
     assert isinstance(other, RigPlane)
     rig, _, speed = usual.one(1.7, 4.0)
@@ -99,8 +106,8 @@ def test_the_usual_plane_and_any_other_agree() -> None:
 
 def test_a_speed_beside_the_axes_is_taken() -> None:
     axes = read_axis("--x", "suspension.zeta1=0.01:0.1:3"), read_axis("--y", "suspension.k2_N_per_m=1e4:4e4:3")
-    rig, _, speed = plane_over("virtual", None, ["suspension.zeta2=0.03"], axes, 31.0).one(0.05, 2e4)
+    rig, _, speed = plane(axes, ["suspension.zeta2=0.03"], 31.0).one(0.05, 2e4)
     assert (rig.zeta1, rig.zeta2, rig.k2_N_per_m, speed) == (0.05, 0.03, 2e4, 31.0)
     assert rig.k1_N_per_m == load_rig("virtual").physics.k1_N_per_m
     with pytest.raises(RigFileError, match="neither axis"):
-        plane_over("virtual", None, [], axes, None)
+        plane(axes)

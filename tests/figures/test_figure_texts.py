@@ -24,7 +24,7 @@ from daq.log import open_log
 from daq.signals.run import Run
 from dynamics import RotorParameters
 from dynamics.stability.map_plane import RigPlane
-from dynamics.stability.stability_map import PlaneMap, plane_map
+from dynamics.stability.stability_map import StabilityMap, plane_map
 from tests.daq.small_log import write_small_log
 from tests.figures.drawn_texts import drawn_texts, faults
 from tests.figures.figure_runs import MODEL, point, ring_down, run_up
@@ -93,7 +93,7 @@ def _residuals() -> Figure:
     return draw_residuals([ring_down_x, FitCurve("spin-down: A", time[:900], angle + noise[:900], angle, "°", "angle")])
 
 
-def _plane() -> PlaneMap:
+def _plane() -> StabilityMap:
     def at(speed_ratio: float, zeta: float) -> tuple[RotorParameters, float]:
         physics = replace(MODEL.physics, zeta1=zeta, zeta2=zeta)
         return physics, physics.speed_rad_s(speed_ratio)

@@ -1,0 +1,123 @@
+# pyright: strict
+"""A number of a rig, or several that change alike, and the values it takes on a map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.stability.map_plane import INVERSE, ROOT, SAME, Coordinate
+from rig_configs import RigFileError
+from rig_configs.physical_keys import need_physical_key
+
+SPEED_RATIO, SPEED_RPM, STIFFNESS_RATIO = "speed_ratio", "speed_rpm", "stiffness_ratio"
+NAMES = {
+    SPEED_RATIO: "speed ratio Ω = ω/ω_n1",
+    SPEED_RPM: "speed, rpm",
+    STIFFNESS_RATIO: "stiffness ratio K = k2/k1",
+}
+"""Numbers that no rig file has, and what a figure calls them."""
+SPEEDS = (SPEED_RATIO, SPEED_RPM)
+_ROOTS = (STIFFNESS_RATIO, "suspension.k1_N_per_m", "suspension.k2_N_per_m")
+_MOST = 10_000_000
+
+
+@dataclass(frozen=True)
+class MapAxis:
+    """One number, or several that change alike, from a first value to a last.
+
+    Attributes:
+        keys: dotted keys of the rig file, or speed_ratio, speed_rpm, stiffness_ratio.
+        low, high: first and last value.
+        count: how many values.
+        logarithmic: spaced evenly in the logarithm.
+    Raises:
+        RigFileError: no such number, numbers that cannot change alike, or a range that the number cannot have.
+    """
+
+    keys: tuple[str, ...]
+    low: float
+    high: float
+    count: int
+    logarithmic: bool = False
+
+    def __post_init__(self) -> None:
+        need_alike(self.keys)
+        least = 0.0 if self.is_positive or self.logarithmic else -math.inf
+        fits = least < self.low <= self.high < math.inf and 1 <= self.count <= _MOST
+        if not fits or (self.count > 1 and self.low == self.high):
+            above = "0 < A < B" if least == 0.0 else "A < B, both finite,"
+            raise RigFileError(f"{self.key}: expected {above} and N from 1 to ten million, got {self.text!r}")
+
+    @property
+    def key(self) -> str:
+        """The keys as the command line has them."""
+        return "+".join(self.keys)
+
+    @property
+    def text(self) -> str:
+        """KEY=A:B:N or KEY=A:B:N:log."""
+        return f"{self.key}={self.low!r}:{self.high!r}:{self.count}{':log' if self.logarithmic else ''}"
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Shape (count,), rising."""
+        if self.logarithmic:
+            return np.geomspace(self.low, self.high, self.count)
+        return np.linspace(self.low, self.high, self.count)
+
+    @property
+    def name(self) -> str:
+        """For an axis of a figure."""
+        return " = ".join(NAMES.get(key, key) for key in self.keys)
+
+    @property
+    def is_speed(self) -> bool:
+        """Whether it is how fast the rotor turns."""
+        return self.keys[0] in SPEEDS
+
+    @property
+    def is_positive(self) -> bool:
+        """Whether the number lies above 0 by its nature."""
+        return self.keys[0] in NAMES or self.keys[0] in _ROOTS
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last value."""
+        return self.low, self.high
+
+    @property
+    def coordinate(self) -> Coordinate:
+        """In which the half-turn matrix is smooth."""
+        return INVERSE if self.is_speed else ROOT if self.keys[0] in _ROOTS else SAME
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain numbers and texts; `of_json` takes them back."""
+        return {
+            "keys": list(self.keys), "from": self.low, "to": self.high, "count": self.count,
+            "logarithmic": self.logarithmic,
+        }  # fmt: skip
+
+    @classmethod
+    def of_json(cls, table: Mapping[str, Any]) -> MapAxis:
+        """What `as_json` gave."""
+        keys, count = tuple(map(str, table["keys"])), int(table["count"])
+        return cls(keys, float(table["from"]), float(table["to"]), count, bool(table["logarithmic"]))
+
+
+def need_alike(keys: tuple[str, ...]) -> None:
+    """Whether all keys exist and can change together.
+
+    Raises:
+        RigFileError: the first that does not, with the nearest known one.
+    """
+    for key in keys:
+        if key not in NAMES:
+            need_physical_key(key)
+    if len(keys) > 1 and any(key in NAMES for key in keys):
+        raise RigFileError(f"{'+'.join(keys)} cannot change alike; only numbers of the rig file can")

@@ -1,0 +1,52 @@
+# pyright: strict
+"""The plane that two numbers of a rig span: what a rig is at a pair of values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from analysis.maps.axes import NAMES, SPEED_RATIO, SPEEDS, STIFFNESS_RATIO, MapAxis
+from dynamics import RotorParameters, balanced_angles
+from dynamics.stability.map_plane import Plane, RigPlane, SpeedStiffnessPlane
+from rig_configs import Rig, RigFileError
+from rig_configs.physical_keys import with_physical
+
+
+def plane_over(rig_with: Callable[[list[str]], Rig], axes: tuple[MapAxis, MapAxis], speed_rad_s: float | None) -> Plane:
+    """The plane that two axes span, the rigs at its ends checked by what a rig file may hold.
+
+    Args:
+        rig_with: the rig, with further settings laid over all else.
+        speed_rad_s: the rotor's where neither axis is a speed.
+    Raises:
+        RigFileError: a value that no rig has, a number on both axes, or no speed.
+    """
+    x, y = axes
+    both = sorted({*x.keys} & {*y.keys}) or [key for key in SPEEDS if x.is_speed and y.is_speed]
+    if both:
+        raise RigFileError(f"rig map: {both[0]} stands on both axes; give two different numbers")
+    if not (x.is_speed or y.is_speed) and speed_rad_s is None:
+        raise RigFileError("rig map: neither axis is a speed; give one of --point, --speed-ratio, --speed-rpm")
+    for axis in axes:
+        for value in {*axis.span}:
+            rig_with([f"{key}={value!r}" for key in axis.keys if key not in NAMES])
+    physics = rig_with([]).physics
+    if (x.keys, y.keys) == ((SPEED_RATIO,), (STIFFNESS_RATIO,)) and (angles := balanced_angles(physics)):
+        return SpeedStiffnessPlane(physics, angles[0])
+
+    def at(one_x: float, one_y: float) -> tuple[RotorParameters, float]:
+        changed, speed = physics, speed_rad_s
+        for axis, value in sorted(zip(axes, (one_x, one_y), strict=True), key=lambda pair: pair[0].keys[0] in NAMES):
+            for key in axis.keys:
+                if key == STIFFNESS_RATIO:
+                    changed = with_physical(changed, "suspension.k2_N_per_m", value * changed.k1_N_per_m)
+                elif key not in NAMES:
+                    changed = with_physical(changed, key, value)
+        for axis, value in zip(axes, (one_x, one_y), strict=True):
+            if axis.is_speed:
+                speed = changed.speed_rad_s(value) if axis.keys[0] == SPEED_RATIO else value * math.pi / 30
+        assert speed is not None
+        return changed, speed
+
+    return RigPlane(at, x.coordinate, y.coordinate)

@@ -1,0 +1,187 @@
+# pyright: strict
+"""What a map is asked for: everything that decides its arrays, with the rig file's own text, JSON both ways."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, Self, cast
+
+from analysis.maps.axes import MapAxis
+from analysis.maps.planes import plane_over
+from dynamics.stability.map_plane import Plane
+from rig_configs import IdentifiedParameters, ParametersFileError, Rig, RigFileError
+from rig_configs.load import rig_from_text, rig_text
+from rig_configs.toml_text import read_text
+
+Quantity = Literal["multiplier", "decay-rate"]
+
+
+@dataclass(frozen=True)
+class SourceText:
+    """A file that a map is made of, by its text: so the map can be made anew where the file is not.
+
+    Attributes:
+        source: the file, or the shipped rig's name.
+        text: all of it.
+    """
+
+    source: str
+    text: str
+
+    @property
+    def digest(self) -> str:
+        """Of the text in UTF-8: "sha256:" and 64 hexadecimal digits."""
+        return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"
+
+    def as_json(self) -> dict[str, str]:
+        """With the digest, for readers; `of_json` does not need it."""
+        return {"source": self.source, "digest": self.digest, "text": self.text}
+
+    @classmethod
+    def of_json(cls, table: Mapping[str, Any]) -> SourceText:
+        """What `as_json` gave."""
+        return cls(str(table["source"]), str(table["text"]))
+
+
+@dataclass(frozen=True)
+class MapQuestion:
+    """What decides a map's arrays.
+
+    Attributes:
+        rig: the rig file.
+        x, y: the map's two numbers and their values.
+        parameters: identified parameters laid over the rig file, or None.
+        settings: "key=value", laid over both.
+        speed_rad_s: the rotor's where neither axis is a speed.
+        quantity: what is shown.
+        accuracy: of the largest multiplier, relative to max(1, its modulus).
+        borders: whether the borders of stability are followed too.
+    """
+
+    rig: SourceText
+    x: MapAxis
+    y: MapAxis
+    parameters: SourceText | None = None
+    settings: tuple[str, ...] = ()
+    speed_rad_s: float | None = None
+    quantity: Quantity = "multiplier"
+    accuracy: float = 1e-8
+    borders: bool = False
+
+    def __post_init__(self) -> None:
+        if self.borders and min(self.x.count, self.y.count) < 2:
+            raise RigFileError("rig map: --borders needs both axes to span a range, A < B and N of at least 2")
+
+    @property
+    def axes(self) -> tuple[MapAxis, MapAxis]:
+        """Both numbers."""
+        return self.x, self.y
+
+    @cached_property
+    def known(self) -> IdentifiedParameters | None:
+        """The identified parameters.
+
+        Raises:
+            ParametersFileError: the text holds none.
+        """
+        if self.parameters is None:
+            return None
+        return IdentifiedParameters.from_text(self.parameters.text, self.parameters.source)
+
+    def loaded(self, further: Sequence[str] = ()) -> Rig:
+        """The rig, with settings beyond the question's own.
+
+        Raises:
+            RigFileError: what a rig file cannot hold.
+        """
+        return rig_from_text(self.rig.source, self.rig.text, self.known, [*self.settings, *further])
+
+    def plane(self, further: Sequence[str] = ()) -> Plane:
+        """What a rig is at a pair of values.
+
+        Args:
+            further: settings beyond the question's own.
+        Raises:
+            RigFileError: a value that no rig has, a number on both axes, or no speed.
+        """
+        return plane_over(lambda more: self.loaded([*further, *more]), self.axes, self.speed_rad_s)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain numbers and texts; `of_json` takes them back."""
+        return {
+            "rig": self.rig.as_json(),
+            "parameters": None if self.parameters is None else self.parameters.as_json(),
+            "settings": list(self.settings),
+            "x": self.x.as_json(),
+            "y": self.y.as_json(),
+            "speed_rad_per_s": self.speed_rad_s,
+            "quantity": self.quantity,
+            "accuracy": self.accuracy,
+            "borders": self.borders,
+        }
+
+    @classmethod
+    def of_json(cls, table: Mapping[str, Any]) -> Self:
+        """What `as_json` gave.
+
+        Raises:
+            KeyError: something is missing.
+        """
+        known, speed = table["parameters"], table["speed_rad_per_s"]
+        return cls(
+            SourceText.of_json(table["rig"]),
+            MapAxis.of_json(table["x"]),
+            MapAxis.of_json(table["y"]),
+            None if known is None else SourceText.of_json(known),
+            tuple(map(str, table["settings"])),
+            None if speed is None else float(speed),
+            cast(Quantity, str(table["quantity"])),
+            float(table["accuracy"]),
+            bool(table["borders"]),
+        )
+
+
+def rig_source(path_or_name: str) -> SourceText:
+    """A rig file, or a shipped rig.
+
+    Raises:
+        RigFileError: there is none.
+    """
+    return SourceText(*rig_text(path_or_name))
+
+
+def parameters_source(path: Path | None) -> SourceText | None:
+    """A parameters file; None of None.
+
+    Raises:
+        ParametersFileError: it cannot be read, or holds no parameters.
+    """
+    if path is None:
+        return None
+    IdentifiedParameters.load(path)  # says what is wrong, with the file's name
+    try:
+        return SourceText(str(path), read_text(path))
+    except OSError as error:
+        raise ParametersFileError(f"{path}: cannot be read: {error}") from error
+
+
+def speed_of(rig: Rig, point: str | None, speed_ratio: float | None, speed_rpm: float | None) -> float | None:
+    """The speed given beside the axes, rad/s.
+
+    Raises:
+        RigFileError: more than one is given, or no such point.
+    """
+    if sum(given is not None for given in (point, speed_ratio, speed_rpm)) > 1:
+        raise RigFileError("rig map: give only one of --point, --speed-ratio, --speed-rpm")
+    if point is not None:
+        if point not in rig.points:
+            raise RigFileError(f"rig map: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
+        return rig.physics.speed_rad_s(rig.points[point].speed_ratio)
+    if speed_ratio is not None:
+        return rig.physics.speed_rad_s(speed_ratio)
+    return None if speed_rpm is None else speed_rpm * math.pi / 30

@@ -1,0 +1,101 @@
+# pyright: strict
+"""What `rig map` says and draws of what it found."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.figures.stability_map import MapPoint, plane_map_figure
+from analysis.figures.style import save
+from analysis.maps.answer import MapAnswer
+from analysis.maps.question import MapQuestion
+from cli.console import say
+from cli.options import what_if_words
+from dynamics.stability.borders import Borders
+
+
+def say_what_is_left_out(question: MapQuestion) -> None:
+    """Effects that a rig has and its map has not."""
+    known, rig = question.known, question.loaded()
+    if known and known.slow_roll and known.slow_roll.bow_m:
+        say("the map leaves the bow out: a bent shaft has no state at rest")
+    if rig.physics.a.friction_arm_m or rig.physics.b.friction_arm_m:
+        say("the map leaves dry friction out")
+
+
+def draw(path: Path, found: MapAnswer) -> None:
+    """Write the map's figure."""
+    axes, rig = found.question.axes, found.question.loaded()
+    own = rig.physics.k2_N_per_m / rig.physics.k1_N_per_m
+    usual = (axes[0].keys, axes[1].keys) == (("speed_ratio",), ("stiffness_ratio",))
+    points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
+    names, logarithmic = (axes[0].name, axes[1].name), (axes[0].logarithmic, axes[1].logarithmic)
+    as_rate = found.question.quantity == "decay-rate"
+    drawn = plane_map_figure(found.grid, names, logarithmic, found.borders, as_rate, points, own if usual else None)
+    save(path, drawn)
+
+
+def map_json(found: MapAnswer) -> dict[str, Any]:
+    """What was found, as JSON has it."""
+    grid, lines = found.grid, found.borders
+    there, size = np.isfinite(grid.multiplier_max), grid.multiplier_max.size
+    return {
+        "x": found.question.x.key,
+        "y": found.question.y.key,
+        "points": size,
+        "balanced_share": float(np.mean(there)),
+        "seconds": found.seconds,
+        "microseconds_per_point": 1e6 * found.seconds / size,
+        "method": grid.method,
+        "accuracy": grid.accuracy,
+        "largest_error_estimate": float(np.max(grid.error_estimate[there], initial=0.0)),
+        "stable_share": float(np.mean(grid.stable)),
+        "points_beyond_accuracy": grid.missed,
+        "borders": None if lines is None else borders_json(lines),
+        "borders_complete_to": None if lines is None else list(lines.complete_to),
+        "stable_share_by_borders": None if lines is None else lines.stable_share,
+    }
+
+
+def borders_json(lines: Borders) -> list[dict[str, Any]]:
+    """Each branch: its length, whether it is closed, how stability is lost on it, where it begins and ends."""
+    return [
+        {"points": len(b.x), "closed": b.closed, "kinds": dict(Counter(b.kind)),
+         "from": [float(b.x[0]), float(b.y[0])], "to": [float(b.x[-1]), float(b.y[-1])]}
+        for b in lines.branches
+    ]  # fmt: skip
+
+
+def print_map(result: Mapping[str, Any], settings: list[str] | None) -> None:
+    """The same in words."""
+    print(
+        f"{result['points']} points in {result['seconds']:.3g} s ({result['microseconds_per_point']:.3g} µs a point), "
+        f"balanced state stable on {100 * result['stable_share']:.1f} %, largest error estimate "
+        f"{result['largest_error_estimate']:.1g}"
+    )
+    if result["balanced_share"] < 1:
+        print(f"no balanced state exists on {100 * (1 - result['balanced_share']):.1f} %")
+    print(f"method: {result['method']}")
+    branches: list[dict[str, Any]] = result["borders"] or []
+    for border in branches:
+        ends = (
+            "closed"
+            if border["closed"]
+            else "from {:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*border["from"], *border["to"])
+        )
+        print(f"border: {', '.join(border['kinds'])}; {border['points']} points, {ends}")
+    if result["borders"] is not None:
+        across, up = result["borders_complete_to"]
+        print(
+            f"stable within the borders: {100 * result['stable_share_by_borders']:.3f} %; what is smaller than "
+            f"1/{1 / across:.0f} of x by 1/{1 / up:.0f} of y may have been missed"
+        )
+    if settings:
+        print(what_if_words(settings))
+    if missed := result["points_beyond_accuracy"]:
+        say(f"{missed} points are known less well than asked; error_estimate says how well")
