@@ -24,10 +24,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.worlds.motion import Mechanics, SwingingMass, Turning, moved
-from studies.runs import load_runs
 from daq.exchange import import_recording, make_recipe
 from identification import IdentificationError, identify
 from rig_configs import load_rig
+from studies.runs import load_runs
 
 TESTS = ("ring-down-x", "ring-down-y", "run-up", "spin-down", "point")
 DISK_KG, PENDULUM_KG, LENGTH_M, WEIGHT_KG = 7.0, 0.075, 0.054, 0.120

@@ -27,6 +27,7 @@ from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
 from dynamics.errors import DynamicsError
 from rig_configs.errors import RigConfigError
+from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
 _VERBS = {  # imported when called: `rig predict` need not wait for the drivers, nor `rig --help` for anything
     "cli.demo": {
@@ -83,6 +84,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # the disk, this person's share of it, what one file may hold
 _PARAMETERS = "Show identified parameters, say what changed, follow them over time."
 _DRIVER = "List the installed drivers, check one against what every driver must do."
+_STUDY = "Run whole campaigns by the hundred, or identify an archive anew; on one machine or many."
 _VIRTUAL = "Start a virtual rig; in another terminal, be the hands at it."
 _USE_COMPILED = {
     "check",
@@ -122,6 +124,7 @@ def commands(told: Collection[str] = ()) -> App:
             app.command(place, name=verb, help=None if verb in told else line)
     app.command("cli.parameters:app", name="parameters", help=None if "parameters" in told else _PARAMETERS)
     app.command("cli.virtual:app", name="virtual", help=None if "virtual" in told else _VIRTUAL)
+    app.command("cli.studies:app", name="study", help=None if "study" in told else _STUDY)
     app.command("cli.drivers:app", name="driver", help=None if "driver" in told else _DRIVER)
     return app
 
@@ -178,6 +181,8 @@ def _exit_code(error: Exception) -> int | None:
         identification is not None and isinstance(error, identification.IdentificationError)
     ):
         return 2
+    if isinstance(error, StudyError):
+        return 2 if isinstance(error, StudyInputError | EngineMissing | OtherSoftware) else 3
     return 3 if isinstance(error, RigError | OSError | MemoryError) else None
 
 

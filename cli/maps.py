@@ -9,9 +9,11 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from cli.console import print_json, say, share_progress, wait_for_compilation
+from cli.map_tiles import in_tiles
 from cli.model import Accuracy, Plot
 from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings, need_place
+from cli.scheduler import Scheduler
 from rig_configs import RigFileError
 
 _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
@@ -35,6 +37,7 @@ def map(
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
     plot: Plot = None,
     accuracy: Accuracy = 1e-8,
+    scheduler: Scheduler = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
     json: Json = False,
@@ -61,9 +64,10 @@ def map(
         question = replace(question, speed_rad_s=speed_of(question.loaded(), point, speed_ratio, speed_rpm))
         say_what_is_left_out(question)
         compile_maps(question)
-    found = answer(question, share_progress)
-    if output is not None:
-        write_map(output, found)
+    with in_tiles(question, output, scheduler) as grid_of:
+        found = answer(question, share_progress, grid_of)
+        if output is not None:
+            write_map(output, found)
     if plot is not None:
         draw(plot, found)
     result = map_json(found) | {

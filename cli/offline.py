@@ -35,9 +35,9 @@ def identify(
     """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml."""
     from cli import results  # noqa: PLC0415 (scipy and numba take seconds to import)
     from cli.parameters import limit_json  # noqa: PLC0415
-    from studies.runs import load_runs  # noqa: PLC0415
     from identification import identify as find  # noqa: PLC0415
     from identification.joint.limits import limits  # noqa: PLC0415
+    from studies.runs import load_runs  # noqa: PLC0415
 
     _need(logs, "rig identify LOG…")
     need_place("rig identify: -o", output)
@@ -91,9 +91,9 @@ def validate(
     With --set it answers a what-if: the settings lie over rig file and parameters, and no verdict is kept.
     """
     from analysis.prediction import known_axis_angle  # noqa: PLC0415
-    from studies.runs import keep_verdicts, load_runs, validated  # noqa: PLC0415
     from daq.signals.completeness import missing_warnings  # noqa: PLC0415
     from daq.signals.run import disagreements  # noqa: PLC0415
+    from studies.runs import keep_verdicts, load_runs, validated  # noqa: PLC0415
 
     _need(logs, "rig validate RIG LOG…")
     need_place("rig validate: --report", report)

@@ -41,8 +41,8 @@ def report(
     """
     from cli.offline import print_points  # noqa: PLC0415 (matplotlib and numba take seconds to import)
     from cli.reporting import reported  # noqa: PLC0415
-    from studies.runs import load_runs, validated  # noqa: PLC0415
     from daq.signals.run import point_of  # noqa: PLC0415
+    from studies.runs import load_runs, validated  # noqa: PLC0415
 
     logs = _logs(places)
     page = _page(output, places, force)

@@ -63,8 +63,8 @@ def _warm_up() -> None:
 
 def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
     from cli import results  # noqa: PLC0415
-    from studies.runs import load_runs  # noqa: PLC0415
     from identification import identify  # noqa: PLC0415
+    from studies.runs import load_runs  # noqa: PLC0415
 
     runs = load_runs(logs)
     found = identify(runs, rig, _tell)
@@ -75,8 +75,8 @@ def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
 
 def _refine(rig: Rig, log: Path) -> None:
     """Add one point's release to the joint estimate."""
-    from studies.runs import load_runs  # noqa: PLC0415
     from identification import identify  # noqa: PLC0415
+    from studies.runs import load_runs  # noqa: PLC0415
 
     _found["runs"] += load_runs([log])
     _found["joint"] = identify(_found["runs"], rig, _tell, earlier=_found["joint"])
@@ -86,8 +86,8 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
     """Validate the points with what was identified before them, write joint parameters and report."""
     from cli import results  # noqa: PLC0415
     from cli.reporting import reported  # noqa: PLC0415
-    from studies.runs import keep_verdicts, validated  # noqa: PLC0415
     from daq.guided_tests.test_inputs import possible_tests  # noqa: PLC0415
+    from studies.runs import keep_verdicts, validated  # noqa: PLC0415
 
     runs, before, joint = _found["runs"], _found["before"], _found["joint"]
     points = {test.removeprefix("point-") for test in possible_tests(rig)}

@@ -82,9 +82,7 @@ def archive_study(
             if progress is not None:
                 progress(done / total)
         asked.append({"name": one.name, "logs": digests})
-    return Study.of(
-        "archive", {"rig": rig_text, "source": rig_source, "settings": list(settings), "campaigns": asked}
-    )
+    return Study.of("archive", {"rig": rig_text, "source": rig_source, "settings": list(settings), "campaigns": asked})
 
 
 @lru_cache(maxsize=4)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Whole campaigns on the virtual rig by the hundred: does identification know what it says, does validation judge right?
+"""Whole campaigns on the virtual rig by the hundred: are stated uncertainties right, do points pass that should?
 
 A tile is a campaign with a seed of its own: every guided test is run on simulated time through drivers, wire bytes and
 logs, parameters are identified from the logs, and the points are judged with them. Nothing but the logs' bytes tells

@@ -1,12 +1,12 @@
 """What can go wrong with a study.
 
-    StudyError
-    ├── StudyInputError     what was asked cannot be
-    ├── OtherSoftware       a worker runs other sources than the one who asks
-    ├── EngineMissing       an engine's package is not installed
-    ├── EngineLost          nobody is there to work, or no longer
-    ├── TileFailed          a tile cannot be worked out
-    └── FolderFault         a finished tile cannot be kept or read
+StudyError
+├── StudyInputError     what was asked cannot be
+├── OtherSoftware       a worker runs other sources than the one who asks
+├── EngineMissing       an engine's package is not installed
+├── EngineLost          nobody is there to work, or no longer
+├── TileFailed          a tile cannot be worked out
+└── FolderFault         a finished tile cannot be kept or read
 """
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ def parts_of(columns: int, rows: int) -> list[Part]:
 def _cuts(count: int, parts: int) -> list[slice]:
     """Nearly equal parts."""
     ends = [count * i // parts for i in range(parts + 1)]
-    return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(ends)]
 
 
 @lru_cache(maxsize=8)
@@ -79,7 +80,11 @@ class Maps:
         plane, x, y = _plane(text)
         accuracy = _asked(text)[0].accuracy
         found = plane_map(plane, x[columns], y[rows], accuracy, threads=threads)
-        return {"multiplier_max": found.multiplier_max, "error_estimate": found.error_estimate, "counts": np.array(found.counts)}
+        return {
+            "multiplier_max": found.multiplier_max,
+            "error_estimate": found.error_estimate,
+            "counts": np.array(found.counts),
+        }
 
 
 def assembled(folder: TileFolder) -> tuple[MapQuestion, StabilityMap]:

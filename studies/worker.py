@@ -44,15 +44,15 @@ def answer_tile(kind: str, text: str, software: str, tile: int, threads: int = 1
 
 def warm_up(kind: str, text: str, software: str) -> None:
     """Import and compile what the tiles of a study need, once in a process and one process of a host at a time."""
+    own = software_digest()
     with _warming:
-        if (kind, text) in _warm:
-            return
-        own = software_digest()
         if own != software:
             raise OtherSoftware(
                 f"worker {os.getpid()} on {platform.node()}: expected the sources {software} of whoever asks, it runs "
                 f"{own}; install the same version on all hosts and start the workers again"
             )
+        if (kind, text) in _warm:
+            return
         place = keep_compiled_code() or Path(os.environ.get("NUMBA_CACHE_DIR") or tempfile.gettempdir())
         with _alone(place):
             kind_named(kind).warm_up(text)

@@ -44,17 +44,25 @@ def compile_maps(question: MapQuestion) -> None:
     compile_tiles()
 
 
-def answer(question: MapQuestion, progress: Progress | None = None) -> MapAnswer:
+def answer(
+    question: MapQuestion, progress: Progress | None = None, grid_of: Callable[[], StabilityMap] | None = None
+) -> MapAnswer:
     """Compute a map.
 
+    Args:
+        progress: shows how far it is.
+        grid_of: works the grid out where it is not to be done at once, here.
     Raises:
         RigFileError, DynamicsError: the question has no answer.
     """
     shown = progress or _unseen
     plane, x, y = question.plane(), question.x, question.y
     started = time.perf_counter()
-    with shown(f"{x.count * y.count} points") as told:
-        grid = plane_map(plane, x.values, y.values, question.accuracy, told)
+    if grid_of is not None:
+        grid = grid_of()
+    else:
+        with shown(f"{x.count * y.count} points") as told:
+            grid = plane_map(plane, x.values, y.values, question.accuracy, told)
     seconds, borders = time.perf_counter() - started, None
     if question.borders:
         with shown("borders") as told:

@@ -34,7 +34,7 @@ class StabilityMap:
         multiplier_max: largest modulus over one revolution, shape (m, n); NaN where no balanced state exists.
         error_estimate: bound on its error, shape (m, n); more than was asked for where no method gives that
             (see `missed`).
-        method: how many points which method served.
+        counts: points that were interpolated, stepped explicitly many at once, and had one by one.
         accuracy: what was asked for.
     """
 
@@ -43,8 +43,16 @@ class StabilityMap:
     y: NDArray[np.floating]
     multiplier_max: NDArray[np.floating]
     error_estimate: NDArray[np.floating]
-    method: str
+    counts: tuple[int, int, int]
     accuracy: float
+
+    @property
+    def method(self) -> str:
+        """How many points which method served."""
+        interpolated, explicit, one_by_one = self.counts
+        return (
+            f"interpolated: {interpolated}; explicit, {LANES} points at once: {explicit}; point by point: {one_by_one}"
+        )
 
     @property
     def missed(self) -> int:
@@ -70,6 +78,7 @@ def plane_map(
     y: NDArray[np.floating],
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
+    threads: int | None = None,
 ) -> StabilityMap:
     """Largest modulus of the Type I multipliers over one revolution on a grid of a plane.
 
@@ -77,6 +86,7 @@ def plane_map(
         x, y: values of the plane's numbers, shapes (n,) and (m,), finite.
         accuracy: bound on the error, relative to max(1, largest modulus); 1e-12 … 0.1.
         progress: called with the share of points done, 0 … 1, from the calling thread.
+        threads: that work at it; None: as many as there are processors. The numbers do not depend on them.
     Raises:
         OutsideDomain: values that are not finite, an accuracy outside the range, too many points; gravity, a pivot
             shift or a bow, with which no state is at rest.
@@ -86,8 +96,8 @@ def plane_map(
     if x.ndim != 1 or y.ndim != 1 or not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
         raise OutsideDomain(f"x and y must be one-dimensional and finite, got {x!r} and {y!r}")
     _need_size(len(x), len(y), accuracy)
-    found, errors, method = multipliers_on_grid(plane, x, y, accuracy, progress or (lambda share: None))
-    return StabilityMap(plane, x, y, found, errors, method, accuracy)
+    found, errors, counts = multipliers_on_grid(plane, x, y, accuracy, progress or (lambda share: None), threads)
+    return StabilityMap(plane, x, y, found, errors, counts, accuracy)
 
 
 def _need_size(columns: int, rows: int, accuracy: float) -> None:
@@ -138,8 +148,8 @@ def stability_map(
         raise NoBalancedState("no balanced state to map: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")
     type_one(parameters, *angles[0], parameters.speed_rad_s(1.0))  # refuses gravity and a pivot shift
     plane = SpeedStiffnessPlane(parameters, angles[0])
-    found, errors, method = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or (lambda share: None))
-    return StabilityMap(plane, speeds, stiffness, found, errors, method, accuracy)
+    found, errors, counts = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or (lambda share: None))
+    return StabilityMap(plane, speeds, stiffness, found, errors, counts, accuracy)
 
 
 def multipliers_on_grid(
@@ -148,20 +158,21 @@ def multipliers_on_grid(
     y: NDArray[np.floating],
     accuracy: float,
     progress: Callable[[float], None],
-) -> tuple[NDArray[np.floating], NDArray[np.floating], str]:
+    threads: int | None = None,
+) -> tuple[NDArray[np.floating], NDArray[np.floating], tuple[int, int, int]]:
     """Largest multipliers of Type I on a grid of a plane.
 
     Args:
         x, y: values of the plane's numbers, shapes (n,) and (m,).
-        accuracy, progress: see `stability_map`.
+        accuracy, progress, threads: see `plane_map`.
     Returns:
-        Multipliers and their bounds, shape (m, n), NaN where no balanced state exists; how many points which method
-        served.
+        Multipliers and their bounds, shape (m, n), NaN where no balanced state exists; points that were
+        interpolated, stepped explicitly many at once, and had one by one.
     Raises:
         NotConverged: a point whose multiplier can't be had even roughly.
     """
     found, errors = np.full((2, len(y), len(x)), np.nan)
-    with ThreadPoolExecutor(max_workers=cores()) as pool:
+    with ThreadPoolExecutor(max_workers=threads or cores()) as pool:
         tiles = MapTiles(plane, x, y)
         for rectangle in tiles.rectangles(pool):
             for rows, columns, multipliers, bounds in tiles.multipliers(pool, rectangle):
@@ -176,12 +187,7 @@ def multipliers_on_grid(
         found[row, column], errors[row, column] = multiplier_at(plane, float(x[column]), float(y[row]), accuracy)
         progress(1 - (len(left) - done - 1) / found.size)
     progress(1.0)  # where no balanced state exists nothing was left to do
-    counts = found.size - len(rest), len(rest) - len(left), len(left)
-    return (
-        found,
-        errors,
-        "interpolated: {}; explicit, {} points at once: {}; point by point: {}".format(counts[0], LANES, *counts[1:]),
-    )
+    return found, errors, (found.size - len(rest), len(rest) - len(left), len(left))
 
 
 def _explicit(

@@ -56,8 +56,8 @@ class DaskWorkers:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told here, in plain words
         if address.startswith("tcp://") and not _loopback(address):
             tell(
-                f"{address} is not of this machine and not encrypted: whoever reaches that port can run programs on the "
-                "workers; use tls:// or an ssh tunnel"
+                f"{address} is not of this machine and not encrypted: whoever reaches that port can run programs on "
+                "the workers; use tls:// or an ssh tunnel"
             )
 
     def __enter__(self) -> Self:
@@ -83,9 +83,7 @@ class DaskWorkers:
                 self._connect()
             left = [tile for tile in left if tile not in done]
 
-    def _by_one_scheduler(
-        self, study: Study, tiles: list[int], deaths: Counter[int]
-    ) -> Iterator[tuple[int, bytes]]:
+    def _by_one_scheduler(self, study: Study, tiles: list[int], deaths: Counter[int]) -> Iterator[tuple[int, bytes]]:
         """Tiles as they are done, as long as the scheduler lives."""
         client, left, running = self._client, list(tiles), dict[Any, int]()
         window, looked, seen = 0, -_LOOK_S, time.monotonic()

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import distributed
+
 from analysis.maps.axes import MapAxis
 from analysis.maps.question import MapQuestion, rig_source
 from studies.maps import map_study
@@ -82,6 +84,8 @@ def dask_processes(folder: Path, port: int, environment: dict[str, str] | None =
     """A scheduler and two workers, killed at the end."""
     processes = DaskProcesses(folder, port, environment)
     try:
+        with distributed.Client(processes.address, timeout=60, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
         yield processes
     finally:
         processes.close()

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import distributed
 import numpy as np
 import pytest
 
-distributed = pytest.importorskip("distributed")
-
-from studies.engines.dask_workers import DaskWorkers  # noqa: E402
-from studies.engines.threads import Threads  # noqa: E402
-from studies.errors import EngineLost, OtherSoftware  # noqa: E402
-from studies.running import run_study  # noqa: E402
-from studies.study import Study  # noqa: E402
-from studies.tile_files import TileFolder  # noqa: E402
-from tests.studies.asked import X, Y, DaskProcesses, dask_processes, small_map  # noqa: E402
+from studies.engines.dask_workers import DaskWorkers
+from studies.engines.threads import Threads
+from studies.errors import EngineLost, OtherSoftware
+from studies.running import run_study
+from studies.study import Study
+from studies.tile_files import TileFolder
+from tests.studies.asked import DaskProcesses, X, Y, dask_processes, small_map
 
 pytestmark = pytest.mark.xdist_group("dask")
 
@@ -34,17 +33,14 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.path.glob("*.npz")}
 
 
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[DaskProcesses]:
-    said = tmp_path / "said"
-    said.mkdir()
-    with dask_processes(said, free_port()) as started:
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskProcesses]:
+    """A scheduler and two workers; whoever kills one begins another."""
+    with dask_processes(tmp_path_factory.mktemp("said"), free_port()) as started:
         yield started
 
 
 def free_port() -> int:
-    import socket
-
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return int(one.getsockname()[1])
@@ -152,8 +148,6 @@ def test_workers_that_all_begin_cold_compile_once(expected: dict[str, bytes], tm
     (tmp_path / "said").mkdir()
     with dask_processes(tmp_path / "said", free_port(), {"NUMBA_CACHE_DIR": str(cold)}) as processes:
         folder, said = TileFolder(tmp_path / "tiles", small_map()), list[str]()
-        with distributed.Client(processes.address, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=60)
         run_study(folder, DaskWorkers(processes.address, said.append))
         with distributed.Client(processes.address, set_as_default=False) as client:
             counts = list(client.run(compilations).values())
@@ -195,11 +189,10 @@ def test_a_scheduler_without_workers_is_waited_for_only_so_long(tmp_path: Path) 
             run_study(folder, DaskWorkers(processes.address, lambda text: None, patience_s=5.0))
 
 
-@pytest.mark.parametrize(("address", "warned"), [("tcp://127.0.0.1:9", False), ("tcp://10.1.2.3:9", True), ("tls://10.1.2.3:9", False)])
+@pytest.mark.parametrize(
+    ("address", "warned"), [("tcp://127.0.0.1:9", False), ("tcp://10.1.2.3:9", True), ("tls://10.1.2.3:9", False)]
+)
 def test_an_open_port_elsewhere_is_warned_of(address: str, warned: bool) -> None:
     said = list[str]()
     DaskWorkers(address, said.append)
     assert [("not encrypted" in text) for text in said] == [True] * warned
-
-
-assert os.name  # the processes are killed by signals

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +82,7 @@ def test_what_is_there_is_not_worked_out_again(by_threads: TileFolder, tmp_path:
     asked: list[int] = []
 
     class Watched(Threads):
-        def answers(self, study: Study, tiles: list[int]):
+        def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
             asked.extend(tiles)
             return super().answers(study, tiles)
 
@@ -105,34 +110,16 @@ def test_a_process_that_dies_loses_its_tiles_in_hand_only(by_threads: TileFolder
 
 def test_a_tile_that_kills_every_process_is_given_up(tmp_path: Path) -> None:
     folder, said = TileFolder(tmp_path, small_map()), list[str]()
-    engine = Processes(1, said.append)
 
-    def kill_all(study: Study, tiles: list[int]):
-        for answer in Processes.answers(engine, study, tiles):
-            yield answer
-            raise AssertionError("no tile can have been done")
+    class Deadly(Processes):
+        def _open(self) -> ProcessPoolExecutor:
+            pool = super()._open()
+            pool.submit(os._exit, 9)
+            return pool
 
-    original = engine._open
-
-    def dying():
-        pool = original()
-        for process in (pool._processes or {}).values():
-            process.kill()
-        pool.submit(_die)
-        return pool
-
-    engine._open = dying  # type: ignore[method-assign]
-    engine_answers = kill_all
-    with pytest.raises(TileFailed, match="What is done is kept"):
-        list(engine_answers(folder.study, [0]))
-    engine.__exit__()
+    with Deadly(1, said.append) as engine, pytest.raises(TileFailed, match="What is done is kept"):
+        list(engine.answers(folder.study, [0]))
     assert len(said) == 4
-
-
-def _die() -> None:
-    import os
-
-    os._exit(9)
 
 
 def test_other_sources_are_refused(tmp_path: Path) -> None:
@@ -142,16 +129,16 @@ def test_other_sources_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_question_differs_by_all_that_decides_its_answer() -> None:
-    asked = MapQuestion.of_json({**__import__("json").loads(small_map().text), "quantity": "multiplier", "borders": False})
+    asked = MapQuestion.of_json({**json.loads(small_map().text), "quantity": "multiplier", "borders": False})
     digests = {map_study(asked).digest}
     for change in ({"accuracy": 1e-9}, {"settings": ("suspension.zeta1=0.02",)}, {"speed_rad_s": 3.0}):
-        digests.add(map_study(__import__("dataclasses").replace(asked, **change)).digest)
+        digests.add(map_study(replace(asked, **change)).digest)
     assert len(digests) == 4
-    shown = __import__("dataclasses").replace(asked, quantity="decay-rate", borders=True)
+    shown = replace(asked, quantity="decay-rate", borders=True)
     assert map_study(shown).digest == map_study(asked).digest
 
 
 @pytest.mark.parametrize("text", ["local", "local:0", "local:x", "local:-1", "10.0.0.1:8786", "http://a:1", ""])
 def test_an_engine_that_is_none_says_what_was_expected(text: str) -> None:
-    with pytest.raises(StudyInputError, match="expected local:N .* or a scheduler's address"):
+    with pytest.raises(StudyInputError, match=r"expected local:N .* or a scheduler's address"):
         engine_of(text, tell)

@@ -85,7 +85,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing_behind(folder: TileFolder, m
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(FolderFault, match="No space left on device.*same command again"):
+    with pytest.raises(FolderFault, match=r"No space left on device.*same command again"):
         folder.keep(1, packed({"a": np.ones(3)}))
     assert folder.finished() == {0}
     assert not list(folder.path.glob(".*"))
