@@ -29,21 +29,13 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from scipy.special import betaincinv  # pyright: ignore[reportMissingTypeStubs]
 
 from benchmarks.worlds.campaign import Plan, campaign, is_routine, named_effects, names_effect
 from benchmarks.worlds.world import WRONG, Effects, Spread, with_effect
+from uncertainty.binomial import binomial_interval
 
 KNOWLEDGE = {"exact": Spread.exact, "usual": Spread, "weighed": Spread.weighed}
 _LIMIT = 1.959964
-
-
-def binomial_interval(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """Clopper and Pearson's interval of a share."""
-    tail = 0.5 * (1 - level)
-    low = float(betaincinv(hits, trials - hits + 1, tail)) if hits else 0.0
-    high = float(betaincinv(hits + 1, trials - hits, 1 - tail)) if hits < trials else 1.0
-    return low, high
 
 
 def summary(rows: Sequence[dict[str, Any]], effects: Effects) -> str:

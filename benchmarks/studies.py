@@ -89,7 +89,7 @@ def client_seconds_per_tile(address: str, content: bytes, tiles: int) -> float:
     """What a tile costs whoever asks: through the scheduler and onto the disk, the work itself left out."""
     with tempfile.TemporaryDirectory() as place, distributed.Client(address, set_as_default=False) as client:
         folder = TileFolder(Path(place), study_of(10_000_000))
-        (held,) = client.scatter([content], broadcast=True)
+        held = client.scatter(content, broadcast=True)
         futures = [client.submit(_same, held, number, pure=False) for number in range(tiles)]
         started = time.perf_counter()
         for number, future in enumerate(futures):

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @contextmanager
 def in_tiles(
     question: MapQuestion, output: Path | None, scheduler: str | None
-) -> Iterator[Callable[[], StabilityMap] | None]:
+) -> Generator[Callable[[], StabilityMap] | None]:
     """How a map's grid is worked out where it is more than a tile, or others work.
 
     Tiles lie in OUTPUT.tiles, and are removed at the end of the `with` statement, when the file has all of them; where

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import App, Parameter
+from numpy.typing import NDArray
 
 from cli.console import print_json, say, share_progress
 from cli.numbers import WholeCount
@@ -49,7 +50,7 @@ def campaigns(
         print_json({**result, "file": str(out / "campaigns.json")})
         return 0
     print(f"{len(found.done)} campaigns, {found.passed} with every point passed")
-    print(f"{'':24}{'n':>6}{'in 95 %':>9}{'mean z':>8}{'sd z':>7}{'max |z|':>9}")
+    print(f"{'':24}{'n':>6}{'in 95 %':>9}{'(95 % sure)':>14}{'mean z':>8}{'sd z':>7}{'max |z|':>9}")
     for title, rows in (("parameters", found.parameter_z()), ("points", found.point_z())):
         for name, z in [*rows.items(), (f"all {title}", np.concatenate([*rows.values(), np.empty(0)]))]:
             if len(z):
@@ -102,17 +103,22 @@ def _made(out: Path) -> Path:
     return out
 
 
-def _line(name: str, z: Any) -> str:
+def _line(name: str, z: NDArray[np.floating]) -> str:
     from studies.campaigns import within  # noqa: PLC0415
+    from uncertainty.binomial import binomial_interval  # noqa: PLC0415
 
-    share = within(z) / len(z)
-    return f"{name:24}{len(z):6}{share:9.3f}{np.mean(z):8.2f}{np.std(z):7.2f}{np.max(np.abs(z)):9.2f}"
+    inside = within(z)
+    low, high = binomial_interval(inside, len(z))
+    span = f"{low:.3f}…{high:.3f}"
+    return (
+        f"{name:24}{len(z):6}{inside / len(z):9.3f}{span:>14}{np.mean(z):8.2f}{np.std(z):7.2f}{np.max(np.abs(z)):9.2f}"
+    )
 
 
 def _campaigns_json(found: CampaignResults) -> dict[str, Any]:
     from studies.campaigns import within  # noqa: PLC0415
 
-    def covered(rows: dict[str, Any]) -> dict[str, Any]:
+    def covered(rows: dict[str, NDArray[np.floating]]) -> dict[str, Any]:
         return {
             name: {"n": len(z), "within_95": within(z), "mean": float(np.mean(z)), "std": float(np.std(z)),
                    "largest": float(np.max(np.abs(z)))}

@@ -43,7 +43,7 @@ def run_study(folder: TileFolder, engine: Engine, progress: Progress | None = No
         StudyError: see studies.errors.
     """
     study, there = folder.study, folder.finished()
-    done, tell = len(there), progress or (lambda done, total: None)
+    done, tell = len(there), progress or _tell_nobody
     tell(done, study.tiles)
     left = [tile for tile in range(study.tiles) if tile not in there]
     if left:
@@ -53,3 +53,7 @@ def run_study(folder: TileFolder, engine: Engine, progress: Progress | None = No
                 done += 1
                 tell(done, study.tiles)
     return len(there)
+
+
+def _tell_nobody(done: int, total: int) -> None:
+    del done, total

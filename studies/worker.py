@@ -13,7 +13,7 @@ import platform
 import sqlite3
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 from dynamics.compiled_code import keep_compiled_code, source_digest
@@ -60,7 +60,7 @@ def warm_up(kind: str, text: str, software: str) -> None:
 
 
 @contextlib.contextmanager
-def _alone(place: Path) -> Iterator[None]:
+def _alone(place: Path) -> Generator[None]:
     """Hold a folder against other processes of this host that want to compile into it.
 
     A database's lock is had on all systems and falls with its process. A folder that cannot hold one is used unheld:

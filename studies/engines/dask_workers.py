@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from ipaddress import ip_address
@@ -181,7 +181,7 @@ class _SchedulerLost(Exception):
 
 
 @contextmanager
-def _scheduler_needed() -> Iterator[None]:
+def _scheduler_needed() -> Generator[None]:
     """Take a broken connection for a lost scheduler."""
     try:
         yield

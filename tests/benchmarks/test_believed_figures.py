@@ -16,6 +16,7 @@ from benchmarks import believed_figures as figures
 from benchmarks.worlds import Effects, Spread
 from benchmarks.worlds import campaign as laboratory
 from benchmarks.worlds.campaign import Plan, campaign, is_routine, names_effect
+from uncertainty.binomial import binomial_interval
 
 PLAN = Plan(Spread(), Effects())
 
@@ -34,7 +35,7 @@ def row(seed: int, z: float = 0.5, passed: bool = True, warnings: tuple[str, ...
 @given(trials=st.integers(1, 200), share=st.floats(0, 1))
 def test_the_binomial_interval_leaves_a_fortieth_on_each_side(trials: int, share: float) -> None:
     hits = round(share * trials)
-    low, high = figures.binomial_interval(hits, trials)
+    low, high = binomial_interval(hits, trials)
     assert 0 <= low <= hits / trials <= high <= 1
     if hits:
         assert binom.sf(hits - 1, trials, low) == pytest.approx(0.025, rel=1e-6)
