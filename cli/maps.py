@@ -8,11 +8,10 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress, wait_for_compilation
+from cli.console import plain, print_json, say, share_progress, wait_for_compilation
 from cli.model import Accuracy, Plot
 from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings, need_place
-from rig_configs import RigFileError
 
 _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
 
@@ -32,7 +31,9 @@ def map(
     point: Annotated[str | None, Parameter(help="the speed of a point, where neither axis is a speed")] = None,
     speed_ratio: Annotated[Positive | None, Parameter(help="the speed, where neither axis is one")] = None,
     speed_rpm: Annotated[PositiveRpm | None, Parameter(help="the same in rpm")] = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="write the arrays: .npz, .parquet or .zarr")
+    ] = None,
     plot: Plot = None,
     accuracy: Accuracy = 1e-8,
     parameters: ParametersPath = None,
@@ -44,16 +45,17 @@ def map(
     KEY is speed_ratio, speed_rpm, stiffness_ratio or a number of the rig file, such as imbalance.radius_m or
     suspension.zeta1+suspension.zeta2.
     """
-    need_place("rig map:", output, plot)
-    if output is not None and output.suffix != ".npz":
-        raise RigFileError(f"rig map: -o expected a name ending in .npz, got {output}")
+    need_place("rig map:", plot, None if output is None else output.parent / f"{output.name}.part")
     with wait_for_compilation("stability map"):
         from analysis.maps.answer import answer, compile_maps  # noqa: PLC0415 (numba takes a while to load)
-        from analysis.maps.files import write_map  # noqa: PLC0415
+        from analysis.maps.files import need_map_suffix, write_map  # noqa: PLC0415
         from analysis.maps.question import MapQuestion, parameters_source, rig_source, speed_of  # noqa: PLC0415
+        from analysis.maps.record import record  # noqa: PLC0415
         from cli.map_axes import read_axis  # noqa: PLC0415
         from cli.map_page import draw, map_json, print_map, say_what_is_left_out  # noqa: PLC0415
 
+        if output is not None:
+            need_map_suffix(output)
         question = MapQuestion(
             rig_source(rig), read_axis("--x", x), read_axis("--y", y), parameters_source(parameters),
             tuple(settings or ()), None, quantity, accuracy, borders,
@@ -62,22 +64,23 @@ def map(
         say_what_is_left_out(question)
         compile_maps(question)
     found = answer(question, share_progress)
-    if output is not None:
-        write_map(output, found)
+    result = map_json(found)
+    written = [] if output is None else write_map(output, record(found, plain(result)))
     if plot is not None:
         draw(plot, found)
-    result = map_json(found) | {
+        written.append(plot)
+    result |= {
         "what_if": list(settings or []),
         "file": None if output is None else str(output),
         "plot": None if plot is None else str(plot),
+        "written": [str(path) for path in written],
     }
     if json:
         print_json(result)
         return 0
     print_map(result, settings)
-    for path in (output, plot):
-        if path is not None:
-            print(f"written to {path}")
-    if output is None and plot is None:
+    for path in written:
+        print(f"written to {path}")
+    if not written:
         say("nothing kept: give -o FILE.npz for the arrays, --plot FILE for the figure")
     return 0

@@ -184,6 +184,33 @@ def multipliers_on_grid(
     )
 
 
+def multipliers_at_points(
+    plane: Plane,
+    x: NDArray[np.floating],
+    y: NDArray[np.floating],
+    accuracy: float,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Largest multipliers of Type I at points that form no grid.
+
+    Args:
+        x, y: of the points, shape (points,).
+        accuracy, progress: see `stability_map`.
+    Returns:
+        Multipliers and their bounds, shape (points,), NaN where no balanced state exists.
+    Raises:
+        NotConverged: a point whose multiplier can't be had even roughly.
+    """
+    found, errors = np.full((2, len(x)), np.nan)
+    tell = progress or (lambda share: None)
+    with ThreadPoolExecutor(max_workers=cores()) as pool:
+        left = _explicit(pool, plane, x, y, np.arange(len(x)), accuracy, found, errors, tell)
+    for point in left.tolist():
+        found[point], errors[point] = multiplier_at(plane, float(x[point]), float(y[point]), accuracy)
+    tell(1.0)
+    return found, errors
+
+
 def _explicit(
     pool: ThreadPoolExecutor,
     plane: Plane,
