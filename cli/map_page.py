@@ -53,13 +53,42 @@ def map_json(found: MapAnswer) -> dict[str, Any]:
         "microseconds_per_point": 1e6 * found.seconds / size,
         "method": grid.method,
         "accuracy": grid.accuracy,
-        "largest_error_estimate": float(np.max(grid.error_estimate[there], initial=0.0)),
+        "largest_error_estimate": float(np.nanmax(grid.error_estimate, initial=0.0)),
         "stable_share": float(np.mean(grid.stable)),
         "points_beyond_accuracy": grid.missed,
         "borders": None if lines is None else borders_json(lines),
         "borders_complete_to": None if lines is None else list(lines.complete_to),
         "stable_share_by_borders": None if lines is None else lines.stable_share,
+        "computed_share": 1.0 if found.computed is None else float(np.mean(found.computed)),
+        "family": _family_json(found),
+        "best": _best_json(found),
     }
+
+
+def _family_json(found: MapAnswer) -> dict[str, Any] | None:
+    family = found.question.family
+    return None if family is None else {
+        "key": family.key,
+        "members": [
+            {"value": one.value, "stable_share": one.borders.stable_share, "borders": borders_json(one.borders)}
+            for one in found.family
+        ],
+    }  # fmt: skip
+
+
+def _best_json(found: MapAnswer) -> dict[str, Any] | None:
+    best, within = found.best, found.question.best
+    return None if best is None or within is None else {
+        "key": within.key,
+        "value": best.value,
+        "interval": list(best.interval),
+        "stable_share": best.share,
+        "stable_share_error": best.share_error,
+        "at_end": best.at_end,
+        "stable_share_at_ends": [float(best.shares[0]), float(best.shares[-1])],
+        "values": best.values.tolist(),
+        "stable_shares": best.shares.tolist(),
+    }  # fmt: skip
 
 
 def borders_json(lines: Borders) -> list[dict[str, Any]]:
@@ -95,7 +124,27 @@ def print_map(result: Mapping[str, Any], settings: list[str] | None) -> None:
             f"stable within the borders: {100 * result['stable_share_by_borders']:.3f} %; what is smaller than "
             f"1/{1 / across:.0f} of x by 1/{1 / up:.0f} of y may have been missed"
         )
+    _print_refined_and_varied(result)
     if settings:
         print(what_if_words(settings))
     if missed := result["points_beyond_accuracy"]:
         say(f"{missed} points are known less well than asked; error_estimate says how well")
+
+
+def _print_refined_and_varied(result: Mapping[str, Any]) -> None:
+    if result["computed_share"] < 1:
+        print(
+            f"refined at borders: {100 * result['computed_share']:.1f} % of the points computed, the others "
+            "interpolated; an island between points of the coarse grid may have been missed"
+        )
+    family: dict[str, Any] = result["family"] or {"key": "", "members": []}
+    for member in family["members"]:
+        print(f"{family['key']} = {member['value']:.6g}: stable on {100 * member['stable_share']:.3f} %")
+    if best := result["best"]:
+        (low, high), (first, last) = best["interval"], best["stable_share_at_ends"]
+        end = "; the range's end is the best, a wider range may hold a better one" if best["at_end"] else ""
+        print(
+            f"largest stable share at {best['key']} = {best['value']:.4g} ({low:.4g} … {high:.4g}): "
+            f"{100 * best['stable_share']:.3f} % ± {100 * best['stable_share_error']:.1g} %; "
+            f"at the ends {100 * first:.3f} % and {100 * last:.3f} %{end}"
+        )

@@ -28,6 +28,15 @@ def map(
     borders: Annotated[
         bool, Parameter(negative="", help="follow the borders of stability, every branch to 1e-10, beside the map")
     ] = False,
+    family: Annotated[
+        str | None, Parameter(help="KEY=V,V,V or KEY=A:B:N[:log]: follow the borders for each value of another number")
+    ] = None,
+    best: Annotated[
+        str | None, Parameter(help="KEY=A:B[:log]: search the value at which most of the plane is stable")
+    ] = None,
+    refine: Annotated[
+        int, Parameter(help="halve the grid's cells so often both ways, but only where stability changes")
+    ] = 0,
     point: Annotated[str | None, Parameter(help="the speed of a point, where neither axis is a speed")] = None,
     speed_ratio: Annotated[Positive | None, Parameter(help="the speed, where neither axis is one")] = None,
     speed_rpm: Annotated[PositiveRpm | None, Parameter(help="the same in rpm")] = None,
@@ -51,14 +60,16 @@ def map(
         from analysis.maps.files import need_map_suffix, write_map  # noqa: PLC0415
         from analysis.maps.question import MapQuestion, parameters_source, rig_source, speed_of  # noqa: PLC0415
         from analysis.maps.record import record  # noqa: PLC0415
-        from cli.map_axes import read_axis  # noqa: PLC0415
+        from cli.map_axes import read_axis, read_family, read_range  # noqa: PLC0415
         from cli.map_page import draw, map_json, print_map, say_what_is_left_out  # noqa: PLC0415
 
         if output is not None:
             need_map_suffix(output)
         question = MapQuestion(
             rig_source(rig), read_axis("--x", x), read_axis("--y", y), parameters_source(parameters),
-            tuple(settings or ()), None, quantity, accuracy, borders,
+            tuple(settings or ()), None, quantity, accuracy, borders, refine,
+            None if family is None else read_family("--family", family),
+            None if best is None else read_range("--best", best),
         )  # fmt: skip
         question = replace(question, speed_rad_s=speed_of(question.loaded(), point, speed_ratio, speed_rpm))
         say_what_is_left_out(question)

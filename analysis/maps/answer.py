@@ -1,5 +1,5 @@
 # pyright: strict
-"""A map's question answered: the largest multipliers on its grid, and the borders of stability."""
+"""A map's question answered: the largest multipliers on its grid, borders of stability, families of them, the best."""
 
 from __future__ import annotations
 
@@ -8,13 +8,30 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.maps.families import BestValue, best_value
 from analysis.maps.question import MapQuestion
+from analysis.maps.refinement import refined_grid
 from dynamics.stability.borders import Borders, stability_borders
+from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import compile_tiles
-from dynamics.stability.stability_map import StabilityMap, plane_map
+from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, plane_map
 
 Progress = Callable[[str], AbstractContextManager[Callable[[float], None]]]
 """Begins to show a piece of work, and takes the share of it that is done."""
+Told = Callable[[float], None]
+_LEVELS = 2  # of the borders' grid
+_REST = 4 / 3  # what all further halvings change, in what one does: an area by chords converges with the square
+
+
+@dataclass(frozen=True)
+class FamilyMember:
+    """The borders for one value of a family's number."""
+
+    value: float
+    borders: Borders
 
 
 @dataclass(frozen=True)
@@ -23,25 +40,38 @@ class MapAnswer:
 
     Attributes:
         question: what was asked.
-        grid: the largest multipliers.
-        borders: None where none were asked for.
+        grid: the largest multipliers; of a refined map on its finest grid.
+        computed: of a refined map which points of the grid were computed, the others are interpolated and have no error
+            estimate, shape (m, n); None where all were.
+        borders: of the rig itself; None where none were asked for.
+        family: borders of each value of a family's number.
+        best: where the stable share is greatest; None where it was not asked for.
         seconds: that the grid took.
     """
 
     question: MapQuestion
     grid: StabilityMap
+    computed: NDArray[np.bool_] | None
     borders: Borders | None
+    family: tuple[FamilyMember, ...]
+    best: BestValue | None
     seconds: float
 
 
 def compile_maps(question: MapQuestion) -> None:
-    """Have the code of maps compiled, which a first answer would wait for.
+    """Have the code of maps compiled, which a first answer would wait for, and the question's values checked.
 
     Raises:
         RigFileError, DynamicsError: the question has no answer.
     """
-    plane_map(question.plane(), question.x.values[:1], question.y.values[:1], question.accuracy)
+    plane = question.plane()
+    plane_map(plane, question.x.values[:1], question.y.values[:1], question.accuracy)
     compile_tiles()
+    further = () if question.family is None else question.family.values
+    for value in further:
+        question.plane(_settings(question.family.keys if question.family else (), value))
+    for value in () if question.best is None else (question.best.low, question.best.high):
+        question.plane(_settings(question.best.keys if question.best else (), value))
 
 
 def answer(question: MapQuestion, progress: Progress | None = None) -> MapAnswer:
@@ -50,17 +80,80 @@ def answer(question: MapQuestion, progress: Progress | None = None) -> MapAnswer
     Raises:
         RigFileError, DynamicsError: the question has no answer.
     """
-    shown = progress or _unseen
-    plane, x, y = question.plane(), question.x, question.y
+    shown, plane = progress or _unseen, question.plane()
     started = time.perf_counter()
-    with shown(f"{x.count * y.count} points") as told:
-        grid = plane_map(plane, x.values, y.values, question.accuracy, told)
-    seconds, borders = time.perf_counter() - started, None
+    grid, computed = _refined(question, plane, shown) if question.refine else (_full(question, plane, shown), None)
+    seconds = time.perf_counter() - started
+    borders, members, best = None, list[FamilyMember](), None
     if question.borders:
         with shown("borders") as told:
-            logarithmic = x.logarithmic, y.logarithmic
-            borders = stability_borders(plane, x.span, y.span, logarithmic=logarithmic, progress=told)
-    return MapAnswer(question, grid, borders, seconds)
+            borders = _borders(question, plane, told)
+    if (family := question.family) is not None:
+        with shown(f"borders for {len(family.values)} values of {family.key}") as told:
+            for i, value in enumerate(family.values):
+                one = question.plane(_settings(family.keys, value))
+                found = _borders(question, one, _part(told, i, len(family.values)))
+                members.append(FamilyMember(value, found))
+    if question.best is not None:
+        with shown(f"best value of {question.best.key}") as told:
+            best = _best(question, told)
+    return MapAnswer(question, grid, computed, borders, tuple(members), best, seconds)
+
+
+def _full(question: MapQuestion, plane: Plane, shown: Progress) -> StabilityMap:
+    with shown(f"{question.x.count * question.y.count} points") as told:
+        return plane_map(plane, question.x.values, question.y.values, question.accuracy, told)
+
+
+def _refined(question: MapQuestion, plane: Plane, shown: Progress) -> tuple[StabilityMap, NDArray[np.bool_]]:
+    x, y = (axis.values for axis in question.fine)
+    errors = np.full((len(y), len(x)), np.nan)
+
+    def evaluate(at_x: NDArray[np.float64], at_y: NDArray[np.float64]) -> NDArray[np.float64]:
+        found, bounds = multipliers_at_points(plane, at_x, at_y, question.accuracy)
+        errors[np.searchsorted(y, at_y), np.searchsorted(x, at_x)] = bounds
+        return np.asarray(found, np.float64)
+
+    with shown(f"{question.x.count * question.y.count} points and what lies between them at borders") as told:
+        found = refined_grid(evaluate, x, y, question.refine, _classes, progress=told)
+    count = int(np.count_nonzero(found.computed))
+    method = f"explicit at {count} of {found.computed.size} points, at borders; interpolated between them elsewhere"
+    return StabilityMap(plane, x, y, found.values, errors, method, question.accuracy), found.computed
+
+
+def _classes(multipliers: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Stable, unstable, without a balanced state."""
+    return np.where(np.isnan(multipliers), 2, multipliers < 1.0).astype(np.intp)
+
+
+def _borders(question: MapQuestion, plane: Plane, told: Told, levels: int = _LEVELS) -> Borders:
+    x, y = question.axes
+    logarithmic = x.logarithmic, y.logarithmic
+    return stability_borders(plane, x.span, y.span, levels=levels, logarithmic=logarithmic, progress=told)
+
+
+def _best(question: MapQuestion, told: Told) -> BestValue:
+    within = question.best
+    assert within is not None
+    shares = dict[float, float]()
+
+    def share(value: float) -> float:
+        shares[value] = _borders(question, question.plane(_settings(within.keys, value)), _unheard).stable_share
+        return shares[value]
+
+    def error(value: float) -> float:
+        plane = question.plane(_settings(within.keys, value))
+        return _REST * abs(_borders(question, plane, _unheard, _LEVELS + 1).stable_share - shares[value])
+
+    return best_value(share, error, within, told)
+
+
+def _settings(keys: tuple[str, ...], value: float) -> list[str]:
+    return [f"{key}={value!r}" for key in keys]
+
+
+def _part(told: Told, i: int, count: int) -> Told:
+    return lambda share: told((i + share) / count)
 
 
 def _unseen(text: str) -> AbstractContextManager[Callable[[float], None]]:

@@ -53,8 +53,11 @@ class StabilityMap:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether the largest multiplier lies inside the unit circle by more than its error, shape (m, n)."""
-        return self.multiplier_max + self.error_estimate < 1.0
+        """Whether the largest multiplier lies inside the unit circle by more than its error, shape (m, n).
+
+        A point that has a multiplier without an error estimate stands between others that have one.
+        """
+        return self.multiplier_max + np.nan_to_num(self.error_estimate) < 1.0
 
     @property
     def decay_rate_per_s(self) -> NDArray[np.floating]:

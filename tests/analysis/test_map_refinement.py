@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -51,8 +53,8 @@ def test_only_islands_that_no_evaluated_point_touches_are_missed(
     found = refined_grid(evaluate, x, y, levels, signs, interpolated=not named)
     true = evaluate(*np.meshgrid(x, y))
     assert np.array_equal(found.values[found.computed], true[found.computed])
-    assert found.computed[:: 1 << levels, :: 1 << levels].all()
-    patches, count = label(signs(found.values) != signs(true), CORNERS)
+    assert found.computed[:: 2**levels, :: 2**levels].all()
+    patches, count = cast("tuple[NDArray[np.intp], int]", label(signs(found.values) != signs(true), CORNERS))
     for patch in (patches == n for n in range(1, count + 1)):
         assert not np.any(patch & found.computed)
         around = binary_dilation(patch, CORNERS)
@@ -91,8 +93,12 @@ def test_the_nominal_plane_is_as_on_the_full_grid_at_a_fraction_of_its_points() 
     physics = load_rig("virtual").physics
     plane = SpeedStiffnessPlane(physics, balanced_angles(physics)[0])
     x, y = np.linspace(0.3, 7.0, 24 * 8 + 1), np.linspace(1.0, 16.0, 18 * 8 + 1)
-    full = plane_map(plane, x, y, 1e-8).multiplier_max - 1
-    found = refined_grid(lambda a, b: multipliers_at_points(plane, a, b, 1e-8)[0] - 1, x, y, 3, signs)
+    full = np.asarray(plane_map(plane, x, y, 1e-8).multiplier_max, np.float64) - 1
+
+    def evaluate(at_x: Array, at_y: Array) -> Array:
+        return np.asarray(multipliers_at_points(plane, at_x, at_y, 1e-8)[0], np.float64) - 1
+
+    found = refined_grid(evaluate, x, y, 3, signs)
     assert np.array_equal(signs(found.values), signs(full))
     assert found.values[found.computed] == pytest.approx(full[found.computed], abs=3e-8)
     assert found.computed.mean() < 0.2
