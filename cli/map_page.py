@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from analysis.figures.stability_map import MapPoint, plane_map_figure
-from analysis.figures.style import save
+from analysis.figures.page import write_figure
+from analysis.figures.plane_maps import draw_map
 from analysis.maps.answer import MapAnswer
 from analysis.maps.question import MapQuestion
 from cli.console import say
@@ -30,14 +30,8 @@ def say_what_is_left_out(question: MapQuestion) -> None:
 
 def draw(path: Path, found: MapAnswer) -> None:
     """Write the map's figure."""
-    axes, rig = found.question.axes, found.question.loaded()
-    own = rig.physics.k2_N_per_m / rig.physics.k1_N_per_m
-    usual = (axes[0].keys, axes[1].keys) == (("speed_ratio",), ("stiffness_ratio",))
-    points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
-    names, logarithmic = (axes[0].name, axes[1].name), (axes[0].logarithmic, axes[1].logarithmic)
-    as_rate = found.question.quantity == "decay-rate"
-    drawn = plane_map_figure(found.grid, names, logarithmic, found.borders, as_rate, points, own if usual else None)
-    save(path, drawn)
+    figure, readout = draw_map(found)
+    write_figure(path, figure, f"Stability map of {found.question.loaded().name}", readout)
 
 
 def map_json(found: MapAnswer) -> dict[str, Any]:

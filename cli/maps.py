@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from analysis.errors import BadFigureName
 from cli.console import plain, print_json, say, share_progress, wait_for_compilation
-from cli.model import Accuracy, Plot
+from cli.model import Accuracy
 from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings, need_place
 
@@ -43,7 +44,7 @@ def map(
     output: Annotated[
         Path | None, Parameter(name=["--output", "-o"], help="write the arrays: .npz, .parquet or .zarr")
     ] = None,
-    plot: Plot = None,
+    plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None,
     accuracy: Accuracy = 1e-8,
     parameters: ParametersPath = None,
     settings: Settings = None,
@@ -56,6 +57,7 @@ def map(
     """
     need_place("rig map:", plot, None if output is None else output.parent / f"{output.name}.part")
     with wait_for_compilation("stability map"):
+        from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
         from analysis.maps.answer import answer, compile_maps  # noqa: PLC0415 (numba takes a while to load)
         from analysis.maps.files import need_map_suffix, write_map  # noqa: PLC0415
         from analysis.maps.question import MapQuestion, parameters_source, rig_source, speed_of  # noqa: PLC0415
@@ -65,6 +67,8 @@ def map(
 
         if output is not None:
             need_map_suffix(output)
+        if plot is not None and plot.suffix.lower() not in SUFFIXES:
+            raise BadFigureName(f"rig map: --plot {plot}: expected a name ending in {', '.join(SUFFIXES)}")
         question = MapQuestion(
             rig_source(rig), read_axis("--x", x), read_axis("--y", y), parameters_source(parameters),
             tuple(settings or ()), None, quantity, accuracy, borders, refine,

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportMissingTypeStubs=false
 """Borders of stability for several values of a number, and the value at which most of a map is stable."""
 
 from __future__ import annotations
@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize_scalar  # pyright: ignore[reportUnknownVariableType]
 
 from rig_configs import RigFileError
 from rig_configs.physical_keys import need_physical_key
 
 _SCAN = 9  # values between which a search begins
 _CLOSE = 2e-3  # of two of the scan's steps: how near the search gets
-_FIT = 4  # values nearest the best on which its curvature is read, at least
 
 
 @dataclass(frozen=True)
@@ -101,10 +100,11 @@ class BestValue:
     Attributes:
         values, shares: every value that was tried, rising, and the stable share at it, shape (n,).
         value: the best one.
-        interval: values around it whose shares cannot be told from the greatest.
-        share: the greatest.
-        share_error: how far it may be off: what another halving of the borders' grid changes, and how rough the
-            shares around it are.
+        interval: the nearest values on both sides, or ends of the range, whose shares are smaller by more than
+            `share_error`: with one maximum in the range it lies between them, whether the share bends there or has a
+            corner.
+        share: at the best value.
+        share_error: how far that may be off, from what another halving of the borders' grid changes.
         at_end: whether the range's end is the best, so that a wider range may hold a better one.
     """
 
@@ -147,39 +147,24 @@ def best_value(
     scan = np.linspace(*ends, _SCAN)
     top = int(np.argmax([at(place) for place in scan.tolist()]))
     beside = float(scan[max(top - 1, 0)]), float(scan[min(top + 1, _SCAN - 1)])
-    minimize_scalar(
-        lambda place: -at(float(place)), bounds=beside, method="bounded",
-        options={"xatol": _CLOSE * (beside[1] - beside[0])},
-    )  # fmt: skip
-    best = max(known, key=lambda place: known[place])
-    value = min(max(back(best), within.low), within.high)
-    error = share_error(value)
-    progress(1.0)
-    near, rough = _indistinct(known, best, beside, error)
+
+    def lost(place: float) -> float:
+        return -at(float(place))
+
+    minimize_scalar(lost, bounds=beside, method="bounded", options={"xatol": _CLOSE * (beside[1] - beside[0])})
     places = sorted(known)
-    low, high = (min(max(back(place), within.low), within.high) for place in near)
+    shares = [known[place] for place in places]
+    best = int(np.argmax(shares))
+    values = [min(max(back(place), within.low), within.high) for place in places]
+    error = share_error(values[best])
+    progress(1.0)
+    clear = [i for i, found in enumerate(shares) if found < shares[best] - error]
+    low = max((i for i in clear if i < best), default=0)
+    high = min((i for i in clear if i > best), default=len(places) - 1)
     return BestValue(
-        np.array([back(place) for place in places]), np.array([known[place] for place in places]),
-        value, (low, high), known[best], error + rough, best in ends,
+        np.array(values), np.array(shares), values[best], (values[low], values[high]), shares[best], error,
+        best in (0, len(places) - 1),
     )  # fmt: skip
-
-
-def _indistinct(
-    known: Mapping[float, float], best: float, beside: tuple[float, float], error: float
-) -> tuple[tuple[float, float], float]:
-    """Around the best: where the shares' parabola has lost no more than their error; how rough they lie about it."""
-    places = np.array(sorted(known, key=lambda place: abs(place - best)))
-    width = max(float(np.abs(places[: _FIT + 1] - best).max()), 0.1 * (beside[1] - beside[0]))
-    used = places[np.abs(places - best) <= width]
-    shares = np.array([known[place] for place in used.tolist()])
-    parabola = np.polynomial.Polynomial.fit(used, shares, 2)
-    rough = float(np.sqrt(np.mean((shares - parabola(used)) ** 2))) if len(used) > 3 else 0.0
-    lost = known[best] - (error + rough)
-    crossings = [float(root.real) for root in (parabola - lost).roots() if abs(root.imag) < 1e-12 * width]
-    least = _CLOSE * (beside[1] - beside[0])
-    low = max([root for root in crossings if root < best], default=best)
-    high = min([root for root in crossings if root > best], default=best)
-    return (max(beside[0], min(low, best - least)), min(beside[1], max(high, best + least))), rough
 
 
 def _need_keys(keys: tuple[str, ...]) -> None:
