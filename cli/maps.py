@@ -9,10 +9,11 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from analysis.errors import BadFigureName
-from cli.console import plain, print_json, say, share_progress, wait_for_compilation
+from cli.console import plain, print_json, say, wait_for_compilation
 from cli.model import Accuracy
 from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings, need_place
+from cli.share_progress import share_progress
 
 _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
 
@@ -78,7 +79,11 @@ def map(
         question = replace(question, speed_rad_s=speed_of(question.loaded(), point, speed_ratio, speed_rpm))
         say_what_is_left_out(question)
         compile_maps(question)
-    found = answer(question, share_progress)
+    try:
+        found = answer(question, share_progress)
+    except KeyboardInterrupt:
+        say("rig map: nothing is written before all of it is computed; what was computed is lost")
+        raise
     result = map_json(found)
     written = [] if output is None else write_map(output, record(found, plain(result)))
     if plot is not None:

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withTickedStroke
+from matplotlib.ticker import StrMethodFormatter
 
 from analysis.figures.readout import Readout
 from analysis.figures.sheet import WIDTH_IN, sheet
@@ -82,13 +84,14 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
     )
     if members:
         shares = [100 * member.borders.stable_share for member in members]
-        axes.plot([member.value for member in members], shares, ls="", marker="s", ms=5, mfc="none", mec="black",
-                  label="the values above")  # fmt: skip
+        squares: dict[str, Any] = {"ls": "", "marker": "s", "ms": 5, "mfc": "none", "mec": "black", "clip_on": False}
+        axes.plot([member.value for member in members], shares, **squares, label="the values above")
     axes.axvspan(*best.interval, color=GREY, alpha=0.25, lw=0)
     axes.axvline(best.value, color="black", lw=0.9)
     symbol, unit = symbol_of(within.keys)
     if within.logarithmic:
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.set_xlim(within.low, within.high)
     axes.margins(y=0.22)
     right = (axes.transData + axes.transAxes.inverted()).transform((best.value, 0.0))[0] > 0.6

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,17 @@ from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import compile_tiles
 from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, plane_map
 
-Progress = Callable[[str], AbstractContextManager[Callable[[float], None]]]
-"""Begins to show a piece of work, and takes the share of it that is done."""
 Told = Callable[[float], None]
 _LEVELS = 2  # of the borders' grid
 _REST = 4 / 3  # what all further halvings change, in what one does: an area by chords converges with the square
+
+
+class Progress(Protocol):
+    """Begins to show a piece of work, and takes the share of it that is done."""
+
+    def __call__(self, text: str, count: float | None = None, unit: str = "") -> AbstractContextManager[Told]:
+        """The text says what is done; all of it is so many of a unit, None where nothing is counted."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -101,7 +108,8 @@ def answer(question: MapQuestion, progress: Progress | None = None) -> MapAnswer
 
 
 def _full(question: MapQuestion, plane: Plane, shown: Progress) -> StabilityMap:
-    with shown(f"{question.x.count * question.y.count} points") as told:
+    count = question.x.count * question.y.count
+    with shown(f"{count} points", count, "points") as told:
         return plane_map(plane, question.x.values, question.y.values, question.accuracy, told)
 
 
@@ -156,8 +164,8 @@ def _part(told: Told, i: int, count: int) -> Told:
     return lambda share: told((i + share) / count)
 
 
-def _unseen(text: str) -> AbstractContextManager[Callable[[float], None]]:
-    del text
+def _unseen(text: str, count: float | None = None, unit: str = "") -> AbstractContextManager[Told]:
+    del text, count, unit
     return nullcontext(_unheard)
 
 

@@ -135,12 +135,14 @@ def best_value(
     to, back = (math.log, math.exp) if within.logarithmic else (float, float)
     ends = to(within.low), to(within.high)
     known = dict[float, float]()
-    expected = _SCAN + 10
+    expected = _SCAN + 18
+
+    def value_of(place: float) -> float:  # exp(log(A)) may be one rounding off A
+        return within.low if place == ends[0] else within.high if place == ends[1] else back(place)
 
     def at(place: float) -> float:
         if place not in known:
-            value = min(max(back(place), within.low), within.high)  # exp(log(A)) may round to below A
-            known[place] = share(value)
+            known[place] = share(value_of(place))
             progress(min(0.95, len(known) / expected))
         return known[place]
 
@@ -155,7 +157,7 @@ def best_value(
     places = sorted(known)
     shares = [known[place] for place in places]
     best = int(np.argmax(shares))
-    values = [min(max(back(place), within.low), within.high) for place in places]
+    values = [value_of(place) for place in places]
     error = share_error(values[best])
     progress(1.0)
     clear = [i for i, found in enumerate(shares) if found < shares[best] - error]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,7 +165,7 @@ def multipliers_on_grid(
         NotConverged: a point whose multiplier can't be had even roughly.
     """
     found, errors = np.full((2, len(y), len(x)), np.nan)
-    with ThreadPoolExecutor(max_workers=cores()) as pool:
+    with _threads() as pool:
         tiles = MapTiles(plane, x, y)
         for rectangle in tiles.rectangles(pool):
             for rows, columns, multipliers, bounds in tiles.multipliers(pool, rectangle):
@@ -206,12 +207,24 @@ def multipliers_at_points(
     """
     found, errors = np.full((2, len(x)), np.nan)
     tell = progress or (lambda share: None)
-    with ThreadPoolExecutor(max_workers=cores()) as pool:
+    with _threads() as pool:
         left = _explicit(pool, plane, x, y, np.arange(len(x)), accuracy, found, errors, tell)
     for point in left.tolist():
         found[point], errors[point] = multiplier_at(plane, float(x[point]), float(y[point]), accuracy)
     tell(1.0)
     return found, errors
+
+
+@contextmanager
+def _threads() -> Iterator[ThreadPoolExecutor]:
+    """A thread a core; what still waits is given up where the work is stopped."""
+    pool = ThreadPoolExecutor(max_workers=cores())
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(cancel_futures=True)
+        raise
+    pool.shutdown()
 
 
 def _explicit(
