@@ -3,6 +3,7 @@
 AnalysisError
 ├── NotEnoughData     a run is too short, or too much of it is missing, to say anything
 ├── BadFigureName     a figure is to be written in a format not on offer (also a ValueError)
+├── NoMapFile         a file cannot hold a map, or holds none (also a ValueError)
 ├── TakenName         a report would be written over a file that is no report's
 └── NoStableState     the model has no stable steady state at the speed, or the search for one failed
 """
@@ -18,6 +19,10 @@ class NotEnoughData(AnalysisError):
 
 class BadFigureName(AnalysisError, ValueError):
     """A figure's file name ends in none of the formats on offer; the text lists them."""
+
+
+class NoMapFile(AnalysisError, ValueError):
+    """A map is to be written under a name that cannot hold one, or read from what holds none; the text says why."""
 
 
 class NoStableState(AnalysisError):

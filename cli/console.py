@@ -180,25 +180,3 @@ def step_told(first: str) -> Iterator[Callable[[str], None]]:
         return
     with STDERR.status(Text(harmless(first))) as status:
         yield lambda text: status.update(Text(harmless(text)))
-
-
-@contextmanager
-def share_progress(text: str) -> Iterator[Callable[[float], None]]:
-    """A bar on a terminal for work that tells its share done, 0 … 1; elsewhere a line every ten seconds."""
-    live = STDERR.is_terminal
-    bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=32),
-        TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn(), console=STDERR, disable=not live, transient=True,
-    )  # fmt: skip
-    last = time.monotonic()
-
-    def told(share: float) -> None:
-        nonlocal last
-        bar.update(task, completed=share)
-        if not live and time.monotonic() - last > 10:
-            last = time.monotonic()
-            say(f"{text}: {100 * share:.0f} %")
-
-    with bar:
-        task = bar.add_task(harmless(text), total=1.0)
-        yield told

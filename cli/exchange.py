@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress, show
+from cli.console import print_json, say, show
 from cli.options import Json, Settings
+from cli.share_progress import share_progress
 
 
 def export(

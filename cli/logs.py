@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress
+from cli.console import print_json, say
 from cli.log_table import print_logs
 from cli.options import Json, need_place
+from cli.share_progress import share_progress
 from cli.words import local_time
 from daq.catalogue.query import Query, Sort, parse_instant
 

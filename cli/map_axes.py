@@ -1,11 +1,16 @@
 # pyright: strict
-"""How a number and its values stand on the command line: KEY=A:B:N."""
+"""How numbers and their values stand on the command line: KEY=A:B:N, KEY=1,2,3, KEY=A:B."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 from analysis.maps.axes import MapAxis
+from analysis.maps.families import Family, SearchRange
 from rig_configs import RigFileError
 
+_T = TypeVar("_T")
 _EXAMPLE = "for example speed_ratio=0.3:7:400 or pendulums.a.damping_Nms_per_rad=1e-4:1e-2:100:log"
 
 
@@ -15,17 +20,68 @@ def read_axis(option: str, text: str) -> MapAxis:
     Raises:
         RigFileError: what was expected, under the option's name.
     """
-    keys, equals, numbers = text.partition("=")
-    parts = numbers.split(":")
-    wanted = f"rig map: {option} expected KEY=A:B:N or KEY=A:B:N:log, {_EXAMPLE}; got {text!r}"
-    logarithmic = len(parts) == 4 and parts[-1] == "log"
-    if not equals or len(parts) != (4 if logarithmic else 3):
-        raise RigFileError(wanted)
+    wanted = f"KEY=A:B:N or KEY=A:B:N:log, {_EXAMPLE}"
+
+    def read(keys: tuple[str, ...], values: str) -> MapAxis:
+        parts = values.split(":")
+        logarithmic = len(parts) == 4 and parts[-1] == "log"
+        low, high, count = parts[:-1] if logarithmic else parts
+        return _made(option, lambda: MapAxis(keys, float(low), float(high), int(count), logarithmic))
+
+    return _read(option, text, wanted, read)
+
+
+def read_family(option: str, text: str) -> Family:
+    """KEY=V,V,V or KEY=A:B:N[:log].
+
+    Raises:
+        RigFileError: what was expected, under the option's name.
+    """
+    wanted = "KEY=V,V,V or KEY=A:B:N or KEY=A:B:N:log, for example suspension.zeta1+suspension.zeta2=0.005,0.02,0.1"
+
+    def read(keys: tuple[str, ...], values: str) -> Family:
+        if ":" in values:
+            axis = read_axis(option, text)
+            return _made(option, lambda: Family(axis.keys, tuple(axis.values.tolist())))
+        numbers = tuple(sorted(float(value) for value in values.split(",")))
+        return _made(option, lambda: Family(keys, numbers))
+
+    return _read(option, text, wanted, read)
+
+
+def read_range(option: str, text: str) -> SearchRange:
+    """KEY=A:B or KEY=A:B:log.
+
+    Raises:
+        RigFileError: what was expected, under the option's name.
+    """
+    wanted = "KEY=A:B or KEY=A:B:log, for example suspension.zeta1+suspension.zeta2=0.005:2:log"
+
+    def read(keys: tuple[str, ...], values: str) -> SearchRange:
+        parts = values.split(":")
+        logarithmic = len(parts) == 3 and parts[-1] == "log"
+        low, high = parts[:-1] if logarithmic else parts
+        return _made(option, lambda: SearchRange(keys, float(low), float(high), logarithmic))
+
+    return _read(option, text, wanted, read)
+
+
+def _read(option: str, text: str, wanted: str, read: Callable[[tuple[str, ...], str], _T]) -> _T:
+    keys, equals, values = text.partition("=")
+    fault = RigFileError(f"rig map: {option} expected {wanted}; got {text!r}")
+    if not equals:
+        raise fault
     try:
-        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
-    except ValueError:
-        raise RigFileError(wanted) from None
+        return read(tuple(key.strip() for key in keys.split("+")), values)
+    except RigFileError:
+        raise
+    except ValueError:  # too many or too few parts, or what is no number
+        raise fault from None
+
+
+def _made(option: str, make: Callable[[], _T]) -> _T:
+    """Under the option's name."""
     try:
-        return MapAxis(tuple(key.strip() for key in keys.split("+")), low, high, count, logarithmic)
+        return make()
     except RigFileError as error:
         raise RigFileError(f"rig map: {option} {error}") from error

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from analysis.figures.stability_map import MapPoint, plane_map_figure
-from analysis.figures.style import save
+from analysis.figures.page import write_figure
+from analysis.figures.plane_maps import draw_map
 from analysis.maps.answer import MapAnswer
 from analysis.maps.question import MapQuestion
 from cli.console import say
@@ -30,14 +30,8 @@ def say_what_is_left_out(question: MapQuestion) -> None:
 
 def draw(path: Path, found: MapAnswer) -> None:
     """Write the map's figure."""
-    axes, rig = found.question.axes, found.question.loaded()
-    own = rig.physics.k2_N_per_m / rig.physics.k1_N_per_m
-    usual = (axes[0].keys, axes[1].keys) == (("speed_ratio",), ("stiffness_ratio",))
-    points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
-    names, logarithmic = (axes[0].name, axes[1].name), (axes[0].logarithmic, axes[1].logarithmic)
-    as_rate = found.question.quantity == "decay-rate"
-    drawn = plane_map_figure(found.grid, names, logarithmic, found.borders, as_rate, points, own if usual else None)
-    save(path, drawn)
+    figure, readout = draw_map(found)
+    write_figure(path, figure, f"Stability map of {found.question.loaded().name}", readout)
 
 
 def map_json(found: MapAnswer) -> dict[str, Any]:
@@ -51,15 +45,44 @@ def map_json(found: MapAnswer) -> dict[str, Any]:
         "balanced_share": float(np.mean(there)),
         "seconds": found.seconds,
         "microseconds_per_point": 1e6 * found.seconds / size,
-        "method": grid.method,
+        "method": found.method,
         "accuracy": grid.accuracy,
-        "largest_error_estimate": float(np.max(grid.error_estimate[there], initial=0.0)),
+        "largest_error_estimate": float(np.nanmax(grid.error_estimate, initial=0.0)),
         "stable_share": float(np.mean(grid.stable)),
         "points_beyond_accuracy": grid.missed,
         "borders": None if lines is None else borders_json(lines),
         "borders_complete_to": None if lines is None else list(lines.complete_to),
         "stable_share_by_borders": None if lines is None else lines.stable_share,
+        "computed_share": 1.0 if found.computed is None else float(np.mean(found.computed)),
+        "family": _family_json(found),
+        "best": _best_json(found),
     }
+
+
+def _family_json(found: MapAnswer) -> dict[str, Any] | None:
+    family = found.question.family
+    return None if family is None else {
+        "key": family.key,
+        "members": [
+            {"value": one.value, "stable_share": one.borders.stable_share, "borders": borders_json(one.borders)}
+            for one in found.family
+        ],
+    }  # fmt: skip
+
+
+def _best_json(found: MapAnswer) -> dict[str, Any] | None:
+    best, within = found.best, found.question.best
+    return None if best is None or within is None else {
+        "key": within.key,
+        "value": best.value,
+        "interval": list(best.interval),
+        "stable_share": best.share,
+        "stable_share_error": best.share_error,
+        "at_end": best.at_end,
+        "stable_share_at_ends": [float(best.shares[0]), float(best.shares[-1])],
+        "values": best.values.tolist(),
+        "stable_shares": best.shares.tolist(),
+    }  # fmt: skip
 
 
 def borders_json(lines: Borders) -> list[dict[str, Any]]:
@@ -95,7 +118,27 @@ def print_map(result: Mapping[str, Any], settings: list[str] | None) -> None:
             f"stable within the borders: {100 * result['stable_share_by_borders']:.3f} %; what is smaller than "
             f"1/{1 / across:.0f} of x by 1/{1 / up:.0f} of y may have been missed"
         )
+    _print_refined_and_varied(result)
     if settings:
         print(what_if_words(settings))
     if missed := result["points_beyond_accuracy"]:
         say(f"{missed} points are known less well than asked; error_estimate says how well")
+
+
+def _print_refined_and_varied(result: Mapping[str, Any]) -> None:
+    if result["computed_share"] < 1:
+        print(
+            f"refined at borders: {100 * result['computed_share']:.1f} % of the points computed, the others "
+            "interpolated; an island between points of the coarse grid may have been missed"
+        )
+    family: dict[str, Any] = result["family"] or {"key": "", "members": []}
+    for member in family["members"]:
+        print(f"{family['key']} = {member['value']:.6g}: stable on {100 * member['stable_share']:.3f} %")
+    if best := result["best"]:
+        (low, high), (first, last) = best["interval"], best["stable_share_at_ends"]
+        end = "; the range's end is the best, a wider range may hold a better one" if best["at_end"] else ""
+        print(
+            f"largest stable share at {best['key']} = {best['value']:.4g} ({low:.4g} … {high:.4g}): "
+            f"{100 * best['stable_share']:.3f} % ± {100 * best['stable_share_error']:.1g} %; "
+            f"at the ends {100 * first:.3f} % and {100 * last:.3f} %{end}"
+        )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.scheduler import worked_out
+from rig_configs import RigFileError
 
 if TYPE_CHECKING:
     from analysis.maps.question import MapQuestion
@@ -31,8 +32,13 @@ def in_tiles(
     from studies.maps import assembled, map_study  # noqa: PLC0415 (loads numba)
     from studies.tile_files import TileFolder  # noqa: PLC0415
 
+    if question.refine and scheduler is not None:
+        raise RigFileError(
+            "rig map: --refine works in this process, cell by cell after what it has found; leave --scheduler out, or "
+            "ask for the whole fine grid"
+        )
     study = map_study(question)
-    if study.tiles == 1 and scheduler is None:
+    if question.refine or (study.tiles == 1 and scheduler is None):
         yield None
         return
     with tempfile.TemporaryDirectory(prefix="rig-map-") as passing:

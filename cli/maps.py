@@ -8,13 +8,14 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress, wait_for_compilation
+from analysis.errors import BadFigureName
+from cli.console import plain, print_json, say, wait_for_compilation
 from cli.map_tiles import in_tiles
-from cli.model import Accuracy, Plot
+from cli.model import Accuracy
 from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings, need_place
 from cli.scheduler import Scheduler
-from rig_configs import RigFileError
+from cli.share_progress import share_progress
 
 _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
 
@@ -31,11 +32,22 @@ def map(
     borders: Annotated[
         bool, Parameter(negative="", help="follow the borders of stability, every branch to 1e-10, beside the map")
     ] = False,
+    family: Annotated[
+        str | None, Parameter(help="KEY=V,V,V or KEY=A:B:N[:log]: follow the borders for each value of another number")
+    ] = None,
+    best: Annotated[
+        str | None, Parameter(help="KEY=A:B[:log]: search the value at which most of the plane is stable")
+    ] = None,
+    refine: Annotated[
+        int, Parameter(help="halve the grid's cells so often both ways, but only where stability changes")
+    ] = 0,
     point: Annotated[str | None, Parameter(help="the speed of a point, where neither axis is a speed")] = None,
     speed_ratio: Annotated[Positive | None, Parameter(help="the speed, where neither axis is one")] = None,
     speed_rpm: Annotated[PositiveRpm | None, Parameter(help="the same in rpm")] = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
-    plot: Plot = None,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="write the arrays: .npz, .parquet or .zarr")
+    ] = None,
+    plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None,
     accuracy: Accuracy = 1e-8,
     scheduler: Scheduler = None,
     parameters: ParametersPath = None,
@@ -47,41 +59,53 @@ def map(
     KEY is speed_ratio, speed_rpm, stiffness_ratio or a number of the rig file, such as imbalance.radius_m or
     suspension.zeta1+suspension.zeta2.
     """
-    need_place("rig map:", output, plot)
-    if output is not None and output.suffix != ".npz":
-        raise RigFileError(f"rig map: -o expected a name ending in .npz, got {output}")
+    need_place("rig map:", plot, None if output is None else output.parent / f"{output.name}.part")
     with wait_for_compilation("stability map"):
+        from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
         from analysis.maps.answer import answer, compile_maps  # noqa: PLC0415 (numba takes a while to load)
-        from analysis.maps.files import write_map  # noqa: PLC0415
+        from analysis.maps.files import need_map_suffix, write_map  # noqa: PLC0415
         from analysis.maps.question import MapQuestion, parameters_source, rig_source, speed_of  # noqa: PLC0415
-        from cli.map_axes import read_axis  # noqa: PLC0415
+        from analysis.maps.record import record  # noqa: PLC0415
+        from cli.map_axes import read_axis, read_family, read_range  # noqa: PLC0415
         from cli.map_page import draw, map_json, print_map, say_what_is_left_out  # noqa: PLC0415
 
+        if output is not None:
+            need_map_suffix(output)
+        if plot is not None and plot.suffix.lower() not in SUFFIXES:
+            raise BadFigureName(f"rig map: --plot {plot}: expected a name ending in {', '.join(SUFFIXES)}")
         question = MapQuestion(
             rig_source(rig), read_axis("--x", x), read_axis("--y", y), parameters_source(parameters),
-            tuple(settings or ()), None, quantity, accuracy, borders,
+            tuple(settings or ()), None, quantity, accuracy, borders, refine,
+            None if family is None else read_family("--family", family),
+            None if best is None else read_range("--best", best),
         )  # fmt: skip
         question = replace(question, speed_rad_s=speed_of(question.loaded(), point, speed_ratio, speed_rpm))
         say_what_is_left_out(question)
         compile_maps(question)
     with in_tiles(question, output, scheduler) as grid_of:
-        found = answer(question, share_progress, grid_of)
-        if output is not None:
-            write_map(output, found)
+        try:
+            found = answer(question, share_progress, grid_of)
+        except KeyboardInterrupt:
+            if grid_of is None:
+                say("rig map: nothing is written before all of it is computed; what was computed is lost")
+            raise
+        result = map_json(found)
+        written = [] if output is None else write_map(output, record(found, plain(result)))
     if plot is not None:
         draw(plot, found)
-    result = map_json(found) | {
+        written.append(plot)
+    result |= {
         "what_if": list(settings or []),
         "file": None if output is None else str(output),
         "plot": None if plot is None else str(plot),
+        "written": [str(path) for path in written],
     }
     if json:
         print_json(result)
         return 0
     print_map(result, settings)
-    for path in (output, plot):
-        if path is not None:
-            print(f"written to {path}")
-    if output is None and plot is None:
+    for path in written:
+        print(f"written to {path}")
+    if not written:
         say("nothing kept: give -o FILE.npz for the arrays, --plot FILE for the figure")
     return 0

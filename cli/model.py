@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress, wait_for_compilation
+from cli.console import print_json, say, wait_for_compilation
 from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from cli.share_progress import share_progress
 from cli.slow_roll_page import forced_region, shown_json, shown_line
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from cyclopts import Parameter
 
-from cli.console import print_json, share_progress, wait_for_compilation
+from cli.console import print_json, wait_for_compilation
 from cli.numbers import between
 from cli.options import Json, Settings, what_if_words
+from cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig, overridden
 
 if TYPE_CHECKING:
@@ -248,7 +249,7 @@ def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, se
 
         count = trials or _MODEL_TRIALS
         found = answer.predicted
-        with share_progress(f"{count} draws of {', '.join(found.predictions)}") as told:
+        with share_progress(f"{count} draws of {', '.join(found.predictions)}", count, "draws") as told:
             model = NonlinearModel(found, rig.physics, told, count)
             sampled.append(
                 monte_carlo(

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress
+from cli.console import print_json, say
 from cli.options import Json, Settings, what_if_words
+from cli.share_progress import share_progress
 from daq.errors import LogError
 from rig_configs import IdentifiedParameters, RigFileError
 

@@ -11,11 +11,12 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from cli.console import STDERR, print_json, say, share_progress, show
+from cli.console import STDERR, print_json, say, show
 from cli.numbers import SecondsOrNone
 from cli.options import Json, Settings
 from cli.replay_interlocks import show_interlocks
 from cli.replay_view import ReplayView
+from cli.share_progress import share_progress
 from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.playback import Playback, Played, open_outlets, played_devices

@@ -8,8 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cli.console import print_json, say, share_progress, show
+from cli.console import print_json, say, show
 from cli.options import what_if_words
+from cli.share_progress import share_progress
 from cli.words import stdout_console
 from daq.acquisition.interlock_table import INTERLOCKS, Interlock
 from daq.log import open_log

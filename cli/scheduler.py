@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from cli.console import say, share_progress
+from cli.console import say
+from cli.share_progress import share_progress
 
 if TYPE_CHECKING:
     from studies.study import Study
@@ -46,7 +47,7 @@ def worked_out(study: Study, place: Path, scheduler: str | None, what: str) -> T
     if there := len(folder.finished()):
         say(f"{there} of {study.tiles} {what} are in {place} already and are not worked out again")
     try:
-        with share_progress(f"{study.tiles} {what}, {engine.name}") as progress:
+        with share_progress(f"{study.tiles} {what}, {engine.name}", study.tiles, what) as progress:
             run_study(folder, engine, lambda done, total: progress(done / total))
     except KeyboardInterrupt:
         say(

@@ -11,10 +11,11 @@ import numpy as np
 from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
-from cli.console import print_json, say, share_progress
+from cli.console import print_json, say
 from cli.numbers import WholeCount
 from cli.options import Json, Settings
 from cli.scheduler import Scheduler, worked_out
+from cli.share_progress import share_progress
 from rig_configs import RigFileError
 from rig_configs.load import rig_text
 

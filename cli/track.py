@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress
+from cli.console import print_json, say
 from cli.options import Json, ParametersPath, Settings
 from cli.setting_costs import TRACKING_HELP
+from cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden, with_parameters
 
 if TYPE_CHECKING:

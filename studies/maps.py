@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -24,9 +25,9 @@ Part = tuple[slice, slice]
 
 
 def map_study(question: MapQuestion) -> Study:
-    """The study that answers a map's question, its borders left out."""
-    asked = question.as_json()
-    return Study.of("map", {name: asked[name] for name in asked if name not in ("quantity", "borders")})
+    """The study that works out the grid of a map's question; refined grids and borders are not in tiles."""
+    alone = replace(question, quantity="multiplier", borders=False, refine=0, family=None, best=None)
+    return Study.of("map", alone.as_json())
 
 
 def parts_of(columns: int, rows: int) -> list[Part]:
@@ -50,7 +51,7 @@ def _cuts(count: int, parts: int) -> list[slice]:
 @lru_cache(maxsize=8)
 def _asked(text: str) -> tuple[MapQuestion, list[Part]]:
     """The question and its tiles."""
-    question = MapQuestion.of_json({**json.loads(text), "quantity": "multiplier", "borders": False})
+    question = MapQuestion.of_json(json.loads(text))
     return question, parts_of(question.x.count, question.y.count)
 
 

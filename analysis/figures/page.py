@@ -10,18 +10,20 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from analysis.errors import BadFigureName
+from analysis.figures.readout import Readout
 from analysis.figures.style import save, to_svg
 
 SUFFIXES = (".svg", ".png", ".pdf", ".html")
 _TEMPLATE = "page.html"
 
 
-def write_figure(path: str | Path, figure: Figure, title: str) -> None:
+def write_figure(path: str | Path, figure: Figure, title: str, readout: Readout | None = None) -> None:
     """Write a figure in the format of the file's suffix: .svg, .png, .pdf or .html.
 
     Args:
         path: the file; its folder must exist.
         title: of an HTML page, also read out by screen readers.
+        readout: values that an HTML page shows under the pointer.
     Raises:
         BadFigureName: another suffix.
     """
@@ -29,12 +31,13 @@ def write_figure(path: str | Path, figure: Figure, title: str) -> None:
     if path.suffix.lower() not in SUFFIXES:
         raise BadFigureName(f"figure {path}: expected a name ending in {', '.join(SUFFIXES)}")
     if path.suffix.lower() == ".html":
-        path.write_text(page(figure, title), encoding="utf-8")
+        path.write_text(page(figure, title, readout), encoding="utf-8")
         return
     save(path, figure)
 
 
-def page(figure: Figure, title: str) -> str:
+def page(figure: Figure, title: str, readout: Readout | None = None) -> str:
     """The HTML text: wheel, pinch or + and − zoom, dragging or arrow keys pan, double click or 0 shows all."""
     text = resources.files("analysis.figures").joinpath(_TEMPLATE).read_text(encoding="utf-8")
-    return text.replace("{{title}}", escape(title)).replace("{{figure}}", to_svg(figure, "figure", title))
+    text = text.replace("{{title}}", escape(title)).replace("{{readout}}", readout.as_json() if readout else "null")
+    return text.replace("{{figure}}", to_svg(figure, "figure", title))

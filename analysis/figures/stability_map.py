@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MODEL, drawing, label, to_svg
@@ -16,8 +17,8 @@ from dynamics.stability.borders import Borders
 from dynamics.stability.stability_map import StabilityMap, stability_map
 
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
-_USUAL = ("speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
-_SHORT: dict[str, str] = {_USUAL[0]: "Ω", _USUAL[1]: "K"}
+USUAL = ("speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
+_SHORT: dict[str, str] = {USUAL[0]: "Ω", USUAL[1]: "K"}
 _MARKS = {"I": "o", "II": "s", "III": "^", "slipping": "X", "not settled": "P"}
 
 
@@ -76,37 +77,17 @@ def draw_points_on_map(physics: RotorParameters, points: Sequence[MapPoint], tit
 def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: Sequence[MapPoint]) -> Figure:
     """The largest Type I multiplier as filled contours, with both resonance lines and the points on the rig's line."""
     own = physics.k2_N_per_m / physics.k1_N_per_m
-    grid = _Grid(found.x, found.y, found.multiplier_max)
-    return _figure(grid, _USUAL, (False, False), None, points, own)
-
-
-def plane_map_figure(
-    found: StabilityMap,
-    names: tuple[str, str],
-    logarithmic: tuple[bool, bool],
-    borders: Borders | None = None,
-    as_decay_rate: bool = False,
-    points: Sequence[MapPoint] = (),
-    own_stiffness_ratio: float | None = None,
-) -> Figure:
-    """A map over any two numbers as filled contours, white where no balanced state exists.
-
-    Args:
-        names: of the axes.
-        logarithmic: whether an axis is.
-        borders: drawn in place of the map's own contour, a line each for flutter, divergence and period doubling.
-        as_decay_rate: show the decay rate per second instead of the multiplier.
-        points: marked, over speed ratio and stiffness ratio only.
-        own_stiffness_ratio: the rig's, where y is one: x and y are then speed ratio and stiffness ratio.
-    """
-    values = found.decay_rate_per_s if as_decay_rate else found.multiplier_max
-    grid = _Grid(found.x, found.y, values, as_decay_rate)
-    return _figure(grid, names, logarithmic, borders, points, own_stiffness_ratio)
+    grid = MapGrid(found.x, found.y, found.multiplier_max)
+    return _figure(grid, points, own)
 
 
 @dataclass(frozen=True)
-class _Grid:
-    """Values over x and y, shape (len(y), len(x))."""
+class MapGrid:
+    """Values over x and y, shape (len(y), len(x)).
+
+    Attributes:
+        is_rate: whether they are decay rates, 1/s, and no multipliers.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -133,39 +114,61 @@ class _Grid:
         return tuple(float(f"{share * (stable if share > 0 else unstable):.2g}") for share in shares)
 
 
-def _figure(
-    grid: _Grid, names: tuple[str, str], logarithmic: tuple[bool, bool], borders: Borders | None,
-    points: Sequence[MapPoint], own: float | None,
-) -> Figure:  # fmt: skip
-    x, y = grid.x, grid.y
+def _figure(grid: MapGrid, points: Sequence[MapPoint], own: float) -> Figure:
     with drawing(8.6, 4.4) as figure:
-        axes = figure.add_subplot()
-        figure.subplots_adjust(left=0.075, right=1.02 if grid.is_rate else 1.04, top=0.97, bottom=0.12)
-        axes.grid(False)
-        if min(len(x), len(y)) < 2:
-            _one_line(axes, grid, names, logarithmic)
-            return figure
-        colours = _COLOURS[::-1] if grid.is_rate else _COLOURS
-        shown = np.ma.masked_invalid(grid.values)
-        filled = axes.contourf(x, y, shown, levels=grid.levels, extend="both", colors=colours)
-        if borders is None:
-            axes.contour(x, y, shown, levels=[grid.border], colors="black", linewidths=1.6)
-        else:
-            _draw_borders(axes, borders)
-        if own is not None:
-            _resonances(axes, x, y)
-        axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-        if logarithmic[0]:
-            axes.set_xscale("log")
-        if logarithmic[1]:
-            axes.set_yscale("log")
-        if own is not None and y[0] <= own <= y[-1]:
+        figure.subplots_adjust(left=0.075, right=1.04, top=0.97, bottom=0.12)
+        draw_grid(figure.add_subplot(), grid, USUAL, (False, False), None, points, own)
+        return figure
+
+
+def draw_grid(
+    axes: Axes, grid: MapGrid, names: tuple[str, str], logarithmic: tuple[bool, bool], borders: Borders | None = None,
+    points: Sequence[MapPoint] = (), own: float | None = None,
+) -> None:  # fmt: skip
+    """Values as filled contours with a bar, white where there are none; of one row or column a curve.
+
+    Args:
+        names: of the axes.
+        logarithmic: whether an axis is.
+        borders: drawn in place of the map's own contour, a line each for flutter, divergence and period doubling.
+        points: marked on the rig's line, over speed ratio and stiffness ratio only.
+        own: the rig's stiffness ratio, where y is one and x the speed ratio.
+    """
+    x, y = grid.x, grid.y
+    axes.grid(False)
+    if min(len(x), len(y)) < 2:
+        _one_line(axes, grid, names, logarithmic)
+        return
+    colours = _COLOURS[::-1] if grid.is_rate else _COLOURS
+    shown = np.ma.masked_invalid(grid.values)
+    filled = axes.contourf(x, y, shown, levels=grid.levels, extend="both", colors=colours)
+    if borders is None:
+        axes.contour(x, y, shown, levels=[grid.border], colors="black", linewidths=1.6)
+    else:
+        _draw_borders(axes, borders)
+    set_plane(axes, (x, y), names, logarithmic, points, own)
+    figure = axes.figure
+    bar = figure.colorbar(filled, ax=axes, ticks=grid.levels, pad=0.01, format="%g" if grid.is_rate else None)
+    bar.set_label("decay rate, 1/s" if grid.is_rate else "largest |multiplier| over one revolution")
+
+
+def set_plane(
+    axes: Axes, grid: tuple[np.ndarray, np.ndarray], names: tuple[str, str], logarithmic: tuple[bool, bool],
+    points: Sequence[MapPoint] = (), own: float | None = None,
+) -> None:  # fmt: skip
+    """Ranges and names of a map's axes, and over speed and stiffness ratio both resonances and the rig's line."""
+    x, y = grid
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    if logarithmic[0]:
+        axes.set_xscale("log")
+    if logarithmic[1]:
+        axes.set_yscale("log")
+    if own is not None:
+        _resonances(axes, x, y)
+        if y[0] <= own <= y[-1]:
             axes.axhline(own, color="#333333", lw=0.6, ls=":")
             _points(axes, [p for p in points if x[0] <= p.speed_ratio <= x[-1]], own)
-        label(axes, *names)
-        bar = figure.colorbar(filled, ax=axes, ticks=grid.levels, pad=0.01, format="%g" if grid.is_rate else None)
-        bar.set_label("decay rate, 1/s" if grid.is_rate else "largest |multiplier| over one revolution")
-        return figure
+    label(axes, *names)
 
 
 _LINES = {"flutter": "-", "divergence": "--", "period doubling": ":"}
@@ -187,11 +190,10 @@ def _draw_borders(axes: Axes, borders: Borders) -> None:
             )
 
 
-def _one_line(axes: Axes, grid: _Grid, names: tuple[str, str], logarithmic: tuple[bool, bool]) -> None:
+def _one_line(axes: Axes, grid: MapGrid, names: tuple[str, str], logarithmic: tuple[bool, bool]) -> None:
     """A map of one row or one column is a curve."""
     along_x = len(grid.x) > 1 or len(grid.y) == 1
     x, fixed = (grid.x, grid.y[0]) if along_x else (grid.y, grid.x[0])
-    axes.figure.subplots_adjust(right=0.97)
     axes.grid(True)
     axes.plot(x, grid.values.ravel(), color=MODEL, marker="o" if len(x) == 1 else "")
     axes.axhline(grid.border, color="black", lw=0.9)
@@ -221,4 +223,5 @@ def _points(axes: Axes, points: Sequence[MapPoint], own: float) -> None:
         axes.annotate(
             f"{point.name} · {point.state}", (point.speed_ratio, own), xytext=(0, 9 if i % 2 == 0 else -17),
             ha="center", textcoords="offset points", fontsize=9, fontweight="bold", parse_math=False,
+            path_effects=[withStroke(linewidth=2.5, foreground="white")],
         )  # fmt: skip

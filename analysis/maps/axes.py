@@ -23,6 +23,15 @@ NAMES = {
 }
 """Numbers that no rig file has, and what a figure calls them."""
 SPEEDS = (SPEED_RATIO, SPEED_RPM)
+_SYMBOLS = {
+    "suspension.k1_N_per_m": ("k1", "N/m"),
+    "suspension.k2_N_per_m": ("k2", "N/m"),
+    "suspension.zeta1": ("ζ1", ""),
+    "suspension.zeta2": ("ζ2", ""),
+    "pendulums.a.damping_Nms_per_rad": ("c3", "N m s/rad"),
+    "pendulums.b.damping_Nms_per_rad": ("c4", "N m s/rad"),
+}
+_QUANTITIES = {"k": "stiffness", "ζ": "damping ratio", "c": "pendulum damping"}
 _ROOTS = (STIFFNESS_RATIO, "suspension.k1_N_per_m", "suspension.k2_N_per_m")
 _MOST = 10_000_000
 
@@ -74,7 +83,7 @@ class MapAxis:
     @property
     def name(self) -> str:
         """For an axis of a figure."""
-        return " = ".join(NAMES.get(key, key) for key in self.keys)
+        return name_of(self.keys)
 
     @property
     def is_speed(self) -> bool:
@@ -121,3 +130,18 @@ def need_alike(keys: tuple[str, ...]) -> None:
             need_physical_key(key)
     if len(keys) > 1 and any(key in NAMES for key in keys):
         raise RigFileError(f"{'+'.join(keys)} cannot change alike; only numbers of the rig file can")
+
+
+def symbol_of(keys: tuple[str, ...]) -> tuple[str, str]:
+    """The numbers' symbols, joined by =, and their unit with a space before it; keys where there is no symbol."""
+    found = [_SYMBOLS.get(key, (key, "")) for key in keys]
+    unit = found[0][1]
+    return " = ".join(symbol for symbol, _ in found), f" {unit}" if unit else ""
+
+
+def name_of(keys: tuple[str, ...]) -> str:
+    """The numbers' name for an axis of a figure."""
+    if keys[0] not in _SYMBOLS:
+        return " = ".join(NAMES.get(key, key) for key in keys)
+    symbol, unit = symbol_of(keys)
+    return f"{_QUANTITIES[symbol[0]]} {symbol}{',' if unit else ''}{unit}"

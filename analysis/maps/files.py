@@ -1,32 +1,137 @@
 # pyright: strict
-"""Files that hold a map."""
+"""Maps in files: .npz, .parquet and .zarr, each with its borders and its provenance."""
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.maps.answer import MapAnswer
+from analysis.errors import NoMapFile
+from analysis.maps.question import MapQuestion
+from analysis.maps.record import FORMAT, MapRecord, RecordedBorder
+from rig_configs import RigConfigError
+
+SUFFIXES = (".npz", ".parquet", ".zarr")
 
 
-def write_map(path: Path, found: MapAnswer) -> None:
-    """Write a map's arrays in the format of the file's suffix."""
-    np.savez_compressed(path, allow_pickle=False, **cast(dict[str, Any], arrays(found)))
+def need_map_suffix(path: Path) -> None:
+    """Whether a map can be written under a name, asked before it is made.
+
+    Raises:
+        NoMapFile: another ending; a .zarr without the package for it; a folder that is no zarr store.
+    """
+    if path.suffix not in SUFFIXES:
+        raise NoMapFile(f"{path}: expected a name ending in {', '.join(SUFFIXES)}")
+    if path.suffix == ".zarr":
+        from analysis.maps.zarr_store import need_zarr  # noqa: PLC0415 (an optional package)
+
+        need_zarr(path)
+    elif path.is_dir():
+        raise NoMapFile(f"{path}: expected a file's name, this is a folder; give another name")
 
 
-def arrays(found: MapAnswer) -> dict[str, NDArray[Any]]:
-    """What is kept: the axes under their keys, the map, and each border's points."""
-    kept: dict[str, NDArray[Any]] = {
-        found.question.x.keys[0]: found.grid.x,
-        found.question.y.keys[0]: found.grid.y,
-        "multiplier_max": found.grid.multiplier_max,
-        "error_estimate": found.grid.error_estimate,
-        "decay_rate_per_s": found.grid.decay_rate_per_s,
-    }
-    for number, branch in enumerate(found.borders.branches if found.borders else (), 1):
-        kept[f"border_{number}"] = np.column_stack([branch.x, branch.y])
-        kept[f"border_{number}_multiplier"] = branch.multiplier
-    return kept
+def write_map(path: str | Path, kept: MapRecord) -> list[Path]:
+    """Write a map in the format of the name's suffix; the names appear when all of it is written.
+
+    Returns:
+        What was written: the file or the store, and of a .parquet with borders NAME.borders.parquet too.
+    Raises:
+        NoMapFile: see `need_map_suffix`.
+        OSError: the disk.
+    """
+    path = Path(path)
+    need_map_suffix(path)
+    if path.suffix == ".parquet":
+        from analysis.maps.parquet_files import write_parquet  # noqa: PLC0415 (Arrow takes a while to load)
+
+        return write_parquet(path, kept)
+    if path.suffix == ".zarr":
+        from analysis.maps.zarr_store import write_zarr  # noqa: PLC0415 (an optional package)
+
+        replaced(path, lambda part: write_zarr(part, kept))
+    else:
+        replaced(path, lambda part: _write_npz(part, kept))
+    return [path]
+
+
+def load_map(path: str | Path) -> MapRecord:
+    """Read what `write_map`, or `rig map -o`, has written.
+
+    Raises:
+        NoMapFile: another ending, or no map in it.
+        OSError: it is absent, or cannot be read.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise NoMapFile(f"{path}: expected a name ending in {', '.join(SUFFIXES)}")
+    try:
+        if path.suffix == ".parquet":
+            from analysis.maps.parquet_files import read_parquet  # noqa: PLC0415
+
+            return read_parquet(path)
+        if path.suffix == ".zarr":
+            from analysis.maps.zarr_store import read_zarr  # noqa: PLC0415
+
+            return read_zarr(path)
+        return _read_npz(path)
+    except (KeyError, ValueError, TypeError, RigConfigError, zipfile.BadZipFile) as error:
+        raise NoMapFile(f"{path}: expected a map as `rig map -o` writes it; problem: {error!r}") from error
+
+
+def keys_of(provenance: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The keys of x and of y."""
+    if provenance.get("format") != FORMAT:
+        raise ValueError(f"format {provenance.get('format')!r}, known is {FORMAT!r}")
+    question = MapQuestion.of_json(provenance["question"])
+    return question.x.keys, question.y.keys
+
+
+def replaced(path: Path, write: Callable[[Path], None]) -> None:
+    """Write beside a file or store, then put it in its place."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        write(part)
+        if path.is_dir():
+            shutil.rmtree(path)
+        os.replace(part, path)
+    finally:
+        if part.is_dir():
+            shutil.rmtree(part)
+        part.unlink(missing_ok=True)
+
+
+def _write_npz(path: Path, kept: MapRecord) -> None:
+    x_keys, y_keys = keys_of(kept.provenance)
+    arrays: dict[str, NDArray[Any]] = {x_keys[0]: kept.x, y_keys[0]: kept.y, **kept.grid}
+    for number, line in enumerate(kept.borders, 1):
+        arrays[f"border_{number}"] = np.column_stack([line.x, line.y])
+        arrays[f"border_{number}_multiplier"] = line.multiplier
+    lines = [{"closed": line.closed, "value": line.value} for line in kept.borders]
+    arrays["provenance"] = np.array(json.dumps({**kept.provenance, "borders": lines}))
+    with open(path, "wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **cast(dict[str, Any], arrays))
+
+
+def _read_npz(path: Path) -> MapRecord:
+    with np.load(path, allow_pickle=False) as opened:
+        held: dict[str, NDArray[Any]] = {name: opened[name] for name in opened.files}
+    provenance: dict[str, Any] = json.loads(str(held.pop("provenance")))
+    lines: list[dict[str, Any]] = provenance.pop("borders")
+    x_keys, y_keys = keys_of(provenance)
+    borders = tuple(
+        RecordedBorder(
+            held[f"border_{n}"][:, 0], held[f"border_{n}"][:, 1], held[f"border_{n}_multiplier"],
+            bool(line["closed"]), line["value"],
+        )
+        for n, line in enumerate(lines, 1)
+    )  # fmt: skip
+    x, y = held.pop(x_keys[0]), held.pop(y_keys[0])
+    return MapRecord(provenance, x, y, {k: v for k, v in held.items() if not k.startswith("border_")}, borders)

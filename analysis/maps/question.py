@@ -6,12 +6,13 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Self, cast
 
-from analysis.maps.axes import MapAxis
+from analysis.maps.axes import STIFFNESS_RATIO, MapAxis
+from analysis.maps.families import Family, SearchRange
 from analysis.maps.planes import plane_over
 from dynamics.stability.map_plane import Plane
 from rig_configs import IdentifiedParameters, ParametersFileError, Rig, RigFileError
@@ -19,6 +20,8 @@ from rig_configs.load import rig_from_text, rig_text
 from rig_configs.toml_text import read_text
 
 Quantity = Literal["multiplier", "decay-rate"]
+_FINEST = 8
+_K2 = "suspension.k2_N_per_m"
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,11 @@ class MapQuestion:
         quantity: what is shown.
         accuracy: of the largest multiplier, relative to max(1, its modulus).
         borders: whether the borders of stability are followed too.
+        refine: how often cells of the grid are halved both ways where stability changes; x and y are the coarse grid's.
+        family: values of a further number for which borders are followed, or None.
+        best: between which values of a further number the largest stable share is looked for, or None.
+    Raises:
+        RigFileError: what does not go together.
     """
 
     rig: SourceText
@@ -72,15 +80,32 @@ class MapQuestion:
     quantity: Quantity = "multiplier"
     accuracy: float = 1e-8
     borders: bool = False
+    refine: int = 0
+    family: Family | None = None
+    best: SearchRange | None = None
 
     def __post_init__(self) -> None:
-        if self.borders and min(self.x.count, self.y.count) < 2:
-            raise RigFileError("rig map: --borders needs both axes to span a range, A < B and N of at least 2")
+        asked = {"--borders": self.borders, "--refine": self.refine, "--family": self.family, "--best": self.best}
+        for option in (option for option, value in asked.items() if value):
+            if min(self.x.count, self.y.count) < 2:
+                raise RigFileError(f"rig map: {option} needs both axes to span a range, A < B and N of at least 2")
+        if not 0 <= self.refine <= _FINEST:
+            raise RigFileError(f"rig map: --refine expected 0 … {_FINEST}, got {self.refine}")
+        on_axes = {_K2 if key == STIFFNESS_RATIO else key for key in (*self.x.keys, *self.y.keys)}
+        for option, varied in (("--family", self.family), ("--best", self.best)):
+            if varied and (both := sorted({*varied.keys} & on_axes)):
+                raise RigFileError(f"rig map: {option}: {both[0]} changes along an axis; give another number")
 
     @property
     def axes(self) -> tuple[MapAxis, MapAxis]:
         """Both numbers."""
         return self.x, self.y
+
+    @property
+    def fine(self) -> tuple[MapAxis, MapAxis]:
+        """Both numbers with the values of the finest grid."""
+        x, y = (replace(axis, count=((axis.count - 1) << self.refine) + 1) for axis in self.axes)
+        return x, y
 
     @cached_property
     def known(self) -> IdentifiedParameters | None:
@@ -123,6 +148,9 @@ class MapQuestion:
             "quantity": self.quantity,
             "accuracy": self.accuracy,
             "borders": self.borders,
+            "refine": self.refine,
+            "family": None if self.family is None else self.family.as_json(),
+            "best": None if self.best is None else self.best.as_json(),
         }
 
     @classmethod
@@ -132,7 +160,7 @@ class MapQuestion:
         Raises:
             KeyError: something is missing.
         """
-        known, speed = table["parameters"], table["speed_rad_per_s"]
+        known, speed, family, best = (table[key] for key in ("parameters", "speed_rad_per_s", "family", "best"))
         return cls(
             SourceText.of_json(table["rig"]),
             MapAxis.of_json(table["x"]),
@@ -143,6 +171,9 @@ class MapQuestion:
             cast(Quantity, str(table["quantity"])),
             float(table["accuracy"]),
             bool(table["borders"]),
+            int(table["refine"]),
+            None if family is None else Family.of_json(family),
+            None if best is None else SearchRange.of_json(best),
         )
 
 

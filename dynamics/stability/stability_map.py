@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,8 +62,11 @@ class StabilityMap:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether the largest multiplier lies inside the unit circle by more than its error, shape (m, n)."""
-        return self.multiplier_max + self.error_estimate < 1.0
+        """Whether the largest multiplier lies inside the unit circle by more than its error, shape (m, n).
+
+        A point that has a multiplier without an error estimate stands between others that have one.
+        """
+        return self.multiplier_max + np.nan_to_num(self.error_estimate) < 1.0
 
     @property
     def decay_rate_per_s(self) -> NDArray[np.floating]:
@@ -172,7 +176,7 @@ def multipliers_on_grid(
         NotConverged: a point whose multiplier can't be had even roughly.
     """
     found, errors = np.full((2, len(y), len(x)), np.nan)
-    with ThreadPoolExecutor(max_workers=threads or cores()) as pool:
+    with _threads(threads) as pool:
         tiles = MapTiles(plane, x, y)
         for rectangle in tiles.rectangles(pool):
             for rows, columns, multipliers, bounds in tiles.multipliers(pool, rectangle):
@@ -188,6 +192,45 @@ def multipliers_on_grid(
         progress(1 - (len(left) - done - 1) / found.size)
     progress(1.0)  # where no balanced state exists nothing was left to do
     return found, errors, (found.size - len(rest), len(rest) - len(left), len(left))
+
+
+def multipliers_at_points(
+    plane: Plane,
+    x: NDArray[np.floating],
+    y: NDArray[np.floating],
+    accuracy: float,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Largest multipliers of Type I at points that form no grid.
+
+    Args:
+        x, y: of the points, shape (points,).
+        accuracy, progress: see `stability_map`.
+    Returns:
+        Multipliers and their bounds, shape (points,), NaN where no balanced state exists.
+    Raises:
+        NotConverged: a point whose multiplier can't be had even roughly.
+    """
+    found, errors = np.full((2, len(x)), np.nan)
+    tell = progress or (lambda share: None)
+    with _threads() as pool:
+        left = _explicit(pool, plane, x, y, np.arange(len(x)), accuracy, found, errors, tell)
+    for point in left.tolist():
+        found[point], errors[point] = multiplier_at(plane, float(x[point]), float(y[point]), accuracy)
+    tell(1.0)
+    return found, errors
+
+
+@contextmanager
+def _threads(count: int | None = None) -> Iterator[ThreadPoolExecutor]:
+    """So many threads, one a core where nothing is said; what still waits is given up where the work is stopped."""
+    pool = ThreadPoolExecutor(max_workers=count or cores())
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(cancel_futures=True)
+        raise
+    pool.shutdown()
 
 
 def _explicit(

@@ -11,8 +11,9 @@ import pytest
 from rich.console import Console
 
 from cli import console
-from cli.console import StepProgress, harmless, say, share_progress
+from cli.console import StepProgress, harmless, say
 from cli.main import run
+from cli.share_progress import share_progress
 from daq.log.file import LogFile
 from tests.daq.small_log import write_small_log
 

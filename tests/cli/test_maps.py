@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,9 +11,13 @@ import numpy as np
 import pytest
 
 from analysis.maps.axes import MapAxis
+from analysis.maps.families import Family
+from analysis.maps.files import load_map
 from analysis.maps.planes import plane_over
 from cli.main import run
 from cli.map_axes import read_axis
+from dynamics import balanced_angles
+from dynamics.stability.borders import stability_borders
 from dynamics.stability.map_plane import Plane, RigPlane, SpeedStiffnessPlane
 from rig_configs import RigFileError, load_rig
 
@@ -51,7 +56,7 @@ def test_any_two_numbers_with_borders(capsys: pytest.CaptureFixture[str], tmp_pa
         assert np.array_equal(largest[row] < 1, speed > at)
     text = figure.read_text("utf-8")
     assert "decay rate, 1/s" in text
-    assert "pendulums.a.damping_Nms_per_rad" in text
+    assert "pendulum damping c3 = c4, N m s/rad" in text
 
 
 def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
@@ -76,13 +81,27 @@ def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
         (["--x", "suspension.zeta1=0:0.1:5:lin"], "KEY=A:B:N:log"),
         (["--x", "suspension.zeta1=0:0.1:x"], "KEY=A:B:N"),
         (["--x", "suspension.zeta1=0.1:0.1:1", "--borders"], "span a range"),
+        (["--family", "suspension.zeta1"], "--family expected KEY=V,V,V"),
+        (["--family", "suspension.zeta1=0.1,x"], "--family expected KEY=V,V,V"),
+        (["--family", "suspension.zeta1=0.1,0.1"], "values that rise"),
+        (["--family", "suspension.zeta1=0.1,3"], "suspension.zeta1"),
+        (["--family", "speed_ratio=1,2"], "speed_ratio"),
+        (["--family", "suspension.k2_N_per_m=1e4,2e4"], "changes along an axis"),
+        (["--best", "suspension.zeta1=0.1"], "--best expected KEY=A:B"),
+        (["--best", "suspension.zeta1=0.2:0.1"], "A < B"),
+        (["--best", "suspension.zeta1=0:0.1:log"], "0 < A < B"),
+        (["--refine", "9"], "--refine expected 0 … 8"),
+        (["--plot", "map.txt"], ".html"),
+        (["-o", "map.csv"], ".npz, .parquet, .zarr"),
         (["--point", "Z"], "no point 'Z'"),
         (["--point", "A", "--speed-ratio", "2"], "only one of"),
         (["--x", "suspension.gravity_m_per_s2=0:9:4"], "gravity"),
     ],
 )
 def test_what_is_refused_says_why(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
-    y = [] if "--y" in arguments else ["--y", "speed_ratio=1:2:3"] if "speed" not in arguments[1] else []
+    y = ["--y", "speed_ratio=1:2:3"] if arguments[0] == "--x" and "speed" not in arguments[1] else []
+    if "--y" in arguments:
+        y = []
     code, _, err = said(capsys, "map", "virtual", *arguments, *y)
     assert code in (1, 2)
     assert words in err
@@ -111,3 +130,46 @@ def test_a_speed_beside_the_axes_is_taken() -> None:
     assert rig.k1_N_per_m == load_rig("virtual").physics.k1_N_per_m
     with pytest.raises(RigFileError, match="neither axis"):
         plane(axes)
+
+
+def test_a_family_and_the_best_value(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    zetas = "suspension.zeta1+suspension.zeta2"
+    file, page = tmp_path / "map.parquet", tmp_path / "map.html"
+    code, out, _ = said(
+        capsys, "map", "virtual", "--x", "speed_ratio=2:6:9", "--y", "stiffness_ratio=4:12:9", "--refine", "2",
+        "--family", f"{zetas}=0.2,0.05", "--best", f"{zetas}=0.02:1:log", "-o", str(file), "--plot", str(page),
+        "--json",
+    )  # fmt: skip
+    assert code == 0
+    result = json.loads(out)
+    assert result["points"] == 33 * 33
+    assert 0.05 < result["computed_share"] < 0.6
+    members = result["family"]["members"]
+    assert [member["value"] for member in members] == [0.05, 0.2]
+    best = result["best"]
+    assert best["interval"][0] <= best["value"] <= best["interval"][1]
+    assert best["stable_share"] == max(best["stable_shares"])
+    assert best["stable_share"] >= max(member["stable_share"] for member in members)
+    kept = load_map(file)
+    assert {line.value for line in kept.borders} == {0.05, 0.2}
+    assert float(kept.grid["computed"].mean()) == pytest.approx(result["computed_share"])
+    assert kept.question.family == Family(tuple(zetas.split("+")), (0.05, 0.2))
+    physics = load_rig("virtual", settings=["suspension.zeta1=0.2", "suspension.zeta2=0.2"]).physics
+    alone = SpeedStiffnessPlane(physics, balanced_angles(physics)[0])
+    assert stability_borders(alone, (2.0, 6.0), (4.0, 12.0)).stable_share == members[1]["stable_share"]
+    readout = re.search(r'id="readout">(.*?)</script>', page.read_text("utf-8"))
+    assert readout
+    assert json.loads(readout[1])["layers"][0]["name"].startswith("|multiplier|")
+
+
+def test_stopped_it_says_what_is_lost(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    compile_first = ["map", "virtual", "--x", "speed_ratio=2:6:2", "--y", "stiffness_ratio=4:12:2"]
+    said(capsys, *compile_first)
+    monkeypatch.setattr("analysis.maps.answer._full", stopped)
+    code, out, err = said(capsys, *compile_first, "--json")
+    assert code == 130
+    assert "what was computed is lost" in err
+    assert json.loads(out)["error"]

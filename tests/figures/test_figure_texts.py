@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,15 +17,17 @@ from analysis.figures.health import draw_health
 from analysis.figures.kinds import KINDS
 from analysis.figures.multipliers import draw_multipliers, speed_point
 from analysis.figures.parameter_history import Value, draw_parameter_history
+from analysis.figures.plane_maps import draw_map
 from analysis.figures.residuals import draw_residuals
 from analysis.figures.sheet import sheet
 from analysis.figures.slip import draw_slip
-from analysis.figures.stability_map import MapPoint, draw_points_on_map, plane_map_figure
+from analysis.figures.stability_map import MapPoint, draw_points_on_map
+from analysis.maps.answer import answer
+from analysis.maps.axes import MapAxis
+from analysis.maps.families import Family, SearchRange
+from analysis.maps.question import MapQuestion, rig_source
 from daq.log import open_log
 from daq.signals.run import Run
-from dynamics import RotorParameters
-from dynamics.stability.map_plane import RigPlane
-from dynamics.stability.stability_map import StabilityMap, plane_map
 from tests.daq.small_log import write_small_log
 from tests.figures.drawn_texts import drawn_texts, faults
 from tests.figures.figure_runs import MODEL, point, ring_down, run_up
@@ -93,12 +96,15 @@ def _residuals() -> Figure:
     return draw_residuals([ring_down_x, FitCurve("spin-down: A", time[:900], angle + noise[:900], angle, "°", "angle")])
 
 
-def _plane() -> StabilityMap:
-    def at(speed_ratio: float, zeta: float) -> tuple[RotorParameters, float]:
-        physics = replace(MODEL.physics, zeta1=zeta, zeta2=zeta)
-        return physics, physics.speed_rad_s(speed_ratio)
+def _map(**more: Any) -> Figure:
+    x = MapAxis(("speed_ratio",), 0.5, 6.0, 40)
+    y = MapAxis(("suspension.zeta1", "suspension.zeta2"), 0.005, 0.2, 12, True)
+    return draw_map(answer(MapQuestion(rig_source("virtual"), x, y, quantity="decay-rate", accuracy=1e-6, **more)))[0]
 
-    return plane_map(RigPlane(at), np.linspace(0.5, 6, 40), np.geomspace(0.005, 0.2, 12), 1e-6)
+
+def _family() -> Figure:
+    damping = ("pendulums.a.damping_Nms_per_rad", "pendulums.b.damping_Nms_per_rad")
+    return _map(family=Family(damping, (5e-4, 2e-3)), best=SearchRange(damping, 1e-4, 1e-2, True), borders=True)
 
 
 _OTHERS: dict[str, Callable[[], Figure]] = {
@@ -109,9 +115,8 @@ _OTHERS: dict[str, Callable[[], Figure]] = {
         [MapPoint("A", 0.83, "III"), MapPoint("B", 1.6, "I"), MapPoint("C", 2.6, "not settled")],
         "Stability map: virtual, parameters.toml",
     ),
-    "plane map": lambda: plane_map_figure(
-        _plane(), ("speed ratio Ω = ω/ω_n1", "suspension.zeta1 = suspension.zeta2"), (False, True), None, True
-    ),
+    "plane map": _map,
+    "family of borders": _family,
     "residuals": _residuals,
     "history": _history,
 }
@@ -143,7 +148,7 @@ def test_every_curve_of_a_logs_health_is_in_the_legend(tmp_path: Path) -> None:
 
 
 def test_every_kind_is_looked_at() -> None:
-    of_no_log = {"plane map"}
+    of_no_log = {"plane map", "family of borders"}
     assert set(_OF_RUNS) | set(_OTHERS) | {"health"} == set(KINDS) | of_no_log
 
 

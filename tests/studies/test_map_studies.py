@@ -129,7 +129,7 @@ def test_other_sources_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_question_differs_by_all_that_decides_its_answer() -> None:
-    asked = MapQuestion.of_json({**json.loads(small_map().text), "quantity": "multiplier", "borders": False})
+    asked = MapQuestion.of_json(json.loads(small_map().text))
     digests = {map_study(asked).digest}
     for change in ({"accuracy": 1e-9}, {"settings": ("suspension.zeta1=0.02",)}, {"speed_rad_s": 3.0}):
         digests.add(map_study(replace(asked, **change)).digest)

@@ -1,0 +1,134 @@
+# pyright: strict
+"""A map refined where its class changes: a coarse grid, and finer ones only along the borders between classes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Classes = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class RefinedGrid:
+    """Values on the finest grid.
+
+    Attributes:
+        values: shape (m, n); where not `computed` between those of the coarser grid (means, or of `interpolated` False
+            those of a neighbour of the same class).
+        computed: which points were evaluated, shape (m, n).
+    """
+
+    values: Array
+    computed: NDArray[np.bool_]
+
+
+def refined_grid(
+    evaluate: Callable[[Array, Array], Array],
+    x: Array,
+    y: Array,
+    levels: int,
+    classes: Callable[[Array], Classes],
+    *,
+    interpolated: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> RefinedGrid:
+    """Evaluate a coarse grid, and halve its cells both ways wherever the classes of their corners differ.
+
+    At each level every cell of the new grid whose corners differ, whether they were evaluated or stand for what was
+    found around them, has all its corners evaluated, until none is left: so a border that leaves a cell is followed
+    into cells whose corners gave no sign of it. **What may be missed**: at the finest grid, patches of one class that
+    touch neither an evaluated point nor another border, that is islands between the points of the coarse grid.
+    Everything else is as on the full grid.
+
+    Args:
+        evaluate: values at points, (points,) and (points,) to (points,); NaN where there is none.
+        x, y: the finest grid, shapes (n,) and (m,) with n − 1 and m − 1 multiples of 2**levels.
+        levels: how often cells are halved.
+        classes: of values, any shape.
+        interpolated: whether values may be averaged; False where they are names of classes.
+        progress: called with the share done, as far as that can be seen ahead.
+    Raises:
+        ValueError: sizes that are no multiples.
+    """
+    stride = 1 << levels
+    if (len(x) - 1) % stride or (len(y) - 1) % stride or len(x) < 2 or len(y) < 2:
+        raise ValueError(f"expected {stride} k + 1 points a side, k ≥ 1, got {len(x)} and {len(y)}")
+    tell = progress or _unheard
+    at = _Level(x[::stride], y[::stride], evaluate, classes)
+    at.compute(np.ones(at.values.shape, bool))
+    for level in range(levels):
+        tell((1 + level) / (2 + levels))
+        at = at.halved(x[:: stride >> level + 1], y[:: stride >> level + 1], interpolated)
+    tell(1.0)
+    return RefinedGrid(at.values, at.computed)
+
+
+class _Level:
+    """One grid with what is known on it."""
+
+    def __init__(
+        self, x: Array, y: Array, evaluate: Callable[[Array, Array], Array], classes: Callable[[Array], Classes]
+    ) -> None:
+        self.x, self.y = x, y
+        self.values = np.full((len(y), len(x)), np.nan)
+        self.computed = np.zeros((len(y), len(x)), bool)
+        self._evaluate, self._classes = evaluate, classes
+
+    def compute(self, wanted: NDArray[np.bool_]) -> bool:
+        """Evaluate those wanted points that are not; whether there were any."""
+        rows, columns = np.nonzero(wanted & ~self.computed)
+        if len(rows) == 0:
+            return False
+        self.values[rows, columns] = self._evaluate(self.x[columns], self.y[rows])
+        self.computed[rows, columns] = True
+        return True
+
+    def corners_that_differ(self) -> NDArray[np.bool_]:
+        """Corners of cells whose corners are not all of one class, shape (m, n)."""
+        found = self._classes(self.values)
+        first = found[:-1, :-1]
+        cells = (first != found[1:, :-1]) | (first != found[:-1, 1:]) | (first != found[1:, 1:])
+        corners = np.zeros(found.shape, bool)
+        for rows in (slice(None, -1), slice(1, None)):
+            for columns in (slice(None, -1), slice(1, None)):
+                corners[rows, columns] |= cells
+        return corners
+
+    def halved(self, x: Array, y: Array, interpolated: bool) -> _Level:
+        """The next grid, evaluated wherever classes change."""
+        fine = _Level(x, y, self._evaluate, self._classes)
+        v = self.values
+        fine.values[::2, ::2], fine.computed[::2, ::2] = v, self.computed
+        between = _mean if interpolated else _first
+        fine.values[::2, 1::2] = between(v[:, :-1], v[:, 1:])
+        fine.values[1::2, ::2] = between(v[:-1], v[1:])
+        fine.values[1::2, 1::2] = between(between(v[:-1, :-1], v[:-1, 1:]), between(v[1:, :-1], v[1:, 1:]))
+        found = self._classes(v)
+        first = found[:-1, :-1]
+        cells = (first != found[1:, :-1]) | (first != found[:-1, 1:]) | (first != found[1:, 1:])
+        wanted = np.zeros(fine.values.shape, bool)
+        for row in range(3):
+            for column in range(3):
+                wanted[row : row + 2 * cells.shape[0] - 1 : 2, column : column + 2 * cells.shape[1] - 1 : 2] |= cells
+        fine.compute(wanted)
+        while fine.compute(fine.corners_that_differ()):
+            pass
+        return fine
+
+
+def _mean(a: Array, b: Array) -> Array:
+    return a + 0.5 * (b - a)
+
+
+def _first(a: Array, b: Array) -> Array:
+    del b
+    return a
+
+
+def _unheard(share: float) -> None:
+    del share

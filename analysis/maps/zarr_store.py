@@ -1,0 +1,84 @@
+# pyright: strict, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+"""A map as a zarr store of format 3: arrays with the names of their dimensions, as xarray reads them."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.errors import NoMapFile
+from analysis.maps.files import keys_of
+from analysis.maps.record import MapRecord, RecordedBorder
+
+_CHUNK = 512  # points a side
+
+
+def need_zarr(path: Path) -> None:
+    """Whether a store can be written.
+
+    Raises:
+        NoMapFile: the package is absent, or the folder is something else.
+    """
+    if find_spec("zarr") is None:
+        raise NoMapFile(
+            f"{path}: a .zarr store needs the package zarr; install it with "
+            "`pip install 'pendulum-balancer-rig[studies]'`, or give a name ending in .npz or .parquet"
+        )
+    if path.is_file() or (path.is_dir() and any(path.iterdir()) and not (path / "zarr.json").is_file()):
+        raise NoMapFile(f"{path}: expected a new name or a zarr store to replace, this is something else")
+
+
+def write_zarr(path: Path, kept: MapRecord) -> None:
+    """Write a store."""
+    import zarr  # noqa: PLC0415 (an optional package)
+
+    x_keys, y_keys = keys_of(kept.provenance)
+    x, y = x_keys[0], y_keys[0]
+    group: Any = zarr.open_group(str(path), mode="w", zarr_format=3)
+    group.attrs["rig map"] = dict(kept.provenance)
+
+    def put(name: str, values: NDArray[Any], dimensions: tuple[str, ...], where: Any = group) -> None:
+        chunks = tuple(max(1, min(size, _CHUNK)) for size in values.shape)
+        array = where.create_array(name, shape=values.shape, dtype=values.dtype, chunks=chunks,
+                                   dimension_names=dimensions)  # fmt: skip
+        array[...] = values
+
+    put(x, kept.x, (x,))
+    put(y, kept.y, (y,))
+    for name, values in kept.grid.items():
+        put(name, values, (y, x))
+    for number, line in enumerate(kept.borders, 1):
+        one = group.create_group(f"borders/{number}")
+        one.attrs.update({"closed": line.closed, "family_value": line.value})
+        for name, values in ((x, line.x), (y, line.y), ("multiplier", line.multiplier)):
+            put(name, values, ("point",), one)
+
+
+def read_zarr(path: Path) -> MapRecord:
+    """What `write_zarr` wrote.
+
+    Raises:
+        NoMapFile: the package is absent.
+        KeyError, ValueError: there is no map.
+        FileNotFoundError: there is no store.
+    """
+    if find_spec("zarr") is None:
+        need_zarr(path)
+    import zarr  # noqa: PLC0415 (an optional package)
+
+    group: Any = zarr.open_group(str(path), mode="r", zarr_format=3)
+    provenance: dict[str, Any] = dict(group.attrs["rig map"])
+    x_keys, y_keys = keys_of(provenance)
+    x, y = x_keys[0], y_keys[0]
+    arrays: dict[str, NDArray[Any]] = {name: np.asarray(array[...]) for name, array in group.arrays()}
+    borders = list[RecordedBorder]()
+    while f"borders/{len(borders) + 1}" in group:
+        one = group[f"borders/{len(borders) + 1}"]
+        line = [np.asarray(one[name][...]) for name in (x, y, "multiplier")]
+        borders.append(RecordedBorder(line[0], line[1], line[2], one.attrs["closed"], one.attrs["family_value"]))
+    grid = {name: array for name, array in arrays.items() if name not in (x, y)}
+    return MapRecord(provenance, arrays[x], arrays[y], grid, tuple(borders))
