@@ -1,0 +1,245 @@
+# pyright: strict
+"""A border between its points: cubics with exact tangents, as many as it takes for the curve itself to be exact.
+
+In the unit square a border is a level line of e = |λ|² − 1, so its tangent is i ∇e / |∇e| (what is stable on the left
+hand), with ∇e = 2 Re(λ̄ ∇λ). Between two points the curve is the cubic with their tangents, as long as for an arc of a
+circle: |chord| / cos²(turn/4). Halfway, where it is off most, it is held against e; where it is off, that point is moved
+on to the border and becomes one of the curve's own. Only at corners, where one multiplier overtakes another, that ends at
+10⁻⁶: there the curve is a straight line.
+Source: C. de Boor, K. Höllig, M. Sabin, High accuracy geometric Hermite interpolation, CAGD 4 (1987) 269.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.stability.border_crossings import roots
+
+Array = NDArray[np.floating]
+Complex = NDArray[np.complexfloating]
+Flags = NDArray[np.bool_]
+Slopes = Callable[[Complex], tuple[Complex, Complex, Complex]]
+"""λ, ∂λ/∂X and ∂λ/∂Y at points X + i Y of the unit square, each of shape (points,); of a pair that with Im λ ≥ 0."""
+
+_Values = TypeVar("_Values", Array, Complex)
+
+WANTED = 1e-11  # of the square: how far the curve may be off halfway between its points
+CORNER = 1e-6  # of the square: shorter pieces are straight
+_ROUNDING = 4e-13  # of e: what is smaller is no distance
+_ANGLE = 1e-9  # rad: how far arg λ may be off its cubic
+_SAME = 1e-9  # of the square: points nearer to each other are one
+_LEAN = 0.5  # least cosine between a piece and the tangents at its ends and halfway
+_ROUNDS, _MOVES = 48, 4
+_WIDE = (0.05, 0.5)  # of a piece: where the border is looked for on both sides of its middle
+_ON = 1e-8  # of the square: what is nearer to the curve lies on it
+
+
+@dataclass(frozen=True)
+class BorderCurve:
+    """Cubics in the unit square that stands for a range, one after the other.
+
+    Attributes:
+        points: X + i Y, exact, shape (n,); what is stable lies on the left hand.
+        tangents: of length one, shape (n,).
+        roots: λ at the points, Im λ ≥ 0, shape (n,): the multipliers are its squares.
+        turning: d arg λ by the length along the curve, shape (n,).
+        off: largest distance from the border found halfway between two points; straight pieces at corners left out.
+    """
+
+    points: Complex
+    tangents: Complex
+    roots: Complex
+    turning: Array
+    off: float = 0.0
+
+    def between(self, spacing: float) -> tuple[Complex, Complex]:
+        """Points of the curve no farther apart than a share of the square, its own among them, with λ, shape (m,)."""
+        piece = np.arange(len(self.points) - 1)
+        start, leaves, arrives, end = _controls(self, piece)
+        fastest = np.max(np.abs([leaves, 3 * (end - start) - leaves - arrives, arrives]), axis=0)
+        counts = np.maximum(np.ceil(fastest / spacing), 1).astype(np.intp)
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        piece = np.repeat(piece, counts)
+        at, root = _on_cubics(self, piece, (np.arange(len(piece)) - first) / counts[piece])
+        return np.append(at, self.points[-1]), np.append(root, self.roots[-1])
+
+    def holds(self, at: Complex, tangents: Complex) -> Flags:
+        """Which points of borders lie on this one, shape (m,).
+
+        Args:
+            at, tangents: the points, and their borders' tangents, shape (m,): the other side of a thin band turns back.
+        """
+        found = np.zeros(len(at), bool)
+        start, chord = self.points[:-1], np.diff(self.points)
+        for i in range(len(at)):
+            share = (at[i] - start) / chord
+            near = (np.abs(share.imag) <= _WIDE[0] + _ON / np.abs(chord)) & (np.abs(share.real - 0.5) <= 0.5 + 1e-6)
+            small = np.abs(at[i] - start) <= 2 * CORNER
+            for piece in np.flatnonzero(near & ~small):
+                found[i] |= self._is_near(int(piece), share[piece], tangents[i])
+            found[i] |= np.any(small) or abs(at[i] - self.points[-1]) <= 2 * CORNER
+        return found
+
+    def _is_near(self, piece: int, share: complex, tangent: complex) -> bool:
+        chord = self.points[piece + 1] - self.points[piece]
+        if (np.conj(tangent) * chord).real <= 0 and abs(chord) > CORNER:
+            return False
+        which, along = np.array([piece]), np.array([share.real])
+        for _ in range(3):  # the cubic runs along its chord at nearly even speed
+            along += share.real - ((_on_cubics(self, which, along)[0] - self.points[piece]) / chord).real
+        there = (_on_cubics(self, which, along)[0][0] - self.points[piece]) / chord
+        return abs(there - share) * abs(chord) <= _ON
+
+
+def _controls(curve: BorderCurve, piece: NDArray[np.intp]) -> tuple[Complex, Complex, Complex, Complex]:
+    """Start, derivatives at both ends and end of pieces, whose parameter runs from 0 to 1."""
+    start, end = curve.points[piece], curve.points[piece + 1]
+    chord = end - start
+    turn = np.abs(np.angle(curve.tangents[piece + 1] * np.conj(curve.tangents[piece])))
+    speed = np.abs(chord) / np.cos(turn / 4) ** 2
+    straight = np.abs(chord) <= CORNER
+    leaves, arrives = (np.where(straight, chord, speed * curve.tangents[piece + k]) for k in (0, 1))
+    return start, leaves, arrives, end
+
+
+def _on_cubics(curve: BorderCurve, piece: NDArray[np.intp], share: Array) -> tuple[Complex, Complex]:
+    """Points at parameters 0 … 1 of pieces, with λ."""
+    start, leaves, arrives, end = _controls(curve, piece)
+    root, last = curve.roots[piece], curve.roots[piece + 1]
+    gained = np.where(np.abs(end - start) <= CORNER, 0.0, np.angle(last * np.conj(root)))
+    rates = (curve.turning[piece + k] * np.abs(way) for k, way in enumerate((leaves, arrives)))
+    angle = _cubic(np.zeros(len(piece)), *rates, gained, share)
+    size = np.abs(root) ** (1 - share) * np.abs(last) ** share
+    return _cubic(start, leaves, arrives, end, share), size * root / np.abs(root) * np.exp(1j * angle)
+
+
+def _cubic(start: _Values, leaves: _Values, arrives: _Values, end: _Values, share: Array) -> _Values:
+    """Cubic with values and derivatives at its ends."""
+    rest = 1 - share
+    return rest**2 * ((1 + 2 * share) * start + share * leaves) + share**2 * ((1 + 2 * rest) * end - rest * arrives)
+
+
+def curve_through(points: Complex, slopes: Slopes) -> BorderCurve:
+    """The curve through points of a border, with as many more as it takes.
+
+    Args:
+        points: in order, exact, what is stable on the left hand, shape (n,), n ≥ 2.
+        slopes: of λ.
+    Returns:
+        The curve; where no more points are found its `off` is half the length of the piece that is left without.
+    """
+    points = _apart(points)
+    curve = BorderCurve(points, *_looked_at(points, slopes)[1:])
+    waiting = np.abs(np.diff(points)) > CORNER
+    for _ in range(_ROUNDS):
+        piece = np.flatnonzero(waiting)
+        if len(piece) == 0:
+            return curve
+        halves = np.full(len(piece), 0.5)
+        middle, root = _on_cubics(curve, piece, halves)
+        off, *found = _looked_at(middle, slopes)
+        chord = curve.points[piece + 1] - curve.points[piece]
+        leaning = [_lean(chord, tangents) for tangents in (curve.tangents[piece], curve.tangents[piece + 1], found[0])]
+        fits = (np.abs(off) <= WANTED) & (np.abs(np.angle(root * np.conj(found[1]))) <= _ANGLE)
+        fits &= np.min(leaning, axis=0) >= _LEAN
+        curve = replace(curve, off=max(curve.off, float(np.max(np.abs(off[fits]), initial=0.0))))
+        waiting[piece[fits]] = False
+        curve, waiting = _with_more(curve, waiting, piece[~fits], middle[~fits], slopes)
+    return _left_as_it_is(curve, np.flatnonzero(waiting))
+
+
+def curve_tangents(at: Complex, slopes: Slopes) -> Complex:
+    """Directions of borders at points on them, of length one, what is stable on the left hand, shape (points,)."""
+    return _looked_at(at, slopes)[1]
+
+
+def _apart(points: Complex) -> Complex:
+    """Points without those that are as good as the one before, or as the last one."""
+    kept = np.append(True, np.abs(np.diff(points)) > _SAME)
+    if not kept[-1] and np.count_nonzero(kept) > 1:
+        kept[np.flatnonzero(kept)[-1]], kept[-1] = False, True
+    return points[kept]
+
+
+def _looked_at(at: Complex, slopes: Slopes) -> tuple[Complex, Complex, Complex, Array]:
+    """How far points are off the border along ∇e, its direction there, λ, and d arg λ by length."""
+    root, along_x, along_y = slopes(at)
+    excess = np.abs(root) ** 2 - 1
+    gradient = 2 * ((np.conj(root) * along_x).real + 1j * (np.conj(root) * along_y).real)
+    steep = np.maximum(np.abs(gradient), 1e-300)
+    tangents = 1j * gradient / steep
+    turning = ((along_x * tangents.real + along_y * tangents.imag) / root).imag
+    off = np.where(np.abs(excess) <= _ROUNDING, 0.0, excess) * gradient / steep**2
+    return off, tangents, root, turning
+
+
+def _lean(chord: Complex, tangents: Complex) -> Array:
+    """Cosines between directions."""
+    return (np.conj(chord) * tangents).real / np.abs(chord)
+
+
+def _with_more(
+    curve: BorderCurve, waiting: Flags, piece: NDArray[np.intp], near: Complex, slopes: Slopes
+) -> tuple[BorderCurve, Flags]:
+    """The curve with one point more in some of its pieces, moved on to the border from a place near it."""
+    at = _moved(curve, piece, near, slopes)
+    lost = np.isnan(at)
+    waiting[piece[lost]] = False
+    curve, piece, at = _left_as_it_is(curve, piece[lost]), piece[~lost], at[~lost]
+    _, tangents, root, turning = _looked_at(at, slopes)
+    where, before = piece + 1, (curve.points, curve.tangents, curve.roots, curve.turning)
+    merged = (np.insert(old, where, new) for old, new in zip(before, (at, tangents, root, turning), strict=True))
+    curve = BorderCurve(*merged, curve.off)
+    return curve, np.insert(waiting, where, True) & (np.abs(np.diff(curve.points)) > CORNER)
+
+
+def _left_as_it_is(curve: BorderCurve, piece: NDArray[np.intp]) -> BorderCurve:
+    """The curve with what some of its pieces may be off by."""
+    lengths = np.abs(curve.points[piece + 1] - curve.points[piece])
+    return replace(curve, off=max(curve.off, float(np.max(lengths, initial=0.0)) / 2))
+
+
+def _moved(curve: BorderCurve, piece: NDArray[np.intp], near: Complex, slopes: Slopes) -> Complex:
+    """Points of the border in pieces: by Newton's method along ∇e, or between both sides of the piece's middle.
+
+    NaN where neither finds one.
+    """
+    start, chord = curve.points[piece], curve.points[piece + 1] - curve.points[piece]
+    at, off = near.copy(), np.full(len(near), np.inf)
+    for _ in range(_MOVES):
+        going = np.flatnonzero(np.abs(off) > WANTED / 10)
+        if len(going) == 0:
+            break
+        step = _looked_at(at[going], slopes)[0]
+        at[going], off[going] = at[going] - step, np.abs(step)
+    share = (at - start) / chord
+    lost = np.flatnonzero(
+        ~(off <= WANTED / 10) | (np.abs(share.real - 0.5) > 0.3) | (np.abs(share.imag) > 0.3)
+        | (_lean(chord, _looked_at(at, slopes)[1]) < _LEAN)
+    )  # fmt: skip
+    for wide in _WIDE:
+        lost = lost[~_between_both_sides(at, lost, start[lost], chord[lost], wide, slopes)]
+    at[lost] = np.nan
+    return at
+
+
+def _between_both_sides(
+    at: Complex, which: NDArray[np.intp], start: Complex, chord: Complex, wide: float, slopes: Slopes
+) -> Flags:
+    """Put points where the border crosses the line across the middle of pieces; which of them it crosses there."""
+
+    def excess(some: NDArray[np.intp], share: Array) -> Array:
+        across = start[some] + chord[some] * (0.5 + 1j * wide * (1 - 2 * share))
+        return np.abs(slopes(across)[0]) ** 2 - 1
+
+    every = np.arange(len(which))
+    left, right = (excess(every, np.full(len(which), share)) for share in (0.0, 1.0))
+    crossed = np.flatnonzero((left < 0) & (right >= 0))
+    found = roots(lambda some, share: excess(crossed[some], share), left[crossed], right[crossed])
+    at[which[crossed]] = start[crossed] + chord[crossed] * (0.5 + 1j * wide * (1 - 2 * found))
+    return np.isin(every, crossed)
