@@ -3,9 +3,10 @@
 
 In the unit square a border is a level line of e = |λ|² − 1, so its tangent is i ∇e / |∇e| (what is stable on the left
 hand), with ∇e = 2 Re(λ̄ ∇λ). Between two points the curve is the cubic with their tangents, as long as for an arc of a
-circle: |chord| / cos²(turn/4). Halfway, where it is off most, it is held against e; where it is off, that point is moved
-on to the border and becomes one of the curve's own. Only at corners, where one multiplier overtakes another, that ends at
-10⁻⁶: there the curve is a straight line.
+circle: |chord| / cos²(turn/4). Halfway, where it is off most, it is held against e, and the place is moved on to the border
+and becomes one of the curve's own points; where it was off by more than 10⁻¹¹, both halves are treated the same way. The
+error falls with the fourth power of the length, so what is left is a sixteenth of that. Only at corners, where one
+multiplier overtakes another, all this ends at 10⁻⁶: there the curve is a straight line.
 Source: C. de Boor, K. Höllig, M. Sabin, High accuracy geometric Hermite interpolation, CAGD 4 (1987) 269.
 """
 
@@ -28,7 +29,7 @@ Slopes = Callable[[Complex], tuple[Complex, Complex, Complex]]
 
 _Values = TypeVar("_Values", Array, Complex)
 
-WANTED = 1e-11  # of the square: how far the curve may be off halfway between its points
+WANTED = 1e-11  # of the square: how far the curve may be off halfway between two points, before it is halved there
 CORNER = 1e-6  # of the square: shorter pieces are straight
 _ROUNDING = 4e-13  # of e: what is smaller is no distance
 _ANGLE = 1e-9  # rad: how far arg λ may be off its cubic
@@ -48,7 +49,8 @@ class BorderCurve:
         tangents: of length one, shape (n,).
         roots: λ at the points, Im λ ≥ 0, shape (n,): the multipliers are its squares.
         turning: d arg λ by the length along the curve, shape (n,).
-        off: largest distance from the border found halfway between two points; straight pieces at corners left out.
+        off: largest distance from the border found halfway between two points before that place became a point too;
+            what is between is off by about a sixteenth of that. Straight pieces at corners are left out.
     """
 
     points: Complex
@@ -134,7 +136,8 @@ def curve_through(points: Complex, slopes: Slopes) -> BorderCurve:
         The curve; where no more points are found its `off` is half the length of the piece that is left without.
     """
     points = _apart(points)
-    curve = BorderCurve(points, *_looked_at(points, slopes)[1:])
+    seen = _looked_at(points, slopes)
+    curve = BorderCurve(points, seen.tangents, seen.roots, seen.turning)
     waiting = np.abs(np.diff(points)) > CORNER
     for _ in range(_ROUNDS):
         piece = np.flatnonzero(waiting)
@@ -142,20 +145,24 @@ def curve_through(points: Complex, slopes: Slopes) -> BorderCurve:
             return curve
         halves = np.full(len(piece), 0.5)
         middle, root = _on_cubics(curve, piece, halves)
-        off, *found = _looked_at(middle, slopes)
+        seen = _looked_at(middle, slopes)
         chord = curve.points[piece + 1] - curve.points[piece]
-        leaning = [_lean(chord, tangents) for tangents in (curve.tangents[piece], curve.tangents[piece + 1], found[0])]
-        fits = (np.abs(off) <= WANTED) & (np.abs(np.angle(root * np.conj(found[1]))) <= _ANGLE)
-        fits &= np.min(leaning, axis=0) >= _LEAN
-        curve = replace(curve, off=max(curve.off, float(np.max(np.abs(off[fits]), initial=0.0))))
-        waiting[piece[fits]] = False
-        curve, waiting = _with_more(curve, waiting, piece[~fits], middle[~fits], slopes)
-    return _left_as_it_is(curve, np.flatnonzero(waiting))
+        ways = (curve.tangents[piece], curve.tangents[piece + 1], seen.tangents)
+        fits = (np.abs(seen.off) <= WANTED) & (np.abs(np.angle(root * np.conj(seen.roots))) <= _ANGLE)
+        fits &= np.min([_lean(chord, way) for way in ways], axis=0) >= _LEAN
+        moved = _moved(curve, piece[~fits], middle[~fits], slopes)
+        found, rest = ~np.isnan(moved), piece[~fits]
+        off = max(curve.off, float(np.max(np.abs(seen.off[fits]), initial=0.0)), _longest(curve, rest[~found]) / 2)
+        waiting[piece[fits]], waiting[rest[~found]] = False, False
+        more = np.concatenate([piece[fits], rest[found]])
+        points = _joined(seen.some(fits), _looked_at(moved[found], slopes))
+        curve, waiting = _with_more(replace(curve, off=off), waiting, more, points)
+    return replace(curve, off=max(curve.off, _longest(curve, np.flatnonzero(waiting)) / 2))
 
 
 def curve_tangents(at: Complex, slopes: Slopes) -> Complex:
     """Directions of borders at points on them, of length one, what is stable on the left hand, shape (points,)."""
-    return _looked_at(at, slopes)[1]
+    return _looked_at(at, slopes).tangents
 
 
 def _apart(points: Complex) -> Complex:
@@ -166,16 +173,47 @@ def _apart(points: Complex) -> Complex:
     return points[kept]
 
 
-def _looked_at(at: Complex, slopes: Slopes) -> tuple[Complex, Complex, Complex, Array]:
-    """How far points are off the border along ∇e, its direction there, λ, and d arg λ by length."""
+@dataclass(frozen=True)
+class _Seen:
+    """What is at points near a border, each of shape (points,).
+
+    Attributes:
+        off: how far they are off it, along ∇e.
+        points: on it, as far as Newton's next step goes.
+        tangents, roots, turning: see BorderCurve.
+    """
+
+    off: Complex
+    points: Complex
+    tangents: Complex
+    roots: Complex
+    turning: Array
+
+    def some(self, which: Flags) -> _Seen:
+        """Some of the points."""
+        return _Seen(
+            self.off[which], self.points[which], self.tangents[which], self.roots[which], self.turning[which]
+        )
+
+
+def _joined(first: _Seen, second: _Seen) -> _Seen:
+    """Points of one after those of the other."""
+    return _Seen(
+        np.append(first.off, second.off), np.append(first.points, second.points),
+        np.append(first.tangents, second.tangents), np.append(first.roots, second.roots),
+        np.append(first.turning, second.turning),
+    )  # fmt: skip
+
+
+def _looked_at(at: Complex, slopes: Slopes) -> _Seen:
     root, along_x, along_y = slopes(at)
     excess = np.abs(root) ** 2 - 1
     gradient = 2 * ((np.conj(root) * along_x).real + 1j * (np.conj(root) * along_y).real)
     steep = np.maximum(np.abs(gradient), 1e-300)
     tangents = 1j * gradient / steep
-    turning = ((along_x * tangents.real + along_y * tangents.imag) / root).imag
     off = np.where(np.abs(excess) <= _ROUNDING, 0.0, excess) * gradient / steep**2
-    return off, tangents, root, turning
+    turning = ((along_x * tangents.real + along_y * tangents.imag) / root).imag
+    return _Seen(off, at - off, tangents, root - along_x * off.real - along_y * off.imag, turning)
 
 
 def _lean(chord: Complex, tangents: Complex) -> Array:
@@ -183,25 +221,23 @@ def _lean(chord: Complex, tangents: Complex) -> Array:
     return (np.conj(chord) * tangents).real / np.abs(chord)
 
 
+def _longest(curve: BorderCurve, piece: NDArray[np.intp]) -> float:
+    return float(np.max(np.abs(curve.points[piece + 1] - curve.points[piece]), initial=0.0))
+
+
 def _with_more(
-    curve: BorderCurve, waiting: Flags, piece: NDArray[np.intp], near: Complex, slopes: Slopes
+    curve: BorderCurve, waiting: Flags, piece: NDArray[np.intp], more: _Seen
 ) -> tuple[BorderCurve, Flags]:
-    """The curve with one point more in some of its pieces, moved on to the border from a place near it."""
-    at = _moved(curve, piece, near, slopes)
-    lost = np.isnan(at)
-    waiting[piece[lost]] = False
-    curve, piece, at = _left_as_it_is(curve, piece[lost]), piece[~lost], at[~lost]
-    _, tangents, root, turning = _looked_at(at, slopes)
-    where, before = piece + 1, (curve.points, curve.tangents, curve.roots, curve.turning)
-    merged = (np.insert(old, where, new) for old, new in zip(before, (at, tangents, root, turning), strict=True))
-    curve = BorderCurve(*merged, curve.off)
-    return curve, np.insert(waiting, where, True) & (np.abs(np.diff(curve.points)) > CORNER)
-
-
-def _left_as_it_is(curve: BorderCurve, piece: NDArray[np.intp]) -> BorderCurve:
-    """The curve with what some of its pieces may be off by."""
-    lengths = np.abs(curve.points[piece + 1] - curve.points[piece])
-    return replace(curve, off=max(curve.off, float(np.max(lengths, initial=0.0)) / 2))
+    """The curve with one point more in some of its pieces."""
+    where = piece + 1
+    points, tangents, roots_there = (
+        np.insert(old, where, new)
+        for old, new in (
+            (curve.points, more.points), (curve.tangents, more.tangents), (curve.roots, more.roots),
+        )
+    )  # fmt: skip
+    curve = BorderCurve(points, tangents, roots_there, np.insert(curve.turning, where, more.turning), curve.off)
+    return curve, np.insert(waiting, where, waiting[piece]) & (np.abs(np.diff(points)) > CORNER)
 
 
 def _moved(curve: BorderCurve, piece: NDArray[np.intp], near: Complex, slopes: Slopes) -> Complex:
@@ -215,12 +251,12 @@ def _moved(curve: BorderCurve, piece: NDArray[np.intp], near: Complex, slopes: S
         going = np.flatnonzero(np.abs(off) > WANTED / 10)
         if len(going) == 0:
             break
-        step = _looked_at(at[going], slopes)[0]
+        step = _looked_at(at[going], slopes).off
         at[going], off[going] = at[going] - step, np.abs(step)
     share = (at - start) / chord
     lost = np.flatnonzero(
         ~(off <= WANTED / 10) | (np.abs(share.real - 0.5) > 0.3) | (np.abs(share.imag) > 0.3)
-        | (_lean(chord, _looked_at(at, slopes)[1]) < _LEAN)
+        | (_lean(chord, _looked_at(at, slopes).tangents) < _LEAN)
     )  # fmt: skip
     for wide in _WIDE:
         lost = lost[~_between_both_sides(at, lost, start[lost], chord[lost], wide, slopes)]

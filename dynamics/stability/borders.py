@@ -78,10 +78,7 @@ class Border:
 
     @property
     def off(self) -> float:
-        """Largest distance from the border found halfway between two points of `curve`, as a share of the range.
-
-        Pieces shorter than 1e-6 of the range, in which a corner lies, are left out.
-        """
+        """How far the curve may be off the border, as a share of the range; see BorderCurve."""
         return self.curve.off
 
     @property
