@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.stability.border_crossings import roots
+from dynamics.stability.border_following import SHORTEST
 
 Array = NDArray[np.floating]
 Complex = NDArray[np.complexfloating]
@@ -30,13 +31,14 @@ Slopes = Callable[[Complex], tuple[Complex, Complex, Complex]]
 _Values = TypeVar("_Values", Array, Complex)
 
 WANTED = 1e-11  # of the square: how far the curve may be off halfway between two points, before it is halved there
-CORNER = 1e-6  # of the square: shorter pieces are straight
+CORNER = 1.5 * SHORTEST  # of the square: pieces up to there are straight
 _ROUNDING = 4e-13  # of e: what is smaller is no distance
 _ANGLE = 1e-9  # rad: how far arg λ may be off its cubic
 _SAME = 1e-9  # of the square: points nearer to each other are one
 _LEAN = 0.5  # least cosine between a piece and the tangents at its ends and halfway
 _ROUNDS, _MOVES = 48, 4
 _WIDE = (0.05, 0.5)  # of a piece: where the border is looked for on both sides of its middle
+_SOME = 256  # points at a time
 _ON = 1e-8  # of the square: what is nearer to the curve lies on it
 
 
@@ -77,25 +79,26 @@ class BorderCurve:
             at, tangents: the points, and their borders' tangents, shape (m,): the other side of a thin band turns back.
         """
         found = np.zeros(len(at), bool)
-        start, chord = self.points[:-1], np.diff(self.points)
-        for i in range(len(at)):
-            share = (at[i] - start) / chord
-            near = (np.abs(share.imag) <= _WIDE[0] + _ON / np.abs(chord)) & (np.abs(share.real - 0.5) <= 0.5 + 1e-6)
-            small = np.abs(at[i] - start) <= 2 * CORNER
-            for piece in np.flatnonzero(near & ~small):
-                found[i] |= self._is_near(int(piece), share[piece], tangents[i])
-            found[i] |= np.any(small) or abs(at[i] - self.points[-1]) <= 2 * CORNER
+        middles, reaches = (self.points[:-1] + self.points[1:]) / 2, 0.55 * np.abs(np.diff(self.points)) + 2 * CORNER
+        for start in range(0, len(at), _SOME):
+            off = at[start : start + _SOME, None] - middles
+            which, piece = np.nonzero(off.real**2 + off.imag**2 <= reaches**2)
+            which += start
+            lies = self._passes(piece, at[which], tangents[which])
+            found[which[lies]] = True
         return found
 
-    def _is_near(self, piece: int, share: complex, tangent: complex) -> bool:
-        chord = self.points[piece + 1] - self.points[piece]
-        if (np.conj(tangent) * chord).real <= 0 and abs(chord) > CORNER:
-            return False
-        which, along = np.array([piece]), np.array([share.real])
+    def _passes(self, piece: NDArray[np.intp], at: Complex, tangents: Complex) -> Flags:
+        """Whether pieces pass points with the same direction, shape (pairs,); what is next to a corner always does."""
+        start = self.points[piece]
+        chord = self.points[piece + 1] - start
+        share = (at - start) / chord
+        along = share.real.copy()
         for _ in range(3):  # the cubic runs along its chord at nearly even speed
-            along += share.real - ((_on_cubics(self, which, along)[0] - self.points[piece]) / chord).real
-        there = (_on_cubics(self, which, along)[0][0] - self.points[piece]) / chord
-        return abs(there - share) * abs(chord) <= _ON
+            along = np.clip(along + share.real - ((_on_cubics(self, piece, along)[0] - start) / chord).real, 0.0, 1.0)
+        off = np.abs(_on_cubics(self, piece, along)[0] - at)
+        straight = np.abs(chord) <= CORNER
+        return ((off <= _ON) & ((np.conj(tangents) * chord).real > 0)) | (straight & (off <= 2 * CORNER))
 
 
 def _controls(curve: BorderCurve, piece: NDArray[np.intp]) -> tuple[Complex, Complex, Complex, Complex]:
