@@ -46,8 +46,12 @@ class Lattice:
         """Values of y on rows of points."""
         return _between(self.y_range, np.asarray(j, float) / self.rows, self.logarithmic[1])
 
+    def places(self, at: NDArray[np.complexfloating]) -> tuple[Array, Array]:
+        """x and y of points of the unit square that stands for the range."""
+        return self.x(at.real * self.columns), self.y(at.imag * self.rows)
+
     def place(self, at: complex) -> tuple[float, float]:
-        """x and y of a point of the unit square that stands for the range."""
+        """The same of one point."""
         return float(self.x(np.array(at.real * self.columns))), float(self.y(np.array(at.imag * self.rows)))
 
 

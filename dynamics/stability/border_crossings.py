@@ -65,7 +65,7 @@ def _located(
         up = tall[which]
         return excess(lattice.x(i[which] + np.where(up, 0.0, share)), lattice.y(j[which] + np.where(up, share, 0.0)))
 
-    return i, j, tall, _roots(along, at_lower, at_upper)
+    return i, j, tall, roots(along, at_lower, at_upper)
 
 
 def _ends_of_sides(sides: Integers, cells: BorderCells, keys: Integers) -> tuple[Array, Array]:
@@ -79,7 +79,7 @@ def _ends_of_sides(sides: Integers, cells: BorderCells, keys: Integers) -> tuple
     return lower, upper
 
 
-def _roots(function: Callable[[NDArray[np.intp], Array], Array], low: Array, high: Array) -> Array:
+def roots(function: Callable[[NDArray[np.intp], Array], Array], low: Array, high: Array) -> Array:
     """Roots in 0 … 1 of many functions with values of different sign at the ends."""
     a, b, fa, fb = np.zeros(len(low)), np.ones(len(low)), low.copy(), high.copy()
     root = np.where(fa == 0, a, b)

@@ -3,12 +3,12 @@
 
 A grid whose cells are halved wherever a border might be finds where borders cross the sides of its finest cells
 (`border_cells`, `border_crossings`); each border is followed from such a crossing with steps of its own
-(`border_following`), until every crossing lies on one: so each is found, and none is cut off by the grid.
+(`border_following`), until every crossing lies on one: so each is found, and none is cut off by the grid. What is
+handed out is a curve through what was followed, exact between its points too (`border_curves`).
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -19,17 +19,20 @@ from numpy.typing import NDArray
 from dynamics.errors import OutsideDomain
 from dynamics.stability.border_cells import KnownPoints, Lattice, border_cells
 from dynamics.stability.border_crossings import Crossings, crossings_of
-from dynamics.stability.border_following import SHORTEST, follow
+from dynamics.stability.border_curves import BorderCurve, Slopes, curve_tangents, curve_through
+from dynamics.stability.border_following import follow
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import cores
 from dynamics.stability.matrix_patches import MatrixPatches, cover
 
 _FIRST = (96, 72)  # cells of the first grid
 _LEVELS = 2
-_OFF, _SLACK = 0.02, 2 * SHORTEST  # how far off a chord its curve may be: of the chord, which turns by 3°, and besides
+_SPACING = 1 / 4000
+_STEP = 1e-6  # of the unit square, over which coordinates are differentiated
 _REAL = 1e-9  # |Im μ| below which a multiplier counts as real
 
 Array = NDArray[np.floating]
+Complex = NDArray[np.complexfloating]
 Span = tuple[float, float]
 DIVERGENCE, FLUTTER, DOUBLING = "divergence", "flutter", "period doubling"
 """A multiplier leaves the unit circle at +1; a pair beside the real axis; one at −1."""
@@ -41,15 +44,42 @@ class Border:
 
     Attributes:
         x, y: its points in order, shape (n,); what is stable lies on the left hand. The first is repeated at the end
-            where it is closed.
+            where it is closed. Points next to each other are at most `spacing` apart, so straight lines between them
+            leave the border by less than half of that in any direction, and by about spacing²/8 over its radius.
         multiplier: that crosses the unit circle, of a pair the one with Im μ ≥ 0, complex, shape (n,).
         closed: whether it is an island; otherwise both ends lie on the range's sides, or where balance ends.
+        spacing: a share of the range, in its logarithm where an axis is logarithmic.
+        curve: the branch in the unit square that stands for the range.
+        lattice: what the unit square is in x and y.
     """
 
     x: Array
     y: Array
-    multiplier: NDArray[np.complexfloating]
+    multiplier: Complex
     closed: bool
+    spacing: float
+    curve: BorderCurve
+    lattice: Lattice
+
+    @classmethod
+    def along(cls, curve: BorderCurve, lattice: Lattice, closed: bool, spacing: float) -> Border:
+        """A branch with points of a curve; see the class."""
+        at, root = curve.between(spacing)
+        return cls(*lattice.places(at), _upper(root**2), closed, spacing, curve, lattice)
+
+    def at_spacing(self, spacing: float) -> Border:
+        """The same branch with points as dense as wanted, a share of the range; that costs no new matrices.
+
+        Raises:
+            OutsideDomain: a spacing that is not above 0.
+        """
+        _need_a_spacing(spacing)
+        return Border.along(self.curve, self.lattice, self.closed, spacing)
+
+    @property
+    def off(self) -> float:
+        """How far the curve may be off the border, as a share of the range; see BorderCurve."""
+        return self.curve.off
 
     @property
     def kind(self) -> list[str]:
@@ -85,6 +115,7 @@ def stability_borders(
     y_range: Span,
     *,
     levels: int = _LEVELS,
+    spacing: float = _SPACING,
     logarithmic: tuple[bool, bool] = (False, False),
     progress: Callable[[float], None] | None = None,
 ) -> Borders:
@@ -93,10 +124,13 @@ def stability_borders(
     Args:
         x_range, y_range: from, to, in values of the plane's numbers.
         levels: how often a cell of the first grid (96 × 72) is halved both ways; 0 … 7.
+        spacing: how far apart the points of a branch may be, as a share of the range: half a pitch of a map with as
+            many points a side as 1/spacing is what straight lines between them may be off along a line of that map.
         logarithmic: whether x, and whether y, is divided evenly in its logarithm.
         progress: called with the share done, 0 … 1.
     Raises:
-        OutsideDomain: an empty range, a logarithm of what is not above 0, or a number of levels outside.
+        OutsideDomain: an empty range, a logarithm of what is not above 0, a number of levels outside, a spacing that is
+            not above 0.
     """
     if not (x_range[0] < x_range[1] and y_range[0] < y_range[1] and np.all(np.isfinite([*x_range, *y_range]))):
         raise OutsideDomain(f"ranges must rise and be finite, got x {x_range} and y {y_range}")
@@ -104,6 +138,7 @@ def stability_borders(
         raise OutsideDomain(f"logarithmic ranges must lie above 0, got x {x_range} and y {y_range}")
     if not 0 <= levels <= 7:
         raise OutsideDomain(f"levels must lie in 0 … 7, got {levels!r}")
+    _need_a_spacing(spacing)
     tell = progress or _unheard
     lattice = Lattice(x_range, y_range, _FIRST[0] << levels, _FIRST[1] << levels, logarithmic)
     with ThreadPoolExecutor(max_workers=cores()) as pool:
@@ -116,7 +151,9 @@ def stability_borders(
         known = KnownPoints(lattice, excess)
         cells = border_cells(known, *_FIRST, levels, lambda share: tell(0.2 + 0.3 * share))
         crossings = crossings_of(lattice, cells, excess)
-        branches = _followed(patches, lattice, crossings, lambda share: tell(0.6 + 0.4 * share))
+        slopes = _slopes(pool, patches, lattice)
+        curves = _followed(patches, lattice, crossings, slopes, lambda share: tell(0.6 + 0.4 * share))
+    branches = [Border.along(curve, lattice, closed, spacing) for curve, closed in curves]
     return Borders(
         tuple(sorted(branches, key=lambda branch: -len(branch.x))),
         cells.clear_stable + float(crossings.stable_share.sum()) / (lattice.columns * lattice.rows),
@@ -130,40 +167,59 @@ def _unheard(share: float) -> None:
     del share
 
 
+def _need_a_spacing(spacing: float) -> None:
+    if not 0 < spacing < np.inf:
+        raise OutsideDomain(f"the spacing of a border's points must be above 0 and finite, got {spacing!r}")
+
+
+def _slopes(pool: ThreadPoolExecutor, patches: MatrixPatches, lattice: Lattice) -> Slopes:
+    """The largest eigenvalue and its derivatives in the unit square."""
+    along_x = _rate(lambda share: patches.plane.x.of(lattice.x(share * lattice.columns)))
+    along_y = _rate(lambda share: patches.plane.y.of(lattice.y(share * lattice.rows)))
+
+    def slopes(at: Complex) -> tuple[Complex, Complex, Complex]:
+        found = patches.with_slopes(pool, *lattice.places(at))
+        return found[:, 0], found[:, 1] * along_x(at.real), found[:, 2] * along_y(at.imag)
+
+    return slopes
+
+
+def _rate(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Derivative on 0 … 1 of a smooth function that is not to be asked beyond."""
+
+    def rate(at: Array) -> Array:
+        first = np.clip(at - _STEP, 0.0, 1.0 - 2 * _STEP)
+        low, middle, high = (function(first + k * _STEP) for k in range(3))
+        return ((high - low) + 2 * ((at - first) / _STEP - 1) * (high - 2 * middle + low)) / (2 * _STEP)
+
+    return rate
+
+
 def _followed(
-    patches: MatrixPatches, lattice: Lattice, crossings: Crossings, tell: Callable[[float], None]
-) -> list[Border]:
-    """Follow borders until every crossing of the grid lies on one."""
+    patches: MatrixPatches, lattice: Lattice, crossings: Crossings, slopes: Slopes, tell: Callable[[float], None]
+) -> list[tuple[BorderCurve, bool]]:
+    """Follow borders until every crossing of the grid lies on one; whether each is closed."""
 
     def excess(at: complex) -> float:
         return abs(patches.largest_there(*lattice.place(at))) ** 2 - 1.0
 
     seeds = crossings.columns / lattice.columns + 1j * crossings.rows / lattice.rows
+    tangents = curve_tangents(seeds, slopes)
     waiting = np.ones(len(seeds), bool)
-    branches: list[Border] = []
+    curves: list[tuple[BorderCurve, bool]] = []
     while np.any(waiting):
         seed = complex(seeds[np.argmax(waiting)])
         waiting[np.argmax(waiting)] = False
         followed = follow(excess, seed)
-        waiting[waiting] = ~_lie_on(seeds[waiting], np.array(followed.points))
-        places = np.array([lattice.place(at) for at in followed.points])
-        roots = [patches.largest_there(x, y) for x, y in places.tolist()]
-        branches.append(Border(places[:, 0], places[:, 1], _upper(np.array(roots) ** 2), followed.closed))
+        if len(followed.points) < 2:
+            continue
+        curve = curve_through(np.array(followed.points), slopes)
+        curves.append((curve, followed.closed))
+        waiting[waiting] = ~curve.holds(seeds[waiting], tangents[waiting])
         tell(float(1 - waiting.mean()))
-    return branches
+    return curves
 
 
-def _lie_on(points: NDArray[np.complexfloating], line: NDArray[np.complexfloating]) -> NDArray[np.bool_]:
-    """Which points lie on a line, as far as its chords tell."""
-    near = np.zeros(len(points), bool)
-    for first, second in itertools.pairwise(line.tolist()):
-        along = (second - first) / abs(second - first)
-        off = (points - first) * np.conj(along)
-        reach = abs(second - first)
-        near |= (np.abs(off.imag) <= _OFF * reach + _SLACK) & (off.real >= -_SLACK) & (off.real <= reach + _SLACK)
-    return near
-
-
-def _upper(multipliers: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+def _upper(multipliers: Complex) -> Complex:
     """Of each pair the one above the real axis."""
     return np.where(np.imag(multipliers) < 0, np.conj(multipliers), multipliers)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -10,16 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.stability.floquet.matrix_rows import eigenvalues_at, largest_eigenvalue_there
+from dynamics.stability.floquet.matrix_slopes import largest_with_slopes
 from dynamics.stability.floquet.matrix_surface import MatrixSurface
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import MOST_NODES, needed_nodes, surface_over
 
 _SLACK = 1e-12  # by which a point on a side may be taken for one beyond it
-_BATCH = 1024  # points that a thread takes at a time
+_BATCH = 512  # points that a thread takes at a time
 _SMALLEST = 1 / 64  # side of a rectangle, of the range's: not smooth below that
 
 Array = NDArray[np.floating]
 Span = tuple[float, float]
+_Values = Callable[[MatrixSurface, Array, Array], NDArray[np.complexfloating]]
 
 
 @dataclass(frozen=True)
@@ -41,15 +44,28 @@ class MatrixPatches:
 
         NaN in bare rectangles.
         """
+        return self._on_surfaces(pool, _values, 8, x, y)
+
+    def with_slopes(self, pool: ThreadPoolExecutor, x: Array, y: Array) -> NDArray[np.complexfloating]:
+        """The first of them λ with ∂λ/∂u and ∂λ/∂v, u and v the plane's coordinates, shape (points, 3).
+
+        Of a pair the one with Im λ ≥ 0; NaN in bare rectangles.
+        """
+        return self._on_surfaces(pool, _with_slopes, 3, x, y)
+
+    def _on_surfaces(
+        self, pool: ThreadPoolExecutor, values_of: _Values, count: int, x: Array, y: Array
+    ) -> NDArray[np.complexfloating]:
+        """What a function finds at points, shape (points, count); each point is asked of the rectangle it lies in."""
         u, v = self.plane.x.of(x), self.plane.y.of(y)
-        found = np.full((len(u), 8), np.nan, complex)
+        found = np.full((len(u), count), np.nan, complex)
         open_points = np.ones(len(u), bool)
         for surface in self.surfaces:
             here = np.flatnonzero(open_points & _inside(surface.u_range, u) & _inside(surface.v_range, v))
             open_points[here] = False
             here = here[np.argsort(v[here], kind="stable")]
             parts = [here[start : start + _BATCH] for start in range(0, len(here), _BATCH)]
-            pending = [pool.submit(_values, surface, u[part], v[part]) for part in parts]
+            pending = [pool.submit(values_of, surface, u[part], v[part]) for part in parts]
             for part, values in zip(parts, pending, strict=True):
                 found[part] = values.result()
         return found
@@ -124,3 +140,11 @@ def _values(surface: MatrixSurface, u: Array, v: Array) -> NDArray[np.complexflo
     values = np.empty((len(u), surface.nodes.shape[-1]), complex)
     eigenvalues_at(nodes, surface.weights_v(rows), np.asarray(row, np.intp), surface.weights_u(u), values)
     return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1), 1)
+
+
+def _with_slopes(surface: MatrixSurface, u: Array, v: Array) -> NDArray[np.complexfloating]:
+    """Largest eigenvalues at points with their derivatives, shape (points, 3)."""
+    found = np.empty((len(u), 3), complex)
+    weights = surface.weights_v(v), surface.slopes_v(v), surface.weights_u(u), surface.slopes_u(u)
+    largest_with_slopes(surface.nodes.reshape(*surface.nodes.shape[:2], -1), *weights, found)
+    return found

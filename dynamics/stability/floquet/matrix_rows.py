@@ -32,7 +32,7 @@ def _four_matrices(row, weights, start, out):
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
-def _row_of_matrices(nodes, weights, out):
+def weighted_sum(nodes, weights, out):
     """Weighted sum of rows of nodes, shape (rows, n), into out (n,)."""
     out[:] = 0.0
     for j in range(nodes.shape[0]):
@@ -64,7 +64,7 @@ def multipliers_of_rows(
     columns, n = weights_u.shape[0], int(np.round(np.sqrt(entries)))
     matrices, a, values = np.empty((_SIDE, entries)), np.empty((n, n)), np.empty(n, np.complex128)
     for line in range(weights_v.shape[0]):
-        _row_of_matrices(flat, weights_v[line], row)
+        weighted_sum(flat, weights_v[line], row)
         for start in range(0, columns, _SIDE):
             _four_matrices(row.reshape(n_u, entries), weights_u, start, matrices)
             for i in range(start, min(start + _SIDE, columns)):
@@ -104,8 +104,8 @@ def eigenvalues_at(
     for point in range(len(row_of)):
         if row_of[point] != last:
             last = row_of[point]
-            _row_of_matrices(flat, weights_v[last], row)
-        _row_of_matrices(row.reshape(n_u, entries), weights_u[point], flat_matrix)
+            weighted_sum(flat, weights_v[last], row)
+        weighted_sum(row.reshape(n_u, entries), weights_u[point], flat_matrix)
         if eigenvalues(flat_matrix.reshape(n, n), found):
             values[point] = found
         else:
@@ -145,8 +145,8 @@ def largest_eigenvalue_there(nodes: NDArray[np.floating], share_u: float, share_
     _chebyshev_weights(share_u, weights_u)
     _chebyshev_weights(share_v, weights_v)
     row, matrix = np.empty(n_u * entries), np.empty(entries)
-    _row_of_matrices(nodes.reshape(n_v, n_u * entries), weights_v, row)
-    _row_of_matrices(row.reshape(n_u, entries), weights_u, matrix)
+    weighted_sum(nodes.reshape(n_v, n_u * entries), weights_v, row)
+    weighted_sum(row.reshape(n_u, entries), weights_u, matrix)
     n = int(np.round(np.sqrt(entries)))
     values = np.empty(n, np.complex128)
     if not eigenvalues(matrix.reshape(n, n), values):

@@ -52,6 +52,14 @@ class MatrixSurface:
         """Share of each row of nodes in the matrix at v, shape (len(v), n_v)."""
         return lagrange_basis(self.nodes.shape[0], self.v_range, v)
 
+    def slopes_u(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Derivatives of `weights_u` with u, shape (len(u), n_u)."""
+        return lagrange_slopes(self.nodes.shape[1], self.u_range, u)
+
+    def slopes_v(self, v: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Derivatives of `weights_v` with v, shape (len(v), n_v)."""
+        return lagrange_slopes(self.nodes.shape[0], self.v_range, v)
+
 
 def nodes_needed(span: tuple[float, float], half_phase_rad: float) -> int:
     """Terms after which the Chebyshev series of e^{i x u}, |u| ≤ 1, has fallen to rounding: x + O(x^⅓) and some."""
@@ -79,6 +87,21 @@ def lagrange_basis(n: int, span: tuple[float, float], at: NDArray[np.floating]) 
     angle = np.arccos(np.clip((2 * at - low - high) / (high - low), -1.0, 1.0))
     weight = np.where(order == 0, 1.0, 2.0) / n
     return np.cos(angle[:, None] * order) @ (weight[:, None] * np.cos(order[:, None] * _angles(n)))
+
+
+def lagrange_slopes(n: int, span: tuple[float, float], at: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Derivatives of `lagrange_basis` with the interval's coordinate, shape (len(at), n)."""
+    low, high = span
+    if n == 1:
+        return np.zeros((len(at), 1))
+    order = np.arange(n)
+    share = np.clip((2 * at - low - high) / (high - low), -1.0, 1.0)
+    second = np.zeros((len(at), n))  # U_j-1, of which T_j' = j U_j-1
+    second[:, 1] = 1.0
+    for j in range(2, n):
+        second[:, j] = 2 * share * second[:, j - 1] - second[:, j - 2]
+    weight = np.where(order == 0, 1.0, 2.0) / n
+    return 2 / (high - low) * (second * order) @ (weight[:, None] * np.cos(order[:, None] * _angles(n)))
 
 
 def fit_surface(

@@ -1,0 +1,88 @@
+"""The eigenvalue of largest modulus of interpolated matrices, and how it changes with both coordinates.
+
+With M v = λ v and wᵀ M = λ wᵀ a simple eigenvalue moves by dλ = wᵀ dM v / wᵀ v. The vectors come by inverse iteration: a
+matrix shifted by λ but for rounding multiplies v by some 10¹³ and everything else by less.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dynamics.stability.floquet.lanes import EPS, largest
+from dynamics.stability.floquet.matrix_rows import weighted_sum
+from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
+
+_SHIFT = 64 * EPS  # of the matrix's norm
+_ITERATIONS = 2
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _vector(shifted):
+    """What inverse iteration makes of a vector that no symmetry singles out, shape (n,)."""
+    n = shifted.shape[0]
+    vector = np.empty(n, np.complex128)
+    for i in range(n):
+        vector[i] = complex(np.cos(1.0 + 2.0 * i), np.sin(3.0 * i * i))
+    for _ in range(_ITERATIONS):
+        vector = np.linalg.solve(shifted, vector)
+        size = np.sqrt(np.sum(np.abs(vector) ** 2))
+        vector = vector / size
+    return vector
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def largest_with_slopes(
+    nodes: NDArray[np.floating],
+    weights_v: NDArray[np.floating],
+    slopes_v: NDArray[np.floating],
+    weights_u: NDArray[np.floating],
+    slopes_u: NDArray[np.floating],
+    found: NDArray[np.complexfloating],
+) -> None:
+    """Eigenvalues of largest modulus at scattered points, with their derivatives.
+
+    Args:
+        nodes: matrices of the nodes, shape (n_v, n_u, n²).
+        weights_v, slopes_v: of the rows of nodes at each point, and their derivatives, shape (points, n_v).
+        weights_u, slopes_u: of the columns of nodes, shape (points, n_u).
+        found: λ, ∂λ/∂u and ∂λ/∂v, shape (points, 3), filled; NaN where they did not come out. Of a pair the one with
+            Im λ ≥ 0.
+    """
+    n_v, n_u, entries = nodes.shape
+    n = int(np.round(np.sqrt(entries)))
+    flat = nodes.reshape(n_v, n_u * entries)
+    row, row_slope = np.empty(n_u * entries), np.empty(n_u * entries)
+    matrix, along_u, along_v = np.empty(entries), np.empty(entries), np.empty(entries)
+    values = np.empty(n, np.complex128)
+    for point in range(len(found)):
+        weighted_sum(flat, weights_v[point], row)
+        weighted_sum(flat, slopes_v[point], row_slope)
+        weighted_sum(row.reshape(n_u, entries), weights_u[point], matrix)
+        weighted_sum(row.reshape(n_u, entries), slopes_u[point], along_u)
+        weighted_sum(row_slope.reshape(n_u, entries), weights_u[point], along_v)
+        found[point] = np.nan
+        if not eigenvalues(matrix.copy().reshape(n, n), values):
+            continue
+        best, _ = largest(values)
+        value = values[best]
+        if value.imag < 0:
+            value = np.conj(value)
+        shifted = matrix.reshape(n, n).astype(np.complex128)
+        norm = np.sqrt(np.sum(matrix * matrix))
+        for i in range(n):
+            shifted[i, i] -= value + _SHIFT * norm
+        right = _vector(shifted)
+        left = _vector(np.ascontiguousarray(shifted.T))
+        scale = np.sum(left * right)
+        found[point, 0] = value
+        for which, slope in enumerate((along_u, along_v)):
+            moved = 0.0j
+            for i in range(n):
+                for j in range(n):
+                    moved += left[i] * slope[i * n + j] * right[j]
+            found[point, 1 + which] = moved / scale
