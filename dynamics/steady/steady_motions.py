@@ -201,10 +201,28 @@ def _rests(parameters: RotorParameters) -> bool:
 def _balanced(
     p: RotorParameters, speed: float, theta: tuple[float, float], accuracy: float, model: Model
 ) -> SteadyState:
+    """The balanced state: the disk rests, so that all but the multipliers is said without computing."""
     states = np.zeros((PHASES, 8))
     states[:, 2:4] = theta
     judged = floquet_multipliers(type_one(p, *theta, speed), accuracy)
-    return _described(p, speed, "I", states, judged, (2e-15, 0.0), model)
+    at = (theta[0] % (2 * math.pi), theta[1] % (2 * math.pi))
+    return SteadyState(
+        type="I",
+        theta_rad=at,
+        start=states[0].copy(),
+        states=states,
+        amplitude_m=0.0,
+        x_m=0j,
+        y_m=0j,
+        multipliers=judged.values,
+        error_estimate=judged.error_estimate,
+        angle_error_rad=2e-15,
+        amplitude_error_m=0.0,
+        model=model,
+        method=judged.why,
+        stick_half_width_rad=stick_half_width(p, speed, at),
+        any_angle=p.forcing_moment_kg_m == 0,
+    )
 
 
 def _from_point(
