@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dynamics.equations.kernels import C1, CA, FA, FB, JA, K1, MASS, SA, jacobian
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.periodic_matrix import PeriodicMatrix, turning
+from dynamics.equations.quick_derivatives import rate_derivatives
 from dynamics.errors import NotConverged, OutsideDomain
 
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
@@ -94,6 +95,19 @@ def type_one(parameters: RotorParameters, theta3: float, theta4: float, speed_ra
     return PeriodicMatrix(np.ascontiguousarray(h[:, kept][:, :, kept]), speed_rad_s, _TURN[kept])
 
 
+@njit(cache=True, error_model="numpy")
+def _matrices_along(states, speed, p, free_a, free_b, matrices):
+    """∂(dy/dt)/∂y at equally spaced phases of a revolution, shape (n, 8, 8), of states (n, 8)."""
+    for i in range(len(states)):
+        matrix = matrices[i]
+        for row in range(4):
+            for column in range(8):
+                matrix[row, column] = 0.0
+        matrix[0, 4] = matrix[1, 5] = 1.0
+        matrix[2, 6], matrix[3, 7] = free_a, free_b
+        rate_derivatives(states[i], 2 * np.pi * i / len(states), speed, p, free_a, free_b, matrix[4:])
+
+
 def along(
     parameters: RotorParameters,
     states: NDArray[np.floating],
@@ -101,7 +115,7 @@ def along(
     released: tuple[bool, bool] = (True, True),
     most_harmonics: int | None = None,
 ) -> PeriodicMatrix:
-    """Small motions about a periodic motion, from the kernel's exact Jacobian at phases of a whole revolution.
+    """Small motions about a periodic motion, from exact derivatives at phases of a whole revolution.
 
     The states' trigonometric interpolant is sampled more densely until the matrix's own Fourier series has died
     away, so that products of many harmonics do not fold back. Dry friction is left out. Damping that grows with the
@@ -127,17 +141,16 @@ def along(
     while phases <= _MOST_PHASES:
         sampled = _resampled(states, phases)
         matrices = np.empty((phases, 8, 8))
-        for i, state in enumerate(sampled):
-            jacobian(
-                state, 2 * np.pi * i / phases, speed_rad_s, 0.0, packed, float(2 in kept), float(3 in kept), matrices[i]
-            )
-        spectrum = np.fft.rfft(matrices[:, kept][:, :, kept], axis=0) / phases
+        _matrices_along(sampled, speed_rad_s, packed, float(2 in kept), float(3 in kept), matrices)
+        if len(kept) < 8:
+            matrices = matrices[:, kept][:, :, kept]
+        spectrum = np.fft.rfft(matrices, axis=0) / phases
         spectrum[1:] *= 2.0
         if turn is not None:  # entries that keep their sign over half a turn hold even orders, the others odd ones
             odd = np.outer(turn, turn) < 0
-            orders = np.arange(len(spectrum))
-            spectrum[(orders[:, None, None] % 2 == 1) != odd[None]] = 0.0
-        last = _last_heard(spectrum, np.max(np.abs(matrices[:, kept][:, :, kept]), axis=0))
+            spectrum[0::2, odd] = 0.0
+            spectrum[1::2, ~odd] = 0.0
+        last = _last_heard(spectrum, np.max(np.abs(matrices), axis=0))
         if most_harmonics is not None and phases >= 8 * most_harmonics:
             last = min(last, most_harmonics)
         if last < 3 * phases // 8:
@@ -160,9 +173,10 @@ def _last_heard(spectrum: NDArray[np.complexfloating], size: NDArray[np.floating
     it. More than 1e-11 of the entry's row is no rounding and counts as heard.
     """
     row = np.max(size, axis=1, keepdims=True)
-    flat = np.max(np.abs(spectrum[3 * len(spectrum) // 4 :]), axis=0)
+    heard = np.abs(spectrum)
+    flat = np.max(heard[3 * len(spectrum) // 4 :], axis=0)
     floor = np.maximum(8 * _ROUNDING * size, np.where(flat <= 1e-11 * row, 4 * flat, 0.0))
-    return int(np.max(np.flatnonzero(np.any(np.abs(spectrum) > floor, axis=(1, 2))), initial=0))
+    return int(np.max(np.flatnonzero(np.any(heard > floor, axis=(1, 2))), initial=0))
 
 
 def _repeats_after_half(states: NDArray[np.floating]) -> bool:
