@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from fractions import Fraction
 
 from dynamics.equations.parameters import RotorParameters, physics_of
 
@@ -18,22 +17,22 @@ IMPROPERLY_OVERSIZED = "improperly oversized"
 
 @dataclass(frozen=True)
 class _Slacks:
-    """How far each side of the triangle S_A, S_B, S_P is from being as long as the other two, exact."""
+    """How far each side of the triangle S_A, S_B, S_P is from being as long as the other two: rounded once, kg m."""
 
-    a: Fraction  # S_B + S_P − S_A
-    b: Fraction  # S_A + S_P − S_B
-    p: Fraction  # S_A + S_B − S_P
+    a: float  # S_B + S_P − S_A
+    b: float  # S_A + S_P − S_B
+    p: float  # S_A + S_B − S_P
 
 
 def _slacks(a: float, b: float, s: float) -> _Slacks:
-    """Exact differences of the moments as they are stored; what is under one rounding of the sides counts as none."""
-    A, B, S = Fraction(a), Fraction(b), Fraction(s)
-    rounding = Fraction(math.ulp(max(a, b, s)))
+    """Differences of the moments as they are stored; what is under one rounding of the sides counts as none."""
+    rounding = math.ulp(max(a, b, s))
 
-    def slack(value: Fraction) -> Fraction:
-        return Fraction(0) if -rounding <= value < 0 else value
+    def slack(*sides: float) -> float:
+        value = math.fsum(sides)  # the exact sum, rounded once: it has the exact sum's sign
+        return 0.0 if -rounding <= value < 0 else value
 
-    return _Slacks(slack(B + S - A), slack(A + S - B), slack(A + B - S))
+    return _Slacks(slack(b, s, -a), slack(a, s, -b), slack(a, b, -s))
 
 
 def balancing_region(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> str:
@@ -51,19 +50,17 @@ def balancing_region(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> str
     return IMPROPERLY_OVERSIZED if min(slack.a, slack.b) < 0 else PROPERLY_OVERSIZED
 
 
-def _half_angle(numerator: Fraction, denominator: Fraction) -> float:
-    """2 atan sqrt(numerator/denominator), scaled so that neither under- nor overflows."""
-    scale = max(numerator, denominator)
-    if scale == 0:
-        return 0.0
-    return 2 * math.atan2(math.sqrt(numerator / scale), math.sqrt(denominator / scale))
+def _half_angle(numerator: tuple[float, float], denominator: tuple[float, float]) -> float:
+    """2 atan sqrt(numerator/denominator) of two products, whose roots neither under- nor overflow."""
+    root = [math.sqrt(first) * math.sqrt(second) for first, second in (numerator, denominator)]
+    return 2 * math.atan2(*root)
 
 
 def _triangle_angles(a: float, b: float, s: float) -> tuple[float, float] | None:
     """Angles of the triangle with sides S_A, S_B, S_P between S_P and S_A and between S_P and S_B, rad.
 
-    tan²(α/2) = (S_B + S_P − S_A)(S_A + S_B − S_P) / ((S_A + S_P − S_B)(S_A + S_B + S_P)), from exact differences of
-    the stored moments: on the borders the cosine formula would lose half the digits.
+    tan²(α/2) = (S_B + S_P − S_A)(S_A + S_B − S_P) / ((S_A + S_P − S_B)(S_A + S_B + S_P)), from differences of the
+    stored moments that are rounded once: on the borders the cosine formula would lose half the digits.
 
     Returns:
         None when there is no triangle. For S_P = 0 and S_A = S_B the limit S_P → 0: (π/2, π/2).
@@ -73,8 +70,8 @@ def _triangle_angles(a: float, b: float, s: float) -> tuple[float, float] | None
         return None
     if s == 0:
         return math.pi / 2, math.pi / 2
-    whole = Fraction(a) + Fraction(b) + Fraction(s)
-    return _half_angle(slack.a * slack.p, slack.b * whole), _half_angle(slack.b * slack.p, slack.a * whole)
+    whole = a + b + s
+    return _half_angle((slack.a, slack.p), (slack.b, whole)), _half_angle((slack.b, slack.p), (slack.a, whole))
 
 
 def closing_angles(a_kg_m: float, b_kg_m: float, target_kg_m: complex) -> list[tuple[float, float]]:

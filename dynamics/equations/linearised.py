@@ -4,16 +4,19 @@ State y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) with the disk centre in the s
 constant, and only the pendulums' small share turns with the rotor. Derivations: docs/theory/stability.md.
 """
 
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
 from __future__ import annotations
 
-import functools
-from dataclasses import dataclass
-
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.kernels import FA, FB, jacobian
+from dynamics.equations.kernels import C1, CA, FA, FB, JA, K1, MASS, SA, jacobian
 from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.periodic_matrix import PeriodicMatrix, turning
+from dynamics.equations.quick_derivatives import rate_derivatives
 from dynamics.errors import NotConverged, OutsideDomain
 
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
@@ -21,89 +24,47 @@ _ROUNDING = np.finfo(float).eps
 _MOST_PHASES = 4096
 
 
-@dataclass(frozen=True)
-class PeriodicMatrix:
-    """A(ψ) of δẏ = A(ψ) δy along a motion, as a Fourier series in the rotor's phase.
-
-    Attributes:
-        harmonics: complex, shape (m + 1, n, n): A(ψ) = Re Σ_k harmonics[k] e^{ikψ}, SI (1/s and the state's units).
-        speed_rad_s: ψ̇ = ω, above 0.
-        turn: signs, shape (n,), of D = diag(turn) with A(ψ + π) = D A(ψ) D: half a revolution tells all; None where
-            only the whole revolution repeats.
-    Raises:
-        OutsideDomain: a speed that is not finite and above 0, harmonics that are not finite or of the wrong shape.
-    """
-
-    harmonics: NDArray[np.complexfloating]
-    speed_rad_s: float
-    turn: NDArray[np.floating] | None
-
-    def __post_init__(self) -> None:
-        shape = self.harmonics.shape
-        if len(shape) != 3 or shape[0] < 1 or shape[1] != shape[2] or shape[1] < 1:
-            raise OutsideDomain(f"harmonics must have the shape (m + 1, n, n), got {shape}")
-        if not (np.isfinite(self.speed_rad_s) and self.speed_rad_s > 0):
-            raise OutsideDomain(f"speed_rad_s must be finite and above 0, got {self.speed_rad_s!r}")
-        if not np.all(np.isfinite(self.harmonics)):
-            raise OutsideDomain("the matrix along the motion holds values that are not finite: check masses and speed")
-
-    @property
-    def constant(self) -> bool:
-        """Whether the matrix does not depend on the phase (autonomous equations)."""
-        return len(self.harmonics) == 1
-
-    @property
-    def dimension(self) -> int:
-        """Number of states n."""
-        return self.harmonics.shape[1]
-
-    def at(self, phase_rad: float) -> NDArray[np.floating]:
-        """A(ψ), shape (n, n), 1/s."""
-        wave = np.exp(1j * phase_rad * np.arange(len(self.harmonics)))
-        return np.real(np.einsum("k,kij->ij", wave, self.harmonics))
-
-    @functools.cached_property
-    def seen_from_rotor(self) -> PeriodicMatrix | None:
-        """The constant matrix in the frame that turns with the rotor; None where it is not constant there.
-
-        With y = R(ψ) y_r, R turning (x, y) and (ẋ, ẏ) by ψ: A_r = Rᵀ A(ψ) R − ω G, G = dR/dψ at 0. Over a whole
-        revolution R comes back to 1, so the multipliers are the same.
-        """
-        if self.constant or self.dimension not in (4, 6, 8):
-            return None
-        start, phases = self.at(0.0), np.linspace(0.0, 2 * np.pi, 2 * len(self.harmonics) + 1, endpoint=False)[1:]
-        size = np.abs(start)
-        for phase in phases:
-            turned = _turned(self.dimension, phase)
-            there = turned.T @ self.at(float(phase)) @ turned
-            allowed = 16 * _ROUNDING * (np.abs(turned.T) @ np.abs(self.at(float(phase))) @ np.abs(turned) + size)
-            if np.any(np.abs(there - start) > allowed):
-                return None
-        return PeriodicMatrix(
-            (start - self.speed_rad_s * _turning(self.dimension)).astype(complex)[None], self.speed_rad_s, None
-        )
-
-
-def _turning(n: int) -> NDArray[np.floating]:
-    """G: derivative of the rotation of (x, y) and (ẋ, ẏ) at angle zero."""
-    g = np.zeros((n, n))
-    for i in (0, n // 2):
-        g[i, i + 1], g[i + 1, i] = -1.0, 1.0
-    return g
-
-
-def _turned(n: int, angle: float) -> NDArray[np.floating]:
-    """R(ψ)."""
-    r = np.eye(n)
-    for i in (0, n // 2):
-        r[i : i + 2, i : i + 2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return r
-
-
 def kept_states(parameters: RotorParameters, released: tuple[bool, bool] = (True, True)) -> NDArray[np.intp]:
     """Indices of the states that move: a locked or absent pendulum's angle and rate are left out."""
     free = [bool(r and p.present) for r, p in zip(released, (parameters.a, parameters.b), strict=True)]
     return np.flatnonzero(np.array([True, True, *free] * 2))
+
+
+@njit(cache=True, error_model="numpy")
+def _resting_harmonics(p, theta3, theta4, w, h):
+    """Harmonics 0, 1 and 2 of A(ψ) about the balanced state into h, shape (3, 8, 8), which comes as zeros.
+
+    Args:
+        p: packed parameters.
+        theta3, theta4: balanced angles, rad; w: speed, rad/s.
+    """
+    arm = (complex(np.cos(theta3), np.sin(theta3)), complex(np.cos(theta4), np.sin(theta4)))
+    m, g = p[MASS], 0j
+    for i in range(2):
+        mu = p[SA + i] * p[SA + i] / p[JA + i]
+        m -= 0.5 * mu
+        g -= 0.5 * mu * arm[i] * arm[i]
+    det = (m - abs(g)) * (m + abs(g))
+    for i in range(4):
+        h[0, i, 4 + i] = 1.0
+    for axis in range(2):
+        unit, sign = (1.0 + 0j, 1.0) if axis == 0 else (-1j, -1.0)
+        for column, force in ((axis, -p[K1 + axis]), (4 + axis, -p[C1 + axis])):
+            h[0, 4 + axis, column] = m * force / det
+            h[2, 4 + axis, column] = sign * g * force / det
+            h[2, 5 - axis, column] = -1j * g * force / det
+            for i in range(2):
+                n = -1j * arm[i]
+                softened = (m * n + g * np.conj(n)) / det
+                h[1, 6 + i, column] = p[SA + i] / p[JA + i] * force * unit * softened
+    for i in range(2):
+        s, rate, normal = p[SA + i], p[CA + i] / p[JA + i], -1j * arm[i]
+        for column, force in ((2 + i, -w * w * s * normal), (6 + i, s * (2 * w * arm[i] - rate * normal))):
+            moved = (m * force + g * np.conj(force)) / det
+            h[1, 4, column], h[1, 5, column] = moved, -1j * moved
+            for r in range(2):
+                h[0, 6 + r, column] = p[SA + r] / p[JA + r] * (1j * np.conj(arm[r]) * moved).real
+        h[0, 6 + i, 6 + i] -= rate
 
 
 def type_one(parameters: RotorParameters, theta3: float, theta4: float, speed_rad_s: float) -> PeriodicMatrix:
@@ -120,43 +81,31 @@ def type_one(parameters: RotorParameters, theta3: float, theta4: float, speed_ra
     Raises:
         OutsideDomain: gravity in the disk plane, a pivot shift or a bow: the rotor does not rest there (use `along`).
     """
-    p, w = parameters, speed_rad_s
+    p = parameters
     if p.gravity_m_per_s2 != 0 or p.pivot_shift_m != 0 or p.bow_m != 0:
         raise OutsideDomain(
             "the closed form of Type I needs gravity_m_per_s2 = 0, pivot_shift_m = 0 and no bow, got "
             f"{p.gravity_m_per_s2!r}, {p.pivot_shift_m!r} and {p.bow_m!r}; linearise along the computed orbit instead"
         )
-    k, c = (p.k1_N_per_m, p.k2_N_per_m), p.damping_Ns_per_m
-    packed = p.packed()
-    s, j, loss = packed[5:7], packed[8:10], packed[10:12]
-    arm = np.array([np.exp(1j * theta3), np.exp(1j * theta4)])
-    normal, mu = -1j * arm, s * s / j
-    m, g = p.total_mass_kg - mu.sum() / 2, -0.5 * np.sum(mu * arm**2)
-    det = (m - abs(g)) * (m + abs(g))
-
-    def softened(a: complex) -> complex:
-        return (m * a + g * np.conj(a)) / det
-
-    h = np.zeros((3, 8, 8), complex)
-    h[0, :4, 4:] = np.eye(4)
-    for axis, unit in ((0, 1.0), (1, -1j)):
-        sign = 1.0 if axis == 0 else -1.0
-        for column, force in ((axis, -k[axis]), (4 + axis, -c[axis])):
-            h[0, 4 + axis, column] = m * force / det
-            h[2, 4 + axis, column] = sign * g * force / det
-            h[2, 5 - axis, column] = -1j * g * force / det
-            for i in range(2):
-                h[1, 6 + i, column] = s[i] / j[i] * force * unit * softened(normal[i])
-    for i in range(2):
-        pushes = ((2 + i, -w * w * s[i] * normal[i]), (6 + i, s[i] * (2 * w * arm[i] - loss[i] / j[i] * normal[i])))
-        for column, force in pushes:
-            moved = softened(force)
-            h[1, 4, column], h[1, 5, column] = moved, -1j * moved
-            for r in range(2):
-                h[0, 6 + r, column] = s[r] / j[r] * np.real(np.conj(normal[r]) * moved)
-        h[0, 6 + i, 6 + i] -= loss[i] / j[i]
+    h = np.zeros((3, 8, 8), np.complex128)
+    _resting_harmonics(p.packed(), theta3, theta4, speed_rad_s, h)
+    if p.a.present and p.b.present:
+        return PeriodicMatrix(h, speed_rad_s, _TURN)
     kept = kept_states(p)
     return PeriodicMatrix(np.ascontiguousarray(h[:, kept][:, :, kept]), speed_rad_s, _TURN[kept])
+
+
+@njit(cache=True, error_model="numpy")
+def _matrices_along(states, speed, p, free_a, free_b, matrices):
+    """∂(dy/dt)/∂y at equally spaced phases of a revolution, shape (n, 8, 8), of states (n, 8)."""
+    for i in range(len(states)):
+        matrix = matrices[i]
+        for row in range(4):
+            for column in range(8):
+                matrix[row, column] = 0.0
+        matrix[0, 4] = matrix[1, 5] = 1.0
+        matrix[2, 6], matrix[3, 7] = free_a, free_b
+        rate_derivatives(states[i], 2 * np.pi * i / len(states), speed, p, free_a, free_b, matrix[4:])
 
 
 def along(
@@ -166,7 +115,7 @@ def along(
     released: tuple[bool, bool] = (True, True),
     most_harmonics: int | None = None,
 ) -> PeriodicMatrix:
-    """Small motions about a periodic motion, from the kernel's exact Jacobian at phases of a whole revolution.
+    """Small motions about a periodic motion, from exact derivatives at phases of a whole revolution.
 
     The states' trigonometric interpolant is sampled more densely until the matrix's own Fourier series has died
     away, so that products of many harmonics do not fold back. Dry friction is left out. Damping that grows with the
@@ -192,17 +141,16 @@ def along(
     while phases <= _MOST_PHASES:
         sampled = _resampled(states, phases)
         matrices = np.empty((phases, 8, 8))
-        for i, state in enumerate(sampled):
-            jacobian(
-                state, 2 * np.pi * i / phases, speed_rad_s, 0.0, packed, float(2 in kept), float(3 in kept), matrices[i]
-            )
-        spectrum = np.fft.rfft(matrices[:, kept][:, :, kept], axis=0) / phases
+        _matrices_along(sampled, speed_rad_s, packed, float(2 in kept), float(3 in kept), matrices)
+        if len(kept) < 8:
+            matrices = matrices[:, kept][:, :, kept]
+        spectrum = np.fft.rfft(matrices, axis=0) / phases
         spectrum[1:] *= 2.0
         if turn is not None:  # entries that keep their sign over half a turn hold even orders, the others odd ones
             odd = np.outer(turn, turn) < 0
-            orders = np.arange(len(spectrum))
-            spectrum[(orders[:, None, None] % 2 == 1) != odd[None]] = 0.0
-        last = _last_heard(spectrum, np.max(np.abs(matrices[:, kept][:, :, kept]), axis=0))
+            spectrum[0::2, odd] = 0.0
+            spectrum[1::2, ~odd] = 0.0
+        last = _last_heard(spectrum, np.max(np.abs(matrices), axis=0))
         if most_harmonics is not None and phases >= 8 * most_harmonics:
             last = min(last, most_harmonics)
         if last < 3 * phases // 8:
@@ -225,9 +173,10 @@ def _last_heard(spectrum: NDArray[np.complexfloating], size: NDArray[np.floating
     it. More than 1e-11 of the entry's row is no rounding and counts as heard.
     """
     row = np.max(size, axis=1, keepdims=True)
-    flat = np.max(np.abs(spectrum[3 * len(spectrum) // 4 :]), axis=0)
+    heard = np.abs(spectrum)
+    flat = np.max(heard[3 * len(spectrum) // 4 :], axis=0)
     floor = np.maximum(8 * _ROUNDING * size, np.where(flat <= 1e-11 * row, 4 * flat, 0.0))
-    return int(np.max(np.flatnonzero(np.any(np.abs(spectrum) > floor, axis=(1, 2))), initial=0))
+    return int(np.max(np.flatnonzero(np.any(heard > floor, axis=(1, 2))), initial=0))
 
 
 def _repeats_after_half(states: NDArray[np.floating]) -> bool:
@@ -275,5 +224,5 @@ def rotating_frame(
     matrix = np.empty((8, 8))
     start = np.ascontiguousarray(state, float)
     jacobian(start, 0.0, speed_rad_s, 0.0, packed, float(2 in kept), float(3 in kept), matrix)
-    matrix -= speed_rad_s * _turning(8)
+    matrix -= speed_rad_s * turning(8)
     return PeriodicMatrix(matrix[np.ix_(kept, kept)].astype(complex)[None], speed_rad_s, None)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from dynamics.steady.whirl import PHASES, circular_whirl, locked_whirl
 _SAME_RAD = 1e-4  # orbits whose mean angles lie closer are one
 _MOST_HARMONICS = 32  # of the matrix along a motion whose damping has kinks; half as many tell the error
 _OF_KINKED = 0.3  # of the accuracy, for such an orbit: its orders fall like 1/k⁵
+_Angles: TypeAlias = tuple[float, float]
 _FURTHER_ANGLES = np.arange(8) * math.pi / 4  # extra starts where the mean torque is no good guide
 
 
@@ -80,9 +82,9 @@ class _Search:
         self.found: list[SteadyState] = []
         self.unresolved: list[str] = []
         self._refused: NotConverged | None = None
-        self._places: list[NDArray[np.floating]] = []  # angles of every motion met, judged or not
+        self._places: list[_Angles] = []  # mean angles of every motion met, judged or not
 
-    def judge(self, kind: str, make: Callable[[], SteadyState], theta: NDArray[np.floating] | None = None) -> None:
+    def judge(self, kind: str, make: Callable[[], SteadyState], theta: _Angles | None = None) -> None:
         """Add a state; one whose multipliers can't be had is named in `unresolved`."""
         if theta is not None:
             self._places.append(theta)
@@ -92,9 +94,9 @@ class _Search:
             self._refused = refusal
             self.unresolved.append(f"{kind}: {refusal}")
 
-    def knows(self, states: NDArray[np.floating]) -> bool:
+    def knows(self, theta: _Angles) -> bool:
         """Whether a motion with these mean angles has been met."""
-        return any(_apart(states, place) < _SAME_RAD for place in self._places)
+        return any(_apart(theta, place) < _SAME_RAD for place in self._places)
 
     def outcome(self) -> SteadyStates:
         """All that was found.
@@ -122,16 +124,17 @@ def _search_orbits(
     if all(released) and p.a.present and p.b.present:
         for angle in _FURTHER_ANGLES:
             further += [SingularPoint("II", (angle, angle + math.pi), 0j), SingularPoint("III", (angle, angle), 0j)]
+    linear = p if p.suspension_is_linear else replace(p, hardening_per_m2=(0.0, 0.0), damping_growth_s_per_m=(0.0, 0.0))
     for point in points + further:
         theta = point.theta_rad
         twin = _changed_over(p, search, theta)
         if twin is not None:
-            search.judge(point.type, lambda t=twin: t, np.array(twin.theta_rad))
+            search.judge(point.type, lambda t=twin: t, twin.theta_rad)
         elif point.type == "I" and _rests(p):
-            search.judge("I", lambda t=theta: _balanced(p, speed, t, accuracy, model), np.array(theta))
+            search.judge("I", lambda t=theta: _balanced(p, speed, t, accuracy, model), theta)
         else:
-            coarse = coarse_orbit(p, speed, _first_guess(p, speed, theta), released)
-            if coarse is not None and search.knows(coarse):
+            coarse = coarse_orbit(p, speed, _first_guess(linear, speed, theta), released)
+            if coarse is not None and search.knows(_mean_angles(coarse)):
                 continue
             share = _OF_KINKED if _is_kinked(p) else 0.01
             orbit = None if coarse is None else periodic_orbit(p, speed, coarse[:, :4], share * accuracy, released)
@@ -139,16 +142,16 @@ def _search_orbits(
                 search.unresolved += (
                     [f"{point.type}: no orbit found near its singular point"] if point in points else []
                 )
-            elif not search.knows(orbit.states):
-                kind = point.type if point.type in ("one", "none") else _kind(orbit, points)
-                mean = orbit.states[:, 2:4].mean(axis=0)
+                continue
+            mean = _mean_angles(orbit.states)
+            if not search.knows(mean):
+                kind = point.type if point.type in ("one", "none") else _kind(mean, points)
                 make = lambda k=kind, o=orbit: _from_orbit(p, speed, k, o, accuracy, released, model)  # noqa: E731
                 search.judge(kind, make, mean)
 
 
-def _first_guess(p: RotorParameters, speed: float, theta: tuple[float, float]) -> NDArray[np.floating]:
+def _first_guess(linear: RotorParameters, speed: float, theta: _Angles) -> NDArray[np.floating]:
     """Positions (n, 4) of the linear orbit; in a resonance without damping, where it has none, of the rotor at rest."""
-    linear = replace(p, hardening_per_m2=(0.0, 0.0), damping_growth_s_per_m=(0.0, 0.0))
     try:
         return locked_whirl(linear, speed, theta)[:, :4]
     except OutsideDomain:
@@ -201,10 +204,28 @@ def _rests(parameters: RotorParameters) -> bool:
 def _balanced(
     p: RotorParameters, speed: float, theta: tuple[float, float], accuracy: float, model: Model
 ) -> SteadyState:
+    """The balanced state: the disk rests, so that all but the multipliers is said without computing."""
     states = np.zeros((PHASES, 8))
     states[:, 2:4] = theta
     judged = floquet_multipliers(type_one(p, *theta, speed), accuracy)
-    return _described(p, speed, "I", states, judged, (2e-15, 0.0), model)
+    at = (theta[0] % (2 * math.pi), theta[1] % (2 * math.pi))
+    return SteadyState(
+        type="I",
+        theta_rad=at,
+        start=states[0].copy(),
+        states=states,
+        amplitude_m=0.0,
+        x_m=0j,
+        y_m=0j,
+        multipliers=judged.values,
+        error_estimate=judged.error_estimate,
+        angle_error_rad=2e-15,
+        amplitude_error_m=0.0,
+        model=model,
+        method=judged.why,
+        stick_half_width_rad=stick_half_width(p, speed, at),
+        any_angle=p.forcing_moment_kg_m == 0,
+    )
 
 
 def _from_point(
@@ -271,35 +292,35 @@ def _described(
     )
 
 
-def _kind(orbit: Orbit, points: list[SingularPoint]) -> str:
+def _kind(mean: _Angles, points: list[SingularPoint]) -> str:
     """Type of an orbit: balanced when nearest to such a point, else by the angle between the pendulums."""
-    mean = np.mean(orbit.states[:, 2:4], axis=0)
     gap = abs((mean[0] - mean[1] + math.pi) % (2 * math.pi) - math.pi)
     aligned = {"III": gap, "II": math.pi - gap}
-    balanced = [
-        float(np.max(np.abs(np.exp(1j * mean) - np.exp(1j * np.array(p.theta_rad))))) for p in points if p.type == "I"
-    ]
+    balanced = [_apart(mean, p.theta_rad) for p in points if p.type == "I"]
     if balanced and min(balanced) < min(aligned.values()):
         return "I"
     return min(aligned, key=lambda k: aligned[k])
 
 
-def _changed_over(p: RotorParameters, search: _Search, theta: tuple[float, float]) -> SteadyState | None:
+def _changed_over(p: RotorParameters, search: _Search, theta: _Angles) -> SteadyState | None:
     """A motion found with A and B changed over, when they are alike: the motion near the angles asked for."""
     if p.a != p.b:
         return None
-    over = [0, 1, 3, 2, 4, 5, 7, 6]
     for s in search.found:
-        states = s.states[:, over]
-        asked = _apart(states, np.array(theta)) < 0.05
-        if asked and _apart(states, s.states[:, 2:4].mean(axis=0)) > 0.2 and not search.knows(states):
+        own, over = s.theta_rad, (s.theta_rad[1], s.theta_rad[0])
+        if _apart(over, theta) < 0.05 and _apart(over, own) > 0.2 and not search.knows(over):
+            states = s.states[:, [0, 1, 3, 2, 4, 5, 7, 6]]
             widths = s.stick_half_width_rad[::-1]
-            return replace(
-                s, theta_rad=s.theta_rad[::-1], states=states, start=states[0].copy(), stick_half_width_rad=widths
-            )
+            return replace(s, theta_rad=over, states=states, start=states[0].copy(), stick_half_width_rad=widths)
     return None
 
 
-def _apart(states: NDArray[np.floating], theta: NDArray[np.floating]) -> float:
-    """Largest distance |e^{iθ} − e^{iθ'}| between the mean angles of a motion and given ones."""
-    return float(np.max(np.abs(np.exp(1j * states[:, 2:4].mean(axis=0)) - np.exp(1j * theta))))
+def _mean_angles(states: NDArray[np.floating]) -> _Angles:
+    """Mean θ3, θ4 of a motion, rad."""
+    theta = states[:, 2:4].mean(axis=0)
+    return float(theta[0]), float(theta[1])
+
+
+def _apart(one: _Angles, other: _Angles) -> float:
+    """Larger distance |e^{iθ} − e^{iθ'}| of two pairs of angles."""
+    return max(abs(2 * math.sin((a - b) / 2)) for a, b in zip(one, other, strict=True))

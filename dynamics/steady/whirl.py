@@ -10,15 +10,21 @@ from dynamics.motions.locked_motion import locked_orbit
 from dynamics.steady.singular_points import SingularPoint
 
 PHASES = 32
+_TURN = np.exp(2j * np.pi * np.arange(PHASES) / PHASES)
+
+
+def _held(x: complex, y: complex, speed_rad_s: float, theta_rad: tuple[float, float]) -> NDArray[np.floating]:
+    """States (PHASES, 8) of x = Re(x e^{iψ}), y = Im(y e^{iψ}) with the pendulums held."""
+    states, whirl_x, whirl_y = np.zeros((PHASES, 8)), x * _TURN, y * _TURN
+    states[:, 0], states[:, 1] = whirl_x.real, whirl_y.imag
+    states[:, 2:4] = theta_rad
+    states[:, 4], states[:, 5] = -speed_rad_s * whirl_x.imag, speed_rad_s * whirl_y.real
+    return states
 
 
 def circular_whirl(speed_rad_s: float, point: SingularPoint) -> NDArray[np.floating]:
     """States (PHASES, 8) at equally spaced phases of the circular whirl z of a singular point."""
-    q = point.z_m * np.exp(2j * np.pi * np.arange(PHASES) / PHASES)
-    v = 1j * speed_rad_s * q
-    rest = np.zeros(PHASES)
-    a, b = (np.full(PHASES, t) for t in point.theta_rad)
-    return np.column_stack([q.real, q.imag, a, b, v.real, v.imag, rest, rest])
+    return _held(point.z_m, point.z_m, speed_rad_s, point.theta_rad)
 
 
 def locked_whirl(
@@ -26,11 +32,6 @@ def locked_whirl(
 ) -> NDArray[np.floating]:
     """States (PHASES, 8) of the locked orbit (its first order), sag under gravity included, pendulums held."""
     x, y = locked_orbit(parameters, speed_rad_s, *theta_rad)
-    turn = np.exp(2j * np.pi * np.arange(PHASES) / PHASES)
-    rest = np.zeros(PHASES)
-    sag = parameters.total_mass_kg * parameters.gravity_m_per_s2 / parameters.k2_N_per_m
-    a, b = (np.full(PHASES, t) for t in theta_rad)
-    rate = 1j * speed_rad_s
-    return np.column_stack(
-        [(x * turn).real, (y * turn).imag - sag, a, b, (rate * x * turn).real, (rate * y * turn).imag, rest, rest]
-    )
+    states = _held(x, y, speed_rad_s, theta_rad)
+    states[:, 1] -= parameters.total_mass_kg * parameters.gravity_m_per_s2 / parameters.k2_N_per_m
+    return states

@@ -1,14 +1,19 @@
 """Which method, and how many steps to begin with: a cost model with measured constants."""
 
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.errors import NotConverged
 from dynamics.stability.floquet import (
     chebyshev,
@@ -20,7 +25,8 @@ from dynamics.stability.floquet import (
     piecewise,
     single_pass,
 )
-from dynamics.stability.floquet.methods import MonodromyMethod, span_rad
+from dynamics.stability.floquet.methods import MonodromyMethod, per_radian, span_rad
+from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 
 _ALL: tuple[MonodromyMethod, ...] = (
     explicit,
@@ -34,6 +40,7 @@ _ALL: tuple[MonodromyMethod, ...] = (
 )
 METHODS: dict[str, MonodromyMethod] = {method.NAME: method for method in _ALL}
 _EPS = float(np.finfo(float).eps)
+_PHASES = 8  # at which the rates are looked at
 AUTOMATIC = (explicit.NAME, magnus.NAME, implicit.NAME, commutator_free.NAME)
 
 
@@ -83,8 +90,7 @@ _DEAD = 35.0  # decay exponent over the span beyond which a mode leaves nothing 
 BUDGET_US = 1.4e6  # of one call
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """A method with the coarser of its first two numbers of steps, and why it was taken.
 
     Attributes:
@@ -108,33 +114,63 @@ class Plan:
         return (3.5 if self.three else 3.0) * self.steps * self.step_us
 
 
+@njit(cache=True, error_model="numpy")
+def _eigenvalues_along(series, span, found):
+    """Eigenvalues of A(ψ) at equally spaced phases of the span into found (phases, n); whether all came out."""
+    phases, n = found.shape
+    a = np.empty((n, n))
+    for i in range(phases):
+        evaluate(series, span * i / phases, a)
+        if not eigenvalues(a, found[i]):
+            return False
+    return True
+
+
 def _rates(matrix: PeriodicMatrix) -> NDArray[np.complexfloating]:
     """Eigenvalues of A(ψ) at eight phases times the span: growth and turns of each mode over the span."""
     span = span_rad(matrix)
-    found = [np.linalg.eigvals(matrix.at(phase)) for phase in span / 8 * np.arange(8)]
-    return np.concatenate(found) * (span / matrix.speed_rad_s)
+    found = np.empty((_PHASES, matrix.dimension), np.complex128)
+    if not _eigenvalues_along(per_radian(matrix), span, found):
+        found[:] = [np.linalg.eigvals(matrix.at(phase)) for phase in span / _PHASES * np.arange(_PHASES)]
+        found /= matrix.speed_rad_s
+    return found.ravel() * span
 
 
-def _steps(name: str, rates: NDArray[np.complexfloating], accuracy: float) -> int:
-    """Steps for which the coarser run is expected to meet the accuracy."""
+@njit(cache=True, error_model="numpy")
+def _most_steps(rates, accuracy, error, order, longest, dead_count, swing):
+    """Steps that the most demanding of the rates needs.
+
+    Args:
+        rates: growth and turns over the span.
+        error, order, longest: of the method; see _Cost.
+        dead_count: whether a mode that has died still needs steps of the longest kind.
+        swing: rad of oscillation, damped or not, that a step may take.
+    """
+    most = 0.0
+    for rate in rates:
+        size = max(abs(rate), 1e-9)
+        if rate.real > -_DEAD:
+            left = np.exp(min(2 * rate.real, 0.0))
+            most = max(most, size / min((accuracy / (error * size * left)) ** (1.0 / order), longest))
+        elif dead_count:
+            most = max(most, size / longest)
+        most = max(most, abs(rate.imag) / swing)
+    return most
+
+
+def _steps(name: str, rates: NDArray[np.complexfloating], fastest: float, accuracy: float) -> int:
+    """Steps for which the coarser run is expected to meet the accuracy; fastest: the largest |rate|."""
     cost, order = _COSTS[name], METHODS[name].ORDER
     if name not in AUTOMATIC:
         return cost.fewest
-    size = np.maximum(np.abs(rates), 1e-9)
-    living = rates.real > -_DEAD
-    left = np.exp(np.clip(2 * rates.real, -2 * _DEAD, 0.0))
-    length = (accuracy / (cost.error * size * left)) ** (1.0 / order)
     if name == magnus.NAME:
-        fastest = float(np.max(size))
-        turned = (_MAGNUS_SLOW + _MAGNUS_FAST * fastest**_MAGNUS_POWER) / accuracy
-        return max(cost.fewest, math.ceil(fastest / cost.longest), math.ceil(np.pi * turned ** (1.0 / order)))
-    if name in (implicit.NAME, commutator_free.NAME):  # what has died needs no steps
-        needed = np.where(living, size / np.minimum(length, cost.longest), 0.0)
-    else:
-        needed = size / np.minimum(np.where(living, length, np.inf), cost.longest)
-    if name == commutator_free.NAME:
-        needed = np.maximum(needed, np.abs(rates.imag) / _COMMUTATOR_FREE_SWING)
-    return max(cost.fewest, math.ceil(float(np.max(needed))))
+        size = max(fastest, 1e-9)
+        turned = (_MAGNUS_SLOW + _MAGNUS_FAST * size**_MAGNUS_POWER) / accuracy
+        return max(cost.fewest, math.ceil(size / cost.longest), math.ceil(np.pi * turned ** (1.0 / order)))
+    dead_count = name == explicit.NAME  # elsewhere what has died needs no steps
+    swing = _COMMUTATOR_FREE_SWING if name == commutator_free.NAME else math.inf
+    needed = _most_steps(rates, accuracy, cost.error, float(order), cost.longest, dead_count, swing)
+    return max(cost.fewest, math.ceil(needed))
 
 
 def plans(matrix: PeriodicMatrix, accuracy: float, name: str | None = None) -> list[Plan]:
@@ -148,14 +184,14 @@ def plans(matrix: PeriodicMatrix, accuracy: float, name: str | None = None) -> l
     rates = _rates(matrix)
     further = max(0, len(matrix.harmonics) - 3)
     fastest, swing = float(np.max(np.abs(rates))), float(np.max(np.abs(rates.imag)))
+    why = f"fastest rate × span {fastest:.2g}, swing {swing:.2g} rad" if name is None else "as asked"
     found: list[Plan] = []
     for candidate in (name,) if name else AUTOMATIC:
         cost = _COSTS[candidate]
-        steps = _steps(candidate, rates, accuracy)
+        steps = _steps(candidate, rates, fastest, accuracy)
         step_us = cost.step_us + cost.harmonic_us * further
         if candidate == commutator_free.NAME:  # each doubling of rate × step is one more squaring
             step_us += 0.4 * max(0.0, math.log2(max(1.0, fastest / steps)))
-        why = f"fastest rate × span {fastest:.2g}, swing {swing:.2g} rad" if name is None else "as asked"
         plan = Plan(
             METHODS[candidate], steps, why, step_us, cost.step_roundings, cost.rate_roundings, fastest, cost.three
         )

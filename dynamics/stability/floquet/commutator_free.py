@@ -15,9 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
-from dynamics.stability.floquet.small_matrices import evaluate, exponential, multiply
+from dynamics.stability.floquet.small_matrices import exponential, multiply
 
 NAME = "commutator-free"
 ORDER = 4

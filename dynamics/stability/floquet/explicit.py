@@ -9,41 +9,88 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.equations.periodic_matrix import PeriodicMatrix
 from dynamics.motions.dormand_prince import NODES, STAGES, STEPS, WEIGHTS
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
-from dynamics.stability.floquet.small_matrices import evaluate, multiply
 
 NAME = "explicit"
 ORDER = 8
 
 
+_COLUMNS = 8  # side by side: a number that the compiler knows fills its vectors
+
+
 @njit(cache=True, error_model="numpy")
+def _real_series(series):
+    """Real parts, then minus imaginary ones, of the coefficients: A(ψ) = Σ_p wave_p part_p; shape (2m + 1, n²)."""
+    orders, n = series.shape[0], series.shape[1]
+    parts = np.empty((2 * orders - 1, n * n))
+    for k in range(orders):
+        for i in range(n):
+            for j in range(n):
+                parts[max(2 * k - 1, 0), i * n + j] = series[k, i, j].real
+                if k > 0:
+                    parts[2 * k, i * n + j] = -series[k, i, j].imag
+    return parts
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _matrix_at(parts, c, s, a):
+    """A(ψ) into a, shape (n²,), from c = cos ψ and s = sin ψ; those of multiples of ψ by turning on."""
+    x, y = 1.0, 0.0
+    for i in range(len(a)):
+        a[i] = parts[0, i]
+    for k in range(1, len(parts), 2):
+        x, y = x * c - y * s, x * s + y * c
+        for i in range(len(a)):
+            a[i] += x * parts[k, i] + y * parts[k + 1, i]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _times(a, y, out):
+    """out = a y with a (n²,), y and out (n · 8,): the rows' zeros (half of them are unit rows) cost nothing."""
+    n = len(y) // _COLUMNS
+    for i in range(n):
+        row = out[i * _COLUMNS : (i + 1) * _COLUMNS]
+        for j in range(_COLUMNS):
+            row[j] = 0.0
+        for k in range(n):
+            f = a[i * n + k]
+            if f != 0.0:
+                for j in range(_COLUMNS):
+                    row[j] += f * y[k * _COLUMNS + j]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _fundamental(series, span, steps):
     n = series.shape[1]
-    h = span / steps
-    y, y_stage, a = np.eye(n), np.empty((n, n)), np.empty((n, n))
-    k = np.empty((STAGES, n, n))
-    for step in range(steps):
-        for stage in range(STAGES):
-            for i in range(n):  # a slice assignment takes numba two seconds more to compile
-                for j in range(n):
-                    y_stage[i, j] = y[i, j]
-            for earlier in range(stage):
-                f = h * STEPS[stage, earlier]
-                if f != 0.0:
-                    for i in range(n):
-                        for j in range(n):
-                            y_stage[i, j] += f * k[earlier, i, j]
-            evaluate(series, (step + NODES[stage]) * h, a)
-            multiply(a, y_stage, k[stage])
-        for stage in range(STAGES):
-            f = h * WEIGHTS[stage]
-            if f != 0.0:
-                for i in range(n):
-                    for j in range(n):
-                        y[i, j] += f * k[stage, i, j]
-    return y
+    size, h = n * _COLUMNS, span / steps
+    parts, whole = _real_series(series), np.empty((n, n))
+    y, y_stage, a, k = np.empty(size), np.empty(size), np.empty(n * n), np.empty((STAGES, size))
+    node_cos, node_sin = np.cos(NODES * h), np.sin(NODES * h)
+    for first in range(0, n, _COLUMNS):
+        for i in range(n):
+            for j in range(_COLUMNS):
+                y[i * _COLUMNS + j] = 1.0 if i == first + j else 0.0
+        for step in range(steps):
+            c, s = np.cos(step * h), np.sin(step * h)
+            for stage in range(STAGES + 1):
+                for i in range(size):
+                    y_stage[i] = y[i]
+                for earlier in range(stage):
+                    f = h * (STEPS[stage, earlier] if stage < STAGES else WEIGHTS[earlier])
+                    if f != 0.0:
+                        for i in range(size):
+                            y_stage[i] += f * k[earlier, i]
+                if stage < STAGES:
+                    on_c, on_s = node_cos[stage], node_sin[stage]
+                    _matrix_at(parts, c * on_c - s * on_s, s * on_c + c * on_s, a)
+                    _times(a, y_stage, k[stage])
+            y, y_stage = y_stage, y
+        for i in range(n):
+            for j in range(min(_COLUMNS, n - first)):
+                whole[i, first + j] = y[i * _COLUMNS + j]
+    return whole
 
 
 def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:

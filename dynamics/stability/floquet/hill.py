@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.equations.periodic_matrix import PeriodicMatrix
 from dynamics.stability.floquet.methods import per_radian, span_rad
 
 NAME = "hill"

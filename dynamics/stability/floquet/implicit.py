@@ -16,9 +16,8 @@ from numba import njit
 from numpy.polynomial import Legendre, legendre
 from numpy.typing import NDArray
 
-from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
-from dynamics.stability.floquet.small_matrices import evaluate
 
 NAME = "implicit"
 STAGES = 5

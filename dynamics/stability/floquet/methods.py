@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.equations.periodic_matrix import PeriodicMatrix
 
 
 class MonodromyMethod(Protocol):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.equations.periodic_matrix import PeriodicMatrix
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.stability.floquet.bounds import balancing_units, eigenvalues_with_bounds
 from dynamics.stability.floquet.choice import BUDGET_US, METHODS, Plan, plans
@@ -42,12 +43,12 @@ class Multipliers:
         """Largest modulus."""
         return float(abs(self.values[0]))
 
-    @property
+    @functools.cached_property
     def error_estimate(self) -> float:
         """Bound on the error of the largest modulus."""
         moduli = np.abs(self.values)
-        highest = float(np.max(moduli + self.errors))
-        lowest = float(np.max(moduli - self.errors))
+        highest = float((moduli + self.errors).max())
+        lowest = float((moduli - self.errors).max())
         rounding = 4 * _ROUNDING * max(1.0, self.largest)  # of powers and moduli
         return max(highest - self.largest, self.largest - lowest) + rounding
 
@@ -55,9 +56,7 @@ class Multipliers:
 def balanced(matrix: PeriodicMatrix) -> PeriodicMatrix:
     """The same motion in scaled coordinates (powers of two: no rounding): rows and columns of like size."""
     unit = balancing_units(np.abs(matrix.harmonics).sum(axis=0))
-    return PeriodicMatrix(
-        matrix.harmonics * (unit[None, None, :] / unit[None, :, None]), matrix.speed_rad_s, matrix.turn
-    )
+    return PeriodicMatrix(matrix.harmonics * (unit / unit[:, None]), matrix.speed_rad_s, matrix.turn)
 
 
 def floquet_multipliers(matrix: PeriodicMatrix, accuracy: float = 1e-8, method: str | None = None) -> Multipliers:
@@ -171,7 +170,7 @@ def _converged(matrix: PeriodicMatrix, accuracy: float, chosen: Plan, budget_us:
             steps *= 2
             spent += steps * chosen.step_us
             fine = method.monodromy(matrix, steps)
-            if np.all(np.isfinite(fine)) and np.all(np.isfinite(coarse)):
+            if np.isfinite(fine).all() and np.isfinite(coarse).all():
                 change = _no_better_than_its_order(fine - coarse, earlier, method.ORDER)
                 before, found = found, _bounded(matrix, fine, change, steps, chosen)
                 if _met(found, accuracy):

@@ -6,14 +6,18 @@ A(ψ) w = v: a multiplier 1 with a Jordan block, of which rounding would leave h
 matrix and taken out exactly; what remains is well conditioned.
 """
 
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.linearised import PeriodicMatrix
+from dynamics.equations.periodic_matrix import PeriodicMatrix
 
-_ROUNDING = np.finfo(float).eps
+_ROUNDING = float(np.finfo(float).eps)
 _SLACK = 16.0  # roundings within which two columns count as parallel
 
 
@@ -27,16 +31,14 @@ def without_neutral(matrix: PeriodicMatrix) -> tuple[PeriodicMatrix, int]:
     half = n // 2
     if n not in (6, 8):
         return matrix, 0
-    angles = np.arange(2, half)
-    rows = _real_rows(matrix)
-    direction = _null(rows[:, angles])
-    if direction is None:
+    series, direction = np.ascontiguousarray(matrix.harmonics, np.complex128), np.zeros(half)
+    if not _neutral_direction(series, direction):
         return matrix, 0
-    v = np.zeros(n)
-    v[angles] = direction
-    w = np.zeros(n)
-    w[angles + half] = direction
+    v, w = np.zeros(n), np.zeros(n)
+    v[:half] = direction
+    w[half:] = direction
     pivot = int(np.argmax(np.abs(v)))
+    rows = _real_rows(matrix)
     lower = rows[np.arange(len(rows)) % n >= half]  # the upper rows of A w are v itself
     if np.max(np.abs(lower @ w)) <= _SLACK * _ROUNDING * np.max(np.abs(lower)):
         return _quotient(_quotient(matrix, w, pivot + half), v[: n - 1], pivot), 2
@@ -49,19 +51,47 @@ def _real_rows(matrix: PeriodicMatrix) -> NDArray[np.floating]:
     return np.concatenate([h[0].real, *[part for k in h[1:] for part in (k.real, k.imag)]])
 
 
-def _null(columns: NDArray[np.floating]) -> NDArray[np.floating] | None:
-    """The combination of one or two columns that vanishes to rounding, or None."""
-    if columns.shape[1] == 1:
-        return np.ones(1) if not np.any(columns) else None
-    first, second = columns.T
-    product, size = float(first @ second), float(second @ second)
-    if size == 0 or not np.any(first):
-        return np.array([0.0, 1.0]) if size == 0 else np.array([1.0, 0.0])
-    factor = -product / size
-    rest = np.abs(first + factor * second)
-    if np.all(rest <= _SLACK * _ROUNDING * np.max(np.abs(first))):
-        return np.array([1.0, factor])
-    return None
+@njit(cache=True, error_model="numpy")
+def _neutral_direction(series, direction):
+    """The combination of the columns of the one or two angles that vanishes to rounding, into direction (n/2,).
+
+    Args:
+        series: complex, shape (m + 1, n, n); the angles are the states from 2 to n/2.
+        direction: comes as zeros.
+    Returns:
+        Whether there is one.
+    """
+    orders, half = series.shape[0], series.shape[1] // 2
+    last = half - 1  # 2 where there is a single angle
+    product, own, largest = 0.0, 0.0, 0.0
+    for k in range(orders):
+        for row in range(2 * half):
+            first, second = series[k, row, 2], series[k, row, last]
+            product += first.real * second.real
+            own += second.real * second.real
+            largest = max(largest, abs(first.real))
+            if k > 0:
+                product += first.imag * second.imag
+                own += second.imag * second.imag
+                largest = max(largest, abs(first.imag))
+    if own == 0.0:
+        direction[last] = 1.0
+        return True
+    if last == 2:
+        return False
+    if largest == 0.0:
+        direction[2] = 1.0
+        return True
+    factor = -product / own
+    for k in range(orders):
+        for row in range(2 * half):
+            rest = series[k, row, 2] + factor * series[k, row, last]
+            if abs(rest.real) > _SLACK * _ROUNDING * largest:
+                return False
+            if k > 0 and abs(rest.imag) > _SLACK * _ROUNDING * largest:
+                return False
+    direction[2], direction[last] = 1.0, factor
+    return True
 
 
 def _quotient(matrix: PeriodicMatrix, v: NDArray[np.floating], pivot: int) -> PeriodicMatrix:

@@ -1,4 +1,4 @@
-"""Compiled arithmetic of small matrices: the matrix along the motion, products, the exponential."""
+"""Compiled arithmetic of small matrices: products and the exponential."""
 
 # pyright: reportMissingParameterType=false
 # Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
@@ -13,20 +13,6 @@ from numba import njit
 _DEGREE = 16  # of the Taylor polynomial: at norm 0.8 what is left out is 0.8^17/17! = 6e-17
 _NORM = 0.8
 _WEIGHTS = np.array([1.0 / math.factorial(k) for k in range(_DEGREE + 1)])
-
-
-@njit(cache=True, error_model="numpy")
-def evaluate(series, phase, out):
-    """A(ψ) = Re Σ_k series[k] e^{ikψ} into out; series complex (m + 1, n, n), out (n, n)."""
-    n = series.shape[1]
-    for i in range(n):
-        for j in range(n):
-            out[i, j] = series[0, i, j].real
-    for k in range(1, series.shape[0]):
-        c, s = np.cos(k * phase), np.sin(k * phase)
-        for i in range(n):
-            for j in range(n):
-                out[i, j] += c * series[k, i, j].real - s * series[k, i, j].imag
 
 
 @njit(cache=True, error_model="numpy")

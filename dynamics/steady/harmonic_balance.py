@@ -1,0 +1,280 @@
+"""Newton's method on the balance of a motion's Fourier coefficients, all of it compiled.
+
+x, y and the angles are sums of cosines and sines at n equally spaced phases; the forces are evaluated at those phases
+and transformed back. What Newton's method solves is ω² u″ − acceleration = 0 in coefficients.
+"""
+
+# pyright: reportMissingParameterType=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dynamics.equations.kernels import rates
+from dynamics.equations.quick_derivatives import rate_derivatives
+
+_ITERATIONS = 25
+_LONGEST_TURN = 0.3  # rad: Newton's step of an angle is cut to this
+_SMALL = 128  # unknowns: up to here elimination needs no LAPACK, whose first call waits for scipy
+
+
+class Basis(NamedTuple):
+    """Trigonometric functions at n phases.
+
+    Attributes:
+        value, slope: of each function (columns) at each phase, shape (n, n); transform: values to coefficients.
+        order: of each function, shape (n,); sine: which of them are sines.
+    """
+
+    value: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    transform: NDArray[np.float64]
+    order: NDArray[np.float64]
+    sine: NDArray[np.bool_]
+
+
+def _basis(phase: NDArray[np.floating], orders: NDArray[np.integer]) -> Basis:
+    """cos and sin of the given orders at equally spaced phases; the highest sine, which vanishes there, left out."""
+    functions = [(k, sine) for k in orders.tolist() for sine in (False, True) if k > 0 or not sine][: len(phase)]
+    order, sine = np.array([k for k, _ in functions], float), np.array([s for _, s in functions])
+    angle = phase[:, None] * order
+    value = np.where(sine, np.sin(angle), np.cos(angle))
+    slope = order * np.where(sine, np.cos(angle), -np.sin(angle))
+    transform = value.T / np.sum(value**2, axis=0)[:, None]  # the columns are orthogonal
+    return Basis(value, slope, np.ascontiguousarray(transform), order, sine)
+
+
+class Grid:
+    """Phases and bases of one resolution; half a revolution where the motion has that symmetry."""
+
+    def __init__(self, half: int, symmetric: bool) -> None:
+        self.symmetric = symmetric
+        self.n = half if symmetric else 2 * half
+        self.phase = np.pi * np.arange(self.n) / half
+        if symmetric:
+            odd, even = np.arange(1, half, 2), np.arange(0, half + 1, 2)
+            self.position, self.angle = _basis(self.phase, odd), _basis(self.phase, even)
+        else:
+            self.position = self.angle = _basis(self.phase, np.arange(half + 1))
+
+    @staticmethod
+    @functools.lru_cache(maxsize=16)
+    def of(half: int, symmetric: bool) -> Grid:
+        """The grid with `half` phases in half a revolution; made once."""
+        return Grid(half, symmetric)
+
+    def whole(self, states: NDArray[np.floating]) -> NDArray[np.floating]:
+        """States over a whole revolution from those over the grid's span."""
+        if not self.symmetric:
+            return states
+        return np.concatenate([states, states * [-1, -1, 1, 1, -1, -1, 1, 1]])
+
+    def coefficients(self, positions: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Coefficients (n, 4) of positions (m, 4) sampled over a whole revolution, interpolated as need be."""
+        m = len(positions)
+        spectrum = np.fft.rfft(positions, axis=0) * (2.0 / m)
+        spectrum[0] *= 0.5
+        if m % 2 == 0:
+            spectrum[-1] *= 0.5
+        found = np.zeros((self.n, 4))
+        for columns, basis in ((slice(0, 2), self.position), (slice(2, 4), self.angle)):
+            known = basis.order < len(spectrum)
+            rows = spectrum[basis.order[known].astype(int), columns]
+            found[known, columns] = np.where(basis.sine[known, None], -rows.imag, rows.real)
+        return found
+
+
+def solve_balance(
+    grid: Grid,
+    speed_rad_s: float,
+    packed: NDArray[np.floating],
+    free: tuple[bool, bool],
+    start: NDArray[np.floating],
+    least_size_m: float,
+) -> tuple[NDArray[np.floating], float] | None:
+    """Newton's method from a guess.
+
+    Args:
+        packed: parameters in the order of the compiled kernels, without dry friction.
+        free: which pendulums move.
+        start: coefficients of x, y, θ3, θ4, shape (n, 4).
+        least_size_m: what x, y are held against at least.
+    Returns:
+        States (n, 8) over the grid and the last step's size (rad, and of x, y relative to the orbit), or None.
+    """
+    kept = np.array([0, 1] + [2 + i for i in range(2) if free[i]])
+    states, c = np.empty((grid.n, 8)), np.array(start, float, order="C")
+    bases = (grid.position[:4], grid.angle[:4])
+    try:
+        last = _newton(c, bases, grid.phase, speed_rad_s, packed, kept, least_size_m, states)
+    except (np.linalg.LinAlgError, ValueError):  # LAPACK: singular
+        return None
+    return None if last < 0 else (states, last)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _sample(c, bases, speed, states):
+    """States (n, 8) at the phases from coefficients (n, 4)."""
+    n = len(c)
+    for i in range(4):
+        value, slope, _, _ = bases[i // 2]
+        for j in range(n):
+            at, rate = 0.0, 0.0
+            for k in range(n):
+                at += value[j, k] * c[k, i]
+                rate += slope[j, k] * c[k, i]
+            states[j, i], states[j, 4 + i] = at, speed * rate
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _add_block(transform, factor, value, rate_factor, slope, matrix, top, left):
+    """Subtract transform · (diag(factor) value + diag(rate_factor) slope) from a block of the matrix."""
+    n = len(factor)
+    change = np.empty(n)
+    for k in range(n):
+        for j in range(n):
+            change[j] = factor[k] * value[k, j] + rate_factor[k] * slope[k, j]
+        for i in range(n):
+            f, row = transform[i, k], matrix[top + i]
+            for j in range(n):
+                row[left + j] -= f * change[j]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, right):
+    """Newton's matrix (m n, m n) and right-hand side (m n,) of the balance, in units (4,), for m kept coordinates.
+
+    Args:
+        work: scratch; rates (8,), accelerations (n, 4), their derivatives (4, 8, n), those of one phase (4, 8).
+    """
+    out, accelerations, slopes, one = work
+    n = len(c)
+    free_a, free_b = 0.0, 0.0
+    for i in kept:
+        free_a, free_b = (1.0 if i == 2 else free_a), (1.0 if i == 3 else free_b)
+    for j in range(n):
+        rates(states[j], phase[j], speed, 0.0, p, free_a, free_b, out)
+        rate_derivatives(states[j], phase[j], speed, p, free_a, free_b, one)
+        for i in range(4):
+            accelerations[j, i] = out[4 + i]
+            for k in range(8):
+                slopes[i, k, j] = one[i, k] * (speed if k >= 4 else 1.0)
+    matrix[:] = 0.0
+    for r in range(len(kept)):
+        i, top = kept[r], r * n
+        _, _, transform, order = bases[i // 2]
+        for q in range(len(kept)):
+            value, slope, _, _ = bases[kept[q] // 2]
+            _add_block(transform, slopes[i, kept[q]], value, slopes[i, 4 + kept[q]], slope, matrix, top, q * n)
+        for k in range(n):
+            curvature, driven = -((speed * order[k]) ** 2), 0.0
+            matrix[top + k, top + k] += curvature
+            for j in range(n):
+                driven += transform[k, j] * accelerations[j, i]
+            right[top + k] = (driven - curvature * c[k, i]) / unit[i]
+            for q in range(len(kept)):
+                factor = unit[kept[q]] / unit[i]
+                for j in range(n):
+                    matrix[top + k, q * n + j] *= factor
+
+
+@njit(cache=True, error_model="numpy")
+def _scale_rows(matrix, right):
+    """Bring the rows to one size; False where one is empty or not finite."""
+    for i in range(len(right)):
+        size = 0.0
+        for j in range(len(right)):
+            value = abs(matrix[i, j])
+            if not value < np.inf:
+                return False
+            size = max(size, value)
+        if size == 0.0:
+            return False
+        right[i] /= size
+        for j in range(len(right)):
+            matrix[i, j] /= size
+    return True
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _eliminate(a, b):
+    """Solve a x = b by elimination with the largest pivot of each column; x into b. False where a is singular."""
+    n = len(b)
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(a[i, k]) > abs(a[pivot, k]):
+                pivot = i
+        if a[pivot, k] == 0.0:
+            return False
+        if pivot != k:
+            for j in range(k, n):
+                a[k, j], a[pivot, j] = a[pivot, j], a[k, j]
+            b[k], b[pivot] = b[pivot], b[k]
+        own = a[k]
+        for i in range(k + 1, n):
+            row, f = a[i], a[i, k] / a[k, k]
+            if f != 0.0:
+                b[i] -= f * b[k]
+                for j in range(k + 1, n):
+                    row[j] -= f * own[j]
+    for k in range(n - 1, -1, -1):
+        total = b[k]
+        for j in range(k + 1, n):
+            total -= a[k, j] * b[j]
+        b[k] = total / a[k, k]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(matrix, right):
+    """Solution into right; False where there is none."""
+    if not _scale_rows(matrix, right):
+        return False
+    if len(right) > _SMALL:
+        right[:] = np.linalg.solve(matrix, right)
+    elif not _eliminate(matrix, right):
+        return False
+    return bool(np.all(np.isfinite(right)))
+
+
+@njit(cache=True, error_model="numpy")
+def _newton(c, bases, phase, speed, p, kept, least_size, states):
+    """Newton's method on coefficients c (n, 4), in place.
+
+    Args:
+        states: shape (n, 8), filled.
+    Returns:
+        Size of the last step (rad, and of x, y relative to the orbit); −1 where the iteration does not converge.
+    """
+    n, m = len(c), len(kept)
+    work = (np.empty(8), np.empty((n, 4)), np.empty((4, 8, n)), np.empty((4, 8)))
+    matrix, right, unit, previous = np.empty((m * n, m * n)), np.empty(m * n), np.ones(4), np.inf
+    for _ in range(_ITERATIONS):
+        _sample(c, bases, speed, states)
+        size = max(np.max(np.abs(c[:, :2])), least_size)
+        unit[0] = unit[1] = size if size != 0.0 else 1.0
+        _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, right)
+        if not _solve(matrix, right):
+            return -1.0
+        turn, largest = 0.0, 0.0
+        for r in range(m):
+            moved = np.sum(np.abs(right[r * n : (r + 1) * n]))
+            largest = max(largest, moved)
+            if r >= 2:
+                turn = max(turn, moved)
+        cut = min(1.0, _LONGEST_TURN / turn) if turn > 0.0 else 1.0
+        for r in range(m):
+            for k in range(n):
+                c[k, kept[r]] += cut * right[r * n + k] * unit[kept[r]]
+        if cut == 1.0 and (largest < 1e-14 or (largest < 1e-8 and largest > 0.1 * previous)):
+            _sample(c, bases, speed, states)
+            return largest
+        previous = largest
+    return -1.0
