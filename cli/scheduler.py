@@ -44,10 +44,12 @@ def worked_out(study: Study, place: Path, scheduler: str | None, what: str) -> T
         scheduler = f"local:{os.cpu_count() or 1}"
     engine = engine_of(scheduler, say) if scheduler else Threads()
     folder = TileFolder(place, study)
-    if there := len(folder.finished()):
+    there = len(folder.finished())
+    if there:
         say(f"{there} of {study.tiles} {what} are in {place} already and are not worked out again")
     try:
-        with share_progress(f"{study.tiles} {what}, {engine.name}", study.tiles, what) as progress:
+        words = f"{study.tiles} {what}, {engine.name}"
+        with share_progress(words, study.tiles, what, there / study.tiles) as progress:
             run_study(folder, engine, lambda done, total: progress(done / total))
     except KeyboardInterrupt:
         say(

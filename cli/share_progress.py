@@ -15,7 +15,9 @@ _EVERY_S = 10.0
 
 
 @contextmanager
-def share_progress(text: str, count: float | None = None, unit: str = "") -> Generator[Callable[[float], None]]:
+def share_progress(
+    text: str, count: float | None = None, unit: str = "", before: float = 0.0
+) -> Generator[Callable[[float], None]]:
     """A bar on a terminal for work that tells its share done, 0 … 1; elsewhere a line every ten seconds.
 
     Ctrl-C says how far the work was.
@@ -23,6 +25,7 @@ def share_progress(text: str, count: float | None = None, unit: str = "") -> Gen
     Args:
         text: what is done.
         count, unit: how much all of it is, in what; None: the rate is shown in percent.
+        before: share that is done already.
     """
     live = console.STDERR.is_terminal
     bar = Progress(
@@ -31,15 +34,16 @@ def share_progress(text: str, count: float | None = None, unit: str = "") -> Gen
         console=console.STDERR, disable=not live, transient=True,
     )  # fmt: skip
     began = last = time.monotonic()
-    reached: float = 0.0
-    before: float | None = None
+    reached = 0.0
+
+    def pace(share: float, now: float) -> str:
+        return pace_words(share, now - began, count, unit, before)
 
     def told(share: float) -> None:
-        nonlocal last, reached, before
-        before = share if before is None and share < 1 else before or 0.0
+        nonlocal last, reached
         reached, now = share, time.monotonic()
         if live:
-            bar.update(task, completed=share, pace=pace_words(share, now - began, count, unit, before))
+            bar.update(task, completed=share, pace=pace(share, now))
         elif now - last > _EVERY_S:
             last = now
             console.say(

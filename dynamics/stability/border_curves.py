@@ -194,9 +194,7 @@ class _Seen:
 
     def some(self, which: Flags) -> _Seen:
         """Some of the points."""
-        return _Seen(
-            self.off[which], self.points[which], self.tangents[which], self.roots[which], self.turning[which]
-        )
+        return _Seen(self.off[which], self.points[which], self.tangents[which], self.roots[which], self.turning[which])
 
 
 def _joined(first: _Seen, second: _Seen) -> _Seen:
@@ -228,9 +226,7 @@ def _longest(curve: BorderCurve, piece: NDArray[np.intp]) -> float:
     return float(np.max(np.abs(curve.points[piece + 1] - curve.points[piece]), initial=0.0))
 
 
-def _with_more(
-    curve: BorderCurve, waiting: Flags, piece: NDArray[np.intp], more: _Seen
-) -> tuple[BorderCurve, Flags]:
+def _with_more(curve: BorderCurve, waiting: Flags, piece: NDArray[np.intp], more: _Seen) -> tuple[BorderCurve, Flags]:
     """The curve with one point more in some of its pieces."""
     where = piece + 1
     points, tangents, roots_there = (
