@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dynamics.stability.stability_map import PlaneMap
 
 Quantity = Literal["multiplier", "decay-rate"]
+_BORDER_POINTS = 4000  # at least, of a border as long as a side of the map
 _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
 
 
@@ -77,7 +78,10 @@ def map(
         _need_an_area(axes)
         with share_progress("borders") as progress:
             logarithmic = axes[0].logarithmic, axes[1].logarithmic
-            lines = stability_borders(plane, axes[0].span, axes[1].span, logarithmic=logarithmic, progress=progress)
+            spacing = 1 / max(_BORDER_POINTS, *(len(axis.values) for axis in axes))  # no wider than the map's pitch
+            lines = stability_borders(
+                plane, axes[0].span, axes[1].span, spacing=spacing, logarithmic=logarithmic, progress=progress
+            )
     if output is not None:
         np.savez_compressed(output, **_arrays(axes, found, lines))
     if plot is not None:
@@ -171,6 +175,7 @@ def _result(axes: tuple[MapAxis, MapAxis], found: PlaneMap, lines: Borders | Non
         "points_beyond_accuracy": found.missed,
         "borders": None if lines is None else [
             {"points": len(b.x), "closed": b.closed, "kinds": dict(Counter(b.kind)),
+             "off_share_of_range": b.off,
              "from": [float(b.x[0]), float(b.y[0])], "to": [float(b.x[-1]), float(b.y[-1])]}
             for b in lines.branches
         ],
@@ -198,8 +203,8 @@ def _print(result: dict[str, Any], found: PlaneMap, settings: list[str] | None) 
     if result["borders"] is not None:
         across, up = result["borders_complete_to"]
         print(
-            f"stable within the borders: {100 * result['stable_share_by_borders']:.3f} %; what is smaller than "
-            f"1/{1 / across:.0f} of x by 1/{1 / up:.0f} of y may have been missed"
+            f"stable within the borders: {100 * result['stable_share_by_borders']:.3f} %; islands and bands "
+            f"narrower than 1/{1 / across:.0f} of x or 1/{1 / up:.0f} of y may have been missed"
         )
     if settings:
         print(what_if_words(settings))
