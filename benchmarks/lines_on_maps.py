@@ -1,10 +1,10 @@
 # pyright: strict
 """Lines held against the signs of a map: what a grid of points can show of a border, and what it can't.
 
-Between two neighbouring points of a map of different sign an odd number of borders crosses, between two of the same sign
-an even number. So along each line of the grid every stretch between two points is right or wrong. A stretch that is wrong
-on its own has a partner that is wrong too where a border is drawn in the wrong stretch: how far the crossing is from the
-stretch where the map has it, in pitches, is how far the line is off.
+Between two neighbouring points of a map of different sign an odd number of borders crosses, between two of the same
+sign an even number. So along each line of the grid every stretch between two points is right or wrong. Where a border
+is drawn in the wrong stretch, that one and the right one are both wrong: how far the crossing is from the right stretch,
+in pitches, is how far the line is off.
 """
 
 from __future__ import annotations

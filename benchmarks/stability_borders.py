@@ -1,12 +1,13 @@
-"""Borders of stability against a map by brute force and against multipliers by scipy; their time; families over damping.
+"""Borders of stability against a map by brute force and multipliers by scipy; their time; families over damping.
 
-    python -m benchmarks.stability_borders [--columns 4000] [--rows 3000] [--zeta 0.005 0.02 0.1] [--every 10] [--family 5]
+    python -m benchmarks.stability_borders [--columns 4000] [--rows 3000] [--zeta 0.005 0.02 0.1] [--every 10]
 
-For each damping the borders over Ω = 0.3 … 7, K = 1 … 16, as `rig map --borders` gives them, joined by straight lines, are
-held against the signs of a map of columns × rows points along all of its rows and columns (`lines_on_maps`), its four
-sides included. Every n-th point of the borders is held against multipliers over a whole revolution by scipy and numpy alone
-(`independent_multipliers`): whether the largest is the border's own and has the modulus 1, how far the point is off the
-border, whether it is stable on the left hand and not on the right, and whether stability is lost as it is said.
+For each damping the borders over Ω = 0.3 … 7, K = 1 … 16, as `rig map --borders` gives them, joined by straight lines,
+are held against the signs of a map of columns × rows points along all of its rows and columns (`lines_on_maps`), its
+four sides included. Every n-th point of the borders is held against multipliers over a whole revolution by scipy and
+numpy alone (`independent_multipliers`): whether the largest is the border's own and has the modulus 1, how far the point
+is off the border, whether it is stable on the left hand and not on the right, and whether stability is lost as it is
+said.
 """
 
 from __future__ import annotations
@@ -76,8 +77,8 @@ class Checked:
     def __str__(self) -> str:
         return (
             f"{self.points} points by scipy: largest | |μ| − 1 | {self.modulus:.1e}, border's multiplier off by "
-            f"{self.multiplier:.1e}, {self.off_in_speed:.1e} in Ω off the border; {self.wrong_sides} stable on the wrong "
-            f"side, {self.wrong_kinds} of another kind"
+            f"{self.multiplier:.1e}, {self.off_in_speed:.1e} in Ω off the border; {self.wrong_sides} stable on the "
+            f"wrong side, {self.wrong_kinds} of another kind"
         )
 
 

@@ -88,7 +88,7 @@ def _best_json(found: MapAnswer) -> dict[str, Any] | None:
 def borders_json(lines: Borders) -> list[dict[str, Any]]:
     """Each branch: its length, whether it is closed, how stability is lost on it, where it begins and ends."""
     return [
-        {"points": len(b.x), "closed": b.closed, "kinds": dict(Counter(b.kind)),
+        {"points": len(b.x), "closed": b.closed, "kinds": dict(Counter(b.kind)), "off_share_of_range": b.off,
          "from": [float(b.x[0]), float(b.y[0])], "to": [float(b.x[-1]), float(b.y[-1])]}
         for b in lines.branches
     ]  # fmt: skip
@@ -115,8 +115,8 @@ def print_map(result: Mapping[str, Any], settings: list[str] | None) -> None:
     if result["borders"] is not None:
         across, up = result["borders_complete_to"]
         print(
-            f"stable within the borders: {100 * result['stable_share_by_borders']:.3f} %; what is smaller than "
-            f"1/{1 / across:.0f} of x by 1/{1 / up:.0f} of y may have been missed"
+            f"stable within the borders: {100 * result['stable_share_by_borders']:.3f} %; islands and bands "
+            f"narrower than 1/{1 / across:.0f} of x or 1/{1 / up:.0f} of y may have been missed"
         )
     _print_refined_and_varied(result)
     if settings:

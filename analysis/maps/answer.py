@@ -21,7 +21,8 @@ from dynamics.stability.map_tiles import compile_tiles
 from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, plane_map
 
 Told = Callable[[float], None]
-_LEVELS = 2  # of the borders' grid
+_BORDER_POINTS = 4000  # at least, of a border as long as a side of the map
+_LEVELS = 1  # of the borders' grid
 _REST = 4 / 3  # what all further halvings change, in what one does: an area by chords converges with the square
 
 
@@ -153,7 +154,10 @@ def _classes(multipliers: NDArray[np.float64]) -> NDArray[np.intp]:
 def _borders(question: MapQuestion, plane: Plane, told: Told, levels: int = _LEVELS) -> Borders:
     x, y = question.axes
     logarithmic = x.logarithmic, y.logarithmic
-    return stability_borders(plane, x.span, y.span, levels=levels, logarithmic=logarithmic, progress=told)
+    spacing = 1 / max(_BORDER_POINTS, x.count, y.count)  # no wider than the map's pitch
+    return stability_borders(
+        plane, x.span, y.span, levels=levels, spacing=spacing, logarithmic=logarithmic, progress=told
+    )
 
 
 def _best(question: MapQuestion, told: Told) -> BestValue:

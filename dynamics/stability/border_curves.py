@@ -3,10 +3,10 @@
 
 In the unit square a border is a level line of e = |λ|² − 1, so its tangent is i ∇e / |∇e| (what is stable on the left
 hand), with ∇e = 2 Re(λ̄ ∇λ). Between two points the curve is the cubic with their tangents, as long as for an arc of a
-circle: |chord| / cos²(turn/4). Halfway, where it is off most, it is held against e, and the place is moved on to the border
-and becomes one of the curve's own points; where it was off by more than 10⁻¹¹, both halves are treated the same way. The
-error falls with the fourth power of the length, so what is left is a sixteenth of that. Only at corners, where one
-multiplier overtakes another, all this ends at 10⁻⁶: there the curve is a straight line.
+circle: |chord| / cos²(turn/4). Halfway, where it is off most, it is held against e, and the place is moved on to the
+border and becomes one of the curve's own points; where it was off by more than 10⁻¹¹, both halves are treated the same
+way. The error falls with the fourth power of the length, so what is left is a sixteenth of that. Only at corners, where
+one multiplier overtakes another, all this ends at 10⁻⁶: there the curve is a straight line.
 Source: C. de Boor, K. Höllig, M. Sabin, High accuracy geometric Hermite interpolation, CAGD 4 (1987) 269.
 """
 
@@ -211,9 +211,10 @@ def _looked_at(at: Complex, slopes: Slopes) -> _Seen:
     excess = np.abs(root) ** 2 - 1
     gradient = 2 * ((np.conj(root) * along_x).real + 1j * (np.conj(root) * along_y).real)
     steep = np.maximum(np.abs(gradient), 1e-300)
-    tangents = 1j * gradient / steep
-    off = np.where(np.abs(excess) <= _ROUNDING, 0.0, excess) * gradient / steep**2
-    turning = ((along_x * tangents.real + along_y * tangents.imag) / root).imag
+    with np.errstate(invalid="ignore"):  # NaN where there is no matrix
+        tangents = 1j * gradient / steep
+        off = np.where(np.abs(excess) <= _ROUNDING, 0.0, excess) * gradient / steep**2
+        turning = ((along_x * tangents.real + along_y * tangents.imag) / root).imag
     return _Seen(off, at - off, tangents, root - along_x * off.real - along_y * off.imag, turning)
 
 

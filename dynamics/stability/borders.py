@@ -25,8 +25,8 @@ from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import cores
 from dynamics.stability.matrix_patches import MatrixPatches, cover
 
-_FIRST = (96, 72)  # cells of the first grid
-_LEVELS = 2
+_FIRST = (192, 144)  # cells of the first grid
+_LEVELS = 1
 _SPACING = 1 / 4000
 _STEP = 1e-6  # of the unit square, over which coordinates are differentiated
 _REAL = 1e-9  # |Im μ| below which a multiplier counts as real
@@ -96,7 +96,9 @@ class Borders:
         branches: the longest first.
         stable_share: of the range's area where the balanced state exists and is stable; of a logarithmic axis its
             logarithm counts.
-        complete_to: sides of the finest cells as shares of the range: what is smaller may have been missed.
+        complete_to: sides of the first grid's cells as shares of the range. Every island and every band that holds a
+            point of that grid, so all that is as large as a cell both ways, is found; what lies between its points is
+            found where the multipliers at them hint at it, and may be missed.
         computed: points of the grid that were computed.
         bare: parts of the range in the plane's coordinates (u from, to; v from, to) in which no balanced state exists,
             or its matrix is not smooth: no border is looked for there.
@@ -114,6 +116,7 @@ def stability_borders(
     x_range: Span,
     y_range: Span,
     *,
+    first: tuple[int, int] = _FIRST,
     levels: int = _LEVELS,
     spacing: float = _SPACING,
     logarithmic: tuple[bool, bool] = (False, False),
@@ -123,14 +126,15 @@ def stability_borders(
 
     Args:
         x_range, y_range: from, to, in values of the plane's numbers.
-        levels: how often a cell of the first grid (96 × 72) is halved both ways; 0 … 7.
+        first: cells of the first grid along x and along y, all of whose points are computed.
+        levels: how often a cell of it that may hold a border is halved both ways; 0 … 7.
         spacing: how far apart the points of a branch may be, as a share of the range: half a pitch of a map with as
             many points a side as 1/spacing is what straight lines between them may be off along a line of that map.
         logarithmic: whether x, and whether y, is divided evenly in its logarithm.
         progress: called with the share done, 0 … 1.
     Raises:
-        OutsideDomain: an empty range, a logarithm of what is not above 0, a number of levels outside, a spacing that is
-            not above 0.
+        OutsideDomain: an empty range, a logarithm of what is not above 0, a first grid without cells, a number of
+            levels outside, a spacing that is not above 0.
     """
     if not (x_range[0] < x_range[1] and y_range[0] < y_range[1] and np.all(np.isfinite([*x_range, *y_range]))):
         raise OutsideDomain(f"ranges must rise and be finite, got x {x_range} and y {y_range}")
@@ -138,9 +142,11 @@ def stability_borders(
         raise OutsideDomain(f"logarithmic ranges must lie above 0, got x {x_range} and y {y_range}")
     if not 0 <= levels <= 7:
         raise OutsideDomain(f"levels must lie in 0 … 7, got {levels!r}")
+    if not min(first) >= 1:
+        raise OutsideDomain(f"the first grid needs at least one cell each way, got {first!r}")
     _need_a_spacing(spacing)
     tell = progress or _unheard
-    lattice = Lattice(x_range, y_range, _FIRST[0] << levels, _FIRST[1] << levels, logarithmic)
+    lattice = Lattice(x_range, y_range, first[0] << levels, first[1] << levels, logarithmic)
     with ThreadPoolExecutor(max_workers=cores()) as pool:
         patches = cover(pool, plane, x_range, y_range)
         tell(0.2)
@@ -149,7 +155,7 @@ def stability_borders(
             return np.abs(patches.eigenvalues(pool, x, y)[:, 0]) ** 2 - 1.0
 
         known = KnownPoints(lattice, excess)
-        cells = border_cells(known, *_FIRST, levels, lambda share: tell(0.2 + 0.3 * share))
+        cells = border_cells(known, *first, levels, lambda share: tell(0.2 + 0.3 * share))
         crossings = crossings_of(lattice, cells, excess)
         slopes = _slopes(pool, patches, lattice)
         curves = _followed(patches, lattice, crossings, slopes, lambda share: tell(0.6 + 0.4 * share))
@@ -157,7 +163,7 @@ def stability_borders(
     return Borders(
         tuple(sorted(branches, key=lambda branch: -len(branch.x))),
         cells.clear_stable + float(crossings.stable_share.sum()) / (lattice.columns * lattice.rows),
-        (1 / lattice.columns, 1 / lattice.rows),
+        (1 / first[0], 1 / first[1]),
         len(known),
         patches.bare,
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dynamics.stability.floquet.matrix_surface import MatrixSurface, fit_surface
+from dynamics.stability.floquet.matrix_surface import MatrixSurface, chebyshev_points, fit_surface, lagrange_slopes
 
 Array = NDArray[np.floating]
 U, V = (0.5, 3.0), (1.0, 4.0)
@@ -38,6 +38,16 @@ def test_smooth_matrices_come_back_to_rounding() -> None:
     surface, (u, v) = fitted(), spread()
     apart = np.linalg.norm(at(surface, u, v) - turning(u, v, False), axis=(1, 2))
     assert np.max(apart) <= surface.error <= 1e-12
+
+
+@pytest.mark.parametrize("n", [1, 2, 9])
+def test_slopes_are_those_of_the_polynomial_through_the_nodes(n: int) -> None:
+    """Ends, nodes and all between."""
+    factors = np.random.default_rng(n).normal(size=n)
+    nodes = np.polynomial.polynomial.polyval(chebyshev_points(n, U), factors)
+    u = np.concatenate([np.linspace(*U, 37), chebyshev_points(n, U)])
+    expected = np.polynomial.polynomial.polyval(u, np.polynomial.polynomial.polyder(factors))
+    assert lagrange_slopes(n, U, u) @ nodes == pytest.approx(expected, rel=1e-10, abs=1e-10)
 
 
 def test_too_few_nodes_are_noticed_and_more_are_taken() -> None:

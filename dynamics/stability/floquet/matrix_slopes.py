@@ -1,7 +1,7 @@
 """The eigenvalue of largest modulus of interpolated matrices, and how it changes with both coordinates.
 
-With M v = λ v and wᵀ M = λ wᵀ a simple eigenvalue moves by dλ = wᵀ dM v / wᵀ v. The vectors come by inverse iteration: a
-matrix shifted by λ but for rounding multiplies v by some 10¹³ and everything else by less.
+With M v = λ v and wᵀ M = λ wᵀ a simple eigenvalue moves by dλ = wᵀ dM v / wᵀ v. The vectors come by inverse iteration:
+the inverse of a matrix shifted by λ but for rounding multiplies v by some 10¹³ and everything else by less.
 """
 
 # pyright: reportMissingParameterType=false
