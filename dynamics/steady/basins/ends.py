@@ -1,0 +1,129 @@
+# pyright: strict
+"""The stable motions at one speed, resting and slipping, each with a region from which nothing returns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.equations.parameters import RotorParameters
+from dynamics.errors import OutsideDomain
+from dynamics.steady.basins.regions import Region, attracting_region
+from dynamics.steady.basins.slipping_orbits import SlippingOrbit
+from dynamics.steady.basins.turning import Turning
+from dynamics.steady.steady_motions import steady_states
+from dynamics.steady.steady_state import SteadyState
+
+Array = NDArray[np.float64]
+
+NEAR_RAD = 5e-3
+"""Deviation in every component, in its unit, below which a release has arrived."""
+
+
+@dataclass(frozen=True)
+class End:
+    """A stable motion that releases end in.
+
+    Attributes:
+        name: "I", "II", "III", "one" or "slipping".
+        mirror: number of this one among those of its type: mirror images differ in it.
+        state: the steady state; None for slipping.
+        slipping: the slipping orbit; None for a steady state.
+        region: about a steady state.
+    """
+
+    name: str
+    mirror: int
+    state: SteadyState | None
+    slipping: SlippingOrbit | None
+    region: Region | None
+
+    @property
+    def amplitude_m(self) -> float:
+        """Root mean square distance of the disk centre from the middle of its orbit, m."""
+        if self.state is not None:
+            return self.state.amplitude_m
+        assert self.slipping is not None
+        return self.slipping.amplitude_m
+
+    @property
+    def multiplier(self) -> float:
+        """Largest modulus over one revolution; of slipping, across the orbit."""
+        if self.state is not None:
+            return self.state.multiplier_max
+        assert self.slipping is not None
+        return self.slipping.multiplier_across
+
+    @property
+    def words(self) -> str:
+        """The end with its angles, or with its rates of slip."""
+        if self.state is not None:
+            a, b = (math.degrees(angle) for angle in self.state.theta_rad)
+            return f"{self.name}: A at {a:.1f}°, B at {b:.1f}°"
+        assert self.slipping is not None
+        a, b = self.slipping.turns_per_revolution
+        return f"slipping: A {a:.4g}, B {b:.4g} turns per revolution"
+
+
+def stable_ends(turning: Turning, slipping: Sequence[SlippingOrbit] = ()) -> list[End]:
+    """All stable steady states at the rig's speed, and slipping orbits known already.
+
+    Raises:
+        OutsideDomain: a rig without a direction, whose balanced pendulums may stand at any angle.
+        NotConverged: as dynamics.steady.steady_motions.steady_states.
+    """
+    ends, counts = list[End](), dict[str, int]()
+    for state in steady_states(turning.parameters, turning.speed_rad_s, 1e-6):
+        if state.any_angle:
+            raise OutsideDomain("without an imbalance the pendulums stand at any angle: expected S_P above 0")
+        if state.stable:
+            region = attracting_region(turning, state.start)
+            if region is not None:
+                number = counts.get(state.type, 0)
+                counts[state.type] = number + 1
+                ends.append(End(state.type, number, state, None, region))
+    return ends + [End("slipping", i, None, orbit, None) for i, orbit in enumerate(slipping)]
+
+
+def packed(ends: Sequence[End], turning: Turning) -> tuple[Any, ...]:
+    """What dynamics.steady.basins.pursuit takes."""
+    points, forms, first, lead, sheets = list[Array](), list[Array](), [0], list[int](), list[int]()
+    maps, straight, near, radius = list[Array](), list[float](), list[float](), list[float]()
+    for end in ends:
+        if end.state is not None:
+            assert end.region is not None
+            points.append(end.state.start[None, :])
+            forms.append(end.region.form[None])
+            lead.append(-1)
+            sheets.append(1)
+            maps.append(end.region.turn_map)
+            straight.append(end.region.straight)
+            near.append(end.region.near(turning.units, NEAR_RAD))
+        else:
+            assert end.slipping is not None
+            orbit = end.slipping
+            points.append(orbit.points)
+            forms.append(orbit.forms)
+            lead.append(orbit.lead)
+            sheets.append(orbit.sheets)
+            maps.append(np.eye(8))
+            straight.append(-1.0)
+            near.append(orbit.near)
+        first.append(first[-1] + len(points[-1]))
+        radius.append(end.amplitude_m)
+    return (
+        np.concatenate([np.zeros((0, 8)), *points]), np.concatenate([np.zeros((0, 8, 8)), *forms]),
+        np.array(first, np.int64), np.array(lead, np.int64), np.array(sheets, np.int64),
+        np.array(maps, np.float64).reshape(-1, 8, 8), np.array(straight, np.float64), np.array(near, np.float64),
+        np.array(radius, np.float64),
+    )  # fmt: skip
+
+
+def ends_of(rig: RotorParameters | object, speed_rad_s: float) -> list[End]:
+    """The stable steady states of a rig at a speed with their regions."""
+    return stable_ends(Turning.of(rig, speed_rad_s))
