@@ -39,8 +39,8 @@ def basins(
 ) -> int:
     """Where releases end: balance, another steady state, or slipping, over the angles the locks hold.
 
-    Each release starts on the orbit of the locked rotor and is followed until a stable motion has caught it. Cells whose
-    end hangs on less than the stated error are marked as boundaries.
+    Each release starts on the orbit of the locked rotor and is followed until a stable motion has caught it. Cells
+    whose end hangs on less than the stated error are marked as boundaries.
     """
     need_place("rig basins:", output, plot)
     if output is not None and output.suffix != ".npz":

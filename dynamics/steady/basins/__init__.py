@@ -1,1 +1,1 @@
-"""What a release ends in: all stable states and slipping motions, the releases that each one draws, how probable it is."""
+"""What releases end in: all stable states and slipping motions, which releases each one draws, how probable it is."""

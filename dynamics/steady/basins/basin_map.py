@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import locked_state
-from dynamics.steady.basins.ends import NEAR_RAD, End, stable_ends
+from dynamics.steady.basins.ends import NEAR_RAD, End, steady_ends, with_slipping
 from dynamics.steady.basins.following import STATED_ERROR_RAD, Followed, follow
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, slipping_orbit
 from dynamics.steady.basins.turning import Turning
 
 Array = NDArray[np.float64]
 
+_FIRST = 12  # releases followed before all others, to find slipping orbits
 _SCOUTS = 6  # releases that are followed on, to see what they slip on
 _SCOUTED = 3000  # revolutions
 _LOOKED_AT = 1500  # of them, the last
@@ -112,16 +113,19 @@ def follow_to_all(
     progress: Callable[[float], None] | None,
 ) -> tuple[list[End], Followed]:  # fmt: skip
     """Releases followed to steady states and to the slipping orbits that they themselves lead to."""
-    ends = stable_ends(turning)
+    steady = steady_ends(turning)
+    few = np.unique(np.linspace(0, len(starts) - 1, _FIRST).astype(int))
+    first = follow(turning, starts[few], steady, seconds, stated_error_rad=stated_error_rad)
+    orbits = _scouted(turning, first.last[first.end < 0], [])
+    ends = with_slipping(steady, orbits)
     found = follow(turning, starts, ends, seconds, stated_error_rad=stated_error_rad, progress=progress)
-    orbits = list[SlippingOrbit]()
     left = np.flatnonzero(found.end < 0)
     while len(left):
         added = _scouted(turning, found.last[left], orbits)
         if not added:
             break
         orbits += added
-        ends = stable_ends(turning, orbits)
+        ends = with_slipping(steady, orbits)
         found.put(left, follow(turning, starts[left], ends, seconds, stated_error_rad=stated_error_rad))
         left = np.flatnonzero(found.end < 0)
     return ends, found
@@ -130,6 +134,8 @@ def follow_to_all(
 def _scouted(turning: Turning, last: Array, known: Sequence[SlippingOrbit]) -> list[SlippingOrbit]:
     """Slipping orbits, not known yet, that some of the releases reach when they are followed on."""
     found = list[SlippingOrbit]()
+    if not len(last):
+        return found
     chosen = last[np.unique(np.linspace(0, len(last) - 1, _SCOUTS).astype(int))]
     for state in chosen:
         strobe = turning.strobed(state, _SCOUTED)[-_LOOKED_AT:]

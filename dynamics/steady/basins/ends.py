@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import OutsideDomain
-from dynamics.steady.basins.regions import Region, attracting_region
+from dynamics.steady.basins.regions import Region, attracting_region, mirrored
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit
 from dynamics.steady.basins.turning import Turning
 from dynamics.steady.steady_motions import steady_states
@@ -21,6 +20,7 @@ from dynamics.steady.steady_state import SteadyState
 
 Array = NDArray[np.float64]
 
+_MIRRORED = 1e-8  # in the units of the state
 NEAR_RAD = 5e-3
 """Deviation in every component, in its unit, below which a release has arrived."""
 
@@ -70,8 +70,8 @@ class End:
         return f"slipping: A {a:.4g}, B {b:.4g} turns per revolution"
 
 
-def stable_ends(turning: Turning, slipping: Sequence[SlippingOrbit] = ()) -> list[End]:
-    """All stable steady states at the rig's speed, and slipping orbits known already.
+def steady_ends(turning: Turning) -> list[End]:
+    """All stable steady states at the rig's speed.
 
     Raises:
         OutsideDomain: a rig without a direction, whose balanced pendulums may stand at any angle.
@@ -81,13 +81,32 @@ def stable_ends(turning: Turning, slipping: Sequence[SlippingOrbit] = ()) -> lis
     for state in steady_states(turning.parameters, turning.speed_rad_s, 1e-6):
         if state.any_angle:
             raise OutsideDomain("without an imbalance the pendulums stand at any angle: expected S_P above 0")
-        if state.stable:
-            region = attracting_region(turning, state.start)
-            if region is not None:
-                number = counts.get(state.type, 0)
-                counts[state.type] = number + 1
-                ends.append(End(state.type, number, state, None, region))
-    return ends + [End("slipping", i, None, orbit, None) for i, orbit in enumerate(slipping)]
+        if not state.stable:
+            continue
+        region = _as_mirror_image(turning, state, ends) or attracting_region(turning, state.start)
+        if region is not None:
+            number = counts.get(state.type, 0)
+            counts[state.type] = number + 1
+            ends.append(End(state.type, number, state, None, region))
+    return ends
+
+
+def with_slipping(steady: Sequence[End], slipping: Sequence[SlippingOrbit]) -> list[End]:
+    """Steady ends, and behind them those in which the pendulums slip."""
+    return [*steady, *(End("slipping", i, None, orbit, None) for i, orbit in enumerate(slipping))]
+
+
+def _as_mirror_image(turning: Turning, state: SteadyState, ends: Sequence[End]) -> Region | None:
+    """The region of a state that is another's with A and B changed over, where they are alike."""
+    if turning.parameters.a != turning.parameters.b:
+        return None
+    for end in ends:
+        if end.state is not None and end.region is not None and end.name == state.type:
+            away = state.start - end.state.start[[0, 1, 3, 2, 4, 5, 7, 6]]
+            away[2:4] = (away[2:4] + math.pi) % (2 * math.pi) - math.pi
+            if np.all(np.abs(away / turning.units) < _MIRRORED):
+                return mirrored(end.region)
+    return None
 
 
 def packed(ends: Sequence[End], turning: Turning) -> tuple[Any, ...]:
@@ -122,8 +141,3 @@ def packed(ends: Sequence[End], turning: Turning) -> tuple[Any, ...]:
         np.array(maps, np.float64).reshape(-1, 8, 8), np.array(straight, np.float64), np.array(near, np.float64),
         np.array(radius, np.float64),
     )  # fmt: skip
-
-
-def ends_of(rig: RotorParameters | object, speed_rad_s: float) -> list[End]:
-    """The stable steady states of a rig at a speed with their regions."""
-    return stable_ends(Turning.of(rig, speed_rad_s))

@@ -31,7 +31,7 @@ def steps_needed(y, omega, pace, step_rad):
         pace: the fastest rate of suspension and damping, rad/s.
     """
     fastest = max(pace, omega + max(abs(y[6]), abs(y[7])))
-    return max(4, int(math.ceil(_TAU * fastest / (omega * step_rad))))
+    return max(4, math.ceil(_TAU * fastest / (omega * step_rad)))
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -98,12 +98,12 @@ def deviation(y, number, ends, away):
     along = y[angle] - _TAU * math.floor(y[angle] / _TAU)
     for sheet in range(sheets[number]):
         place = (along + sheet * _TAU) / (_TAU * sheets[number]) * rows
-        low = int(math.floor(place))
+        low = math.floor(place)
         share = place - low
         this, then = first[number] + low % rows, first[number] + (low + 1) % rows
         for i in range(8):
             change = points[then, i] - points[this, i]
-            if i == 2 or i == 3:
+            if i in (2, 3):
                 change = within(change)
             trial[i] = y[i] - points[this, i] - share * change
         trial[2], trial[3] = within(trial[2]), within(trial[3])

@@ -3,8 +3,9 @@
 
 For a fixed point x of the once-a-revolution map P with the derivative M, Q = Σ (M/γ)ⁿᵀ (M/γ)ⁿ with a γ between M's
 spectral radius and 1 gives V(δ) = δᵀ Q δ with V(M δ) ≤ γ² V(δ). On the nonlinear map V is asked at many states on
-shells that grow until one of them does not come nearer. What the samples leave open is given away by the share of the
-region that is used. Source: docs/theory/basins.md.
+shells that grow until one of them does not come nearer: this is the core. Beyond it shells are taken in from which
+every sample, followed on, ends in the core. What the samples leave open is given away by the share of the region that
+is used. Source: docs/theory/basins.md.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ _FIRST_RAD = 1e-3  # largest deviation on the first shell, in the units of the s
 _LARGEST_RAD = 2.0  # no region reaches farther: angles wrap
 _SHRINK = 0.999  # what each sample's V must have shrunk by, at the most
 _STRAIGHT = 0.02  # of V's root: how well the linear map must hold where it is used
+_OUTER_SHELL, _OUTER_SHELLS, _OUTER_SAMPLES = 1.3, 24, 160  # beyond the core
+_AT_A_TIME = 8  # revolutions
+_E_FOLDS, _MOST_REVOLUTIONS = 8.0, 1200  # of the slowest multiplier, that a sample may take into the core
 _SEED = 20
 
 
@@ -92,47 +96,90 @@ def attracting_region(turning: Turning, start: Array) -> Region | None:
         return states
 
     def deviation(states: Array) -> Array:
-        return ((states - start) / units)[:, free]
+        away = states - start
+        away[:, 2:4] = (away[:, 2:4] + math.pi) % (2 * math.pi) - math.pi
+        return (away / units)[:, free]
 
-    radius, straight, samples = grown(turning, form, placed, deviation, lambda d: d @ own.T)
-    if radius == 0.0:
+    core, straight, samples = _core(turning, form, placed, deviation, own)
+    if core == 0.0:
         return None
+    slowest = min(float(np.max(np.abs(np.linalg.eigvals(own)))), 1.0 - 1e-9)
+    patience = max(_AT_A_TIME, min(_MOST_REVOLUTIONS, math.ceil(-_E_FOLDS / math.log(max(slowest, 1e-3)))))
+    radius, more = _outer(turning, form, placed, deviation, core, patience)
+    samples += more
     full = np.zeros((8, 8))
     full[np.ix_(free, free)] = form / radius**2 / np.outer(units[free], units[free])
     return Region(full, whole, (straight / radius) ** 2, samples)
 
 
-def grown(
-    turning: Turning, form: Array, placed: Callable[[Array], Array], deviation: Callable[[Array], Array],
-    straight_on: Callable[[Array], Array] | None,
-) -> tuple[float, float, int]:  # fmt: skip
-    """Radius of the largest shell up to which every sample came nearer, that up to which the linear map held, samples.
+def mirrored(region: Region) -> Region:
+    """The region about the state in which A and B, two alike, have changed places."""
+    over = [0, 1, 3, 2, 4, 5, 7, 6]
+    form, turn_map = (each[np.ix_(over, over)] for each in (region.form, region.turn_map))
+    return Region(form, turn_map, region.straight, region.samples)
+
+
+def _core(
+    turning: Turning, form: Array, placed: Callable[[Array], Array], deviation: Callable[[Array], Array], own: Array
+) -> tuple[float, float, int]:
+    """Radius up to which every sample came nearer, radius up to which the linear map held, number of samples.
 
     Args:
         form: of deviations in units.
         placed: states (n, 8) at deviations (n, m); deviation: the way back.
-        straight_on: deviations by the linear map, or None.
+        own: the linear map of deviations.
     """
-    lower = np.linalg.cholesky(form)
-    outward = np.linalg.inv(lower).T  # δ = outward ξ has V = |ξ|²
-    largest = math.sqrt(float(np.max(np.sum(outward**2, axis=1))))
-    rng, radius, passed, straight, samples = np.random.default_rng(_SEED), _FIRST_RAD / largest, 0.0, 0.0, 0
-    axes = np.concatenate([np.eye(len(form)), -np.eye(len(form))])
-    holds = straight_on is not None
-    for _ in range(_SHELLS):
-        if radius * largest > _LARGEST_RAD:
-            break
-        ways = rng.standard_normal((_SAMPLES, len(form)))
-        ways = np.concatenate([axes, ways / np.linalg.norm(ways, axis=1)[:, None]])
-        away = radius * ways @ outward.T
+    shells, radius, straight, samples, holds = _Shells(form), 0.0, 0.0, 0, True
+    for wanted in shells.radii(_FIRST_RAD / shells.reach, _SHELL, _SHELLS):
+        away = shells.on(wanted, _SAMPLES)
         moved = deviation(turning.after(placed(away)))
-        value = np.sum((moved @ lower) ** 2, axis=1)
-        if not np.all(value < _SHRINK * radius**2):  # nan counts as not nearer
+        if not np.all(shells.values(moved) < _SHRINK * wanted**2):  # nan counts as not nearer
             break
-        passed, samples = radius, samples + len(ways)
-        if holds and straight_on is not None:
-            off = np.sum(((moved - straight_on(away)) @ lower) ** 2, axis=1)
-            holds = bool(np.all(off < (_STRAIGHT * radius) ** 2))
-            straight = radius if holds else straight
-        radius *= _SHELL
-    return passed, straight, samples
+        radius, samples = wanted, samples + len(away)
+        holds = holds and bool(np.all(shells.values(moved - away @ own.T) < (_STRAIGHT * wanted) ** 2))
+        straight = wanted if holds else straight
+    return radius, straight, samples
+
+
+def _outer(
+    turning: Turning, form: Array, placed: Callable[[Array], Array], deviation: Callable[[Array], Array],
+    core: float, patience: int,
+) -> tuple[float, int]:  # fmt: skip
+    """Radius up to which every sample, followed for so many revolutions, came into the core; number of samples."""
+    shells, radius, samples = _Shells(form), core, 0
+    for wanted in shells.radii(core * _OUTER_SHELL, _OUTER_SHELL, _OUTER_SHELLS):
+        states = placed(shells.on(wanted, _OUTER_SAMPLES))
+        number, done = len(states), 0
+        while len(states) and done < patience:
+            states = turning.after(states, _AT_A_TIME)
+            states = states[~(shells.values(deviation(states)) < core**2)]
+            done += _AT_A_TIME
+        if len(states):
+            break
+        radius, samples = wanted, samples + number
+    return radius, samples
+
+
+class _Shells:
+    """Deviations on the shells δᵀ Q δ = r²: along the main axes' directions and at random."""
+
+    def __init__(self, form: Array) -> None:
+        self._lower = np.linalg.cholesky(form)
+        self._outward = np.linalg.inv(self._lower).T  # δ = outward ξ has V = |ξ|²
+        self.reach = math.sqrt(float(np.max(np.sum(self._outward**2, axis=1))))  # largest component for r = 1
+        self._rng, self._own = np.random.default_rng(_SEED), len(form)
+        self._axes = np.linalg.svd(self._outward)[2]
+
+    def radii(self, first: float, ratio: float, most: int) -> list[float]:
+        """Of shells, none of which reaches too far."""
+        return [r for r in (first * ratio**i for i in range(most)) if r * self.reach <= _LARGEST_RAD]
+
+    def on(self, radius: float, samples: int) -> Array:
+        """Deviations on a shell."""
+        ways = self._rng.standard_normal((samples, self._own))
+        ways = np.concatenate([self._axes, -self._axes, ways / np.linalg.norm(ways, axis=1)[:, None]])
+        return radius * ways @ self._outward.T
+
+    def values(self, deviations: Array) -> Array:
+        """δᵀ Q δ of each."""
+        return np.sum((deviations @ self._lower) ** 2, axis=1)
