@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Basins: which stable motion each release of a grid ends in, and how long that takes."""
 
 from __future__ import annotations
@@ -104,14 +104,15 @@ def _times(figure: Figure, axes: Axes, found: BasinMap) -> None:
 
 def _frame(axes: Axes, found: BasinMap) -> None:
     axes.grid(visible=False)
-    for angles, limits, ticks in (
-        (_degrees(found.theta3_rad), axes.set_xlim, axes.set_xticks),
-        (_degrees(found.theta4_rad), axes.set_ylim, axes.set_yticks),
+    for angles, axis, limits in (
+        (_degrees(found.theta3_rad), axes.xaxis, axes.set_xlim),
+        (_degrees(found.theta4_rad), axes.yaxis, axes.set_ylim),
     ):
-        half = 0.5 * float(np.median(np.diff(angles))) if len(angles) > 1 else 1.0
-        limits(float(angles[0]) - half, float(angles[-1]) + half)
-        if angles[-1] - angles[0] > 180:
-            ticks(np.arange(math.ceil((angles[0] - half) / 90) * 90, angles[-1] + half + 1, 90))
+        first, last = float(angles[0]), float(angles[-1])
+        half = 0.5 * (last - first) / (len(angles) - 1) if len(angles) > 1 else 1.0
+        limits(first - half, last + half)
+        if last - first > 180:
+            axis.set_ticks(np.arange(math.ceil((first - half) / 90) * 90, last + half + 1, 90))
     axes.plot(*_LOCKS_DEG, marker="+", ms=11, mew=2.2, color="white", zorder=5)
     axes.plot(*_LOCKS_DEG, marker="+", ms=10, mew=1.1, color="black", zorder=6)
 

@@ -60,7 +60,8 @@ class BasinMap:
     @property
     def shares(self) -> Array:
         """Share of the grid that goes to each end, and behind them that which settles on none, shape (ends + 1,)."""
-        return np.array([float(np.mean(self.end == i)) for i in [*range(len(self.ends)), -1]])
+        wanted = [*range(len(self.ends)), -1]
+        return np.array([np.count_nonzero(self.end == i) / self.end.size for i in wanted])
 
 
 def basins(

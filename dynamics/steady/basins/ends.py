@@ -83,7 +83,7 @@ def steady_ends(turning: Turning) -> list[End]:
             raise OutsideDomain("without an imbalance the pendulums stand at any angle: expected S_P above 0")
         if not state.stable:
             continue
-        region = _as_mirror_image(turning, state, ends) or attracting_region(turning, state.start)
+        region = _as_mirror_image(turning, state, ends) or attracting_region(turning, state.start.astype(np.float64))
         if region is not None:
             number = counts.get(state.type, 0)
             counts[state.type] = number + 1
@@ -116,7 +116,7 @@ def packed(ends: Sequence[End], turning: Turning) -> tuple[Any, ...]:
     for end in ends:
         if end.state is not None:
             assert end.region is not None
-            points.append(end.state.start[None, :])
+            points.append(end.state.start[None, :].astype(np.float64))
             forms.append(end.region.form[None])
             lead.append(-1)
             sheets.append(1)

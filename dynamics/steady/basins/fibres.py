@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownVariableType=false
 """A closed curve of the once-a-revolution map by the angle of a pendulum that turns, and what shrinks across it.
 
 A state beside the curve is compared with the curve's state at which the lead pendulum stands at the same angle: the
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit  # pyright: ignore[reportMissingTypeStubs]
+from numba import njit
 from numpy.typing import NDArray
 
 from dynamics.steady.basins.pursuit import deviation
@@ -75,7 +75,7 @@ class Fibres:
     def moduli(self) -> Array:
         """What deviations across the curve are multiplied with in a revolution, largest first."""
         number = len(self.across)
-        maps = series(self.maps, self.rate * np.arange(_FOLLOWED))
+        maps = series(self.maps, self.rate * np.arange(_FOLLOWED, dtype=np.float64))
         frame, logs = np.eye(number), np.zeros((_FOLLOWED, number))
         for i, each in enumerate(maps):
             frame, r = np.linalg.qr(each @ frame)

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownVariableType=false
 """Many releases followed at once, each until a stable motion has caught it."""
 
 from __future__ import annotations
@@ -93,14 +93,12 @@ def follow(
     beside = last.copy()
     beside[:, 2:4] += stated_error_rad * np.array(_BESIDE)
     table = packed(ends, turning)
+    motion = (turning.speed_rad_s, turning.pace, (STEP_RAD, _COARSE_RAD), turning.system)
     limits = (_SHARE, _APART_RAD, _FURTHER * turns)
 
     def group(begin: int) -> None:
         for i in range(begin, min(begin + _GROUP, len(last))):
-            pursue(
-                last[i], beside[i], turning.speed_rad_s, turns, turning.pace, (STEP_RAD, _COARSE_RAD), turning.system,
-                table, turning.units, limits, facts[i],
-            )  # fmt: skip
+            pursue(last[i], beside[i], turns, motion, table, turning.units, limits, facts[i])
 
     begins = range(0, len(last), _GROUP)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:

@@ -133,13 +133,13 @@ def _caught_by(y, ends, share, away):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def pursue(y, beside, omega, turns, pace, steps_rad, system, ends, units, limits, facts):
+def pursue(y, beside, turns, motion, ends, units, limits, facts):
     """Follow one release; its end state is left in y.
 
     Args:
         y, beside: states at ψ = 0 of the release and of its neighbour, shape (8,).
         turns: revolutions to follow it, at least 1.
-        steps_rad: lengths of the steps of both, as for steps_needed.
+        motion: (ω, the fastest rate, lengths of the steps of both, system), as for steps_needed and advance.
         ends: as for deviation, and (turn maps (n, 8, 8), values below which these hold (n,), values at which an end
             is near (n,), its own mean radius (n,)).
         units: of the distance between both, shape (8,).
@@ -147,72 +147,90 @@ def pursue(y, beside, omega, turns, pace, steps_rad, system, ends, units, limits
         facts: what was found, shape (FACTS,): number of the end or −1, revolutions until caught and until settled
             (nan: never), largest distance of both before that, rms radius in the last revolution, turns of A and B.
     """
-    maps, straight, near, radius = ends[5], ends[6], ends[7], ends[8]
-    share, apart, further = limits
-    k, work, phase = np.zeros((16, 8)), np.empty(8), np.empty(3)
-    orbit, other, away, gap = np.zeros(3), np.zeros(3), np.zeros(8), np.empty(8)
-    begin_a, begin_b = y[2], y[3]
-    facts[END], facts[CAUGHT], facts[SETTLED], facts[APART] = -1, np.nan, np.nan, 0.0
-    number, done = -1, 0
-    while done < turns:
-        number = _caught_by(y, ends, share, away)
+    work = (np.zeros((16, 8)), np.empty(8), np.empty(3))
+    orbit, begin_a, begin_b = np.zeros(3), y[2], y[3]
+    facts[CAUGHT], facts[SETTLED], facts[APART] = np.nan, np.nan, 0.0
+    number, done = _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit)
+    facts[END], facts[RADIUS] = number, _radius_of(orbit)
+    if number >= 0:
+        facts[CAUGHT] = done
+        _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit)
+    facts[TURNS_A], facts[TURNS_B] = (y[2] - begin_a) / _TAU, (y[3] - begin_b) / _TAU
+
+
+@njit(cache=True, error_model="numpy")
+def _radius_of(orbit):
+    return math.sqrt(max(0.0, orbit[2] - orbit[0] * orbit[0] - orbit[1] * orbit[1]))
+
+
+@njit(cache=True, error_model="numpy")
+def _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit):
+    """Revolutions of release and neighbour until an end has caught both: (its number or −1, revolutions)."""
+    omega, pace, steps_rad, system = motion
+    share, apart = limits[0], limits[1]
+    gap, other = np.empty(8), np.zeros(3)
+    done = 0
+    while True:
+        number = _caught_by(y, ends, share, gap)
         if number >= 0 and (facts[APART] > apart or deviation(beside, number, ends, gap) <= 1.0):
-            break
-        number = -1
-        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, k, work, phase, orbit)
+            return number, done
+        if done >= turns:
+            return -1, done
+        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
         if facts[APART] <= apart:
-            advance(beside, omega, steps_needed(beside, omega, pace, steps_rad[1]), system, k, work, phase, other)
+            steps = steps_needed(beside, omega, pace, steps_rad[1])
+            advance(beside, omega, steps, system, work[0], work[1], work[2], other)
             for i in range(8):
                 gap[i] = y[i] - beside[i]
             facts[APART] = max(facts[APART], _distance(gap, units))
             if not facts[APART] <= apart:
                 facts[APART] = np.inf
         done += 1
-    facts[RADIUS] = math.sqrt(max(0.0, orbit[2] - orbit[0] ** 2 - orbit[1] ** 2))
-    facts[TURNS_A], facts[TURNS_B] = (y[2] - begin_a) / _TAU, (y[3] - begin_b) / _TAU
-    facts[END] = number
-    if number < 0:
-        return
-    facts[CAUGHT] = done
-    value = deviation(y, number, ends, away)
-    while value > near[number] and done < turns + further:
-        if done == turns:
-            facts[RADIUS] = math.sqrt(max(0.0, orbit[2] - orbit[0] ** 2 - orbit[1] ** 2))
-        if value <= straight[number]:
-            break
-        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, k, work, phase, orbit)
-        done += 1
-        value = deviation(y, number, ends, away)
-    facts[TURNS_A], facts[TURNS_B] = (y[2] - begin_a) / _TAU, (y[3] - begin_b) / _TAU
-    if value <= near[number]:
-        facts[SETTLED] = done
-    if ends[3][number] >= 0:
-        if done < turns:
-            facts[RADIUS] = radius[number]
-        return
-    if value > straight[number] and value > near[number]:
-        return
-    _glide(y, away, value, number, done, turns, further, near[number], maps[number], ends, facts)
-    if done < turns:  # the last revolution, from where the turn map has come to
-        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, k, work, phase, orbit)
-        facts[RADIUS] = math.sqrt(max(0.0, orbit[2] - orbit[0] ** 2 - orbit[1] ** 2))
 
 
 @njit(cache=True, error_model="numpy")
-def _glide(y, away, value, number, done, turns, further, near, turn_map, ends, facts):
-    """The rest of the way by the turn map: the state one revolution before the end into y, and when it is near."""
-    base, then, last = y - away, np.empty(8), done
-    last = max(done, turns - 1)
-    while done < last or (value > near and done < turns + further):
+def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
+    """On from where an end has caught a release, until it is near and the time is over."""
+    omega, pace, steps_rad, system = motion
+    straight, near, last = ends[6][number], ends[7][number], turns + limits[2]
+    away = np.empty(8)
+    value = deviation(y, number, ends, away)
+    while near < value and straight < value and done < last:
+        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
+        done += 1
+        if done == turns:
+            facts[RADIUS] = _radius_of(orbit)
+        value = deviation(y, number, ends, away)
+    if value <= near:
+        facts[SETTLED] = done
+    if ends[3][number] >= 0 or straight < 0.0:  # slipping: its own mean, for that of one revolution beats
+        if done < turns:
+            facts[RADIUS] = ends[8][number]
+        return
+    if near < value and straight < value:
+        return
+    early = done < turns
+    _glide(y, away, value, number, done, turns, last, ends, facts)
+    if early:  # the last revolution, from where the turn map has come to
+        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
+        facts[RADIUS] = _radius_of(orbit)
+
+
+@njit(cache=True, error_model="numpy")
+def _glide(y, away, value, number, done, turns, last, ends, facts):
+    """The rest of the way by the turn map: the state a revolution before the time is over into y, and when near."""
+    turn_map, near, form = ends[5][number], ends[7][number], ends[1][ends[2][number]]
+    base, then, shown = y - away, np.empty(8), max(done, turns - 1)
+    while done < shown or (near < value and done < last):
         for i in range(8):
             then[i] = 0.0
             for j in range(8):
                 then[i] += turn_map[i, j] * away[j]
         away[:] = then
         done += 1
-        if value > near:
-            value = _form(away, ends[1][ends[2][number]])
+        if near < value:
+            value = _form(away, form)
             if value <= near:
                 facts[SETTLED] = done
-        if done <= last:
+        if done <= shown:
             y[:] = base + away

@@ -62,13 +62,19 @@ def near_value(form: Array, units: Array, near_rad: float) -> float:
     return near_rad**2 / float(np.max(np.diag(inverse)))
 
 
+def spectral_radius(matrix: Array) -> float:
+    """Largest modulus of the eigenvalues."""
+    values: NDArray[np.complex128] = np.linalg.eigvals(matrix).astype(np.complex128)
+    return float(np.max(np.abs(values)))
+
+
 def quadratic_form(turn_map: Array) -> Array:
     """Q = Σ (M/γ)ⁿᵀ (M/γ)ⁿ, γ² the spectral radius of M, by doubling, shape of M.
 
     Args:
         turn_map: M with a spectral radius below 1.
     """
-    gamma = math.sqrt(max(float(np.max(np.abs(np.linalg.eigvals(turn_map)))), 0.25))
+    gamma = math.sqrt(max(spectral_radius(turn_map), 0.25))
     power, found = turn_map / gamma, np.eye(len(turn_map))
     for _ in range(64):
         added = power.T @ found @ power
@@ -103,7 +109,7 @@ def attracting_region(turning: Turning, start: Array) -> Region | None:
     core, straight, samples = _core(turning, form, placed, deviation, own)
     if core == 0.0:
         return None
-    slowest = min(float(np.max(np.abs(np.linalg.eigvals(own)))), 1.0 - 1e-9)
+    slowest = min(spectral_radius(own), 1.0 - 1e-9)
     patience = max(_AT_A_TIME, min(_MOST_REVOLUTIONS, math.ceil(-_E_FOLDS / math.log(max(slowest, 1e-3)))))
     radius, more = _outer(turning, form, placed, deviation, core, patience)
     samples += more

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownVariableType=false
 """A rig at a constant speed as a map of its states from one revolution of the rotor to the next."""
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit  # pyright: ignore[reportMissingTypeStubs]
+from numba import njit
 from numpy.typing import NDArray
 
 from dynamics.arguments import need_number
