@@ -111,14 +111,14 @@ def judged(found: BasinMap, referee: Referee, cell: tuple[int, int]) -> str:
     claim = int(found.end[cell])
     track = referee.strobe(start, horizon)
     if claim < 0:
-        near = [_gap(track[-1], end.state.start) for end in found.ends if end.state is not None]
+        near = [_gap(track[-1], end.start) for end in found.ends if end.slipping is None]
         return "right" if min(near, default=1.0) > NEAR_RAD else "WRONG: not settled, but it is"
     end = found.ends[claim]
     while len(track) * period < _TURNING_S:
         if np.max(np.ptp(track[-_BLOCK:, 2:4], axis=0)) < _REPEATS:
-            if end.state is None:
+            if end.slipping is not None:
                 return "WRONG: slipping, but it locks"
-            right = _gap(track[-1], end.state.start) < _SAME
+            right = _gap(track[-1], end.start) < _SAME
             return "right" if right else f"WRONG: {end.words}, but it locks at {np.degrees(track[-1, 2:4]) % 360}"
         state = track[-1]
         track = np.concatenate([track, referee.strobe(state, _BLOCK)[1:]])

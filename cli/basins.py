@@ -138,8 +138,8 @@ def _end_json(end: End, share: float, settled: np.ndarray) -> dict[str, Any]:
         "multiplier_max": end.multiplier,
         "settled_s": {"median": float(np.median(settled)), "largest": float(np.max(settled))} if len(settled) else None,
     }  # fmt: skip
-    if end.state is not None:
-        out["theta3_deg"], out["theta4_deg"] = (math.degrees(angle) for angle in end.state.theta_rad)
+    if end.theta_rad is not None:
+        out["theta3_deg"], out["theta4_deg"] = (math.degrees(angle) for angle in end.theta_rad)
     if end.slipping is not None:
         orbit = end.slipping
         out |= {

@@ -16,7 +16,6 @@ from dynamics.steady.basins.regions import Region, attracting_region, mirrored
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit
 from dynamics.steady.basins.turning import Turning
 from dynamics.steady.steady_motions import steady_states
-from dynamics.steady.steady_state import SteadyState
 
 Array = NDArray[np.float64]
 
@@ -31,39 +30,29 @@ class End:
 
     Attributes:
         name: "I", "II", "III", "one" or "slipping".
-        mirror: number of this one among those of its type: mirror images differ in it.
-        state: the steady state; None for slipping.
-        slipping: the slipping orbit; None for a steady state.
+        mirror: 0, or 1 for the second of two mirror images; numbers those of one type that are none.
+        theta_rad: mean angles of A and B; None for slipping.
+        amplitude_m: root mean square distance of the disk centre from the middle of its orbit.
+        multiplier: largest modulus over one revolution; of a slipping orbit, across it.
+        start: of a steady state, the state at ψ = 0, shape (8,).
         region: about a steady state.
+        slipping: the slipping orbit; None for a steady state.
     """
 
     name: str
     mirror: int
-    state: SteadyState | None
-    slipping: SlippingOrbit | None
+    theta_rad: tuple[float, float] | None
+    amplitude_m: float
+    multiplier: float
+    start: Array
     region: Region | None
-
-    @property
-    def amplitude_m(self) -> float:
-        """Root mean square distance of the disk centre from the middle of its orbit, m."""
-        if self.state is not None:
-            return self.state.amplitude_m
-        assert self.slipping is not None
-        return self.slipping.amplitude_m
-
-    @property
-    def multiplier(self) -> float:
-        """Largest modulus over one revolution; of slipping, across the orbit."""
-        if self.state is not None:
-            return self.state.multiplier_max
-        assert self.slipping is not None
-        return self.slipping.multiplier_across
+    slipping: SlippingOrbit | None = None
 
     @property
     def words(self) -> str:
         """The end with its angles, or with its rates of slip."""
-        if self.state is not None:
-            a, b = (math.degrees(angle) for angle in self.state.theta_rad)
+        if self.theta_rad is not None:
+            a, b = (math.degrees(angle) for angle in self.theta_rad)
             return f"{self.name}: A at {a:.1f}°, B at {b:.1f}°"
         assert self.slipping is not None
         a, b = self.slipping.turns_per_revolution
@@ -77,32 +66,53 @@ def steady_ends(turning: Turning) -> list[End]:
         OutsideDomain: a rig without a direction, whose balanced pendulums may stand at any angle.
         NotConverged: as dynamics.steady.steady_motions.steady_states.
     """
-    ends, counts = list[End](), dict[str, int]()
+    ends = list[End]()
     for state in steady_states(turning.parameters, turning.speed_rad_s, 1e-6):
         if state.any_angle:
             raise OutsideDomain("without an imbalance the pendulums stand at any angle: expected S_P above 0")
         if not state.stable:
             continue
-        region = _as_mirror_image(turning, state, ends) or attracting_region(turning, state.start.astype(np.float64))
+        start = state.start.astype(np.float64)
+        region = _as_mirror_image(turning, state.type, start, ends) or attracting_region(turning, start)
         if region is not None:
-            number = counts.get(state.type, 0)
-            counts[state.type] = number + 1
-            ends.append(End(state.type, number, state, None, region))
+            number = _numbered(state.type, state.theta_rad, ends)
+            ends.append(
+                End(state.type, number, state.theta_rad, state.amplitude_m, state.multiplier_max, start, region)
+            )
     return ends
+
+
+def _numbered(kind: str, theta_rad: tuple[float, float], ends: Sequence[End]) -> int:
+    """0 or 1 for two mirror images, by the side on which A is; the next number where that one is taken."""
+    wanted, taken = mirror_image(kind, theta_rad), {end.mirror for end in ends if end.name == kind}
+    while wanted in taken:
+        wanted += 1
+    return wanted
+
+
+def mirror_image(kind: str, theta_rad: tuple[float, float]) -> int:
+    """Of a balanced state 0 with A at less than half a turn from the imbalance, else 1; of the others 0."""
+    return int(kind == "I" and theta_rad[0] % (2 * math.pi) > math.pi)
 
 
 def with_slipping(steady: Sequence[End], slipping: Sequence[SlippingOrbit]) -> list[End]:
     """Steady ends, and behind them those in which the pendulums slip."""
-    return [*steady, *(End("slipping", i, None, orbit, None) for i, orbit in enumerate(slipping))]
+    return [
+        *steady,
+        *(
+            End("slipping", i, None, orbit.amplitude_m, orbit.multiplier_across, orbit.points[0], None, orbit)
+            for i, orbit in enumerate(slipping)
+        ),
+    ]
 
 
-def _as_mirror_image(turning: Turning, state: SteadyState, ends: Sequence[End]) -> Region | None:
+def _as_mirror_image(turning: Turning, kind: str, start: Array, ends: Sequence[End]) -> Region | None:
     """The region of a state that is another's with A and B changed over, where they are alike."""
     if turning.parameters.a != turning.parameters.b:
         return None
     for end in ends:
-        if end.state is not None and end.region is not None and end.name == state.type:
-            away = state.start - end.state.start[[0, 1, 3, 2, 4, 5, 7, 6]]
+        if end.region is not None and end.name == kind:
+            away = start - end.start[[0, 1, 3, 2, 4, 5, 7, 6]]
             away[2:4] = (away[2:4] + math.pi) % (2 * math.pi) - math.pi
             if np.all(np.abs(away / turning.units) < _MIRRORED):
                 return mirrored(end.region)
@@ -114,9 +124,8 @@ def packed(ends: Sequence[End], turning: Turning) -> tuple[Any, ...]:
     points, forms, first, lead, sheets = list[Array](), list[Array](), [0], list[int](), list[int]()
     maps, straight, near, radius = list[Array](), list[float](), list[float](), list[float]()
     for end in ends:
-        if end.state is not None:
-            assert end.region is not None
-            points.append(end.state.start[None, :].astype(np.float64))
+        if end.region is not None:
+            points.append(end.start[None, :])
             forms.append(end.region.form[None])
             lead.append(-1)
             sheets.append(1)

@@ -125,8 +125,8 @@ def caught_scale(turning: Turning, points: Array, forms: Array, lead: int, sheet
     Args:
         points, forms, lead, sheets: as of dynamics.steady.basins.pursuit.deviation.
     """
-    units, at = turning.units, 2 + lead
-    across = [i for i in turning.free if i != at]
+    units = turning.units
+    across = [i for i in turning.free if lead < 0 or i != 2 + lead]
     ends = (points, forms, np.array([0, len(points)]), np.array([lead]), np.array([sheets]))
     outward = np.linalg.inv(np.linalg.cholesky(forms[:, across][:, :, across])).swapaxes(1, 2)
     largest = float(np.sqrt(np.max(np.sum((outward / units[across][None, :, None]) ** 2, axis=2))))

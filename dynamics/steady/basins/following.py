@@ -71,6 +71,7 @@ class Followed:
 def follow(
     turning: Turning, starts: Array, ends: Sequence[End], seconds: float, *,
     stated_error_rad: float = STATED_ERROR_RAD, progress: Callable[[float], None] | None = None,
+    workers: int | None = None,
 ) -> Followed:  # fmt: skip
     """Follow releases until an end catches them, at most so long.
 
@@ -80,6 +81,7 @@ def follow(
         seconds: how long, at least one revolution.
         stated_error_rad: by how much the start angles may be wrong.
         progress: called with the share done.
+        workers: threads; None: one a core; 1: none beside this one.
     Raises:
         OutsideDomain: numbers that mean nothing.
     """
@@ -101,7 +103,22 @@ def follow(
             pursue(last[i], beside[i], turns, motion, table, turning.units, limits, facts[i])
 
     begins = range(0, len(last), _GROUP)
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    if workers == 1:
+        for begin in begins:
+            group(begin)
+    else:
+        _in_threads(group, begins, workers or os.cpu_count() or 1, progress)
+    period = turning.period_s
+    return Followed(
+        facts[:, END].astype(np.int64), facts[:, CAUGHT] * period, facts[:, SETTLED] * period, facts[:, APART].copy(),
+        facts[:, RADIUS].copy(), facts[:, [TURNS_A, TURNS_B]], last,
+    )  # fmt: skip
+
+
+def _in_threads(
+    group: Callable[[int], None], begins: Sequence[int], workers: int, progress: Callable[[float], None] | None
+) -> None:
+    with ThreadPoolExecutor(workers) as pool:
         try:
             waiting = [pool.submit(group, begin) for begin in begins]
             for done, each in enumerate(as_completed(waiting), 1):
@@ -111,8 +128,3 @@ def follow(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    period = turning.period_s
-    return Followed(
-        facts[:, END].astype(np.int64), facts[:, CAUGHT] * period, facts[:, SETTLED] * period, facts[:, APART].copy(),
-        facts[:, RADIUS].copy(), facts[:, [TURNS_A, TURNS_B]], last,
-    )  # fmt: skip

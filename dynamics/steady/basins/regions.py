@@ -21,9 +21,7 @@ from dynamics.steady.basins.turning import Turning
 
 Array = NDArray[np.float64]
 
-_SHELL = 1.25  # ratio of radii of neighbouring shells
-_SHELLS = 60
-_SAMPLES = 192  # on each shell
+_THOROUGH, _QUICK = (1.25, 60, 192), (1.6, 26, 40)  # ratio of neighbouring shells' radii, shells, samples on each
 _FIRST_RAD = 1e-3  # largest deviation on the first shell, in the units of the state
 _LARGEST_RAD = 2.0  # no region reaches farther: angles wrap
 _SHRINK = 0.999  # what each sample's V must have shrunk by, at the most
@@ -85,11 +83,12 @@ def quadratic_form(turn_map: Array) -> Array:
     return 0.5 * (found + found.T)
 
 
-def attracting_region(turning: Turning, start: Array) -> Region | None:
+def attracting_region(turning: Turning, start: Array, *, quick: bool = False) -> Region | None:
     """The largest sampled region about a stable fixed point of the map; None where not even the smallest shrinks.
 
     Args:
         start: the fixed point, shape (8,).
+        quick: fewer samples, and the core alone.
     """
     free, units = turning.free, turning.units
     whole = turning.derivatives(start[None, :])[0]
@@ -106,16 +105,22 @@ def attracting_region(turning: Turning, start: Array) -> Region | None:
         away[:, 2:4] = (away[:, 2:4] + math.pi) % (2 * math.pi) - math.pi
         return (away / units)[:, free]
 
-    core, straight, samples = _core(turning, form, placed, deviation, own)
+    core, straight, samples = _core(turning, form, placed, deviation, own, *(_QUICK if quick else _THOROUGH))
     if core == 0.0:
         return None
-    slowest = min(spectral_radius(own), 1.0 - 1e-9)
-    patience = max(_AT_A_TIME, min(_MOST_REVOLUTIONS, math.ceil(-_E_FOLDS / math.log(max(slowest, 1e-3)))))
-    radius, more = _outer(turning, form, placed, deviation, core, patience)
-    samples += more
+    radius = core
+    if not quick:
+        radius, more = _outer(turning, form, placed, deviation, core, _patience(own))
+        samples += more
     full = np.zeros((8, 8))
     full[np.ix_(free, free)] = form / radius**2 / np.outer(units[free], units[free])
     return Region(full, whole, (straight / radius) ** 2, samples)
+
+
+def _patience(own: Array) -> int:
+    """Revolutions in which a sample must have come into the core."""
+    slowest = min(max(spectral_radius(own), 1e-3), 1.0 - 1e-9)
+    return max(_AT_A_TIME, min(_MOST_REVOLUTIONS, math.ceil(-_E_FOLDS / math.log(slowest))))
 
 
 def mirrored(region: Region) -> Region:
@@ -126,18 +131,20 @@ def mirrored(region: Region) -> Region:
 
 
 def _core(
-    turning: Turning, form: Array, placed: Callable[[Array], Array], deviation: Callable[[Array], Array], own: Array
-) -> tuple[float, float, int]:
+    turning: Turning, form: Array, placed: Callable[[Array], Array], deviation: Callable[[Array], Array], own: Array,
+    ratio: float, most: int, number: int,
+) -> tuple[float, float, int]:  # fmt: skip
     """Radius up to which every sample came nearer, radius up to which the linear map held, number of samples.
 
     Args:
         form: of deviations in units.
         placed: states (n, 8) at deviations (n, m); deviation: the way back.
         own: the linear map of deviations.
+        ratio, most, number: of neighbouring radii, of shells, of samples on each at random.
     """
     shells, radius, straight, samples, holds = _Shells(form), 0.0, 0.0, 0, True
-    for wanted in shells.radii(_FIRST_RAD / shells.reach, _SHELL, _SHELLS):
-        away = shells.on(wanted, _SAMPLES)
+    for wanted in shells.radii(_FIRST_RAD / shells.reach, ratio, most):
+        away = shells.on(wanted, number)
         moved = deviation(turning.after(placed(away)))
         if not np.all(shells.values(moved) < _SHRINK * wanted**2):  # nan counts as not nearer
             break

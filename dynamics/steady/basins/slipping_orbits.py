@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, turned
+from dynamics.steady.basins.periodic import PeriodicMotion, periodic_motion, repeats
 from dynamics.steady.basins.regions import near_value
 from dynamics.steady.basins.turning import Turning
 
@@ -30,6 +31,7 @@ _CLOSED = 1e-9  # residual of the equation, in the units of the state
 _BETWEEN = 1e-5  # … between the values it was solved at
 _ROWS = 720  # along a turn of the lead pendulum, for compiled code
 _MOST_WINDING = 3
+_MOST_PERIOD, _REPEATS = 24, 1e-4  # revolutions of a locked slipping orbit, and how well it has to repeat
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,12 @@ def slipping_orbit(turning: Turning, strobe: Array, near_rad: float) -> Slipping
         strobe: states once a revolution at ψ = 0, angles counted on, shape (n, 8), past the transient.
         near_rad: deviation at which a motion is on the orbit, in units of the state.
     """
+    locked = repeats(turning, strobe, _MOST_PERIOD, _REPEATS)
+    if locked is not None:
+        if locked[1] == (0, 0):
+            return None
+        motion = periodic_motion(turning, strobe[-1], *locked)
+        return _of_periodic(turning, motion, near_rad) if motion is not None and motion.stable else None
     rates = mean_rates(strobe[:, 2:4])
     there = list(turning.there)
     if not np.all(np.isfinite(strobe)) or np.max(np.abs(rates[there])) * len(strobe) < _LEAST_TURNS:
@@ -210,4 +218,34 @@ def described(
     return SlippingOrbit(
         rates, winding, 0, rate, residual, multipliers, across, radius, points, forms, fibres.lead, fibres.sheets,
         near, u,
+    )  # fmt: skip
+
+
+def _of_periodic(turning: Turning, motion: PeriodicMotion, near_rad: float) -> SlippingOrbit | None:
+    """A slipping orbit of q states, each with a form that one revolution makes smaller; None without a region."""
+    free, units, count = turning.free, turning.units, len(motion.states)
+    gamma = math.sqrt(max(float(motion.moduli[0]), 0.25))
+    own = (motion.maps * units[None, :] / units[:, None])[:, free][:, :, free] / gamma
+    found = np.tile(np.eye(len(free)), (count, 1, 1))
+    for _ in range(5000):
+        then, before = found.copy(), found.copy()
+        for j in range(count - 1, -1, -1):
+            then[j] = np.eye(len(free)) + own[j].T @ then[(j + 1) % count] @ own[j]
+        found = then
+        if np.max(np.abs(then - before)) <= 1e-9 * np.max(np.abs(then)):
+            break
+    forms = np.zeros((count, 8, 8))
+    forms[:, np.array(free)[:, None], np.array(free)[None, :]] = found
+    forms = forms / units[:, None] / units[None, :]
+    scale = caught_scale(turning, motion.states, forms, -1, 1)
+    if scale == 0.0:
+        return None
+    forms = forms / scale
+    multipliers = np.zeros(8)
+    multipliers[: len(motion.moduli)] = motion.moduli
+    rates = (motion.turns[0] / count, motion.turns[1] / count)
+    return SlippingOrbit(
+        rates, motion.turns, count, max(rates, key=abs), motion.residual, multipliers, float(motion.moduli[0]),
+        turning.mean_radius(motion.states[0], count), motion.states, forms, -1, 1,
+        min(near_value(form, units, near_rad) for form in forms), motion.states,
     )  # fmt: skip
