@@ -17,6 +17,7 @@ from cli.options import Json, ParametersPath, Settings, need_place, what_if_word
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
+    from dynamics.equations.parameters import RotorParameters
     from dynamics.steady.basins.basin_map import BasinMap
     from dynamics.steady.basins.ends import End
 
@@ -33,6 +34,11 @@ def basins(
     seconds: Annotated[PositiveSeconds, Parameter(help="how long each release is followed")] = 20.0,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
     plot: Plot = None,
+    probabilities: Annotated[
+        int | None,
+        Parameter(help="also draw so many rigs from the parameters' covariance, released within the locks' play"),
+    ] = None,
+    play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2,
     parameters: ParametersPath = None,
     settings: Settings = None,
     json: Json = False,
@@ -45,6 +51,8 @@ def basins(
     need_place("rig basins:", output, plot)
     if output is not None and output.suffix != ".npz":
         raise RigFileError(f"rig basins: -o expected a name ending in .npz, got {output}")
+    if probabilities is not None and not 1 <= probabilities <= _MOST:
+        raise RigFileError(f"rig basins: --probabilities expected 1 to {_MOST} draws, got {probabilities}")
     numbers = _grid(grid)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     loaded = load_rig(rig, known, settings or [])
@@ -63,11 +71,15 @@ def basins(
         say("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
         raise
     took = time.perf_counter() - started
+    chances = None
+    if probabilities is not None:
+        chances = _chances(physics, speed, known, probabilities, seconds, play_deg)
     if output is not None:
         np.savez_compressed(output, **_arrays(found))
     if plot is not None:
         _draw(plot, loaded, speed, found, settings)
     result = _result(loaded, found, took) | {
+        "probabilities": chances,
         "what_if": list(settings or []),
         "file": None if output is None else str(output),
         "plot": None if plot is None else str(plot),
@@ -80,6 +92,29 @@ def basins(
         if path is not None:
             print(f"written to {path}")
     return 0
+
+
+def _chances(
+    physics: RotorParameters, speed: float, known: IdentifiedParameters, draws: int, seconds: float, play_deg: float
+) -> dict[str, Any]:
+    """Probabilities of the ends of the real locks' release."""
+    from analysis.release_probabilities import end_probabilities  # noqa: PLC0415
+
+    if not known.values:
+        say("rig basins: no --parameters FILE: only the locks' play is drawn")
+    with share_progress(f"{draws} rigs drawn") as progress:
+        found = end_probabilities(
+            physics, speed, known, draws, seconds=seconds, play_rad=math.radians(play_deg), progress=progress
+        )
+    return {
+        "draws": found.draws, "level": found.level, "play_deg": play_deg, "at_a_boundary": found.unsure,
+        "refused": sorted(set(found.releases.refused.values())),
+        "ends": [
+            {"type": e.name, "mirror_image": e.mirror, "count": e.count, "probability": e.probability,
+             "interval": list(e.interval)}
+            for e in found.ends
+        ],
+    }  # fmt: skip
 
 
 def _grid(text: str) -> tuple[int, int]:
@@ -178,8 +213,25 @@ def _print(result: dict[str, Any], settings: list[str] | None) -> None:
         f"at a boundary, where {result['stated_error_deg']:.1g}° change the end: "
         f"{100 * result['at_a_boundary_share']:.2g} %"
     )
+    if result["probabilities"] is not None:
+        _print_chances(result["probabilities"])
     if settings:
         print(what_if_words(settings))
+
+
+def _print_chances(chances: dict[str, Any]) -> None:
+    print(
+        f"release of the real locks, ± {chances['play_deg']:g}° of play, {chances['draws']} rigs drawn "
+        f"({100 * chances['level']:g} % intervals):"
+    )
+    for end in chances["ends"]:
+        low, high = (100 * each for each in end["interval"])
+        image = ", the other mirror image" if end["mirror_image"] else ""
+        print(f"  {100 * end['probability']:5.1f} %  [{low:.1f}, {high:.1f}]  {end['type']}{image}")
+    if chances["at_a_boundary"]:
+        print(f"  {chances['at_a_boundary']} of the draws at a boundary")
+    for why in chances["refused"]:
+        say(f"not followed: {why}")
 
 
 def _end_words(end: dict[str, Any]) -> str:

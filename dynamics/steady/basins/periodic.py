@@ -72,12 +72,16 @@ def periodic_motion(
             moduli = np.sort(np.abs(values) ** (1.0 / period))[::-1]
             return PeriodicMotion(states[:-1], turns, maps, moduli, size)
         try:
-            step = np.linalg.solve(product - np.eye(len(free)), -residual)
+            step = _solved(product - np.eye(len(free)), -residual)
         except np.linalg.LinAlgError:
             return None
         largest = float(np.max(np.abs(step)))
         y[free] += step * min(1.0, _STEP / max(largest, 1e-300)) * units[free]
     return None
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.linalg.solve(matrix, right)
 
 
 def repeats(turning: Turning, strobe: Array, most: int, within: float) -> tuple[int, tuple[int, int]] | None:
@@ -89,8 +93,8 @@ def repeats(turning: Turning, strobe: Array, most: int, within: float) -> tuple[
         within: how well, in the units of the state.
     """
     for period in range(1, min(most, len(strobe) - 1) + 1):
-        gap = strobe[-1] - strobe[-1 - period]
-        turns = np.round(gap[2:4] / (2 * math.pi))
+        gap: Array = strobe[-1] - strobe[-1 - period]
+        turns: Array = np.round(gap[2:4] / (2 * math.pi))
         gap[2:4] -= 2 * math.pi * turns
         if np.max(np.abs((gap / turning.units)[turning.free])) < within:
             return period, (int(turns[0]), int(turns[1]))

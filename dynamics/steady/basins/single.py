@@ -186,4 +186,5 @@ def _gathered(found: Sequence[_One | str]) -> ReleaseEnds:
             names[i], mirror[i], numbers[0, i] = one.end.name, one.end.mirror, one.end.multiplier
             pairs[0, i] = (math.nan, math.nan) if one.end.theta_rad is None else one.end.theta_rad
             pairs[1, i] = (0.0, 0.0) if one.end.slipping is None else one.end.slipping.turns_per_revolution
-    return ReleaseEnds(names, mirror, pairs[0], pairs[1], *numbers, sure, refused)
+    multiplier, caught, settled, amplitude = numbers
+    return ReleaseEnds(names, mirror, pairs[0], pairs[1], multiplier, caught, settled, amplitude, sure, refused)

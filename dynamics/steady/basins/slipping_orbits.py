@@ -72,12 +72,12 @@ class SlippingOrbit:
         return self.multiplier_across < 1.0
 
 
-def slipping_orbit(turning: Turning, strobe: Array, near_rad: float) -> SlippingOrbit | None:
+def slipping_orbit(turning: Turning, strobe: Array, near_rad: float | None) -> SlippingOrbit | None:
     """The stable slipping orbit near a strobed motion, or None.
 
     Args:
         strobe: states once a revolution at ψ = 0, angles counted on, shape (n, 8), past the transient.
-        near_rad: deviation at which a motion is on the orbit, in units of the state.
+        near_rad: deviation at which a motion is on the orbit, in units of the state; None: no region is sought.
     """
     locked = repeats(turning, strobe, _MOST_PERIOD, _REPEATS)
     if locked is not None:
@@ -95,6 +95,18 @@ def slipping_orbit(turning: Turning, strobe: Array, near_rad: float) -> Slipping
             if found is not None:
                 return described(turning, found[0], found[1], winding, found[2], near_rad)
     return None
+
+
+def continued(turning: Turning, known: SlippingOrbit) -> SlippingOrbit | None:
+    """The slipping orbit of a rig and speed close to those of a known one; None where Newton's method finds none.
+
+    It catches nothing: no region is sought.
+    """
+    if known.period_revolutions:
+        motion = periodic_motion(turning, known.values[0], known.period_revolutions, known.winding)
+        return _of_periodic(turning, motion, None) if motion is not None and motion.stable else None
+    found = curve_by_newton(turning, known.values, known.rotation, known.winding)
+    return None if found is None else described(turning, found[0], found[1], known.winding, found[2], None)
 
 
 def mean_rates(angles: Array) -> Array:
@@ -195,9 +207,14 @@ def _shift(count: int, rate: float) -> tuple[Array, Array]:
 
 
 def described(
-    turning: Turning, u: Array, rate: float, winding: tuple[int, int], residual: float, near_rad: float
+    turning: Turning, u: Array, rate: float, winding: tuple[int, int], residual: float, near_rad: float | None
 ) -> SlippingOrbit | None:
-    """A curve with its multipliers and its region; None where it is not stable, or its lead pendulum turns back."""
+    """A curve with its multipliers and its region; None where it is not stable, or its lead pendulum turns back.
+
+    Args:
+        u, rate, winding, residual: as curve_by_newton has them.
+        near_rad: deviation at which a motion is on it; None: no region is sought, and it catches nothing.
+    """
     fibres = Fibres.of(turning, u, rate, winding)
     if fibres is None:
         return None
@@ -206,11 +223,13 @@ def described(
     if not across < 1.0:
         return None
     points, forms = fibres.rows(_ROWS * fibres.sheets, fibres.forms(math.sqrt(max(across, 0.25))))
-    scale = caught_scale(turning, points, forms, fibres.lead, fibres.sheets)
-    if scale == 0.0:
-        return None
-    forms = forms / scale
-    near = min(near_value(form, turning.units, near_rad) for form in forms)
+    near = 0.0
+    if near_rad is not None:
+        scale = caught_scale(turning, points, forms, fibres.lead, fibres.sheets)
+        if scale == 0.0:
+            return None
+        forms = forms / scale
+        near = min(near_value(form, turning.units, near_rad) for form in forms)
     multipliers = np.zeros(8)
     multipliers[: len(moduli) + 1] = np.sort(np.append(moduli, 1.0))[::-1]
     radius = turning.mean_radius(points[0], min(400, max(20, math.ceil(4 / abs(rate)))))
@@ -221,7 +240,7 @@ def described(
     )  # fmt: skip
 
 
-def _of_periodic(turning: Turning, motion: PeriodicMotion, near_rad: float) -> SlippingOrbit | None:
+def _of_periodic(turning: Turning, motion: PeriodicMotion, near_rad: float | None) -> SlippingOrbit | None:
     """A slipping orbit of q states, each with a form that one revolution makes smaller; None without a region."""
     free, units, count = turning.free, turning.units, len(motion.states)
     gamma = math.sqrt(max(float(motion.moduli[0]), 0.25))
@@ -237,15 +256,18 @@ def _of_periodic(turning: Turning, motion: PeriodicMotion, near_rad: float) -> S
     forms = np.zeros((count, 8, 8))
     forms[:, np.array(free)[:, None], np.array(free)[None, :]] = found
     forms = forms / units[:, None] / units[None, :]
-    scale = caught_scale(turning, motion.states, forms, -1, 1)
-    if scale == 0.0:
-        return None
-    forms = forms / scale
+    near = 0.0
+    if near_rad is not None:
+        scale = caught_scale(turning, motion.states, forms, -1, 1)
+        if scale == 0.0:
+            return None
+        forms = forms / scale
+        near = min(near_value(form, units, near_rad) for form in forms)
     multipliers = np.zeros(8)
     multipliers[: len(motion.moduli)] = motion.moduli
     rates = (motion.turns[0] / count, motion.turns[1] / count)
     return SlippingOrbit(
         rates, motion.turns, count, max(rates, key=abs), motion.residual, multipliers, float(motion.moduli[0]),
         turning.mean_radius(motion.states[0], count), motion.states, forms, -1, 1,
-        min(near_value(form, units, near_rad) for form in forms), motion.states,
+        near, motion.states,
     )  # fmt: skip
