@@ -71,6 +71,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
     "cli.model": {
         "predict": "Steady states, stability and amplitudes at a point or a speed, and where a release ends.",
     },
+    "cli.basins": {"basins": "Where releases end, over the angles at which the locks hold the pendulums."},
     "cli.maps": {"map": "Where the balanced state is stable, over any two numbers of the rig file."},
     "cli.plan": {
         "plan": "Say which experiments reach a wanted uncertainty: how long, what amplitude, what rate; exit 1 when "

@@ -1,0 +1,133 @@
+# pyright: strict, reportUnknownMemberType=false
+"""Basins: which stable motion each release of a grid ends in, and how long that takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from analysis.figures.style import GREY, drawing, label
+from dynamics.steady.basins.basin_map import BasinMap
+from dynamics.steady.basins.ends import End
+
+Array = NDArray[np.float64]
+
+_COLOURS = {
+    "I": ("#0072B2", "#56B4E9"),
+    "II": ("#CC79A7", "#882255"),
+    "III": ("#009E73", "#88C999"),
+    "one": ("#0072B2", "#56B4E9"),
+    "slipping": ("#D55E00", "#E69F00"),
+}
+_NOT_SETTLED = "#d9d9d9"
+_LOCKS_DEG = (0.0, 180.0)
+
+
+def colour_of(end: End) -> str:
+    """Of an end: its type's, lighter for the second of two mirror images."""
+    own = _COLOURS.get(end.name, ("#999933", "#DDCC77"))
+    return own[end.mirror % len(own)]
+
+
+def draw_basins(found: BasinMap, title: str, play_deg: float = 0.2) -> Figure:
+    """A figure of a basin map.
+
+    Args:
+        title: stands above.
+        play_deg: of the locks, for the note on where the real release is.
+    Returns:
+        Left: the end of each release over the angles at which the locks hold A and B, hatched at a boundary. Right: how
+        long it takes until the motion stays near that end.
+    """
+    with drawing(10.6, 5.9) as figure:
+        grid = figure.add_gridspec(1, 2, left=0.065, right=0.945, top=0.88, bottom=0.27, wspace=0.2)
+        left, right = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+        _ends(left, found)
+        _times(figure, right, found)
+        for axes in (left, right):
+            _frame(axes, found)
+        figure.legend(
+            handles=_legend(found), loc="lower left", bbox_to_anchor=(0.055, 0.045), ncol=2, fontsize=8.5,
+            handlelength=1.6, columnspacing=2.5,
+        )  # fmt: skip
+        figure.text(
+            0.065, 0.015,
+            f"+ release of the real locks, A at {_LOCKS_DEG[0]:g}°, B at {_LOCKS_DEG[1]:g}° (± {play_deg:g}° of play); "
+            f"each release followed for {found.seconds:g} s at {found.speed_rad_s * 30 / math.pi:.1f} rpm",
+            fontsize=8, color=GREY, parse_math=False,
+        )  # fmt: skip
+        figure.suptitle(title, x=0.02, y=0.965, ha="left", fontsize=11, parse_math=False)
+        return figure
+
+
+def _degrees(angles: Array) -> Array:
+    return np.degrees(angles)
+
+
+def _ends(axes: Axes, found: BasinMap) -> None:
+    colours = [_NOT_SETTLED, *(colour_of(end) for end in found.ends)]
+    palette = ListedColormap([to_rgb(colour) for colour in colours])
+    x, y = _degrees(found.theta3_rad), _degrees(found.theta4_rad)
+    norm = BoundaryNorm(np.arange(len(colours) + 1) - 1.5, len(colours))
+    axes.pcolormesh(x, y, found.end, cmap=palette, norm=norm, shading="nearest", rasterized=True)
+    if min(found.end.shape) >= 2:
+        for value in np.unique(found.end)[1:]:
+            axes.contour(x, y, (found.end >= value).astype(float), levels=[0.5], colors="white", linewidths=0.6)
+        if not np.all(found.sure):
+            unsure = np.where(found.sure, np.nan, 1.0)
+            mesh = axes.pcolor(x, y, np.ma.masked_invalid(unsure), hatch="////", alpha=0.0, shading="nearest")
+            mesh.set_edgecolor("black")
+            mesh.set_linewidth(0.0)
+    label(axes, "A held at θ3, degrees", "B held at θ4, degrees", "where a release ends")
+
+
+def _times(figure: Figure, axes: Axes, found: BasinMap) -> None:
+    times = np.ma.masked_invalid(found.settled_s)
+    mesh: QuadMesh = axes.pcolormesh(
+        _degrees(found.theta3_rad), _degrees(found.theta4_rad), times, cmap="viridis_r", shading="nearest",
+        rasterized=True,
+    )  # fmt: skip
+    axes.set_facecolor(_NOT_SETTLED)
+    bar = figure.colorbar(mesh, ax=axes, pad=0.015)
+    bar.set_label("s")
+    label(axes, "A held at θ3, degrees", "B held at θ4, degrees", "time until the motion stays within 0.3° of it")
+
+
+def _frame(axes: Axes, found: BasinMap) -> None:
+    axes.grid(visible=False)
+    for angles, axis, limits in (
+        (_degrees(found.theta3_rad), axes.xaxis, axes.set_xlim),
+        (_degrees(found.theta4_rad), axes.yaxis, axes.set_ylim),
+    ):
+        first, last = float(angles[0]), float(angles[-1])
+        half = 0.5 * (last - first) / (len(angles) - 1) if len(angles) > 1 else 1.0
+        limits(first - half, last + half)
+        if last - first > 180:
+            axis.set_ticks(np.arange(math.ceil((first - half) / 90) * 90, last + half + 1, 90))
+    axes.plot(*_LOCKS_DEG, marker="+", ms=11, mew=2.2, color="white", zorder=5)
+    axes.plot(*_LOCKS_DEG, marker="+", ms=10, mew=1.1, color="black", zorder=6)
+
+
+def _legend(found: BasinMap) -> Sequence[Any]:
+    handles = list[Patch]()
+    for end, share in zip(found.ends, cast("list[float]", found.shares.tolist()), strict=False):
+        handles.append(Patch(facecolor=colour_of(end), label=f"{end.words} · {100 * share:.1f} %"))
+    left = float(found.shares[-1])
+    if left > 0:
+        handles.append(
+            Patch(facecolor=_NOT_SETTLED, label=f"not settled within {found.seconds:g} s · {100 * left:.1f} %")
+        )
+    unsure = 1.0 - float(np.mean(found.sure))
+    if unsure > 0:
+        text = f"at a boundary: ± {math.degrees(found.stated_error_rad):.1g}° change the end · {100 * unsure:.1f} %"
+        handles.append(Patch(facecolor="white", edgecolor="black", hatch="////", lw=0, label=text))
+    return handles

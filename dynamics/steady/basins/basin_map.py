@@ -1,0 +1,151 @@
+# pyright: strict
+"""Basins: to which stable motion each release of a grid goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.equations.parameters import RotorParameters
+from dynamics.errors import OutsideDomain
+from dynamics.motions.locked_motion import locked_state
+from dynamics.steady.basins.ends import NEAR_RAD, End, steady_ends, with_slipping
+from dynamics.steady.basins.following import STATED_ERROR_RAD, Followed, follow
+from dynamics.steady.basins.slipping_orbits import SlippingOrbit, slipping_orbit
+from dynamics.steady.basins.turning import Turning
+
+Array = NDArray[np.float64]
+
+_FIRST = 12  # releases followed before all others, to find slipping orbits
+_SCOUTS = 6  # releases that are followed on, to see what they slip on
+_SCOUTED = 3000  # revolutions
+_LOOKED_AT = 1500  # of them, the last
+_SAME_RATE = 1e-5  # turns per revolution
+
+
+@dataclass(frozen=True)
+class BasinMap:
+    """Where the releases of a grid end.
+
+    Attributes:
+        theta3_rad, theta4_rad: angles at which the locks hold A and B, shapes (n3,) and (n4,).
+        ends: the stable motions there are.
+        end: index into them, −1 for not settled within the time, shape (n4, n3).
+        sure: False at a boundary: a neighbour at the stated error, followed less accurately, went another way.
+        caught_s, settled_s: time until the motion was certain to end there, and until it stayed near; nan where not.
+        amplitude_m: rms distance of the disk centre from its mean at the end of the time.
+        apart_rad: largest distance from the neighbour, inf beyond 0.02.
+        turns: of A and B against the rotor until it was caught, shape (n4, n3, 2).
+        seconds, stated_error_rad: as asked.
+        speed_rad_s: the rotor's.
+    """
+
+    theta3_rad: Array
+    theta4_rad: Array
+    ends: tuple[End, ...]
+    end: NDArray[np.int64]
+    sure: NDArray[np.bool_]
+    caught_s: Array
+    settled_s: Array
+    amplitude_m: Array
+    apart_rad: Array
+    turns: Array
+    seconds: float
+    stated_error_rad: float
+    speed_rad_s: float
+
+    @property
+    def shares(self) -> Array:
+        """Share of the grid that goes to each end, and behind them that which settles on none, shape (ends + 1,)."""
+        wanted = [*range(len(self.ends)), -1]
+        return np.array([np.count_nonzero(self.end == i) / self.end.size for i in wanted])
+
+
+def basins(
+    rig: RotorParameters | object,
+    speed_rad_s: float,
+    theta3_rad: Sequence[float] | Array,
+    theta4_rad: Sequence[float] | Array,
+    seconds: float = 20.0,
+    *,
+    stated_error_rad: float = STATED_ERROR_RAD,
+    progress: Callable[[float], None] | None = None,
+) -> BasinMap:
+    """Where releases from a grid of locked angles end.
+
+    Args:
+        rig: RotorParameters, or anything whose `.physics` is.
+        theta3_rad, theta4_rad: angles at which the locks hold A and B.
+        seconds: how long each release is followed.
+        stated_error_rad: by how much the angles may be wrong where an end is called sure.
+        progress: called with the share done, 0 … 1.
+    Raises:
+        OutsideDomain: dry friction, no pendulum, no imbalance, or numbers that mean nothing.
+        NotConverged: the steady states can't be had.
+    Source: docs/theory/basins.md.
+    """
+    turning = Turning.of(rig, speed_rad_s)
+    three, four = np.array(theta3_rad, np.float64), np.array(theta4_rad, np.float64)
+    for name, angles in (("theta3_rad", three), ("theta4_rad", four)):
+        if angles.ndim != 1 or not len(angles) or not np.all(np.isfinite(angles)):
+            raise OutsideDomain(f"{name}: expected finite angles, shape (n,), got shape {angles.shape}")
+    grid = np.array([(a, b) for b in four for a in three])
+    starts = released(turning, grid)
+    ends, found = follow_to_all(turning, starts, seconds, stated_error_rad, progress)
+    shape = (len(four), len(three))
+    return BasinMap(
+        three, four, tuple(ends), found.end.reshape(shape), found.sure.reshape(shape), found.caught_s.reshape(shape),
+        found.settled_s.reshape(shape), found.amplitude_m.reshape(shape), found.apart_rad.reshape(shape),
+        found.turns.reshape(*shape, 2), float(seconds), float(stated_error_rad), turning.speed_rad_s,
+    )  # fmt: skip
+
+
+def released(turning: Turning, theta_rad: Array) -> Array:
+    """States on the locked orbit at ψ = 0, shape (n, 8), for angles (n, 2)."""
+    p, w = turning.parameters, turning.speed_rad_s
+    return np.array([locked_state(p, w, 0.0, a, b) for a, b in theta_rad.tolist()])
+
+
+def follow_to_all(
+    turning: Turning, starts: Array, seconds: float, stated_error_rad: float,
+    progress: Callable[[float], None] | None,
+) -> tuple[list[End], Followed]:  # fmt: skip
+    """Releases followed to steady states and to the slipping orbits that they themselves lead to."""
+    steady = steady_ends(turning)
+    few = np.unique(np.linspace(0, len(starts) - 1, _FIRST).astype(int))
+    first = follow(turning, starts[few], steady, seconds, stated_error_rad=stated_error_rad)
+    orbits = _scouted(turning, first.last[first.end < 0], [])
+    ends = with_slipping(steady, orbits)
+    found = follow(turning, starts, ends, seconds, stated_error_rad=stated_error_rad, progress=progress)
+    left = np.flatnonzero(found.end < 0)
+    while len(left):
+        added = _scouted(turning, found.last[left], orbits)
+        if not added:
+            break
+        orbits += added
+        ends = with_slipping(steady, orbits)
+        found.put(left, follow(turning, starts[left], ends, seconds, stated_error_rad=stated_error_rad))
+        left = np.flatnonzero(found.end < 0)
+    return ends, found
+
+
+def _scouted(turning: Turning, last: Array, known: Sequence[SlippingOrbit]) -> list[SlippingOrbit]:
+    """Slipping orbits, not known yet, that some of the releases reach when they are followed on."""
+    found = list[SlippingOrbit]()
+    if not len(last):
+        return found
+    chosen = last[np.unique(np.linspace(0, len(last) - 1, _SCOUTS).astype(int))]
+    for state in chosen:
+        strobe = turning.strobed(state, _SCOUTED)[-_LOOKED_AT:]
+        orbit = slipping_orbit(turning, strobe, NEAR_RAD)
+        if orbit is not None and not any(_same(orbit, other) for other in [*known, *found]):
+            found.append(orbit)
+    return found
+
+
+def _same(one: SlippingOrbit, other: SlippingOrbit) -> bool:
+    apart = np.array(one.turns_per_revolution) - np.array(other.turns_per_revolution)
+    return bool(np.all(np.abs(apart) < _SAME_RATE))

@@ -1,0 +1,179 @@
+# pyright: strict, reportUnknownVariableType=false
+"""A closed curve of the once-a-revolution map by the angle of a pendulum that turns, and what shrinks across it.
+
+A state beside the curve is compared with the curve's state at which the lead pendulum stands at the same angle: the
+deviation then has no part along the curve. A revolution takes it from one such fibre to another by
+    A = (1 − t eᵀ) DP,   t = du/dα where it arrives, e the lead's direction,
+and Q(χ) = 1 + γ⁻² Aᵀ Q(χ + ρ) A is the quadratic form that shrinks by γ² on every fibre. Source: docs/theory/basins.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dynamics.steady.basins.pursuit import deviation
+from dynamics.steady.basins.turning import Turning
+
+Array = NDArray[np.float64]
+
+_FOLLOWED, _DROPPED = 3000, 200  # revolutions over which deviations are followed, and those before they are sorted
+_SHELL, _SHELLS, _SAMPLES = 1.3, 50, 400
+_FIRST_RAD, _LARGEST_RAD, _SHRINK = 2e-3, 2.0, 0.999
+_SEED = 21
+
+
+@dataclass(frozen=True)
+class Fibres:
+    """A curve u(χ) and the maps across it.
+
+    Attributes:
+        turning: the rig.
+        values: u at equal steps of χ without winding, shape (m, 8).
+        turns: what the angles gain while the curve is passed, shape (8,).
+        rate: ρ, turns of the curve a revolution.
+        lead: pendulum by whose angle the curve is cut, 0 or 1.
+        across: components of a deviation.
+        maps: A at the steps of χ, in the units of the state, shape (m, a, a).
+    """
+
+    turning: Turning
+    values: Array
+    turns: Array
+    rate: float
+    lead: int
+    across: list[int]
+    maps: Array
+
+    @classmethod
+    def of(cls, turning: Turning, values: Array, rate: float, winding: tuple[int, int]) -> Fibres | None:
+        """None where the lead pendulum's angle does not grow along the whole curve."""
+        turns = np.zeros(8)
+        turns[2:4] = 2 * math.pi * np.array(winding)
+        lead = 0 if abs(winding[0]) >= abs(winding[1]) else 1
+        at, steps, units = 2 + lead, np.arange(len(values)) / len(values), turning.units
+        along = derivative(values) + turns
+        if not np.all(along[:, at] > 0):
+            return None
+        tangent = along / along[:, at][:, None] / units * units[at]
+        arrived = turned(tangent, rate)
+        maps = turning.derivatives(values + np.outer(steps, turns)) * units[None, :] / units[:, None]
+        maps = maps - arrived[:, :, None] * maps[:, at, None, :]
+        across = [i for i in turning.free if i != at]
+        return cls(turning, values, turns, rate, lead, across, maps[:, across][:, :, across])
+
+    @property
+    def sheets(self) -> int:
+        """Turns of the lead pendulum while the curve is passed once."""
+        return round(abs(self.turns[2 + self.lead]) / (2 * math.pi))
+
+    def moduli(self) -> Array:
+        """What deviations across the curve are multiplied with in a revolution, largest first."""
+        number = len(self.across)
+        maps = series(self.maps, self.rate * np.arange(_FOLLOWED, dtype=np.float64))
+        frame, logs = np.eye(number), np.zeros((_FOLLOWED, number))
+        for i, each in enumerate(maps):
+            frame, r = np.linalg.qr(each @ frame)
+            logs[i] = np.log(np.maximum(np.abs(np.diag(r)), 1e-300))
+        t = (np.arange(_FOLLOWED - _DROPPED) + 0.5) / (_FOLLOWED - _DROPPED)
+        window = np.exp(-1.0 / (t * (1.0 - t)))
+        return np.sort(np.exp(window @ logs[_DROPPED:] / window.sum()))[::-1]
+
+    def forms(self, gamma: float) -> Array:
+        """Q at the steps of χ, shape (m, a, a), in the units of the state.
+
+        Args:
+            gamma: what deviations shrink by in a revolution, above the largest modulus.
+        """
+        number = len(self.across)
+        one = np.eye(number)
+        maps, found = self.maps / gamma, np.tile(one, (len(self.maps), 1, 1))
+        for _ in range(5000):
+            then = one + np.swapaxes(maps, 1, 2) @ turned(found, self.rate) @ maps
+            then = 0.5 * (then + np.swapaxes(then, 1, 2))
+            done = float(np.max(np.abs(then - found))) <= 1e-9 * float(np.max(np.abs(then)))
+            found = then
+            if done:
+                break
+        return found
+
+    def rows(self, count: int, forms: Array) -> tuple[Array, Array]:
+        """States and forms (SI) at equal steps of the lead's angle, shapes (count, 8) and (count, 8, 8)."""
+        at, units = 2 + self.lead, self.turning.units
+        fine = np.arange(-16 * len(self.values), 32 * len(self.values)) / (16 * len(self.values))
+        angle = (series(self.values, fine) + np.outer(fine, self.turns))[:, at]
+        wanted = 2 * math.pi * self.sheets * np.arange(count) / count
+        place = np.interp(wanted, angle, fine)
+        slopes = derivative(self.values)
+        for _ in range(3):
+            here = series(self.values, place)[:, at] + place * self.turns[at]
+            place -= (here - wanted) / (series(slopes, place)[:, at] + self.turns[at])
+        states = series(self.values, place) + np.outer(place, self.turns)
+        found = np.zeros((count, 8, 8))
+        found[:, np.array(self.across)[:, None], np.array(self.across)[None, :]] = series(forms, place)
+        return states, found / units[:, None] / units[None, :]
+
+
+def caught_scale(turning: Turning, points: Array, forms: Array, lead: int, sheets: int) -> float:
+    """V on the largest shell about a curve up to which every sample came nearer in a revolution; 0: on none.
+
+    Args:
+        points, forms, lead, sheets: as of dynamics.steady.basins.pursuit.deviation.
+    """
+    units = turning.units
+    across = [i for i in turning.free if lead < 0 or i != 2 + lead]
+    ends = (points, forms, np.array([0, len(points)]), np.array([lead]), np.array([sheets]))
+    outward = np.linalg.inv(np.linalg.cholesky(forms[:, across][:, :, across])).swapaxes(1, 2)
+    largest = float(np.sqrt(np.max(np.sum((outward / units[across][None, :, None]) ** 2, axis=2))))
+    rng, radius, passed = np.random.default_rng(_SEED), _FIRST_RAD / largest, 0.0
+    for _ in range(_SHELLS):
+        if radius * largest > _LARGEST_RAD:
+            break
+        rows = rng.integers(0, len(points), _SAMPLES)
+        ways = rng.standard_normal((_SAMPLES, len(across)))
+        ways *= radius / np.linalg.norm(ways, axis=1)[:, None]
+        states = points[rows]
+        states[:, across] += np.einsum("nij,nj->ni", outward[rows], ways)
+        if not np.all(_values(turning.after(states), ends) < _SHRINK * radius**2):
+            break
+        passed = radius**2
+        radius *= _SHELL
+    return passed
+
+
+def series(values: Array, places: Array) -> Array:
+    """Trigonometric interpolation of values at equal steps (first axis, an odd number) at any places χ."""
+    count = len(values)
+    orders = np.fft.fftfreq(count, 1 / count)
+    weights = np.real(np.exp(2j * math.pi * (places[:, None] - np.arange(count)[None, :] / count)[:, :, None] * orders)
+                      .sum(axis=2)) / count  # fmt: skip
+    return (weights @ values.reshape(count, -1)).reshape(len(places), *values.shape[1:])
+
+
+def turned(values: Array, shift: float) -> Array:
+    """Values at χ + shift, from those at equal steps χ; first axis."""
+    count = len(values)
+    orders = np.fft.fftfreq(count, 1 / count)
+    flat = values.reshape(count, -1)
+    moved = np.fft.ifft(np.fft.fft(flat, axis=0) * np.exp(2j * math.pi * orders * shift)[:, None], axis=0)
+    return np.real(moved).reshape(values.shape)
+
+
+def derivative(values: Array) -> Array:
+    """d/dχ at the same steps."""
+    count = len(values)
+    orders = np.fft.fftfreq(count, 1 / count)
+    return np.real(np.fft.ifft(2j * math.pi * orders[:, None] * np.fft.fft(values, axis=0), axis=0))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _values(states: Any, ends: Any) -> Any:
+    found, away = np.empty(len(states)), np.empty(8)
+    for i in range(len(states)):
+        found[i] = deviation(states[i], 0, ends, away)
+    return found

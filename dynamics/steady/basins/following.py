@@ -1,0 +1,130 @@
+# pyright: strict, reportUnknownVariableType=false
+"""Many releases followed at once, each until a stable motion has caught it."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.arguments import need_number
+from dynamics.errors import OutsideDomain
+from dynamics.steady.basins.ends import End, packed
+from dynamics.steady.basins.pursuit import APART, CAUGHT, END, FACTS, RADIUS, SETTLED, TURNS_A, TURNS_B, pursue
+from dynamics.steady.basins.turning import STEP_RAD, Turning
+
+Array = NDArray[np.float64]
+
+STATED_ERROR_RAD = 1e-6
+"""How far beside the release its neighbour starts."""
+_COARSE_RAD = 0.6  # steps of the neighbour
+_SHARE = 0.25  # of a region's rim, as V, that catches
+_APART_RAD = 0.02  # distance of release and neighbour from which on they have come apart
+_FURTHER = 4  # horizons for which a release that is caught is followed until it settles
+_BESIDE = (1.0, -0.6)  # direction in which the neighbour starts, A and B
+_GROUP = 16  # releases that a thread takes at a time
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What became of many releases; arrays of shape (n,).
+
+    Attributes:
+        end: index into the ends, −1 for not settled.
+        caught_s: time after which the motion was within the end's region; nan where it never was.
+        settled_s: time from which on it stayed near, maybe beyond the time followed; nan where that is not known.
+        apart_rad: largest distance from the neighbour before it was caught, inf beyond 0.02.
+        amplitude_m: root mean square distance of the disk centre from its mean in the last revolution followed.
+        turns: of A and B against the rotor, shape (n, 2).
+        last: states at the end, shape (n, 8).
+    """
+
+    end: NDArray[np.int64]
+    caught_s: Array
+    settled_s: Array
+    apart_rad: Array
+    amplitude_m: Array
+    turns: Array
+    last: Array
+
+    @property
+    def sure(self) -> NDArray[np.bool_]:
+        """Whether a neighbour at the stated error, followed less accurately, went the same way."""
+        return self.apart_rad <= _APART_RAD
+
+    def at(self, chosen: NDArray[Any]) -> Followed:
+        """Some of the releases."""
+        return Followed(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+
+    def put(self, chosen: NDArray[Any], other: Followed) -> None:
+        """Replace some of the releases."""
+        for f in fields(self):
+            getattr(self, f.name)[chosen] = getattr(other, f.name)
+
+
+def follow(
+    turning: Turning, starts: Array, ends: Sequence[End], seconds: float, *,
+    stated_error_rad: float = STATED_ERROR_RAD, progress: Callable[[float], None] | None = None,
+    workers: int | None = None,
+) -> Followed:  # fmt: skip
+    """Follow releases until an end catches them, at most so long.
+
+    Args:
+        starts: states at ψ = 0, shape (n, 8).
+        ends: that may catch them.
+        seconds: how long, at least one revolution.
+        stated_error_rad: by how much the start angles may be wrong.
+        progress: called with the share done.
+        workers: threads; None: one a core; 1: none beside this one.
+    Raises:
+        OutsideDomain: numbers that mean nothing.
+    """
+    need_number(seconds=seconds, stated_error_rad=stated_error_rad)
+    if not 0 < seconds < math.inf:
+        raise OutsideDomain(f"seconds must be finite and above 0, got {seconds!r}")
+    if not 0 < stated_error_rad <= 0.1 * _APART_RAD:
+        raise OutsideDomain(f"stated_error_rad must be above 0, at most {0.1 * _APART_RAD:g}, got {stated_error_rad!r}")
+    turns = max(1, math.ceil(seconds / turning.period_s))
+    last, facts = np.array(starts, np.float64), np.empty((len(starts), FACTS))
+    beside = last.copy()
+    beside[:, 2:4] += stated_error_rad * np.array(_BESIDE)
+    table = packed(ends, turning)
+    motion = (turning.speed_rad_s, turning.pace, (STEP_RAD, _COARSE_RAD), turning.system)
+    limits = (_SHARE, _APART_RAD, _FURTHER * turns)
+
+    def group(begin: int) -> None:
+        for i in range(begin, min(begin + _GROUP, len(last))):
+            pursue(last[i], beside[i], turns, motion, table, turning.units, limits, facts[i])
+
+    begins = range(0, len(last), _GROUP)
+    if workers == 1:
+        for begin in begins:
+            group(begin)
+    else:
+        _in_threads(group, begins, workers or os.cpu_count() or 1, progress)
+    period = turning.period_s
+    return Followed(
+        facts[:, END].astype(np.int64), facts[:, CAUGHT] * period, facts[:, SETTLED] * period, facts[:, APART].copy(),
+        facts[:, RADIUS].copy(), facts[:, [TURNS_A, TURNS_B]], last,
+    )  # fmt: skip
+
+
+def _in_threads(
+    group: Callable[[int], None], begins: Sequence[int], workers: int, progress: Callable[[float], None] | None
+) -> None:
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            waiting = [pool.submit(group, begin) for begin in begins]
+            for done, each in enumerate(as_completed(waiting), 1):
+                each.result()
+                if progress is not None:
+                    progress(done / len(waiting))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

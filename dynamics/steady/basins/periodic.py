@@ -1,0 +1,101 @@
+# pyright: strict
+"""States that repeat after some revolutions, but for whole turns of the pendulums, by Newton's method."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.steady.basins.turning import Turning
+
+Array = NDArray[np.float64]
+
+_NEWTON = 12
+_CLOSED = 1e-10  # residual, in the units of the state
+_STEP = 0.5  # the largest step that is taken, in units
+_ASTRAY = 1.0  # how far from the guess a solution may lie, in units
+
+
+@dataclass(frozen=True)
+class PeriodicMotion:
+    """A motion that is periodic in the rotor's frame.
+
+    Attributes:
+        states: at the start of each of its revolutions, angles counted on, shape (q, 8).
+        turns: of A and B against the rotor in the whole period.
+        maps: derivatives of the once-a-revolution map at the states, SI, shape (q, 8, 8).
+        moduli: of the multipliers over one revolution, largest first: |eigenvalues of the product|^(1/q).
+        residual: of the equation, in the units of the state.
+    """
+
+    states: Array
+    turns: tuple[int, int]
+    maps: Array
+    moduli: Array
+    residual: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether every multiplier lies inside the unit circle."""
+        return bool(self.moduli[0] < 1.0)
+
+
+def periodic_motion(
+    turning: Turning, guess: Array, period: int = 1, turns: tuple[int, int] = (0, 0)
+) -> PeriodicMotion | None:
+    """The periodic motion near a state; None where Newton's method leaves the neighbourhood.
+
+    Args:
+        guess: a state at ψ = 0, shape (8,).
+        period: in revolutions.
+        turns: whole turns of A and B against the rotor in a period.
+    """
+    free, units = turning.free, turning.units
+    y, whole = guess.copy(), np.zeros(8)
+    whole[2:4] = 2 * math.pi * np.array(turns)
+    for _ in range(_NEWTON):
+        states = turning.strobed(y, period)
+        residual = ((states[-1] - y - whole) / units)[free]
+        size = float(np.max(np.abs(residual)))
+        if not math.isfinite(size) or np.max(np.abs((y - guess) / units)) > _ASTRAY:
+            return None
+        maps = turning.derivatives(states[:-1])
+        own = (maps * units[None, :] / units[:, None])[:, free][:, :, free]
+        product = np.eye(len(free))
+        for each in own:
+            product = each @ product
+        if size < _CLOSED * period:
+            values: NDArray[np.complex128] = np.linalg.eigvals(product).astype(np.complex128)
+            moduli = np.sort(np.abs(values) ** (1.0 / period))[::-1]
+            return PeriodicMotion(states[:-1], turns, maps, moduli, size)
+        try:
+            step = _solved(product - np.eye(len(free)), -residual)
+        except np.linalg.LinAlgError:
+            return None
+        largest = float(np.max(np.abs(step)))
+        y[free] += step * min(1.0, _STEP / max(largest, 1e-300)) * units[free]
+    return None
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.linalg.solve(matrix, right)
+
+
+def repeats(turning: Turning, strobe: Array, most: int, within: float) -> tuple[int, tuple[int, int]] | None:
+    """After how many revolutions a strobed motion repeats, and with how many turns; None where it does not.
+
+    Args:
+        strobe: shape (n, 8).
+        most: revolutions.
+        within: how well, in the units of the state.
+    """
+    for period in range(1, min(most, len(strobe) - 1) + 1):
+        gap: Array = strobe[-1] - strobe[-1 - period]
+        turns: Array = np.round(gap[2:4] / (2 * math.pi))
+        gap[2:4] -= 2 * math.pi * turns
+        if np.max(np.abs((gap / turning.units)[turning.free])) < within:
+            return period, (int(turns[0]), int(turns[1]))
+    return None

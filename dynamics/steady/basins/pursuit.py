@@ -1,0 +1,236 @@
+# pyright: strict, reportMissingParameterType=false, reportUnknownParameterType=false, reportUnknownVariableType=false
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportMissingTypeArgument=false
+# pyright: reportUntypedFunctionDecorator=false
+# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""A release followed revolution by revolution until a stable motion has caught it: the compiled part.
+
+Two runs go side by side: the release itself, and one that starts a stated error beside it and takes coarser steps. As
+long as they stay close, the release's own error is far smaller still; once they have come apart, the end is chance.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from dynamics.equations.quick_rates import quick_rates
+from dynamics.motions.explicit_steps import explicit_step
+
+END, CAUGHT, SETTLED, APART, RADIUS, TURNS_A, TURNS_B = range(7)
+FACTS = 7
+_TAU = 2 * math.pi
+
+
+@njit(cache=True, error_model="numpy")
+def steps_needed(y, omega, pace, step_rad):
+    """Steps of the next revolution: step_rad of the fastest oscillation each.
+
+    Args:
+        pace: the fastest rate of suspension and damping, rad/s.
+    """
+    fastest = max(pace, omega + max(abs(y[6]), abs(y[7])))
+    return max(4, math.ceil(_TAU * fastest / (omega * step_rad)))
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def advance(y, omega, steps, system, k, end, phase, orbit):
+    """One revolution of the rotor from ψ = 0, in place.
+
+    Args:
+        y: shape (8,), angles counted on.
+        orbit: mean x, y and mean x² + y² on the way, shape (3,).
+    """
+    p, free_a, free_b = system[0], system[1], system[2]
+    h = _TAU / omega / steps
+    orbit[:] = 0.0
+    quick_rates(y, 0.0, omega, 0.0, p, free_a, free_b, k, 0)
+    for s in range(steps):
+        explicit_step(y, s * h, h, 1, 1, system, k, end, phase)
+        y[:] = end
+        k[0, :] = k[12, :]
+        orbit[0] += y[0]
+        orbit[1] += y[1]
+        orbit[2] += y[0] * y[0] + y[1] * y[1]
+    orbit /= steps
+
+
+@njit(cache=True, error_model="numpy")
+def within(angle):
+    """The same angle in −π … π."""
+    return angle - _TAU * math.floor(angle / _TAU + 0.5)
+
+
+@njit(cache=True, error_model="numpy")
+def _form(away, form):
+    found = 0.0
+    for i in range(8):
+        row = 0.0
+        for j in range(8):
+            row += form[i, j] * away[j]
+        found += away[i] * row
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def deviation(y, number, ends, away):
+    """Deviation of a state from an end's nearest point into away; its quadratic form, 1 on the region's rim.
+
+    Args:
+        ends: (points (r, 8), forms (r, 8, 8), first row of each end (n + 1,), lead (n,), sheets (n,), …). Of an end
+            with lead −1 the rows are its points; of another they lie along a closed curve, evenly over the angle of
+            the lead pendulum, which turns `sheets` times.
+    """
+    points, forms, first, lead, sheets = ends[0], ends[1], ends[2], ends[3], ends[4]
+    best, trial = np.inf, np.empty(8)
+    if lead[number] < 0:
+        for row in range(first[number], first[number + 1]):
+            for i in range(8):
+                trial[i] = y[i] - points[row, i]
+            trial[2], trial[3] = within(trial[2]), within(trial[3])
+            value = _form(trial, forms[row])
+            if value < best:
+                best = value
+                away[:] = trial
+        return best
+    rows, angle = first[number + 1] - first[number], 2 + lead[number]
+    along = y[angle] - _TAU * math.floor(y[angle] / _TAU)
+    for sheet in range(sheets[number]):
+        place = (along + sheet * _TAU) / (_TAU * sheets[number]) * rows
+        low = math.floor(place)
+        share = place - low
+        this, then = first[number] + low % rows, first[number] + (low + 1) % rows
+        for i in range(8):
+            change = points[then, i] - points[this, i]
+            if i in (2, 3):
+                change = within(change)
+            trial[i] = y[i] - points[this, i] - share * change
+        trial[2], trial[3] = within(trial[2]), within(trial[3])
+        trial[angle] = 0.0
+        value = _form(trial, forms[this if share < 0.5 else then])
+        if value < best:
+            best = value
+            away[:] = trial
+    return best
+
+
+@njit(cache=True, error_model="numpy")
+def _distance(away, scale):
+    largest = 0.0
+    for i in range(8):
+        largest = max(largest, abs(away[i]) / scale[i])
+    return largest
+
+
+@njit(cache=True, error_model="numpy")
+def _caught_by(y, ends, share, away):
+    """The end whose region's inner part holds the state, −1 for none."""
+    for number in range(len(ends[3])):
+        if deviation(y, number, ends, away) <= share:
+            return number
+    return -1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def pursue(y, beside, turns, motion, ends, units, limits, facts):
+    """Follow one release; its end state is left in y.
+
+    Args:
+        y, beside: states at ψ = 0 of the release and of its neighbour, shape (8,).
+        turns: revolutions to follow it, at least 1.
+        motion: (ω, the fastest rate, lengths of the steps of both, system), as for steps_needed and advance.
+        ends: as for deviation, and (turn maps (n, 8, 8), values below which these hold (n,), values at which an end
+            is near (n,), its own mean radius (n,)).
+        units: of the distance between both, shape (8,).
+        limits: (share of a region that catches, distance at which the two are apart, revolutions to go on for).
+        facts: what was found, shape (FACTS,): number of the end or −1, revolutions until caught and until settled
+            (nan: never), largest distance of both before that, rms radius in the last revolution, turns of A and B.
+    """
+    work = (np.zeros((16, 8)), np.empty(8), np.empty(3))
+    orbit, begin_a, begin_b = np.zeros(3), y[2], y[3]
+    facts[CAUGHT], facts[SETTLED], facts[APART] = np.nan, np.nan, 0.0
+    number, done = _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit)
+    facts[END], facts[RADIUS] = number, _radius_of(orbit)
+    if number >= 0:
+        facts[CAUGHT] = done
+        _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit)
+    facts[TURNS_A], facts[TURNS_B] = (y[2] - begin_a) / _TAU, (y[3] - begin_b) / _TAU
+
+
+@njit(cache=True, error_model="numpy")
+def _radius_of(orbit):
+    return math.sqrt(max(0.0, orbit[2] - orbit[0] * orbit[0] - orbit[1] * orbit[1]))
+
+
+@njit(cache=True, error_model="numpy")
+def _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit):
+    """Revolutions of release and neighbour until an end has caught both: (its number or −1, revolutions)."""
+    omega, pace, steps_rad, system = motion
+    share, apart = limits[0], limits[1]
+    gap, other = np.empty(8), np.zeros(3)
+    done = 0
+    while True:
+        number = _caught_by(y, ends, share, gap)
+        if number >= 0 and (facts[APART] > apart or deviation(beside, number, ends, gap) <= 1.0):
+            return number, done
+        if done >= turns:
+            return -1, done
+        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
+        if facts[APART] <= apart:
+            steps = steps_needed(beside, omega, pace, steps_rad[1])
+            advance(beside, omega, steps, system, work[0], work[1], work[2], other)
+            for i in range(8):
+                gap[i] = y[i] - beside[i]
+            facts[APART] = max(facts[APART], _distance(gap, units))
+            if not facts[APART] <= apart:
+                facts[APART] = np.inf
+        done += 1
+
+
+@njit(cache=True, error_model="numpy")
+def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
+    """On from where an end has caught a release, until it is near and the time is over."""
+    omega, pace, steps_rad, system = motion
+    straight, near, last = ends[6][number], ends[7][number], turns + limits[2]
+    away = np.empty(8)
+    value = deviation(y, number, ends, away)
+    while near < value and straight < value and done < last:
+        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
+        done += 1
+        if done == turns:
+            facts[RADIUS] = _radius_of(orbit)
+        value = deviation(y, number, ends, away)
+    if value <= near:
+        facts[SETTLED] = done
+    if ends[3][number] >= 0 or straight < 0.0:  # slipping: its own mean, for that of one revolution beats
+        if done < turns:
+            facts[RADIUS] = ends[8][number]
+        return
+    if near < value and straight < value:
+        return
+    early = done < turns
+    _glide(y, away, value, number, done, turns, last, ends, facts)
+    if early:  # the last revolution, from where the turn map has come to
+        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
+        facts[RADIUS] = _radius_of(orbit)
+
+
+@njit(cache=True, error_model="numpy")
+def _glide(y, away, value, number, done, turns, last, ends, facts):
+    """The rest of the way by the turn map: the state a revolution before the time is over into y, and when near."""
+    turn_map, near, form = ends[5][number], ends[7][number], ends[1][ends[2][number]]
+    base, then, shown = y - away, np.empty(8), max(done, turns - 1)
+    while done < shown or (near < value and done < last):
+        for i in range(8):
+            then[i] = 0.0
+            for j in range(8):
+                then[i] += turn_map[i, j] * away[j]
+        away[:] = then
+        done += 1
+        if near < value:
+            value = _form(away, form)
+            if value <= near:
+                facts[SETTLED] = done
+        if done <= shown:
+            y[:] = base + away

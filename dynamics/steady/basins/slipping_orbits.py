@@ -1,0 +1,273 @@
+# pyright: strict
+"""Stable motions whose pendulums turn against the rotor for ever, as solutions of Newton's method.
+
+Seen once a revolution such a motion lies on a closed curve u(χ) that the once-a-revolution map P turns along itself,
+    P(u(χ)) = u(χ + ρ) + 2π (turns of the pendulums),
+ρ turns of the curve a revolution. Its Fourier coefficients and ρ together are found by Newton's method. Where ρ is
+rational and the motion locked, q points remain that P^q leaves alone but for whole turns: an orbit that is periodic
+with q revolutions. Source: docs/theory/basins.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, turned
+from dynamics.steady.basins.periodic import PeriodicMotion, periodic_motion, repeats
+from dynamics.steady.basins.regions import near_value
+from dynamics.steady.basins.turning import Turning
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_LEAST_TURNS = 4.0  # within a stretch, to call it slipping
+_ODD = (33, 65, 129)  # values along the curve
+_NEWTON = 12
+_CLOSED = 1e-9  # residual of the equation, in the units of the state
+_BETWEEN = 1e-5  # … between the values it was solved at
+_ROWS = 720  # along a turn of the lead pendulum, for compiled code
+_MOST_WINDING = 3
+_MOST_PERIOD, _REPEATS = 24, 1e-4  # revolutions of a locked slipping orbit, and how well it has to repeat
+
+
+@dataclass(frozen=True)
+class SlippingOrbit:
+    """A stable slipping motion.
+
+    Attributes:
+        turns_per_revolution: slip of A and B, turns against the rotor for each of its revolutions.
+        winding: turns of A and B while the curve is passed once; of a periodic orbit, in its whole period.
+        period_revolutions: of a periodic orbit; 0 where the rate is irrational and the orbit a closed curve.
+        rotation: the curve's rate ρ, or turns of the faster pendulum per revolution of a periodic orbit.
+        residual: largest residual of the invariance equation, in the units of the state.
+        multipliers: moduli over one revolution, largest first, shape (8,); of a curve one is 1, that along it.
+        multiplier_across: the largest of the others; of a periodic orbit the largest of all.
+        amplitude_m: root mean square distance of the disk centre from its mean.
+        points, forms, lead, sheets, near: for dynamics.steady.basins.pursuit.
+        values: the curve at equal steps of χ without winding, shape (m, 8), or the q states.
+    """
+
+    turns_per_revolution: tuple[float, float]
+    winding: tuple[int, int]
+    period_revolutions: int
+    rotation: float
+    residual: float
+    multipliers: Array
+    multiplier_across: float
+    amplitude_m: float
+    points: Array
+    forms: Array
+    lead: int
+    sheets: int
+    near: float
+    values: Array
+
+    @property
+    def stable(self) -> bool:
+        """Whether every deviation across the orbit shrinks."""
+        return self.multiplier_across < 1.0
+
+
+def slipping_orbit(turning: Turning, strobe: Array, near_rad: float | None) -> SlippingOrbit | None:
+    """The stable slipping orbit near a strobed motion, or None.
+
+    Args:
+        strobe: states once a revolution at ψ = 0, angles counted on, shape (n, 8), past the transient.
+        near_rad: deviation at which a motion is on the orbit, in units of the state; None: no region is sought.
+    """
+    locked = repeats(turning, strobe, _MOST_PERIOD, _REPEATS)
+    if locked is not None:
+        if locked[1] == (0, 0):
+            return None
+        motion = periodic_motion(turning, strobe[-1], *locked)
+        return _of_periodic(turning, motion, near_rad) if motion is not None and motion.stable else None
+    rates = mean_rates(strobe[:, 2:4])
+    there = list(turning.there)
+    if not np.all(np.isfinite(strobe)) or np.max(np.abs(rates[there])) * len(strobe) < _LEAST_TURNS:
+        return None
+    for rate, winding in _windings(rates, there):
+        for count in _ODD:
+            found = curve_by_newton(turning, _guess(strobe, rate, winding, count), rate, winding)
+            if found is not None:
+                return described(turning, found[0], found[1], winding, found[2], near_rad)
+    return None
+
+
+def continued(turning: Turning, known: SlippingOrbit) -> SlippingOrbit | None:
+    """The slipping orbit of a rig and speed close to those of a known one; None where Newton's method finds none.
+
+    It catches nothing: no region is sought.
+    """
+    if known.period_revolutions:
+        motion = periodic_motion(turning, known.values[0], known.period_revolutions, known.winding)
+        return _of_periodic(turning, motion, None) if motion is not None and motion.stable else None
+    found = curve_by_newton(turning, known.values, known.rotation, known.winding)
+    return None if found is None else described(turning, found[0], found[1], known.winding, found[2], None)
+
+
+def mean_rates(angles: Array) -> Array:
+    """Turns per revolution, shape (2,), by a smooth window: the error falls faster than any power of the length."""
+    window = _window(len(angles) - 1)
+    return window @ np.diff(angles, axis=0) / (2 * math.pi)
+
+
+def _window(count: int) -> Array:
+    t = (np.arange(count) + 0.5) / count
+    weights = np.exp(-1.0 / (t * (1.0 - t)))
+    return weights / weights.sum()
+
+
+def _windings(rates: Array, there: list[int]) -> list[tuple[float, tuple[int, int]]]:
+    """Rates ρ of a curve with the whole numbers of turns (m, n) = rates/ρ, the simplest first."""
+    lead, found = max(there, key=lambda i: abs(rates[i])), list[tuple[float, tuple[int, int]]]()
+    for turns in range(1, _MOST_WINDING + 1):
+        rate = float(rates[lead]) / turns
+        other = round(float(rates[1 - lead]) / rate) if len(there) == 2 else 0
+        if len(there) == 1 or abs(rates[1 - lead] - other * rate) < 1e-4:
+            found.append((rate, (turns, other) if lead == 0 else (other, turns)))
+    return found
+
+
+def _guess(strobe: Array, rate: float, winding: tuple[int, int], count: int) -> Array:
+    """The curve's values at equal steps of χ, without its winding, from windowed means; shape (count, 8)."""
+    phase = rate * np.arange(len(strobe))
+    plain = strobe.copy()
+    plain[:, 2:4] -= 2 * math.pi * np.outer(phase, winding)
+    window, half = _window(len(strobe)), count // 2
+    orders = np.arange(-half, half + 1)
+    coefficients = np.exp(-2j * math.pi * np.outer(orders, phase)) @ (window[:, None] * plain)
+    coefficients[half, 2:4] -= 2 * math.pi * np.round(coefficients[half, 2:4].real / (2 * math.pi))
+    steps = np.arange(count) / count
+    return np.real(np.exp(2j * math.pi * np.outer(steps, orders)) @ coefficients)
+
+
+def curve_by_newton(
+    turning: Turning, values: Array, rate: float, winding: tuple[int, int]
+) -> tuple[Array, float, float] | None:
+    """The invariant curve near a guess: (values without winding, ρ, largest residual); None where it does not converge.
+
+    Args:
+        values: at an odd number of equal steps of χ, without winding, shape (m, 8).
+    """
+    free, units, count = turning.free, turning.units, len(values)
+    turns = np.zeros(8)
+    turns[2:4] = 2 * math.pi * np.array(winding)
+    steps = np.arange(count) / count
+    u, n = values.copy(), len(free)
+    for _ in range(_NEWTON):
+        residual = _residual(turning, u, steps, rate, turns) / units
+        size = float(np.max(np.abs(residual)))
+        if not math.isfinite(size) or size > 3.0:
+            return None
+        if size < _CLOSED:
+            middle = steps + 0.5 / count
+            between = _residual(turning, turned(u, 0.5 / count), middle, rate, turns, u) / units
+            worst = float(np.max(np.abs(between)))
+            return (u, rate, worst) if worst < _BETWEEN else None
+        maps = turning.derivatives(u + np.outer(steps, turns))
+        own = (maps * units[None, :] / units[:, None])[:, free][:, :, free]
+        shift, slope = _shift(count, rate)
+        matrix = np.zeros((count * n + 1, count * n + 1))
+        blocks = matrix[:-1, :-1].reshape(count, n, count, n)
+        for j in range(count):
+            blocks[j, :, j, :] = own[j]
+        for i in range(n):
+            blocks[:, i, :, i] -= shift
+        along = (slope @ (u / units) + turns / units)[:, free]
+        matrix[:-1, -1] = -along.ravel()
+        matrix[-1, :-1] = (derivative(u / units) + turns / units)[:, free].ravel() / count
+        right = np.append(-residual[:, free].ravel(), 0.0)
+        try:
+            step = np.linalg.solve(matrix, right)
+        except np.linalg.LinAlgError:
+            return None
+        u[:, free] += step[:-1].reshape(count, n) * units[free]
+        rate += float(step[-1])
+    return None
+
+
+def _residual(turning: Turning, u: Array, steps: Array, rate: float, turns: Array, knots: Array | None = None) -> Array:
+    """P(u(χ)) − u(χ + ρ), whole turns taken away, at χ = steps; u there is given, or by interpolation of knots."""
+    after = turning.after(u + np.outer(steps, turns)) - np.outer(steps + rate, turns)
+    curve = u if knots is None else knots
+    return after - turned(curve, rate + (0.0 if knots is None else float(steps[0])))
+
+
+def _shift(count: int, rate: float) -> tuple[Array, Array]:
+    """The matrix that turns values by ρ, and its derivative by ρ; shapes (count, count)."""
+    orders = np.fft.fftfreq(count, 1 / count)
+    waves = np.exp(2j * math.pi * np.outer(np.arange(count) / count, orders))
+    turn = np.exp(2j * math.pi * orders * rate)
+    forth = np.conj(waves).T / count
+    return np.real((waves * turn) @ forth), np.real((waves * (2j * math.pi * orders * turn)) @ forth)
+
+
+def described(
+    turning: Turning, u: Array, rate: float, winding: tuple[int, int], residual: float, near_rad: float | None
+) -> SlippingOrbit | None:
+    """A curve with its multipliers and its region; None where it is not stable, or its lead pendulum turns back.
+
+    Args:
+        u, rate, winding, residual: as curve_by_newton has them.
+        near_rad: deviation at which a motion is on it; None: no region is sought, and it catches nothing.
+    """
+    fibres = Fibres.of(turning, u, rate, winding)
+    if fibres is None:
+        return None
+    moduli = fibres.moduli()
+    across = float(moduli[0])
+    if not across < 1.0:
+        return None
+    points, forms = fibres.rows(_ROWS * fibres.sheets, fibres.forms(math.sqrt(max(across, 0.25))))
+    near = 0.0
+    if near_rad is not None:
+        scale = caught_scale(turning, points, forms, fibres.lead, fibres.sheets)
+        if scale == 0.0:
+            return None
+        forms = forms / scale
+        near = min(near_value(form, turning.units, near_rad) for form in forms)
+    multipliers = np.zeros(8)
+    multipliers[: len(moduli) + 1] = np.sort(np.append(moduli, 1.0))[::-1]
+    radius = turning.mean_radius(points[0], min(400, max(20, math.ceil(4 / abs(rate)))))
+    rates = (rate * winding[0], rate * winding[1])
+    return SlippingOrbit(
+        rates, winding, 0, rate, residual, multipliers, across, radius, points, forms, fibres.lead, fibres.sheets,
+        near, u,
+    )  # fmt: skip
+
+
+def _of_periodic(turning: Turning, motion: PeriodicMotion, near_rad: float | None) -> SlippingOrbit | None:
+    """A slipping orbit of q states, each with a form that one revolution makes smaller; None without a region."""
+    free, units, count = turning.free, turning.units, len(motion.states)
+    gamma = math.sqrt(max(float(motion.moduli[0]), 0.25))
+    own = (motion.maps * units[None, :] / units[:, None])[:, free][:, :, free] / gamma
+    found = np.tile(np.eye(len(free)), (count, 1, 1))
+    for _ in range(5000):
+        then, before = found.copy(), found.copy()
+        for j in range(count - 1, -1, -1):
+            then[j] = np.eye(len(free)) + own[j].T @ then[(j + 1) % count] @ own[j]
+        found = then
+        if np.max(np.abs(then - before)) <= 1e-9 * np.max(np.abs(then)):
+            break
+    forms = np.zeros((count, 8, 8))
+    forms[:, np.array(free)[:, None], np.array(free)[None, :]] = found
+    forms = forms / units[:, None] / units[None, :]
+    near = 0.0
+    if near_rad is not None:
+        scale = caught_scale(turning, motion.states, forms, -1, 1)
+        if scale == 0.0:
+            return None
+        forms = forms / scale
+        near = min(near_value(form, units, near_rad) for form in forms)
+    multipliers = np.zeros(8)
+    multipliers[: len(motion.moduli)] = motion.moduli
+    rates = (motion.turns[0] / count, motion.turns[1] / count)
+    return SlippingOrbit(
+        rates, motion.turns, count, max(rates, key=abs), motion.residual, multipliers, float(motion.moduli[0]),
+        turning.mean_radius(motion.states[0], count), motion.states, forms, -1, 1,
+        near, motion.states,
+    )  # fmt: skip

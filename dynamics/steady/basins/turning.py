@@ -1,0 +1,152 @@
+# pyright: strict, reportUnknownVariableType=false
+"""A rig at a constant speed as a map of its states from one revolution of the rotor to the next."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dynamics.arguments import need_number
+from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.phase_segments import PhaseSegments
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.errors import OutsideDomain
+from dynamics.motions.locked_motion import damping_rates
+from dynamics.stability.turn_map import turn_derivatives
+from dynamics.steady.basins.pursuit import advance, steps_needed
+
+Array = NDArray[np.float64]
+
+STEP_RAD = 0.4
+"""Radians of the fastest oscillation that a step takes: an error of some 1e-9 a revolution."""
+_REACH = 10.0  # a step times the fastest decay stays below STEP_RAD times this
+_MOST_STEPS = 20_000.0  # a revolution
+
+
+@dataclass(frozen=True)
+class Turning:
+    """The once-a-revolution map of a rig.
+
+    Attributes:
+        parameters: of the rotor, without dry friction.
+        speed_rad_s: the rotor's.
+    """
+
+    parameters: RotorParameters
+    speed_rad_s: float
+
+    @classmethod
+    def of(cls, rig: RotorParameters | object, speed_rad_s: float) -> Turning:
+        """The map of a rig.
+
+        Raises:
+            OutsideDomain: a speed that is none, no pendulum, dry friction, or motions too stiff for explicit steps.
+        """
+        p = physics_of(rig)
+        need_number(speed_rad_s=speed_rad_s)
+        if not 0 < speed_rad_s < math.inf:
+            raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+        if not (p.a.present or p.b.present):
+            raise OutsideDomain("a release needs a pendulum: both masses are 0")
+        if p.has_friction:
+            raise OutsideDomain(
+                "basins are those of motion without dry friction, got friction_arm_m "
+                f"{max(p.a.friction_arm_m, p.b.friction_arm_m):g}: set it to 0, or follow single releases"
+            )
+        found = cls(p, float(speed_rad_s))
+        if not found.pace / speed_rad_s * 2 * math.pi / STEP_RAD < _MOST_STEPS:
+            raise OutsideDomain(
+                f"at {speed_rad_s:.4g} rad/s the fastest rate, {found.pace:.3g} /s, takes more than {_MOST_STEPS:g} "
+                "explicit steps a revolution; expected a faster rotor or weaker damping"
+            )
+        return found
+
+    @property
+    def period_s(self) -> float:
+        """Of a revolution."""
+        return 2 * math.pi / self.speed_rad_s
+
+    @cached_property
+    def pace(self) -> float:
+        """The fastest rate of suspension and damping, 1/s, as steps feel it."""
+        return max(*self.parameters.natural_frequencies_rad_s, max(damping_rates(self.parameters)) / _REACH)
+
+    @cached_property
+    def system(self) -> tuple[Any, ...]:
+        """What compiled code takes: packed parameters, which pendulums are there, one endless stretch of phase."""
+        p, segments = self.parameters, PhaseSegments.of(SpeedHistory.constant(self.speed_rad_s))
+        return (
+            p.packed(), float(p.a.present), float(p.b.present),
+            np.array([-np.inf, np.inf]), segments.origins, segments.cubics,
+        )  # fmt: skip
+
+    @property
+    def there(self) -> tuple[int, ...]:
+        """Which pendulums are there: 0 for A, 1 for B."""
+        return tuple(i for i, q in enumerate((self.parameters.a, self.parameters.b)) if q.present)
+
+    @property
+    def free(self) -> list[int]:
+        """Components of the state that move."""
+        return [0, 1, *(2 + i for i in self.there), 4, 5, *(6 + i for i in self.there)]
+
+    @cached_property
+    def units(self) -> Array:
+        """Units of the state in which its parts are comparable, shape (8,): displacements by sqrt(J/M_S)."""
+        inertia = float(np.mean([(self.parameters.a, self.parameters.b)[i].inertia_kg_m2 for i in self.there]))
+        length, w = math.sqrt(inertia / self.parameters.total_mass_kg), self.speed_rad_s
+        return np.array([length, length, 1.0, 1.0, length * w, length * w, w, w])
+
+    def after(self, states: Array, revolutions: int = 1, step_rad: float = STEP_RAD) -> Array:
+        """States as many revolutions later, shape (n, 8)."""
+        out = np.array(states, np.float64)
+        _many(out, self.speed_rad_s, revolutions, self.pace, step_rad, self.system, np.zeros((1, 0, 8)))
+        return out
+
+    def strobed(self, start: Array, revolutions: int) -> Array:
+        """One state once a revolution, the start included, shape (revolutions + 1, 8)."""
+        track = np.empty((1, revolutions, 8))
+        _many(np.array(start[None, :]), self.speed_rad_s, revolutions, self.pace, STEP_RAD, self.system, track)
+        return np.concatenate([start[None, :], track[0]])
+
+    def derivatives(self, states: Array) -> Array:
+        """Of the map at each state, shape (n, 8, 8), SI.
+
+        Raises:
+            OutsideDomain: too stiff for explicit steps.
+        """
+        found = turn_derivatives(self.parameters, self.speed_rad_s, np.ascontiguousarray(states))
+        if found is None:
+            raise OutsideDomain("the motion is too stiff or the rotor too slow for explicit steps")
+        return found
+
+    def mean_radius(self, start: Array, revolutions: int = 1) -> float:
+        """Root mean square distance of the disk centre from its mean over some revolutions, m."""
+        return float(_radius(np.array(start), self.speed_rad_s, revolutions, self.pace, STEP_RAD, self.system))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _many(states: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, system: Any, track: Any) -> None:
+    k, work, phase, orbit = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(3)
+    for i in range(len(states)):
+        for n in range(revolutions):
+            steps = steps_needed(states[i], omega, pace, step_rad)
+            advance(states[i], omega, steps, system, k, work, phase, orbit)
+            if i < len(track) and n < track.shape[1]:
+                track[i, n] = states[i]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _radius(state: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, system: Any) -> Any:
+    k, work, phase, orbit, mean = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(3), np.zeros(3)
+    for _ in range(revolutions):
+        advance(state, omega, steps_needed(state, omega, pace, step_rad), system, k, work, phase, orbit)
+        mean += orbit
+    mean /= revolutions
+    return math.sqrt(max(0.0, mean[2] - mean[0] ** 2 - mean[1] ** 2))
