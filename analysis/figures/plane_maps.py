@@ -82,6 +82,10 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
     axes.plot(
         best.values, 100 * best.shares, color=MODEL, lw=1.2, marker="o", ms=2.5, label="stable share of the plane"
     )
+    if best.unresolved.any():
+        shares_at_most = 100 * np.minimum(best.shares + best.unresolved, 1.0)
+        look: dict[str, Any] = {"color": MODEL, "alpha": 0.18, "lw": 0, "label": "not resolved: may be stable"}
+        axes.fill_between(best.values, 100 * best.shares, shares_at_most, **look)
     if members:
         shares = [100 * member.borders.stable_share for member in members]
         squares: dict[str, Any] = {"ls": "", "marker": "s", "ms": 5, "mfc": "none", "mec": "black", "clip_on": False}

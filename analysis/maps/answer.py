@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from analysis.maps.families import BestValue, best_value
 from analysis.maps.question import MapQuestion
 from analysis.maps.refinement import refined_grid
+from analysis.maps.shares import unresolved_share
 from dynamics.stability.borders import Borders, stability_borders
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import compile_tiles
@@ -35,10 +36,15 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class FamilyMember:
-    """The borders for one value of a family's number."""
+    """The borders for one value of a family's number.
+
+    Attributes:
+        unresolved: share of the plane about which they say nothing.
+    """
 
     value: float
     borders: Borders
+    unresolved: float
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,7 @@ class MapAnswer:
         computed: of a refined map which points of the grid were computed, the others are interpolated and have no error
             estimate, shape (m, n); None where all were.
         borders: of the rig itself; None where none were asked for.
+        unresolved: share of the plane about which they say nothing.
         family: borders of each value of a family's number.
         best: where the stable share is greatest; None where it was not asked for.
         seconds: that the grid took.
@@ -60,6 +67,7 @@ class MapAnswer:
     grid: StabilityMap
     computed: NDArray[np.bool_] | None
     borders: Borders | None
+    unresolved: float
     family: tuple[FamilyMember, ...]
     best: BestValue | None
     seconds: float
@@ -91,20 +99,21 @@ def answer(question: MapQuestion, progress: Progress | None = None) -> MapAnswer
     started = time.perf_counter()
     grid, computed = _refined(question, plane, shown) if question.refine else (_full(question, plane, shown), None)
     seconds = time.perf_counter() - started
-    borders, members, best = None, list[FamilyMember](), None
+    borders, unresolved, members, best = None, 0.0, list[FamilyMember](), None
     if question.borders:
         with shown("borders") as told:
             borders = _borders(question, plane, told)
+        unresolved = unresolved_share(plane, borders, question.axes)
     if (family := question.family) is not None:
         with shown(f"borders for {len(family.values)} values of {family.key}") as told:
             for i, value in enumerate(family.values):
                 one = question.plane(_settings(family.keys, value))
                 found = _borders(question, one, _part(told, i, len(family.values)))
-                members.append(FamilyMember(value, found))
+                members.append(FamilyMember(value, found, unresolved_share(one, found, question.axes)))
     if question.best is not None:
         with shown(f"best value of {question.best.key}") as told:
             best = _best(question, told)
-    return MapAnswer(question, grid, computed, borders, tuple(members), best, seconds)
+    return MapAnswer(question, grid, computed, borders, unresolved, tuple(members), best, seconds)
 
 
 def _full(question: MapQuestion, plane: Plane, shown: Progress) -> StabilityMap:
@@ -145,9 +154,11 @@ def _best(question: MapQuestion, told: Told) -> BestValue:
     assert within is not None
     shares = dict[float, float]()
 
-    def share(value: float) -> float:
-        shares[value] = _borders(question, question.plane(_settings(within.keys, value)), _unheard).stable_share
-        return shares[value]
+    def share(value: float) -> tuple[float, float]:
+        plane = question.plane(_settings(within.keys, value))
+        found = _borders(question, plane, _unheard)
+        shares[value] = found.stable_share
+        return found.stable_share, unresolved_share(plane, found, question.axes)
 
     def error(value: float) -> float:
         plane = question.plane(_settings(within.keys, value))

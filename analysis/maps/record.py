@@ -75,7 +75,12 @@ def record(found: MapAnswer, numbers: Mapping[str, Any]) -> MapRecord:
         "error_estimate": grid.error_estimate,
         "decay_rate_per_s": grid.decay_rate_per_s,
     }
-    return MapRecord(_provenance(question, grid.method, numbers), grid.x, grid.y, arrays, _lines(found.borders, None))
+    if found.computed is not None:
+        arrays["computed"] = found.computed
+    lines = _lines(found.borders, None)
+    for member in found.family:
+        lines += _lines(member.borders, member.value)
+    return MapRecord(_provenance(question, grid.method, numbers), grid.x, grid.y, arrays, lines)
 
 
 def _lines(borders: Borders | None, value: float | None) -> tuple[RecordedBorder, ...]:
