@@ -152,7 +152,7 @@ def _print_refined_and_varied(result: Mapping[str, Any]) -> None:
         beyond = [value for value, lost in zip(best["values"], best["unresolved_shares"], strict=True) if lost]
         if beyond:
             lost = _unresolved_words(max(best["unresolved_shares"]))
-            print(f"between {min(beyond):.4g} and {max(beyond):.4g} shares are least values{lost}")
+            print(f"between {min(beyond):.4g} and {max(beyond):.4g} the shares are lower bounds{lost}")
 
 
 def _unresolved_words(share: float) -> str:

@@ -97,7 +97,8 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.set_xlim(within.low, within.high)
-    axes.margins(y=0.22)
+    low, high = 100 * float(best.shares.min()), min(100.0, 100 * float((best.shares + best.unresolved).max()))
+    axes.set_ylim(max(0.0, low - 0.15 * (high - low)), high + 0.3 * (high - low) + 0.1)
     right = (axes.transData + axes.transAxes.inverted()).transform((best.value, 0.0))[0] > 0.6
     end = " (end of the range)" if best.at_end else ""
     axes.annotate(

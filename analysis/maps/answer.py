@@ -22,7 +22,7 @@ from dynamics.stability.map_tiles import compile_tiles
 from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, plane_map
 
 Told = Callable[[float], None]
-_LEVELS = 2  # of the borders' grid
+_FINER = 3  # halvings of the borders' grid, at least one more than it has by itself
 _REST = 4 / 3  # what all further halvings change, in what one does: an area by chords converges with the square
 
 
@@ -143,10 +143,10 @@ def _classes(multipliers: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.where(np.isnan(multipliers), 2, multipliers < 1.0).astype(np.intp)
 
 
-def _borders(question: MapQuestion, plane: Plane, told: Told, levels: int = _LEVELS) -> Borders:
+def _borders(question: MapQuestion, plane: Plane, told: Told, **finer: int) -> Borders:
     x, y = question.axes
     logarithmic = x.logarithmic, y.logarithmic
-    return stability_borders(plane, x.span, y.span, levels=levels, logarithmic=logarithmic, progress=told)
+    return stability_borders(plane, x.span, y.span, logarithmic=logarithmic, progress=told, **finer)
 
 
 def _best(question: MapQuestion, told: Told) -> BestValue:
@@ -162,7 +162,7 @@ def _best(question: MapQuestion, told: Told) -> BestValue:
 
     def error(value: float) -> float:
         plane = question.plane(_settings(within.keys, value))
-        return _REST * abs(_borders(question, plane, _unheard, _LEVELS + 1).stable_share - shares[value])
+        return _REST * abs(_borders(question, plane, _unheard, levels=_FINER).stable_share - shares[value])
 
     return best_value(share, error, within, told)
 

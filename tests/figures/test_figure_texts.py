@@ -104,7 +104,7 @@ def _map(**more: Any) -> Figure:
 
 def _family() -> Figure:
     damping = ("pendulums.a.damping_Nms_per_rad", "pendulums.b.damping_Nms_per_rad")
-    return _map(family=Family(damping, (5e-4, 2e-3)), best=SearchRange(damping, 1e-4, 1e-2, True), borders=True)
+    return _map(family=Family(damping, (1e-3, 4e-3)), best=SearchRange(damping, 1e-4, 1e-2, True), borders=True)
 
 
 _OTHERS: dict[str, Callable[[], Figure]] = {
