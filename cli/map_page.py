@@ -12,7 +12,7 @@ import numpy as np
 
 from analysis.figures.page import write_figure
 from analysis.figures.plane_maps import draw_map
-from analysis.maps.answer import MapAnswer
+from analysis.maps.answers import MapAnswer
 from analysis.maps.question import MapQuestion
 from cli.console import say
 from cli.options import what_if_words

@@ -17,7 +17,7 @@ from analysis.figures.readout import Readout
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.stability_map import MapGrid, MapPoint, draw_grid, set_plane
 from analysis.figures.style import GREY, MODEL, label
-from analysis.maps.answer import FamilyMember, MapAnswer
+from analysis.maps.answers import FamilyMember, MapAnswer
 from analysis.maps.axes import SPEED_RATIO, STIFFNESS_RATIO, name_of, symbol_of
 from analysis.maps.families import BestValue, SearchRange
 from daq.version import software_version
@@ -111,15 +111,20 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
 
 def _foot(found: MapAnswer, usual: bool) -> list[str]:
     question, notes = found.question, list[str]()
+    sides = "The balanced state is stable where the map is blue, lighter where it is more so."
     kinds = {kind for branch in (found.borders.branches if found.borders else ()) for kind in branch.kind}
     if found.family:
         notes.append("Lines: borders of stability; the balanced state is unstable on the side with the ticks.")
     elif kinds:
         lines = {"flutter": "solid", "divergence": "dashed", "period doubling": "dotted"}
         named = ", ".join(f"{lines[kind]}: {kind}" for kind in sorted(kinds))
-        notes.append(f"Thick line: border of stability ({named}). The balanced state is stable where the map is blue.")
+        notes.append(
+            f"Thick line: border of stability ({named}). The balanced state is stable where the map is blue, lighter where it is more so."
+        )
     else:
-        notes.append("Thick line: border of stability. The balanced state is stable where the map is blue.")
+        notes.append(
+            "Thick line: border of stability. The balanced state is stable where the map is blue, lighter where it is more so."
+        )
     if usual:
         notes.append(
             "Thin dashed: resonances. Dotted: the rig's stiffness ratio, with its points and the state expected there; "

@@ -22,7 +22,7 @@ from analysis.figures.residuals import draw_residuals
 from analysis.figures.sheet import sheet
 from analysis.figures.slip import draw_slip
 from analysis.figures.stability_map import MapPoint, draw_points_on_map
-from analysis.maps.answer import answer
+from analysis.maps.answers import answer
 from analysis.maps.axes import MapAxis
 from analysis.maps.families import Family, SearchRange
 from analysis.maps.question import MapQuestion, rig_source

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.maps.answer import MapAnswer
+from analysis.maps.answers import MapAnswer
 from analysis.maps.question import MapQuestion
 from daq.version import software_version
 from dynamics.stability.borders import Borders
@@ -59,7 +59,7 @@ class MapRecord:
 
     @property
     def question(self) -> MapQuestion:
-        """What was asked: `analysis.maps.answer.answer` of it makes the map anew."""
+        """What was asked: `analysis.maps.answers.answer` of it makes the map anew."""
         return MapQuestion.of_json(self.provenance["question"])
 
 
