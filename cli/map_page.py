@@ -12,7 +12,7 @@ import numpy as np
 
 from analysis.figures.page import write_figure
 from analysis.figures.plane_maps import draw_map
-from analysis.maps.answer import MapAnswer
+from analysis.maps.answers import MapAnswer
 from analysis.maps.question import MapQuestion
 from cli.console import say
 from cli.options import what_if_words
@@ -53,6 +53,7 @@ def map_json(found: MapAnswer) -> dict[str, Any]:
         "borders": None if lines is None else borders_json(lines),
         "borders_complete_to": None if lines is None else list(lines.complete_to),
         "stable_share_by_borders": None if lines is None else lines.stable_share,
+        "unresolved_share": None if lines is None else found.unresolved,
         "computed_share": 1.0 if found.computed is None else float(np.mean(found.computed)),
         "family": _family_json(found),
         "best": _best_json(found),
@@ -64,7 +65,8 @@ def _family_json(found: MapAnswer) -> dict[str, Any] | None:
     return None if family is None else {
         "key": family.key,
         "members": [
-            {"value": one.value, "stable_share": one.borders.stable_share, "borders": borders_json(one.borders)}
+            {"value": one.value, "stable_share": one.borders.stable_share, "unresolved_share": one.unresolved,
+             "borders": borders_json(one.borders)}
             for one in found.family
         ],
     }  # fmt: skip
@@ -82,6 +84,7 @@ def _best_json(found: MapAnswer) -> dict[str, Any] | None:
         "stable_share_at_ends": [float(best.shares[0]), float(best.shares[-1])],
         "values": best.values.tolist(),
         "stable_shares": best.shares.tolist(),
+        "unresolved_shares": best.unresolved.tolist(),
     }  # fmt: skip
 
 
@@ -117,6 +120,7 @@ def print_map(result: Mapping[str, Any], settings: list[str] | None) -> None:
         print(
             f"stable within the borders: {100 * result['stable_share_by_borders']:.3f} %; islands and bands "
             f"narrower than 1/{1 / across:.0f} of x or 1/{1 / up:.0f} of y may have been missed"
+            f"{_unresolved_words(result['unresolved_share'])}"
         )
     _print_refined_and_varied(result)
     if settings:
@@ -133,7 +137,10 @@ def _print_refined_and_varied(result: Mapping[str, Any]) -> None:
         )
     family: dict[str, Any] = result["family"] or {"key": "", "members": []}
     for member in family["members"]:
-        print(f"{family['key']} = {member['value']:.6g}: stable on {100 * member['stable_share']:.3f} %")
+        print(
+            f"{family['key']} = {member['value']:.6g}: stable on {100 * member['stable_share']:.3f} %"
+            f"{_unresolved_words(member['unresolved_share'])}"
+        )
     if best := result["best"]:
         (low, high), (first, last) = best["interval"], best["stable_share_at_ends"]
         end = "; the range's end is the best, a wider range may hold a better one" if best["at_end"] else ""
@@ -142,3 +149,11 @@ def _print_refined_and_varied(result: Mapping[str, Any]) -> None:
             f"{100 * best['stable_share']:.3f} % ± {100 * best['stable_share_error']:.1g} %; "
             f"at the ends {100 * first:.3f} % and {100 * last:.3f} %{end}"
         )
+        beyond = [value for value, lost in zip(best["values"], best["unresolved_shares"], strict=True) if lost]
+        if beyond:
+            lost = _unresolved_words(max(best["unresolved_shares"]))
+            print(f"between {min(beyond):.4g} and {max(beyond):.4g} the shares are lower bounds{lost}")
+
+
+def _unresolved_words(share: float) -> str:
+    return f", {100 * share:.3g} % not resolved (no border can be followed there)" if share else ""

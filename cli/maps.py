@@ -62,10 +62,10 @@ def map(
     need_place("rig map:", plot, None if output is None else output.parent / f"{output.name}.part")
     with wait_for_compilation("stability map"):
         from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
-        from analysis.maps.answer import answer, compile_maps  # noqa: PLC0415 (numba takes a while to load)
+        from analysis.maps.answers import answer, compile_maps  # noqa: PLC0415 (numba takes a while to load)
         from analysis.maps.files import need_map_suffix, write_map  # noqa: PLC0415
         from analysis.maps.question import MapQuestion, parameters_source, rig_source, speed_of  # noqa: PLC0415
-        from analysis.maps.record import record  # noqa: PLC0415
+        from analysis.maps.records import record  # noqa: PLC0415
         from cli.map_axes import read_axis, read_family, read_range  # noqa: PLC0415
         from cli.map_page import draw, map_json, print_map, say_what_is_left_out  # noqa: PLC0415
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.maps.answer import compile_maps
+from analysis.maps.answers import compile_maps
 from analysis.maps.question import MapQuestion
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.stability_map import StabilityMap, plane_map

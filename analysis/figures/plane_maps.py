@@ -17,7 +17,7 @@ from analysis.figures.readout import Readout
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.stability_map import MapGrid, MapPoint, draw_grid, set_plane
 from analysis.figures.style import GREY, MODEL, label
-from analysis.maps.answer import FamilyMember, MapAnswer
+from analysis.maps.answers import FamilyMember, MapAnswer
 from analysis.maps.axes import SPEED_RATIO, STIFFNESS_RATIO, name_of, symbol_of
 from analysis.maps.families import BestValue, SearchRange
 from daq.version import software_version
@@ -82,6 +82,10 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
     axes.plot(
         best.values, 100 * best.shares, color=MODEL, lw=1.2, marker="o", ms=2.5, label="stable share of the plane"
     )
+    if best.unresolved.any():
+        shares_at_most = 100 * np.minimum(best.shares + best.unresolved, 1.0)
+        look: dict[str, Any] = {"color": MODEL, "alpha": 0.18, "lw": 0, "label": "not resolved: may be stable"}
+        axes.fill_between(best.values, 100 * best.shares, shares_at_most, **look)
     if members:
         shares = [100 * member.borders.stable_share for member in members]
         squares: dict[str, Any] = {"ls": "", "marker": "s", "ms": 5, "mfc": "none", "mec": "black", "clip_on": False}
@@ -93,7 +97,8 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.set_xlim(within.low, within.high)
-    axes.margins(y=0.22)
+    low, high = 100 * float(best.shares.min()), min(100.0, 100 * float((best.shares + best.unresolved).max()))
+    axes.set_ylim(max(0.0, low - 0.15 * (high - low)), high + 0.3 * (high - low) + 0.1)
     right = (axes.transData + axes.transAxes.inverted()).transform((best.value, 0.0))[0] > 0.6
     end = " (end of the range)" if best.at_end else ""
     axes.annotate(
@@ -106,15 +111,20 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
 
 def _foot(found: MapAnswer, usual: bool) -> list[str]:
     question, notes = found.question, list[str]()
+    sides = "The balanced state is stable where the map is blue, lighter where it is more so."
     kinds = {kind for branch in (found.borders.branches if found.borders else ()) for kind in branch.kind}
     if found.family:
         notes.append("Lines: borders of stability; the balanced state is unstable on the side with the ticks.")
     elif kinds:
         lines = {"flutter": "solid", "divergence": "dashed", "period doubling": "dotted"}
         named = ", ".join(f"{lines[kind]}: {kind}" for kind in sorted(kinds))
-        notes.append(f"Thick line: border of stability ({named}). The balanced state is stable where the map is blue.")
+        notes.append(
+            f"Thick line: border of stability ({named}). The balanced state is stable where the map is blue, lighter where it is more so."
+        )
     else:
-        notes.append("Thick line: border of stability. The balanced state is stable where the map is blue.")
+        notes.append(
+            "Thick line: border of stability. The balanced state is stable where the map is blue, lighter where it is more so."
+        )
     if usual:
         notes.append(
             "Thin dashed: resonances. Dotted: the rig's stiffness ratio, with its points and the state expected there; "

@@ -19,6 +19,7 @@ from dynamics.stability.stability_map import StabilityMap, stability_map
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
 USUAL = ("speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
 _SHORT: dict[str, str] = {USUAL[0]: "Ω", USUAL[1]: "K"}
+_HALO = [withStroke(linewidth=2.5, foreground="white")]  # letters are read on any ground
 _MARKS = {"I": "o", "II": "s", "III": "^", "slipping": "X", "not settled": "P"}
 
 
@@ -207,13 +208,15 @@ def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:
     """Ω = 1 and Ω = √K."""
     if omega[0] <= 1 <= omega[-1]:
         axes.plot([1, 1], [ratio[0], ratio[-1]], color="#333333", ls="--", lw=1)
-        axes.annotate("Ω = 1", (1.0, ratio[0]), xytext=(-30, 5), textcoords="offset points", fontsize=8)
+        axes.annotate(
+            "Ω = 1", (1.0, ratio[0]), xytext=(-30, 5), textcoords="offset points", fontsize=8, path_effects=_HALO
+        )
     second = ratio[(np.sqrt(ratio) >= omega[0]) & (np.sqrt(ratio) <= omega[-1])]
     if len(second):
         axes.plot(np.sqrt(second), second, color="#333333", ls="--", lw=1)
         axes.annotate(
             "Ω = √K", (np.sqrt(second[-1]), second[-1]), xytext=(-9, -4), textcoords="offset points", fontsize=8,
-            ha="right", va="top",
+            ha="right", va="top", path_effects=_HALO,
         )  # fmt: skip
 
 
@@ -223,5 +226,5 @@ def _points(axes: Axes, points: Sequence[MapPoint], own: float) -> None:
         axes.annotate(
             f"{point.name} · {point.state}", (point.speed_ratio, own), xytext=(0, 9 if i % 2 == 0 else -17),
             ha="center", textcoords="offset points", fontsize=9, fontweight="bold", parse_math=False,
-            path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            path_effects=_HALO,
         )  # fmt: skip

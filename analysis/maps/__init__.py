@@ -1,1 +1,56 @@
-"""Maps of stability: what is asked (`question`), how it is answered (`answer`), which files hold it (`files`)."""
+"""Maps of stability: what is asked (`question`), how it is answered (`answers`), which files hold it (`files`)."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from analysis.maps.answers import MapAnswer, answer
+    from analysis.maps.axes import MapAxis
+    from analysis.maps.families import BestValue, Family, SearchRange
+    from analysis.maps.files import load_map, write_map
+    from analysis.maps.question import MapQuestion, parameters_source, rig_source
+    from analysis.maps.records import MapRecord, record
+    from analysis.maps.refinement import refined_grid
+
+__all__ = [
+    "BestValue",
+    "Family",
+    "MapAnswer",
+    "MapAxis",
+    "MapQuestion",
+    "MapRecord",
+    "SearchRange",
+    "answer",
+    "load_map",
+    "parameters_source",
+    "record",
+    "refined_grid",
+    "rig_source",
+    "write_map",
+]
+
+_HOME = {
+    "BestValue": "families",
+    "Family": "families",
+    "MapAnswer": "answers",
+    "MapAxis": "axes",
+    "MapQuestion": "question",
+    "MapRecord": "records",
+    "SearchRange": "families",
+    "answer": "answers",
+    "load_map": "files",
+    "parameters_source": "question",
+    "record": "records",
+    "refined_grid": "refinement",
+    "rig_source": "question",
+    "write_map": "files",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """A public name from its module, loaded when first used."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

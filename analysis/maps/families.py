@@ -99,10 +99,11 @@ class BestValue:
 
     Attributes:
         values, shares: every value that was tried, rising, and the stable share at it, shape (n,).
+        unresolved: share of the plane about which the borders say nothing at each value, shape (n,); it may be stable.
         value: the best one.
         interval: the nearest values on both sides, or ends of the range, whose shares are smaller by more than
-            `share_error`: with one maximum in the range it lies between them, whether the share bends there or has a
-            corner.
+            `share_error`, what is unresolved counted as stable: with one maximum in the range it lies between them,
+            whether the share bends there or has a corner.
         share: at the best value.
         share_error: how far that may be off, from what another halving of the borders' grid changes.
         at_end: whether the range's end is the best, so that a wider range may hold a better one.
@@ -110,6 +111,7 @@ class BestValue:
 
     values: NDArray[np.float64]
     shares: NDArray[np.float64]
+    unresolved: NDArray[np.float64]
     value: float
     interval: tuple[float, float]
     share: float
@@ -118,7 +120,7 @@ class BestValue:
 
 
 def best_value(
-    share: Callable[[float], float],
+    share: Callable[[float], tuple[float, float]],
     share_error: Callable[[float], float],
     within: SearchRange,
     progress: Callable[[float], None],
@@ -128,13 +130,13 @@ def best_value(
     A second, higher maximum narrower than an eighth of the range may be missed.
 
     Args:
-        share: stable share at a value, 0 … 1.
+        share: stable share at a value, 0 … 1, and the share about which nothing is said.
         share_error: how far that may be off.
         progress: called with the share of the work done.
     """
     to, back = (math.log, math.exp) if within.logarithmic else (float, float)
     ends = to(within.low), to(within.high)
-    known = dict[float, float]()
+    known = dict[float, tuple[float, float]]()
     expected = _SCAN + 18
 
     def value_of(place: float) -> float:  # exp(log(A)) may be one rounding off A
@@ -144,7 +146,7 @@ def best_value(
         if place not in known:
             known[place] = share(value_of(place))
             progress(min(0.95, len(known) / expected))
-        return known[place]
+        return known[place][0]
 
     scan = np.linspace(*ends, _SCAN)
     top = int(np.argmax([at(place) for place in scan.tolist()]))
@@ -155,16 +157,16 @@ def best_value(
 
     minimize_scalar(lost, bounds=beside, method="bounded", options={"xatol": _CLOSE * (beside[1] - beside[0])})
     places = sorted(known)
-    shares = [known[place] for place in places]
+    shares, unresolved = (np.array(found) for found in zip(*(known[place] for place in places), strict=True))
     best = int(np.argmax(shares))
     values = [value_of(place) for place in places]
     error = share_error(values[best])
     progress(1.0)
-    clear = [i for i, found in enumerate(shares) if found < shares[best] - error]
+    clear = [i for i in range(len(places)) if shares[i] + unresolved[i] < shares[best] - error]
     low = max((i for i in clear if i < best), default=0)
     high = min((i for i in clear if i > best), default=len(places) - 1)
     return BestValue(
-        np.array(values), np.array(shares), values[best], (values[low], values[high]), shares[best], error,
+        np.array(values), shares, unresolved, values[best], (values[low], values[high]), float(shares[best]), error,
         best in (0, len(places) - 1),
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.errors import NoMapFile
 from analysis.maps.question import MapQuestion
-from analysis.maps.record import FORMAT, MapRecord, RecordedBorder
+from analysis.maps.records import FORMAT, MapRecord, RecordedBorder
 from rig_configs import RigConfigError
 
 SUFFIXES = (".npz", ".parquet", ".zarr")

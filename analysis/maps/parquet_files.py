@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from analysis.maps.files import keys_of, replaced
-from analysis.maps.record import MapRecord, RecordedBorder
+from analysis.maps.records import MapRecord, RecordedBorder
 
 _KEY = b"rig map"
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.errors import NoMapFile
 from analysis.maps.files import keys_of
-from analysis.maps.record import MapRecord, RecordedBorder
+from analysis.maps.records import MapRecord, RecordedBorder
 
 _CHUNK = 512  # points a side
 

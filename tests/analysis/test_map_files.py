@@ -13,11 +13,11 @@ import pytest
 import zarr
 
 from analysis.errors import NoMapFile
-from analysis.maps.answer import MapAnswer, answer
+from analysis.maps.answers import MapAnswer, answer
 from analysis.maps.axes import MapAxis
 from analysis.maps.files import load_map, need_map_suffix, write_map
 from analysis.maps.question import MapQuestion, rig_source
-from analysis.maps.record import MapRecord, record
+from analysis.maps.records import MapRecord, record
 
 ZETAS = ("suspension.zeta1", "suspension.zeta2")
 

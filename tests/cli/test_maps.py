@@ -168,7 +168,7 @@ def test_stopped_it_says_what_is_lost(capsys: pytest.CaptureFixture[str], monkey
 
     compile_first = ["map", "virtual", "--x", "speed_ratio=2:6:2", "--y", "stiffness_ratio=4:12:2"]
     said(capsys, *compile_first)
-    monkeypatch.setattr("analysis.maps.answer._full", stopped)
+    monkeypatch.setattr("analysis.maps.answers._full", stopped)
     code, out, err = said(capsys, *compile_first, "--json")
     assert code == 130
     assert "what was computed is lost" in err

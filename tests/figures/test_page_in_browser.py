@@ -6,11 +6,16 @@ import json
 import re
 import shutil
 import subprocess
+from html import unescape
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from analysis.figures.page import write_figure
+from analysis.figures.readout import Readout
 from analysis.figures.sheet import sheet
 
 BROWSER = next((b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if b), None)
@@ -35,22 +40,71 @@ window.addEventListener("load", () => {
 </script></body>"""
 
 
+READ = """<script>
+window.addEventListener("load", () => {
+  const stage = document.getElementById("stage"), svg = stage.querySelector("svg");
+  const values = document.getElementById("values");
+  const said = {before: values.textContent};
+  const point = (across, up) => {
+    const at = new DOMPoint(72 * (1 + 4 * across), 72 * (3 - (0.5 + 2 * up))).matrixTransform(svg.getScreenCTM());
+    stage.dispatchEvent(new PointerEvent("pointermove", {clientX: at.x, clientY: at.y, pointerId: 1, bubbles: true}));
+    return values.textContent;
+  };
+  said.first = point(0.01, 0.01);
+  said.last = point(0.99, 0.99);
+  said.middle = point(0.45, 0.52);
+  said.outside = point(1.1, 0.5);
+  document.getElementById("closer").click();
+  said.zoomed = point(0.01, 0.01);
+  const out = document.createElement("pre");
+  out.id = "probe";
+  out.textContent = JSON.stringify(said);
+  document.body.append(out);
+});
+</script></body>"""
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+def test_a_page_reads_out_the_value_under_the_pointer(tmp_path: Path) -> None:
+    figure = Figure(figsize=(6.0, 3.0))
+    figure.add_axes((1 / 6, 0.5 / 3, 4 / 6, 2 / 3)).plot([1, 100], [0, 1])
+    values = np.arange(6.0).reshape(2, 3)
+    values[1, 2] = np.nan
+    box = (1 / 6, 0.5 / 3, 5 / 6, 2.5 / 3)
+    x, y = np.array([1.0, 10.0, 100.0]), np.array([0.0, 1.0])
+    readout = Readout(box, ("Ω", "K <y>"), (True, False), x, y, {"|μ|": values, "rate, 1/s": 10 * values})
+    page = tmp_path / "map.html"
+    write_figure(page, figure, "a map", readout)
+    said = _probed(page, READ)
+    assert said["before"] == "point at the map to read its values"
+    assert said["first"].split("   ") == ["Ω: 1", "K <y>: 0", "|μ|: 0", "rate, 1/s: 0"]
+    assert said["middle"].split("   ") == ["Ω: 10", "K <y>: 1", "|μ|: 4", "rate, 1/s: 40"]
+    assert said["last"].split("   ")[2] == "|μ|: none (no balanced state)"
+    assert said["outside"] == said["middle"]
+    assert said["zoomed"] == said["first"]
+
+
+def _probed(page: Path, probe: str) -> dict[str, Any]:
+    """What a script says that runs in the page."""
+    page.write_text(page.read_text(encoding="utf-8").replace("</body>", probe), encoding="utf-8")
+    done = subprocess.run(
+        [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+         "--disable-background-networking", "--disable-component-update", "--disable-sync", "--window-size=1280,900",
+         f"--user-data-dir={page.parent / 'profile'}", "--virtual-time-budget=5000", "--dump-dom", page.as_uri()],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout)
+    assert found, done.stdout[-500:] + done.stderr[-500:]
+    return json.loads(unescape(found[1]))
+
+
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 def test_a_page_zooms_moves_and_shows_all_again(tmp_path: Path) -> None:
     with sheet(6.0, 3.0, "a line") as figure:
         figure.add_subplot().plot([0, 1, 2], [0, 2, 1], label="measured")
     page = tmp_path / "line.html"
     write_figure(page, figure, "a line")
-    page.write_text(page.read_text(encoding="utf-8").replace("</body>", PROBE), encoding="utf-8")
-    done = subprocess.run(
-        [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--disable-sync", "--window-size=1280,900",
-         f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000", "--dump-dom", page.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
-    found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout)
-    assert found, done.stdout[-500:] + done.stderr[-500:]
-    said = json.loads(found[1])
+    said = _probed(page, PROBE)
     assert said["closer"] == pytest.approx(0.8 * said["whole"])
     assert said["moved"] > 0
     assert said["again"] == pytest.approx(said["whole"])

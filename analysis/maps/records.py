@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.maps.answer import MapAnswer
+from analysis.maps.answers import MapAnswer
 from analysis.maps.question import MapQuestion
 from daq.version import software_version
 from dynamics.stability.borders import Borders
@@ -59,7 +59,7 @@ class MapRecord:
 
     @property
     def question(self) -> MapQuestion:
-        """What was asked: `analysis.maps.answer.answer` of it makes the map anew."""
+        """What was asked: `analysis.maps.answers.answer` of it makes the map anew."""
         return MapQuestion.of_json(self.provenance["question"])
 
 
@@ -75,7 +75,12 @@ def record(found: MapAnswer, numbers: Mapping[str, Any]) -> MapRecord:
         "error_estimate": grid.error_estimate,
         "decay_rate_per_s": grid.decay_rate_per_s,
     }
-    return MapRecord(_provenance(question, found.method, numbers), grid.x, grid.y, arrays, _lines(found.borders, None))
+    if found.computed is not None:
+        arrays["computed"] = found.computed
+    lines = _lines(found.borders, None)
+    for member in found.family:
+        lines += _lines(member.borders, member.value)
+    return MapRecord(_provenance(question, found.method, numbers), grid.x, grid.y, arrays, lines)
 
 
 def _lines(borders: Borders | None, value: float | None) -> tuple[RecordedBorder, ...]:

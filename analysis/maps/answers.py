@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from analysis.maps.families import BestValue, best_value
 from analysis.maps.question import MapQuestion
 from analysis.maps.refinement import refined_grid
+from analysis.maps.shares import unresolved_share
 from dynamics.stability.borders import Borders, stability_borders
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import compile_tiles
@@ -22,7 +23,7 @@ from dynamics.stability.stability_map import StabilityMap, multipliers_at_points
 
 Told = Callable[[float], None]
 _BORDER_POINTS = 4000  # at least, of a border as long as a side of the map
-_LEVELS = 1  # of the borders' grid
+_FINER = 3  # halvings of the borders' grid, at least one more than it has by itself
 _REST = 4 / 3  # what all further halvings change, in what one does: an area by chords converges with the square
 
 
@@ -36,10 +37,15 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class FamilyMember:
-    """The borders for one value of a family's number."""
+    """The borders for one value of a family's number.
+
+    Attributes:
+        unresolved: share of the plane about which they say nothing.
+    """
 
     value: float
     borders: Borders
+    unresolved: float
 
 
 @dataclass(frozen=True)
@@ -52,6 +58,7 @@ class MapAnswer:
         computed: of a refined map which points of the grid were computed, the others are interpolated and have no error
             estimate, shape (m, n); None where all were.
         borders: of the rig itself; None where none were asked for.
+        unresolved: share of the plane about which they say nothing.
         family: borders of each value of a family's number.
         best: where the stable share is greatest; None where it was not asked for.
         seconds: that the grid took.
@@ -61,6 +68,7 @@ class MapAnswer:
     grid: StabilityMap
     computed: NDArray[np.bool_] | None
     borders: Borders | None
+    unresolved: float
     family: tuple[FamilyMember, ...]
     best: BestValue | None
     seconds: float
@@ -109,20 +117,21 @@ def answer(
     else:
         grid = _full(question, plane, shown) if grid_of is None else grid_of()
     seconds = time.perf_counter() - started
-    borders, members, best = None, list[FamilyMember](), None
+    borders, unresolved, members, best = None, 0.0, list[FamilyMember](), None
     if question.borders:
         with shown("borders") as told:
             borders = _borders(question, plane, told)
+        unresolved = unresolved_share(plane, borders, question.axes)
     if (family := question.family) is not None:
         with shown(f"borders for {len(family.values)} values of {family.key}") as told:
             for i, value in enumerate(family.values):
                 one = question.plane(_settings(family.keys, value))
                 found = _borders(question, one, _part(told, i, len(family.values)))
-                members.append(FamilyMember(value, found))
+                members.append(FamilyMember(value, found, unresolved_share(one, found, question.axes)))
     if question.best is not None:
         with shown(f"best value of {question.best.key}") as told:
             best = _best(question, told)
-    return MapAnswer(question, grid, computed, borders, tuple(members), best, seconds)
+    return MapAnswer(question, grid, computed, borders, unresolved, tuple(members), best, seconds)
 
 
 def _full(question: MapQuestion, plane: Plane, shown: Progress) -> StabilityMap:
@@ -151,13 +160,11 @@ def _classes(multipliers: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.where(np.isnan(multipliers), 2, multipliers < 1.0).astype(np.intp)
 
 
-def _borders(question: MapQuestion, plane: Plane, told: Told, levels: int = _LEVELS) -> Borders:
+def _borders(question: MapQuestion, plane: Plane, told: Told, **finer: int) -> Borders:
     x, y = question.axes
     logarithmic = x.logarithmic, y.logarithmic
     spacing = 1 / max(_BORDER_POINTS, x.count, y.count)  # no wider than the map's pitch
-    return stability_borders(
-        plane, x.span, y.span, levels=levels, spacing=spacing, logarithmic=logarithmic, progress=told
-    )
+    return stability_borders(plane, x.span, y.span, spacing=spacing, logarithmic=logarithmic, progress=told, **finer)
 
 
 def _best(question: MapQuestion, told: Told) -> BestValue:
@@ -165,13 +172,15 @@ def _best(question: MapQuestion, told: Told) -> BestValue:
     assert within is not None
     shares = dict[float, float]()
 
-    def share(value: float) -> float:
-        shares[value] = _borders(question, question.plane(_settings(within.keys, value)), _unheard).stable_share
-        return shares[value]
+    def share(value: float) -> tuple[float, float]:
+        plane = question.plane(_settings(within.keys, value))
+        found = _borders(question, plane, _unheard)
+        shares[value] = found.stable_share
+        return found.stable_share, unresolved_share(plane, found, question.axes)
 
     def error(value: float) -> float:
         plane = question.plane(_settings(within.keys, value))
-        return _REST * abs(_borders(question, plane, _unheard, _LEVELS + 1).stable_share - shares[value])
+        return _REST * abs(_borders(question, plane, _unheard, levels=_FINER).stable_share - shares[value])
 
     return best_value(share, error, within, told)
 
