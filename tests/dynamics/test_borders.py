@@ -173,17 +173,16 @@ def test_straight_lines_between_points_show_on_a_map_as_fine_as_their_spacing() 
     found = stability_borders(plane, *spans, first=(24, 24), levels=1, spacing=1 / 119)
     x, y = (np.linspace(*span, 120) for span in spans)
     stable = stability_map(parameters, x, y).multiplier_max < 1
-    wrong: dict[float, float] = {}
-    for spacing in (1 / 119, 0.3):
-        lines = [(b.x, b.y) for b in (branch.at_spacing(spacing) for branch in found.branches)]
+    wrong: list[float] = []
+    for step in (1, 15):  # 15 pitches turn the border by a few degrees, as the steps do by which it was followed
+        lines = [(b.x[::step], b.y[::step]) for b in found.branches]
         rows = compare(stable[1:-1], x, y[1:-1], lines)
         columns = compare(stable[:, 1:-1].T, y, x[1:-1], [(b, a) for a, b in lines])
         assert rows.changes > 100
-        assert columns.changes > 10
-        wrong[spacing] = max(rows.worst_pitches, columns.worst_pitches)
-        if spacing < 0.01:
-            assert rows.unseen == columns.unseen == []
-    assert wrong[1 / 119] <= 0.5
+        assert columns.changes > 4
+        wrong.append(max(rows.worst_pitches, columns.worst_pitches))
+        assert step > 1 or rows.unseen == columns.unseen == []
+    assert wrong[0] <= 0.5 < wrong[1]
 
 
 def test_a_branch_has_points_as_dense_as_wanted() -> None:
