@@ -3,8 +3,8 @@
 
 Between two neighbouring points of a map of different sign an odd number of borders crosses, between two of the same
 sign an even number. So along each line of the grid every stretch between two points is right or wrong. Where a border
-is drawn in the wrong stretch, that one and the right one are both wrong: how far the crossing is from the right stretch,
-in pitches, is how far the line is off.
+is drawn in the wrong stretch, that one and the right one are both wrong: how far the crossing is from the right one, in
+pitches, is how far the line is off.
 """
 
 from __future__ import annotations

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from benchmarks.lines_on_maps import compare
+from benchmarks.stability_borders import against_scipy
 from dynamics.equations.balancing import balanced_angles
 from dynamics.errors import OutsideDomain
 from dynamics.stability.border_cells import KnownPoints, Lattice, border_cells
@@ -16,6 +22,7 @@ from dynamics.stability.border_crossings import crossings_of
 from dynamics.stability.border_following import SHORTEST, Followed, follow
 from dynamics.stability.borders import FLUTTER, Borders, stability_borders
 from dynamics.stability.map_plane import SpeedStiffnessPlane, multiplier_at
+from dynamics.stability.stability_map import stability_map
 from tests.dynamics.nominal import rig
 
 Array = NDArray[np.floating]
@@ -134,13 +141,102 @@ def test_points_of_a_border_are_exact_and_say_how_stability_is_lost() -> None:
         assert set(branch.kind) == {FLUTTER}
         assert np.max(np.abs(np.abs(branch.multiplier) - 1)) < 1e-11
         assert np.all(branch.multiplier.imag >= 0)
-        for i in range(0, len(branch.x), 40):
+        assert branch.off <= 1e-11
+        for i in range(0, len(branch.x), len(branch.x) // 12):
             assert multiplier_at(plane, float(branch.x[i]), float(branch.y[i]), 1e-11)[0] == pytest.approx(1, abs=2e-11)
             if 0 < i < len(branch.x) - 1:
                 way = complex(branch.x[i + 1] - branch.x[i - 1], branch.y[i + 1] - branch.y[i - 1])
                 left = 1e-4j * way / abs(way)
                 inside = multiplier_at(plane, float(branch.x[i]) + left.real, float(branch.y[i]) + left.imag, 1e-11)[0]
                 assert inside < 1
+
+
+@pytest.mark.parametrize("zeta", [0.005, 0.1])
+def test_multipliers_along_borders_are_those_that_scipy_finds(zeta: float) -> None:
+    """Over a whole revolution, by equations written down anew."""
+    parameters = rig(zeta=zeta)
+    _, found = borders_of(zeta, (1.2, 4.6), (8.0, 16.0))
+    checked = against_scipy(parameters, found.branches, 211)
+    assert checked.points > 30
+    assert checked.modulus < 2e-11
+    assert checked.multiplier < 5e-10
+    assert checked.off_in_speed < 1e-10
+    assert (checked.wrong_sides, checked.wrong_kinds) == (0, 0)
+
+
+def test_straight_lines_between_points_show_on_a_map_as_fine_as_their_spacing() -> None:
+    """Where a tongue is level two borders end within a row of a map of 4000 × 3000: longer lines miss it by pitches."""
+    parameters = rig(zeta=0.005)
+    plane = SpeedStiffnessPlane(parameters, balanced_angles(parameters)[0])
+    pitches, corner = (6.7 / 3999, 15 / 2999), (1.4, 15.6)
+    spans = [(low, low + 119 * pitch) for low, pitch in zip(corner, pitches, strict=True)]
+    found = stability_borders(plane, *spans, first=(24, 24), levels=1, spacing=1 / 119)
+    x, y = (np.linspace(*span, 120) for span in spans)
+    stable = stability_map(parameters, x, y).multiplier_max < 1
+    wrong: list[float] = []
+    for step in (1, 15):  # 15 pitches turn the border by a few degrees, as the steps do by which it was followed
+        lines = [(b.x[::step], b.y[::step]) for b in found.branches]
+        rows = compare(stable[1:-1], x, y[1:-1], lines)
+        columns = compare(stable[:, 1:-1].T, y, x[1:-1], [(b, a) for a, b in lines])
+        assert rows.changes > 100
+        assert columns.changes > 4
+        wrong.append(max(rows.worst_pitches, columns.worst_pitches))
+        assert step > 1 or rows.unseen == columns.unseen == []
+    assert wrong[0] <= 0.5 < wrong[1]
+
+
+def test_a_branch_has_points_as_dense_as_wanted() -> None:
+    _, found = borders_of(0.1, (3.0, 6.0), (10.0, 16.0))
+    for branch in found.branches:
+        for spacing in (1 / 4000, 1 / 30_000):
+            dense = branch.at_spacing(spacing)
+            apart = np.hypot(np.diff(dense.x) / 3.0, np.diff(dense.y) / 6.0)
+            assert np.max(apart) <= spacing
+            assert (dense.x[0], dense.y[-1]) == (branch.x[0], branch.y[-1])
+        with pytest.raises(OutsideDomain, match="spacing"):
+            branch.at_spacing(0.0)
+
+
+CELL = np.array([1 / 32, 1 / 24])  # of the first grid below
+
+
+def cells_with_a_border(island: Callable[[Array, Array], NDArray[np.bool_]], levels: int = 1) -> int:
+    """Of a grid over something stable within an island alone, by the same distance everywhere: nothing hints at it."""
+
+    def excess(x: Array, y: Array) -> Array:
+        return np.where(island(x, y), -1.0, 1.0)
+
+    lattice = Lattice((0.0, 1.0), (0.0, 1.0), 32 << levels, 24 << levels)
+    return len(border_cells(KnownPoints(lattice, excess), 32, 24, levels, silent).i)
+
+
+@given(x=st.floats(0.03, 0.97), y=st.floats(0.03, 0.97), size=st.floats(1.01, 2.0))
+def test_an_island_as_large_as_a_cell_of_the_first_grid_is_never_missed(x: float, y: float, size: float) -> None:
+    wide, high = CELL * size / 2
+    assert cells_with_a_border(lambda a, b: (np.abs(a - x) < wide) & (np.abs(b - y) < high)) >= 4
+
+
+@given(at=st.floats(0.05, 0.95), lean=st.floats(-0.4, 0.4))
+def test_a_band_as_wide_as_a_cell_of_the_first_grid_is_never_missed(at: float, lean: float) -> None:
+    half = 0.51 * CELL[0]
+    assert cells_with_a_border(lambda a, b: np.abs(a - at - lean * (b - 0.5)) < half) >= 20
+
+
+def test_an_island_between_the_points_of_the_first_grid_is_missed_as_it_says() -> None:
+    x, y = 10.5 * CELL[0], 7.5 * CELL[1]
+    wide, high = 0.45 * CELL
+    assert cells_with_a_border(lambda a, b: (np.abs(a - x) < wide) & (np.abs(b - y) < high), levels=3) == 0
+
+
+def test_a_band_that_is_hardly_wider_than_it_says_is_found() -> None:
+    """The stable band at ζ = 0.1, Ω = 4.39 … 4.54, in a range of more than a hundred times its width."""
+    parameters = rig(zeta=0.1)
+    plane = SpeedStiffnessPlane(parameters, balanced_angles(parameters)[0])
+    found = stability_borders(plane, (0.3, 24.3), (15.9, 16.0), spacing=1 / 500)
+    assert found.complete_to == (1 / 192, 1 / 144)
+    assert 1.0 < (4.5448 - 4.3929) / 24.0 / found.complete_to[0] < 1.3
+    tops = sorted(float(branch.x[end]) for branch in found.branches for end in (0, -1) if branch.y[end] == 16.0)
+    assert tops == pytest.approx([1.06024, 2.97965, 4.39294, 4.54483, 5.2015], abs=1e-4)
 
 
 def test_where_balance_ends_nothing_is_claimed() -> None:
@@ -152,6 +248,13 @@ def test_where_balance_ends_nothing_is_claimed() -> None:
     assert found.bare
     assert max(u[1] for u, _ in found.bare) == pytest.approx(0.075)
     assert min(u[0] for u, _ in found.bare) == pytest.approx(0.0675, abs=0.0005)
+
+
+@pytest.mark.parametrize("more", [{"spacing": 0.0}, {"spacing": math.inf}, {"first": (0, 72)}])
+def test_no_spacing_and_no_grid_are_refused(more: dict[str, Any]) -> None:
+    plane = SpeedStiffnessPlane(rig(), balanced_angles(rig())[0])
+    with pytest.raises(OutsideDomain, match=r"spacing|first grid"):
+        stability_borders(plane, (1.0, 2.0), (1.0, 4.0), **more)
 
 
 @pytest.mark.parametrize(("x_range", "levels"), [((2.0, 1.0), 1), ((1.0, math.inf), 1), ((1.0, 2.0), 9)])
