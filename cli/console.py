@@ -17,6 +17,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.text import Text
 
 from cli import answer
+from dynamics.compiled_code import load_compiler
 
 _OBEYED = frozenset(("Cc", "Cf", "Cs", "Cn", "Zl", "Zp"))  # control, format, half characters, none, line ends
 
@@ -147,6 +148,8 @@ def show(text: str) -> None:
 def wait_for_compilation(what: str) -> Iterator[None]:
     """Say what is being waited for when code is compiled for this machine, which happens once."""
     from numba.core import event  # noqa: PLC0415 (numba takes a third of a second to import)
+
+    load_compiler()
 
     class FirstCompilation(event.Listener):
         def __init__(self) -> None:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import sys
+
+_AT_ONCE = {"predict"}  # commands that end within a second or two
+_SELDOM = (100_000, 50, 50)  # loading makes hundreds of thousands of objects and hardly any garbage
 
 
 def main() -> None:
     """Entry point."""
+    if set(sys.argv[1:2]) & _AT_ONCE:  # a process that lives long wants short pauses instead
+        gc.set_threshold(*_SELDOM)
     try:
         from cli.main import main as carry_out  # noqa: PLC0415 (loading takes a while)
 
@@ -24,3 +30,9 @@ def main() -> None:
         answer.begin(sys.argv[1:])
         crash.report(error, sys.argv[1:])
         sys.exit(answer.ended(0))
+    finally:
+        gc.freeze()  # else the interpreter, before it ends, looks for garbage in all of numba: a third of a second
+
+
+if __name__ == "__main__":
+    main()

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import importlib
 import os
 import shutil
 import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 _COMPILED = ("dynamics", "identification", "daq/virtual_rig")
 _KEPT_S = 60 * 86400.0  # directories of other versions not used for that long are removed
@@ -47,6 +49,24 @@ def keep_compiled_code() -> Path | None:
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(place)
     return place
+
+
+def load_compiler() -> None:
+    """Import what numba needs to run compiled code, without scipy's linear algebra.
+
+    numba asks on import whether scipy has a BLAS, which loads scipy.linalg: 0.15 s of a command that may never call it.
+    scipy is a dependency, so the answer is known; what numba checks of it besides (the width of its integers) is
+    checked all the same. Compiled code that calls LAPACK loads it when it does.
+    """
+    if "numba.np.arraymath" in sys.modules or "scipy.linalg" in sys.modules:
+        return
+    linalg: Any = importlib.import_module("numba.np.linalg")
+    asked = linalg.ensure_blas
+    linalg.ensure_blas = getattr(linalg, "_check_lapack_int_width", lambda: None)
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = asked
 
 
 def source_digest() -> str:

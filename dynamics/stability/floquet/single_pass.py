@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
@@ -15,6 +14,8 @@ ORDER = 8
 
 def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
     """See MonodromyMethod. The run chooses its own steps; `steps` sets its tolerance, steps^−8."""
+    from scipy.integrate import solve_ivp  # noqa: PLC0415 (a third of a second, which no other method needs)
+
     n, series = matrix.dimension, per_radian(matrix)
     a = np.empty((n, n))
 
