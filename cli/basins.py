@@ -236,7 +236,7 @@ def _print_chances(chances: dict[str, Any]) -> None:
 
 def _end_words(end: dict[str, Any]) -> str:
     if end["type"] == "slipping":
-        a, b = end["turns_per_revolution"]
+        a, b = (round(rate, 9) + 0.0 for rate in end["turns_per_revolution"])  # no −0
         where = f"slipping, A {a:.5g} and B {b:.5g} turns per revolution"
     else:
         where = f"{end['type']:4} θ3 {end['theta3_deg']:.2f}° θ4 {end['theta4_deg']:.2f}°"

@@ -141,7 +141,7 @@ def end_ahead(turning: Turning, state: Array, seconds: float) -> End | None:
         more = max(_TAKEN_ON, len(strobe) // 2)
         strobe = np.concatenate([strobe, turning.strobed(strobe[-1], more)[1:]])
         done += more
-    orbit = slipping_orbit(turning, strobe[len(strobe) // 3 :], NEAR_RAD)
+    orbit = slipping_orbit(turning, strobe[len(strobe) // 3 :], NEAR_RAD, quick=True)
     return None if orbit is None else with_slipping([], [orbit])[0]
 
 
