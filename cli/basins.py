@@ -210,7 +210,7 @@ def _print(result: dict[str, Any], settings: list[str] | None) -> None:
     if result["not_settled_share"]:
         print(f"  {100 * result['not_settled_share']:5.1f} %  not settled within {result['followed_s']:g} s")
     print(
-        f"at a boundary, where {result['stated_error_deg']:.1g}° change the end: "
+        f"at a boundary, where {result['stated_error_deg']:.1g}° may change the end: "
         f"{100 * result['at_a_boundary_share']:.2g} %"
     )
     if result["probabilities"] is not None:

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, QuadMesh
+from matplotlib.collections import LineCollection, PolyCollection, QuadMesh
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -29,6 +29,7 @@ _COLOURS = {
     "slipping": ("#D55E00", "#E69F00", "#F5D08A", "#8C3B00"),
 }
 _NOT_SETTLED = "#d9d9d9"
+_HATCH = "#00000080"
 _LOCKS_DEG = (0.0, 180.0)
 
 
@@ -80,10 +81,9 @@ def _ends(axes: Axes, found: BasinMap) -> None:
     norm = BoundaryNorm(np.arange(len(colours) + 1) - 1.5, len(colours))
     axes.pcolormesh(x, y, found.end, cmap=palette, norm=norm, shading="nearest", rasterized=True)
     axes.add_collection(LineCollection(_borders(x, y, found.end), colors="white", linewidths=0.7))
-    if min(found.end.shape) >= 2 and not np.all(found.sure):
-        hatched = axes.pcolor(x, y, np.ma.masked_where(found.sure, found.end), shading="nearest", rasterized=False)
-        hatched.set_array(None)
-        hatched.set(facecolor="none", edgecolor="#00000080", linewidth=0.0, hatch="////")
+    cells = _cells(x, y, ~found.sure)
+    if cells:
+        axes.add_collection(PolyCollection(cells, facecolor="none", edgecolor=_HATCH, linewidth=0.0, hatch="////"))
     label(axes, "A held at θ3, degrees", "B held at θ4, degrees", "where a release ends")
 
 
@@ -96,6 +96,18 @@ def _borders(x: Array, y: Array, end: NDArray[np.int64]) -> list[list[tuple[floa
     for i, j in np.argwhere(end[1:] != end[:-1]).tolist():
         lines.append([(across[j], up[i + 1]), (across[j + 1], up[i + 1])])
     return lines
+
+
+def _cells(x: Array, y: Array, chosen: NDArray[np.bool_]) -> list[list[tuple[float, float]]]:
+    """Corners of the chosen cells; of a whole row of neighbours in one, so that the hatch runs through."""
+    across, up = _sides(x), _sides(y)
+    found = list[list[tuple[float, float]]]()
+    for i, row in enumerate(chosen):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        for begin, end in edges.reshape(-1, 2).tolist():
+            left, right, low, high = across[begin], across[end], up[i], up[i + 1]
+            found.append([(left, low), (right, low), (right, high), (left, high)])
+    return found
 
 
 def _sides(middles: Array) -> list[float]:
@@ -142,6 +154,6 @@ def _legend(found: BasinMap) -> Sequence[Any]:
         )
     unsure = 1.0 - float(np.mean(found.sure))
     if unsure > 0:
-        text = f"at a boundary: ± {math.degrees(found.stated_error_rad):.1g}° change the end · {100 * unsure:.1f} %"
-        handles.append(Patch(facecolor="white", edgecolor="#00000080", hatch="////", lw=0, label=text))
+        text = f"at a boundary: ± {math.degrees(found.stated_error_rad):.1g}° may change the end · {100 * unsure:.1f} %"
+        handles.append(Patch(facecolor="white", edgecolor=_HATCH, hatch="////", lw=0, label=text))
     return handles

@@ -154,9 +154,9 @@ def _state_near(turning: Turning, state: Array) -> End | None:
     region = attracting_region(turning, start, quick=True)
     if region is None:
         return None
-    theta = (float(start[2] % (2 * math.pi)), float(start[3] % (2 * math.pi)))
+    radius, a, b = turning.means(start)
+    theta = (a % (2 * math.pi), b % (2 * math.pi))
     kind = kind_of(turning.parameters, theta)
-    radius = turning.mean_radius(start)
     return End(kind, mirror_image(kind, theta), theta, radius, float(motion.moduli[0]), start, region)
 
 
