@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from cli.console import print_json, say, share_progress, wait_for_compilation
+from cli.console import print_json, say, wait_for_compilation
 from cli.model import Plot
 from cli.numbers import Positive, PositiveRpm, PositiveSeconds
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def basins(
     started = time.perf_counter()
     total = numbers[0] * numbers[1]
     try:
-        with share_progress(f"{total} releases of {seconds:g} s") as progress:
+        with share_progress(f"{total} releases of {seconds:g} s", total, "releases") as progress:
             found = basin_map(physics, speed, three, four, seconds, progress=progress)
     except KeyboardInterrupt:
         say("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
@@ -102,7 +103,7 @@ def _chances(
 
     if not known.values:
         say("rig basins: no --parameters FILE: only the locks' play is drawn")
-    with share_progress(f"{draws} rigs drawn") as progress:
+    with share_progress(f"{draws} rigs drawn", draws, "rigs") as progress:
         found = end_probabilities(
             physics, speed, known, draws, seconds=seconds, play_rad=math.radians(play_deg), progress=progress
         )
@@ -210,7 +211,7 @@ def _print(result: dict[str, Any], settings: list[str] | None) -> None:
     if result["not_settled_share"]:
         print(f"  {100 * result['not_settled_share']:5.1f} %  not settled within {result['followed_s']:g} s")
     print(
-        f"at a boundary, where {result['stated_error_deg']:.1g}° change the end: "
+        f"at a boundary, where {result['stated_error_deg']:.1g}° may change the end: "
         f"{100 * result['at_a_boundary_share']:.2g} %"
     )
     if result["probabilities"] is not None:
@@ -236,7 +237,7 @@ def _print_chances(chances: dict[str, Any]) -> None:
 
 def _end_words(end: dict[str, Any]) -> str:
     if end["type"] == "slipping":
-        a, b = end["turns_per_revolution"]
+        a, b = (round(rate, 9) + 0.0 for rate in end["turns_per_revolution"])  # no −0
         where = f"slipping, A {a:.5g} and B {b:.5g} turns per revolution"
     else:
         where = f"{end['type']:4} θ3 {end['theta3_deg']:.2f}° θ4 {end['theta4_deg']:.2f}°"

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
+from matplotlib.collections import LineCollection, PolyCollection, QuadMesh
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -26,9 +26,10 @@ _COLOURS = {
     "II": ("#CC79A7", "#882255"),
     "III": ("#009E73", "#88C999"),
     "one": ("#0072B2", "#56B4E9"),
-    "slipping": ("#D55E00", "#E69F00"),
+    "slipping": ("#D55E00", "#E69F00", "#F5D08A", "#8C3B00"),
 }
 _NOT_SETTLED = "#d9d9d9"
+_HATCH = "#00000080"
 _LOCKS_DEG = (0.0, 180.0)
 
 
@@ -79,15 +80,40 @@ def _ends(axes: Axes, found: BasinMap) -> None:
     x, y = _degrees(found.theta3_rad), _degrees(found.theta4_rad)
     norm = BoundaryNorm(np.arange(len(colours) + 1) - 1.5, len(colours))
     axes.pcolormesh(x, y, found.end, cmap=palette, norm=norm, shading="nearest", rasterized=True)
-    if min(found.end.shape) >= 2:
-        for value in np.unique(found.end)[1:]:
-            axes.contour(x, y, (found.end >= value).astype(float), levels=[0.5], colors="white", linewidths=0.6)
-        if not np.all(found.sure):
-            unsure = np.where(found.sure, np.nan, 1.0)
-            mesh = axes.pcolor(x, y, np.ma.masked_invalid(unsure), hatch="////", alpha=0.0, shading="nearest")
-            mesh.set_edgecolor("black")
-            mesh.set_linewidth(0.0)
+    axes.add_collection(LineCollection(_borders(x, y, found.end), colors="white", linewidths=0.7))
+    cells = _cells(x, y, ~found.sure)
+    if cells:
+        axes.add_collection(PolyCollection(cells, facecolor="none", edgecolor=_HATCH, linewidth=0.0, hatch="////"))
     label(axes, "A held at θ3, degrees", "B held at θ4, degrees", "where a release ends")
+
+
+def _borders(x: Array, y: Array, end: NDArray[np.int64]) -> list[list[tuple[float, float]]]:
+    """Sides between cells that end differently."""
+    across, up = _sides(x), _sides(y)
+    lines = list[list[tuple[float, float]]]()
+    for i, j in np.argwhere(end[:, 1:] != end[:, :-1]).tolist():
+        lines.append([(across[j + 1], up[i]), (across[j + 1], up[i + 1])])
+    for i, j in np.argwhere(end[1:] != end[:-1]).tolist():
+        lines.append([(across[j], up[i + 1]), (across[j + 1], up[i + 1])])
+    return lines
+
+
+def _cells(x: Array, y: Array, chosen: NDArray[np.bool_]) -> list[list[tuple[float, float]]]:
+    """Corners of the chosen cells; of a whole row of neighbours in one, so that the hatch runs through."""
+    across, up = _sides(x), _sides(y)
+    found = list[list[tuple[float, float]]]()
+    for i, row in enumerate(chosen):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        for begin, end in edges.reshape(-1, 2).tolist():
+            left, right, low, high = across[begin], across[end], up[i], up[i + 1]
+            found.append([(left, low), (right, low), (right, high), (left, high)])
+    return found
+
+
+def _sides(middles: Array) -> list[float]:
+    half = 0.5 * (middles[1] - middles[0]) if len(middles) > 1 else 1.0
+    inner = 0.5 * (middles[1:] + middles[:-1])
+    return np.concatenate([[middles[0] - half], inner, [middles[-1] + half]]).tolist()
 
 
 def _times(figure: Figure, axes: Axes, found: BasinMap) -> None:
@@ -128,6 +154,6 @@ def _legend(found: BasinMap) -> Sequence[Any]:
         )
     unsure = 1.0 - float(np.mean(found.sure))
     if unsure > 0:
-        text = f"at a boundary: ± {math.degrees(found.stated_error_rad):.1g}° change the end · {100 * unsure:.1f} %"
-        handles.append(Patch(facecolor="white", edgecolor="black", hatch="////", lw=0, label=text))
+        text = f"at a boundary: ± {math.degrees(found.stated_error_rad):.1g}° may change the end · {100 * unsure:.1f} %"
+        handles.append(Patch(facecolor="white", edgecolor=_HATCH, hatch="////", lw=0, label=text))
     return handles

@@ -23,6 +23,7 @@ _FIRST = 12  # releases followed before all others, to find slipping orbits
 _SCOUTS = 6  # releases that are followed on, to see what they slip on
 _SCOUTED = 3000  # revolutions
 _LOOKED_AT = 1500  # of them, the last
+_FIRST_PASS = 0.8  # of the work; the rest where releases have led to further slipping orbits
 _SAME_RATE = 1e-5  # turns per revolution
 
 
@@ -119,7 +120,8 @@ def follow_to_all(
     first = follow(turning, starts[few], steady, seconds, stated_error_rad=stated_error_rad)
     orbits = _scouted(turning, first.last[first.end < 0], [])
     ends = with_slipping(steady, orbits)
-    found = follow(turning, starts, ends, seconds, stated_error_rad=stated_error_rad, progress=progress)
+    told = _part(progress, 0.0, _FIRST_PASS)
+    found = follow(turning, starts, ends, seconds, stated_error_rad=stated_error_rad, progress=told)
     left = np.flatnonzero(found.end < 0)
     while len(left):
         added = _scouted(turning, found.last[left], orbits)
@@ -127,9 +129,16 @@ def follow_to_all(
             break
         orbits += added
         ends = with_slipping(steady, orbits)
-        found.put(left, follow(turning, starts[left], ends, seconds, stated_error_rad=stated_error_rad))
+        told = _part(progress, _FIRST_PASS, 1.0)
+        again = follow(turning, starts[left], ends, seconds, stated_error_rad=stated_error_rad, progress=told)
+        found.put(left, again)
         left = np.flatnonzero(found.end < 0)
     return ends, found
+
+
+def _part(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
+    """Progress of a part of the work, told as a share of the whole."""
+    return None if progress is None else lambda share: progress(begin + share * (end - begin))
 
 
 def _scouted(turning: Turning, last: Array, known: Sequence[SlippingOrbit]) -> list[SlippingOrbit]:

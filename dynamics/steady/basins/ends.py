@@ -55,7 +55,7 @@ class End:
             a, b = (math.degrees(angle) for angle in self.theta_rad)
             return f"{self.name}: A at {a:.1f}°, B at {b:.1f}°"
         assert self.slipping is not None
-        a, b = self.slipping.turns_per_revolution
+        a, b = (round(rate, 9) + 0.0 for rate in self.slipping.turns_per_revolution)  # no −0
         return f"slipping: A {a:.4g}, B {b:.4g} turns per revolution"
 
 

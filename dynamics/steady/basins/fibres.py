@@ -22,8 +22,8 @@ from dynamics.steady.basins.turning import Turning
 
 Array = NDArray[np.float64]
 
-_FOLLOWED, _DROPPED = 3000, 200  # revolutions over which deviations are followed, and those before they are sorted
-_SHELL, _SHELLS, _SAMPLES = 1.3, 50, 400
+_FOLLOWED, _DROPPED = 1600, 150  # revolutions over which deviations are followed, and those before they are sorted
+_THOROUGH, _QUICK = (1.3, 50, 400), (1.8, 22, 100)  # ratio of neighbouring shells' radii, shells, samples on each
 _FIRST_RAD, _LARGEST_RAD, _SHRINK = 2e-3, 2.0, 0.999
 _SEED = 21
 
@@ -96,7 +96,7 @@ class Fibres:
         for _ in range(5000):
             then = one + np.swapaxes(maps, 1, 2) @ turned(found, self.rate) @ maps
             then = 0.5 * (then + np.swapaxes(then, 1, 2))
-            done = float(np.max(np.abs(then - found))) <= 1e-9 * float(np.max(np.abs(then)))
+            done = float(np.max(np.abs(then - found))) <= 1e-7 * float(np.max(np.abs(then)))
             found = then
             if done:
                 break
@@ -119,11 +119,14 @@ class Fibres:
         return states, found / units[:, None] / units[None, :]
 
 
-def caught_scale(turning: Turning, points: Array, forms: Array, lead: int, sheets: int) -> float:
+def caught_scale(
+    turning: Turning, points: Array, forms: Array, lead: int, sheets: int, *, quick: bool = False
+) -> float:
     """V on the largest shell about a curve up to which every sample came nearer in a revolution; 0: on none.
 
     Args:
         points, forms, lead, sheets: as of dynamics.steady.basins.pursuit.deviation.
+        quick: fewer shells and samples.
     """
     units = turning.units
     across = [i for i in turning.free if lead < 0 or i != 2 + lead]
@@ -131,27 +134,30 @@ def caught_scale(turning: Turning, points: Array, forms: Array, lead: int, sheet
     outward = np.linalg.inv(np.linalg.cholesky(forms[:, across][:, :, across])).swapaxes(1, 2)
     largest = float(np.sqrt(np.max(np.sum((outward / units[across][None, :, None]) ** 2, axis=2))))
     rng, radius, passed = np.random.default_rng(_SEED), _FIRST_RAD / largest, 0.0
-    for _ in range(_SHELLS):
+    ratio, shells, samples = _QUICK if quick else _THOROUGH
+    for _ in range(shells):
         if radius * largest > _LARGEST_RAD:
             break
-        rows = rng.integers(0, len(points), _SAMPLES)
-        ways = rng.standard_normal((_SAMPLES, len(across)))
+        rows = rng.integers(0, len(points), samples)
+        ways = rng.standard_normal((samples, len(across)))
         ways *= radius / np.linalg.norm(ways, axis=1)[:, None]
         states = points[rows]
         states[:, across] += np.einsum("nij,nj->ni", outward[rows], ways)
         if not np.all(_values(turning.after(states), ends) < _SHRINK * radius**2):
             break
         passed = radius**2
-        radius *= _SHELL
+        radius *= ratio
     return passed
 
 
 def series(values: Array, places: Array) -> Array:
     """Trigonometric interpolation of values at equal steps (first axis, an odd number) at any places χ."""
     count = len(values)
-    orders = np.fft.fftfreq(count, 1 / count)
-    weights = np.real(np.exp(2j * math.pi * (places[:, None] - np.arange(count)[None, :] / count)[:, :, None] * orders)
-                      .sum(axis=2)) / count  # fmt: skip
+    away = places[:, None] - np.arange(count)[None, :] / count
+    away -= np.round(away)
+    own = np.abs(away) < 1e-12
+    sine = np.sin(math.pi * np.where(own, 0.5, away))
+    weights = np.where(own, 1.0, np.sin(math.pi * count * away) / (count * sine))  # the Dirichlet kernel
     return (weights @ values.reshape(count, -1)).reshape(len(places), *values.shape[1:])
 
 

@@ -81,7 +81,7 @@ def periodic_motion(
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    return np.linalg.solve(matrix, right)
+    return np.linalg.solve(matrix, right).astype(np.float64)
 
 
 def repeats(turning: Turning, strobe: Array, most: int, within: float) -> tuple[int, tuple[int, int]] | None:

@@ -40,7 +40,7 @@ def advance(y, omega, steps, system, k, end, phase, orbit):
 
     Args:
         y: shape (8,), angles counted on.
-        orbit: mean x, y and mean x² + y² on the way, shape (3,).
+        orbit: mean x, y, x² + y² and angles of A and B at the ends of the steps, shape (5,).
     """
     p, free_a, free_b = system[0], system[1], system[2]
     h = _TAU / omega / steps
@@ -53,6 +53,8 @@ def advance(y, omega, steps, system, k, end, phase, orbit):
         orbit[0] += y[0]
         orbit[1] += y[1]
         orbit[2] += y[0] * y[0] + y[1] * y[1]
+        orbit[3] += y[2]
+        orbit[4] += y[3]
     orbit /= steps
 
 
@@ -148,7 +150,7 @@ def pursue(y, beside, turns, motion, ends, units, limits, facts):
             (nan: never), largest distance of both before that, rms radius in the last revolution, turns of A and B.
     """
     work = (np.zeros((16, 8)), np.empty(8), np.empty(3))
-    orbit, begin_a, begin_b = np.zeros(3), y[2], y[3]
+    orbit, begin_a, begin_b = np.zeros(5), y[2], y[3]
     facts[CAUGHT], facts[SETTLED], facts[APART] = np.nan, np.nan, 0.0
     number, done = _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit)
     facts[END], facts[RADIUS] = number, _radius_of(orbit)
@@ -168,7 +170,7 @@ def _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit):
     """Revolutions of release and neighbour until an end has caught both: (its number or −1, revolutions)."""
     omega, pace, steps_rad, system = motion
     share, apart = limits[0], limits[1]
-    gap, other = np.empty(8), np.zeros(3)
+    gap, other = np.empty(8), np.zeros(5)
     done = 0
     while True:
         number = _caught_by(y, ends, share, gap)

@@ -141,7 +141,7 @@ def end_ahead(turning: Turning, state: Array, seconds: float) -> End | None:
         more = max(_TAKEN_ON, len(strobe) // 2)
         strobe = np.concatenate([strobe, turning.strobed(strobe[-1], more)[1:]])
         done += more
-    orbit = slipping_orbit(turning, strobe[len(strobe) // 3 :], NEAR_RAD)
+    orbit = slipping_orbit(turning, strobe[len(strobe) // 3 :], NEAR_RAD, quick=True)
     return None if orbit is None else with_slipping([], [orbit])[0]
 
 
@@ -154,9 +154,9 @@ def _state_near(turning: Turning, state: Array) -> End | None:
     region = attracting_region(turning, start, quick=True)
     if region is None:
         return None
-    theta = (float(start[2] % (2 * math.pi)), float(start[3] % (2 * math.pi)))
+    radius, a, b = turning.means(start)
+    theta = (a % (2 * math.pi), b % (2 * math.pi))
     kind = kind_of(turning.parameters, theta)
-    radius = turning.mean_radius(start)
     return End(kind, mirror_image(kind, theta), theta, radius, float(motion.moduli[0]), start, region)
 
 

@@ -72,19 +72,22 @@ class SlippingOrbit:
         return self.multiplier_across < 1.0
 
 
-def slipping_orbit(turning: Turning, strobe: Array, near_rad: float | None) -> SlippingOrbit | None:
+def slipping_orbit(
+    turning: Turning, strobe: Array, near_rad: float | None, *, quick: bool = False
+) -> SlippingOrbit | None:
     """The stable slipping orbit near a strobed motion, or None.
 
     Args:
         strobe: states once a revolution at ψ = 0, angles counted on, shape (n, 8), past the transient.
         near_rad: deviation at which a motion is on the orbit, in units of the state; None: no region is sought.
+        quick: a region from fewer samples.
     """
     locked = repeats(turning, strobe, _MOST_PERIOD, _REPEATS)
     if locked is not None:
         if locked[1] == (0, 0):
             return None
         motion = periodic_motion(turning, strobe[-1], *locked)
-        return _of_periodic(turning, motion, near_rad) if motion is not None and motion.stable else None
+        return _of_periodic(turning, motion, near_rad, quick) if motion is not None and motion.stable else None
     rates = mean_rates(strobe[:, 2:4])
     there = list(turning.there)
     if not np.all(np.isfinite(strobe)) or np.max(np.abs(rates[there])) * len(strobe) < _LEAST_TURNS:
@@ -93,7 +96,7 @@ def slipping_orbit(turning: Turning, strobe: Array, near_rad: float | None) -> S
         for count in _ODD:
             found = curve_by_newton(turning, _guess(strobe, rate, winding, count), rate, winding)
             if found is not None:
-                return described(turning, found[0], found[1], winding, found[2], near_rad)
+                return described(turning, found[0], found[1], winding, found[2], near_rad, quick)
     return None
 
 
@@ -207,13 +210,15 @@ def _shift(count: int, rate: float) -> tuple[Array, Array]:
 
 
 def described(
-    turning: Turning, u: Array, rate: float, winding: tuple[int, int], residual: float, near_rad: float | None
-) -> SlippingOrbit | None:
+    turning: Turning, u: Array, rate: float, winding: tuple[int, int], residual: float, near_rad: float | None,
+    quick: bool = False,
+) -> SlippingOrbit | None:  # fmt: skip
     """A curve with its multipliers and its region; None where it is not stable, or its lead pendulum turns back.
 
     Args:
         u, rate, winding, residual: as curve_by_newton has them.
         near_rad: deviation at which a motion is on it; None: no region is sought, and it catches nothing.
+        quick: a region from fewer samples.
     """
     fibres = Fibres.of(turning, u, rate, winding)
     if fibres is None:
@@ -225,7 +230,7 @@ def described(
     points, forms = fibres.rows(_ROWS * fibres.sheets, fibres.forms(math.sqrt(max(across, 0.25))))
     near = 0.0
     if near_rad is not None:
-        scale = caught_scale(turning, points, forms, fibres.lead, fibres.sheets)
+        scale = caught_scale(turning, points, forms, fibres.lead, fibres.sheets, quick=quick)
         if scale == 0.0:
             return None
         forms = forms / scale
@@ -240,7 +245,9 @@ def described(
     )  # fmt: skip
 
 
-def _of_periodic(turning: Turning, motion: PeriodicMotion, near_rad: float | None) -> SlippingOrbit | None:
+def _of_periodic(
+    turning: Turning, motion: PeriodicMotion, near_rad: float | None, quick: bool = False
+) -> SlippingOrbit | None:
     """A slipping orbit of q states, each with a form that one revolution makes smaller; None without a region."""
     free, units, count = turning.free, turning.units, len(motion.states)
     gamma = math.sqrt(max(float(motion.moduli[0]), 0.25))
@@ -258,7 +265,7 @@ def _of_periodic(turning: Turning, motion: PeriodicMotion, near_rad: float | Non
     forms = forms / units[:, None] / units[None, :]
     near = 0.0
     if near_rad is not None:
-        scale = caught_scale(turning, motion.states, forms, -1, 1)
+        scale = caught_scale(turning, motion.states, forms, -1, 1, quick=quick)
         if scale == 0.0:
             return None
         forms = forms / scale

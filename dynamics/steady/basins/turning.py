@@ -126,14 +126,21 @@ class Turning:
             raise OutsideDomain("the motion is too stiff or the rotor too slow for explicit steps")
         return found
 
+    def means(self, start: Array, revolutions: int = 1) -> tuple[float, float, float]:
+        """Root mean square distance of the disk centre from its mean, m, and mean angles of A and B, rad."""
+        means = np.zeros(3)
+        motion = (self.speed_rad_s, self.pace, STEP_RAD, self.system)
+        _means(np.array(start), revolutions, motion, means)
+        return float(means[0]), float(means[1]), float(means[2])
+
     def mean_radius(self, start: Array, revolutions: int = 1) -> float:
         """Root mean square distance of the disk centre from its mean over some revolutions, m."""
-        return float(_radius(np.array(start), self.speed_rad_s, revolutions, self.pace, STEP_RAD, self.system))
+        return self.means(start, revolutions)[0]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _many(states: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, system: Any, track: Any) -> None:
-    k, work, phase, orbit = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(3)
+    k, work, phase, orbit = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(5)
     for i in range(len(states)):
         for n in range(revolutions):
             steps = steps_needed(states[i], omega, pace, step_rad)
@@ -143,10 +150,18 @@ def _many(states: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, s
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _radius(state: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, system: Any) -> Any:
-    k, work, phase, orbit, mean = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(3), np.zeros(3)
+def _means(state: Any, revolutions: Any, motion: Any, means: Any) -> None:
+    """Radius and mean angles into means (3,)."""
+    omega, pace, step_rad, system = motion
+    k, work, phase, orbit, mean = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(5), np.zeros(3)
     for _ in range(revolutions):
-        advance(state, omega, steps_needed(state, omega, pace, step_rad), system, k, work, phase, orbit)
-        mean += orbit
+        begin_a, begin_b = state[2], state[3]
+        steps = steps_needed(state, omega, pace, step_rad)
+        advance(state, omega, steps, system, k, work, phase, orbit)
+        means[1] += orbit[3] + 0.5 * (begin_a - state[2]) / steps
+        means[2] += orbit[4] + 0.5 * (begin_b - state[3]) / steps
+        mean += orbit[:3]
     mean /= revolutions
-    return math.sqrt(max(0.0, mean[2] - mean[0] ** 2 - mean[1] ** 2))
+    means[1] /= revolutions
+    means[2] /= revolutions
+    means[0] = math.sqrt(max(0.0, mean[2] - mean[0] ** 2 - mean[1] ** 2))
