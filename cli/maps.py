@@ -12,22 +12,31 @@ from analysis.errors import BadFigureName
 from cli.console import plain, print_json, say, wait_for_compilation
 from cli.map_tiles import in_tiles
 from cli.model import Accuracy
-from cli.numbers import Positive, PositiveRpm
+from cli.numbers import Positive, PositiveRpm, PositiveSeconds
 from cli.options import Json, ParametersPath, Settings, need_place
 from cli.scheduler import Scheduler
 from cli.share_progress import share_progress
 
 _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
+_X_OF_RELEASES, _Y_OF_RELEASES = "speed_ratio=0.3:7:80", "stiffness_ratio=1:16:40"
 
 
 def map(
     rig: str,
     *,
-    x: Annotated[str, Parameter(help="KEY=A:B:N or KEY=A:B:N:log, N values from A to B; KEY+KEY change alike")] = _X,
-    y: Annotated[str, Parameter(help="the same, of another number")] = _Y,
+    x: Annotated[
+        str | None,
+        Parameter(
+            help=f"KEY=A:B:N or KEY=A:B:N:log, N values from A to B; KEY+KEY change alike; {_X} without, fewer of releases"
+        ),
+    ] = None,
+    y: Annotated[str | None, Parameter(help=f"the same, of another number; {_Y} without")] = None,
     quantity: Annotated[
-        Literal["multiplier", "decay-rate"],
-        Parameter(help="the largest multiplier, or the decay rate per second that follows from it"),
+        Literal["multiplier", "decay-rate", "state", "amplitude", "settling-time"],
+        Parameter(
+            help="the largest multiplier; the decay rate per second that follows from it; or of a release at every "
+            "point the state reached, the amplitude left, the time it took"
+        ),
     ] = "multiplier",
     borders: Annotated[
         bool, Parameter(negative="", help="follow the borders of stability, every branch to 1e-10, beside the map")
@@ -41,6 +50,7 @@ def map(
     refine: Annotated[
         int, Parameter(help="halve the grid's cells so often both ways, but only where stability changes")
     ] = 0,
+    seconds: Annotated[PositiveSeconds, Parameter(help="how long a release is followed")] = 20.0,
     point: Annotated[str | None, Parameter(help="the speed of a point, where neither axis is a speed")] = None,
     speed_ratio: Annotated[Positive | None, Parameter(help="the speed, where neither axis is one")] = None,
     speed_rpm: Annotated[PositiveRpm | None, Parameter(help="the same in rpm")] = None,
@@ -64,7 +74,13 @@ def map(
         from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
         from analysis.maps.answers import answer, compile_maps  # noqa: PLC0415 (numba takes a while to load)
         from analysis.maps.files import need_map_suffix, write_map  # noqa: PLC0415
-        from analysis.maps.question import MapQuestion, parameters_source, rig_source, speed_of  # noqa: PLC0415
+        from analysis.maps.question import (  # noqa: PLC0415
+            OF_RELEASES,
+            MapQuestion,
+            parameters_source,
+            rig_source,
+            speed_of,
+        )  # fmt: skip
         from analysis.maps.records import record  # noqa: PLC0415
         from cli.map_axes import read_axis, read_family, read_range  # noqa: PLC0415
         from cli.map_page import draw, map_json, print_map, say_what_is_left_out  # noqa: PLC0415
@@ -73,15 +89,22 @@ def map(
             need_map_suffix(output)
         if plot is not None and plot.suffix.lower() not in SUFFIXES:
             raise BadFigureName(f"rig map: --plot {plot}: expected a name ending in {', '.join(SUFFIXES)}")
+        usual = (_X_OF_RELEASES, _Y_OF_RELEASES) if quantity in OF_RELEASES else (_X, _Y)
         question = MapQuestion(
-            rig_source(rig), read_axis("--x", x), read_axis("--y", y), parameters_source(parameters),
+            rig_source(rig), read_axis("--x", x or usual[0]), read_axis("--y", y or usual[1]), parameters_source(parameters),
             tuple(settings or ()), None, quantity, accuracy, borders, refine,
             None if family is None else read_family("--family", family),
             None if best is None else read_range("--best", best),
+            seconds,
         )  # fmt: skip
         question = replace(question, speed_rad_s=speed_of(question.loaded(), point, speed_ratio, speed_rpm))
-        say_what_is_left_out(question)
-        compile_maps(question)
+        if not question.of_releases:
+            say_what_is_left_out(question)
+            compile_maps(question)
+    if question.of_releases:
+        from cli.map_states import map_states  # noqa: PLC0415
+
+        return map_states(question, output, plot, scheduler, json)
     with in_tiles(question, output, scheduler) as grid_of:
         try:
             found = answer(question, share_progress, grid_of)

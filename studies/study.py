@@ -24,6 +24,7 @@ _KINDS = {
     "campaigns": "studies.campaigns",
     "map": "studies.maps",
     "archive": "studies.archive",
+    "releases": "studies.releases",
 }
 _SOURCES = ("dynamics", "uncertainty", "rig_configs", "daq", "identification", "analysis", "studies")
 

@@ -146,7 +146,7 @@ def draw_grid(
     if borders is None:
         axes.contour(x, y, shown, levels=[grid.border], colors="black", linewidths=1.6)
     else:
-        _draw_borders(axes, borders)
+        draw_borders(axes, borders)
     set_plane(axes, (x, y), names, logarithmic, points, own)
     figure = axes.figure
     bar = figure.colorbar(filled, ax=axes, ticks=grid.levels, pad=0.01, format="%g" if grid.is_rate else None)
@@ -175,7 +175,7 @@ def set_plane(
 _LINES = {"flutter": "-", "divergence": "--", "period doubling": ":"}
 
 
-def _draw_borders(axes: Axes, borders: Borders) -> None:
+def draw_borders(axes: Axes, borders: Borders) -> None:
     """Each border, its line by how stability is lost."""
     for branch in borders.branches:
         kinds = np.array(branch.kind)

@@ -120,13 +120,13 @@ def answer(
     borders, unresolved, members, best = None, 0.0, list[FamilyMember](), None
     if question.borders:
         with shown("borders") as told:
-            borders = _borders(question, plane, told)
+            borders = borders_of(question, plane, told)
         unresolved = unresolved_share(plane, borders, question.axes)
     if (family := question.family) is not None:
         with shown(f"borders for {len(family.values)} values of {family.key}") as told:
             for i, value in enumerate(family.values):
                 one = question.plane(_settings(family.keys, value))
-                found = _borders(question, one, _part(told, i, len(family.values)))
+                found = borders_of(question, one, _part(told, i, len(family.values)))
                 members.append(FamilyMember(value, found, unresolved_share(one, found, question.axes)))
     if question.best is not None:
         with shown(f"best value of {question.best.key}") as told:
@@ -160,7 +160,12 @@ def _classes(multipliers: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.where(np.isnan(multipliers), 2, multipliers < 1.0).astype(np.intp)
 
 
-def _borders(question: MapQuestion, plane: Plane, told: Told, **finer: int) -> Borders:
+def borders_of(question: MapQuestion, plane: Plane, told: Told, **finer: int) -> Borders:
+    """The borders of stability over a question's plane, as fine as its map.
+
+    Args:
+        finer: what `stability_borders` is to take in place of its own.
+    """
     x, y = question.axes
     logarithmic = x.logarithmic, y.logarithmic
     spacing = 1 / max(_BORDER_POINTS, x.count, y.count)  # no wider than the map's pitch
@@ -174,13 +179,13 @@ def _best(question: MapQuestion, told: Told) -> BestValue:
 
     def share(value: float) -> tuple[float, float]:
         plane = question.plane(_settings(within.keys, value))
-        found = _borders(question, plane, _unheard)
+        found = borders_of(question, plane, _unheard)
         shares[value] = found.stable_share
         return found.stable_share, unresolved_share(plane, found, question.axes)
 
     def error(value: float) -> float:
         plane = question.plane(_settings(within.keys, value))
-        return _REST * abs(_borders(question, plane, _unheard, levels=_FINER).stable_share - shares[value])
+        return _REST * abs(borders_of(question, plane, _unheard, levels=_FINER).stable_share - shares[value])
 
     return best_value(share, error, within, told)
 

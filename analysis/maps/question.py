@@ -19,7 +19,9 @@ from rig_configs import IdentifiedParameters, ParametersFileError, Rig, RigFileE
 from rig_configs.load import rig_from_text, rig_text
 from rig_configs.toml_text import read_text
 
-Quantity = Literal["multiplier", "decay-rate"]
+Quantity = Literal["multiplier", "decay-rate", "state", "amplitude", "settling-time"]
+OF_RELEASES: tuple[Quantity, ...] = ("state", "amplitude", "settling-time")
+"""Quantities that a release at every point is followed for."""
 _FINEST = 8
 _K2 = "suspension.k2_N_per_m"
 
@@ -67,6 +69,7 @@ class MapQuestion:
         refine: how often cells of the grid are halved both ways where stability changes; x and y are the coarse grid's.
         family: values of a further number for which borders are followed, or None.
         best: between which values of a further number the largest stable share is looked for, or None.
+        seconds: how long a release is followed, of the quantities that ask for one.
     Raises:
         RigFileError: what does not go together.
     """
@@ -83,8 +86,13 @@ class MapQuestion:
     refine: int = 0
     family: Family | None = None
     best: SearchRange | None = None
+    seconds: float = 20.0
 
     def __post_init__(self) -> None:
+        if self.of_releases and (self.family or self.best):
+            raise RigFileError(f"rig map: --family and --best are of borders; --quantity {self.quantity} has none")
+        if not 0 < self.seconds < math.inf:
+            raise RigFileError(f"rig map: --seconds expected a number above 0, got {self.seconds!r}")
         asked = {"--borders": self.borders, "--refine": self.refine, "--family": self.family, "--best": self.best}
         for option in (option for option, value in asked.items() if value):
             if min(self.x.count, self.y.count) < 2:
@@ -95,6 +103,11 @@ class MapQuestion:
         for option, varied in (("--family", self.family), ("--best", self.best)):
             if varied and (both := sorted({*varied.keys} & on_axes)):
                 raise RigFileError(f"rig map: {option}: {both[0]} changes along an axis; give another number")
+
+    @property
+    def of_releases(self) -> bool:
+        """Whether a release is followed at every point."""
+        return self.quantity in OF_RELEASES
 
     @property
     def axes(self) -> tuple[MapAxis, MapAxis]:
@@ -151,6 +164,7 @@ class MapQuestion:
             "refine": self.refine,
             "family": None if self.family is None else self.family.as_json(),
             "best": None if self.best is None else self.best.as_json(),
+            "seconds": self.seconds,
         }
 
     @classmethod
@@ -174,6 +188,7 @@ class MapQuestion:
             int(table["refine"]),
             None if family is None else Family.of_json(family),
             None if best is None else SearchRange.of_json(best),
+            float(table["seconds"]),
         )
 
 

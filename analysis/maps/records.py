@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from analysis.maps.answers import MapAnswer
 from analysis.maps.question import MapQuestion
+from analysis.maps.states import StateMap
 from daq.version import software_version
 from dynamics.stability.borders import Borders
 
@@ -81,6 +82,20 @@ def record(found: MapAnswer, numbers: Mapping[str, Any]) -> MapRecord:
     for member in found.family:
         lines += _lines(member.borders, member.value)
     return MapRecord(_provenance(question, found.method, numbers), grid.x, grid.y, arrays, lines)
+
+
+def state_record(found: StateMap, borders: Borders | None, numbers: Mapping[str, Any]) -> MapRecord:
+    """A map of releases to be kept: the arrays of `analysis.maps.states.states_at`.
+
+    Args:
+        borders: of the balanced state's stability.
+        numbers: what `rig map --json` says of it.
+    """
+    arrays: dict[str, NDArray[Any]] = dict(found.arrays)
+    if found.computed is not None:
+        arrays["computed"] = found.computed
+    method = f"a release at every point, followed for {found.question.seconds:g} s"
+    return MapRecord(_provenance(found.question, method, numbers), found.x, found.y, arrays, _lines(borders, None))
 
 
 def _lines(borders: Borders | None, value: float | None) -> tuple[RecordedBorder, ...]:

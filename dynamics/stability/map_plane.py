@@ -62,6 +62,10 @@ class Plane(Protocol):
         """Running speeds ω of many points, rad/s, shape (points,)."""
         ...
 
+    def rig_at(self, x: float, y: float) -> tuple[RotorParameters, float]:
+        """Rig and speed (rad/s) at one point, whether or not a balanced state exists."""
+        ...
+
     def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
         """Rig, balanced angles (rad) and speed (rad/s) at one point.
 
@@ -101,10 +105,15 @@ class SpeedStiffnessPlane:
         """See Plane."""
         return x * self.parameters.natural_frequencies_rad_s[0] + 0.0 * y
 
-    def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
+    def rig_at(self, x: float, y: float) -> tuple[RotorParameters, float]:
         """See Plane."""
         p = self.parameters
-        return dataclasses.replace(p, k2_N_per_m=y * p.k1_N_per_m), self.angles, x * p.natural_frequencies_rad_s[0]
+        return dataclasses.replace(p, k2_N_per_m=y * p.k1_N_per_m), x * p.natural_frequencies_rad_s[0]
+
+    def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
+        """See Plane."""
+        rig, speed = self.rig_at(x, y)
+        return rig, self.angles, speed
 
 
 @dataclass(frozen=True)
@@ -140,6 +149,10 @@ class RigPlane:
     def speeds_rad_s(self, x: Array, y: Array) -> Array:
         """See Plane."""
         return np.array([self.at(a, b)[1] for a, b in zip(x.tolist(), y.tolist(), strict=True)])
+
+    def rig_at(self, x: float, y: float) -> tuple[RotorParameters, float]:
+        """See Plane."""
+        return self.at(x, y)
 
     def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
         """See Plane."""

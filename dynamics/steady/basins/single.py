@@ -67,6 +67,7 @@ def release_ends(
     seconds: float = 20.0,
     *,
     stated_error_rad: float = STATED_ERROR_RAD,
+    workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReleaseEnds:
     """The motion that a release of each rig reaches.
@@ -74,6 +75,7 @@ def release_ends(
     Args:
         rigs, speeds_rad_s: one speed for each rig.
         from_rad: angles at which the locks hold A and B, one pair for all or one for each.
+        workers: threads; None: one a core.
         seconds, stated_error_rad, progress: as for dynamics.steady.basins.basin_map.basins.
     Raises:
         OutsideDomain: counts that do not match. What is wrong with one rig is in `refused`.
@@ -94,7 +96,7 @@ def release_ends(
         except (DynamicsError, np.linalg.LinAlgError) as error:
             return str(error)
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
             for i, each in enumerate(pool.map(one, range(count))):
                 found[i] = each

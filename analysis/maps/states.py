@@ -1,0 +1,127 @@
+# pyright: strict
+"""What the pendulums really do over two numbers of a rig: the state that the real locks' release reaches, and how."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.maps.question import MapQuestion
+from analysis.maps.refinement import refined_grid
+from dynamics.stability.map_plane import Plane
+from dynamics.steady.basins.single import release_ends
+from dynamics.steady.outcome import PLAY_RAD
+
+Array = NDArray[np.float64]
+StateArrays = Mapping[str, NDArray[np.floating]]
+"""Arrays by name, see `states_at`."""
+
+STATES = ("refused", "not settled", "I", "II", "III", "one", "slipping")
+"""States by their code in arrays and files."""
+RELEASED_RAD = (PLAY_RAD, np.pi - 0.5 * PLAY_RAD)
+"""Angles at which the locks hold A and B: 0° and 180°, and some play, without which an unstable rest is kept."""
+ARRAYS = (
+    "state", "sure", "theta3_deg", "theta4_deg", "turns3_per_rev", "turns4_per_rev", "multiplier_max", "settled_s",
+    "amplitude_m",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class StateMap:
+    """Where a release ends at every point of a grid.
+
+    Attributes:
+        question: what was asked.
+        x, y: values of its numbers, shapes (n,) and (m,).
+        arrays: by the names of ARRAYS, shape (m, n); see `states_at`.
+        computed: of a refined map which points were computed, the others have the state of those around them and
+            nothing else; None where all were.
+    """
+
+    question: MapQuestion
+    x: Array
+    y: Array
+    arrays: StateArrays
+    computed: NDArray[np.bool_] | None = None
+
+    @property
+    def state(self) -> NDArray[np.intp]:
+        """Indices into STATES, shape (m, n)."""
+        return self.arrays["state"].astype(np.intp)
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """State to its share of the points, those that are there."""
+        counts = np.bincount(self.state.ravel(), minlength=len(STATES))
+        return {name: float(count) / self.state.size for name, count in zip(STATES, counts, strict=True) if count}
+
+    @property
+    def unsure_share(self) -> float:
+        """Share of the points that were computed whose end hangs on less than the stated error."""
+        sure = self.arrays["sure"]
+        return float(np.mean(sure[np.isfinite(sure)] == 0))
+
+
+def states_at(
+    plane: Plane,
+    x: Array,
+    y: Array,
+    seconds: float,
+    workers: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Array]:
+    """What a release comes to at each of many points.
+
+    Args:
+        x, y: of the points, shape (points,).
+        seconds: how long a release is followed.
+        workers: threads; None: one a core.
+        progress: called with the share done, 0 … 1.
+    Returns:
+        Arrays of shape (points,): `state`, an index into STATES; `sure`, 0 at a boundary; mean angles in degrees of a
+        state at rest; turns of A and B against the rotor in one of its revolutions; the largest multiplier of what
+        was reached; time until the motion stayed near it, s; rms distance of the disk's centre from the middle of its
+        orbit at the end, m. NaN where there is none.
+    """
+    points = [plane.rig_at(a, b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    rigs, speeds = [rig for rig, _ in points], [speed for _, speed in points]
+    found = release_ends(rigs, speeds, RELEASED_RAD, seconds, workers=workers, progress=progress)
+    return {
+        "state": np.array([STATES.index(name) for name in found.name.tolist()], np.float64),
+        "sure": found.sure.astype(np.float64),
+        "theta3_deg": np.degrees(found.theta_rad[:, 0]),
+        "theta4_deg": np.degrees(found.theta_rad[:, 1]),
+        "turns3_per_rev": found.turns_per_revolution[:, 0],
+        "turns4_per_rev": found.turns_per_revolution[:, 1],
+        "multiplier_max": found.multiplier,
+        "settled_s": found.settled_s,
+        "amplitude_m": found.amplitude_m,
+    }
+
+
+def refined_states(question: MapQuestion, progress: Callable[[float], None] | None = None) -> StateMap:
+    """The states on the question's finest grid, computed where they change.
+
+    Args:
+        progress: called with the share done, as far as it can be foreseen.
+    """
+    plane = question.plane()
+    x, y = (axis.values for axis in question.fine)
+    arrays = {name: np.full((len(y), len(x)), np.nan) for name in ARRAYS}
+
+    def evaluate(at_x: Array, at_y: Array) -> Array:
+        found = states_at(plane, at_x, at_y, question.seconds)
+        rows, columns = np.searchsorted(y, at_y), np.searchsorted(x, at_x)
+        for name, values in found.items():
+            arrays[name][rows, columns] = values
+        return found["state"]
+
+    found = refined_grid(evaluate, x, y, question.refine, _classes, interpolated=False, progress=progress)
+    return StateMap(question, x, y, {**arrays, "state": found.values}, found.computed)
+
+
+def _classes(states: Array) -> NDArray[np.intp]:
+    return states.astype(np.intp)
