@@ -27,7 +27,8 @@ def map(
     x: Annotated[
         str | None,
         Parameter(
-            help=f"KEY=A:B:N or KEY=A:B:N:log, N values from A to B; KEY+KEY change alike; {_X} without, fewer of releases"
+            help="KEY=A:B:N or KEY=A:B:N:log, N values from A to B; KEY+KEY change alike; without, "
+            f"{_X}, fewer of releases"
         ),
     ] = None,
     y: Annotated[str | None, Parameter(help=f"the same, of another number; {_Y} without")] = None,
@@ -91,8 +92,8 @@ def map(
             raise BadFigureName(f"rig map: --plot {plot}: expected a name ending in {', '.join(SUFFIXES)}")
         usual = (_X_OF_RELEASES, _Y_OF_RELEASES) if quantity in OF_RELEASES else (_X, _Y)
         question = MapQuestion(
-            rig_source(rig), read_axis("--x", x or usual[0]), read_axis("--y", y or usual[1]), parameters_source(parameters),
-            tuple(settings or ()), None, quantity, accuracy, borders, refine,
+            rig_source(rig), read_axis("--x", x or usual[0]), read_axis("--y", y or usual[1]),
+            parameters_source(parameters), tuple(settings or ()), None, quantity, accuracy, borders, refine,
             None if family is None else read_family("--family", family),
             None if best is None else read_range("--best", best),
             seconds,
