@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from analysis.figures.readout import Readout
@@ -72,9 +71,8 @@ def _draw_classes(axes: Axes, found: StateMap) -> None:
         mesh.set_edgecolor("black")
         mesh.set_linewidth(0.0)
     for name, share in found.shares.items():
-        patch = Patch(facecolor=_COLOURS[name], edgecolor="#888888", label=f"{_WORDS[name]} · {100 * share:.1f} %")
-        axes.add_patch(patch)
-        patch.set_visible(False)
+        text = f"{_WORDS[name]} · {100 * share:.1f} %"
+        axes.plot([], [], ls="", marker="s", ms=8, mfc=_COLOURS[name], mec="#888888", mew=0.6, label=text)
 
 
 def _draw_numbers(figure: Figure, axes: Axes, found: StateMap) -> None:

@@ -62,7 +62,7 @@ class StateMap:
     def unsure_share(self) -> float:
         """Share of the points that were computed whose end hangs on less than the stated error."""
         sure = self.arrays["sure"]
-        return float(np.mean(sure[np.isfinite(sure)] == 0))
+        return float(np.count_nonzero(sure == 0)) / max(1, int(np.count_nonzero(np.isfinite(sure))))
 
 
 def states_at(
