@@ -323,4 +323,4 @@ def _mean_angles(states: NDArray[np.floating]) -> _Angles:
 
 def _apart(one: _Angles, other: _Angles) -> float:
     """Larger distance |e^{iθ} − e^{iθ'}| of two pairs of angles."""
-    return max(abs(2 * math.sin((a - b) / 2)) for a, b in zip(one, other, strict=True))
+    return 2 * max(abs(math.sin((one[0] - other[0]) / 2)), abs(math.sin((one[1] - other[1]) / 2)))

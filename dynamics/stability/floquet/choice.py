@@ -72,7 +72,7 @@ class _Cost:
 # Type I of the nominal rig without suspension damping at Ω = 0.001 … 0.8 against runs of twice the steps; roundings
 # from runs with a million steps and with rates of 10⁵ per span against a reference in 80 bits, times two.
 _COSTS = {
-    explicit.NAME: _Cost(4.5, 0.7, 1.6e-8, 2.5, 4, 0.1, 0.02),
+    explicit.NAME: _Cost(2.1, 0.2, 1.6e-8, 2.5, 4, 0.1, 0.02),
     magnus.NAME: _Cost(3.4, 0.2, 1.0, 6.0, 12, 0.25, 0.25),
     implicit.NAME: _Cost(15.0, 0.3, 7e-7, 4.0, 4, 1.5, 0.0),
     commutator_free.NAME: _Cost(6.0, 0.12, 1e-6, math.inf, 12, 1.0, 10.0, True),
