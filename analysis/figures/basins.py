@@ -130,6 +130,7 @@ def _times(figure: Figure, axes: Axes, found: BasinMap) -> None:
 
 def _frame(axes: Axes, found: BasinMap) -> None:
     axes.grid(visible=False)
+    axes.tick_params(axis="x", pad=8)
     for angles, axis, limits in (
         (_degrees(found.theta3_rad), axes.xaxis, axes.set_xlim),
         (_degrees(found.theta4_rad), axes.yaxis, axes.set_ylim),

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -27,6 +29,7 @@ STEP_RAD = 0.4
 """Radians of the fastest oscillation that a step takes: an error of some 1e-9 a revolution."""
 _REACH = 10.0  # a step times the fastest decay stays below STEP_RAD times this
 _MOST_STEPS = 20_000.0  # a revolution
+_MANY = 128  # states from which on threads pay
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,17 @@ class Turning:
     def after(self, states: Array, revolutions: int = 1, step_rad: float = STEP_RAD) -> Array:
         """States as many revolutions later, shape (n, 8)."""
         out = np.array(states, np.float64)
-        _many(out, self.speed_rad_s, revolutions, self.pace, step_rad, self.system, np.zeros((1, 0, 8)))
+        none = np.zeros((1, 0, 8))
+
+        def part(some: Array) -> None:
+            _many(some, self.speed_rad_s, revolutions, self.pace, step_rad, self.system, none)
+
+        if len(out) < _MANY:
+            part(out)
+        else:
+            workers = os.cpu_count() or 1
+            with ThreadPoolExecutor(workers) as pool:
+                list(pool.map(part, np.array_split(out, workers)))
         return out
 
     def strobed(self, start: Array, revolutions: int) -> Array:
