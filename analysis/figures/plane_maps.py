@@ -118,13 +118,9 @@ def _foot(found: MapAnswer, usual: bool) -> list[str]:
     elif kinds:
         lines = {"flutter": "solid", "divergence": "dashed", "period doubling": "dotted"}
         named = ", ".join(f"{lines[kind]}: {kind}" for kind in sorted(kinds))
-        notes.append(
-            f"Thick line: border of stability ({named}). The balanced state is stable where the map is blue, lighter where it is more so."
-        )
+        notes.append(f"Thick line: border of stability ({named}). {sides}")
     else:
-        notes.append(
-            "Thick line: border of stability. The balanced state is stable where the map is blue, lighter where it is more so."
-        )
+        notes.append(f"Thick line: border of stability. {sides}")
     if usual:
         notes.append(
             "Thin dashed: resonances. Dotted: the rig's stiffness ratio, with its points and the state expected there; "
