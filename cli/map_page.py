@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,7 @@ def borders_json(lines: Borders) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def print_map(result: Mapping[str, Any], settings: list[str] | None) -> None:
+def print_map(result: Mapping[str, Any], settings: Sequence[str]) -> None:
     """The same in words."""
     print(
         f"{result['points']} points in {result['seconds']:.3g} s ({result['microseconds_per_point']:.3g} µs a point), "

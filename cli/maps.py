@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -16,6 +16,9 @@ from cli.numbers import Positive, PositiveRpm, PositiveSeconds
 from cli.options import Json, ParametersPath, Settings, need_place
 from cli.scheduler import Scheduler
 from cli.share_progress import share_progress
+
+if TYPE_CHECKING:
+    from analysis.maps.question import MapQuestion
 
 _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
 _X_OF_RELEASES, _Y_OF_RELEASES = "speed_ratio=0.3:7:80", "stiffness_ratio=1:16:40"
@@ -70,26 +73,19 @@ def map(
     KEY is speed_ratio, speed_rpm, stiffness_ratio or a number of the rig file, such as imbalance.radius_m or
     suspension.zeta1+suspension.zeta2.
     """
-    need_place("rig map:", plot, None if output is None else output.parent / f"{output.name}.part")
     with wait_for_compilation("stability map"):
-        from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
-        from analysis.maps.answers import answer, compile_maps  # noqa: PLC0415 (numba takes a while to load)
-        from analysis.maps.files import need_map_suffix, write_map  # noqa: PLC0415
+        from analysis.maps.answers import compile_maps  # noqa: PLC0415 (numba takes a while to load)
         from analysis.maps.question import (  # noqa: PLC0415
             OF_RELEASES,
             MapQuestion,
             parameters_source,
             rig_source,
             speed_of,
-        )  # fmt: skip
-        from analysis.maps.records import record  # noqa: PLC0415
+        )
         from cli.map_axes import read_axis, read_family, read_range  # noqa: PLC0415
-        from cli.map_page import draw, map_json, print_map, say_what_is_left_out  # noqa: PLC0415
+        from cli.map_page import say_what_is_left_out  # noqa: PLC0415
 
-        if output is not None:
-            need_map_suffix(output)
-        if plot is not None and plot.suffix.lower() not in SUFFIXES:
-            raise BadFigureName(f"rig map: --plot {plot}: expected a name ending in {', '.join(SUFFIXES)}")
+        _need_places(output, plot)
         usual = (_X_OF_RELEASES, _Y_OF_RELEASES) if quantity in OF_RELEASES else (_X, _Y)
         question = MapQuestion(
             rig_source(rig), read_axis("--x", x or usual[0]), read_axis("--y", y or usual[1]),
@@ -106,6 +102,33 @@ def map(
         from cli.map_states import map_states  # noqa: PLC0415
 
         return map_states(question, output, plot, scheduler, json)
+    return _answered(question, output, plot, scheduler, json)
+
+
+def _need_places(output: Path | None, plot: Path | None) -> None:
+    """Whether the files can be written, asked before the work is done.
+
+    Raises:
+        RigFileError, AnalysisError: says why not.
+    """
+    from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
+    from analysis.maps.files import need_map_suffix  # noqa: PLC0415
+
+    replaces_store = output is not None and output.suffix == ".zarr" and output.is_dir()
+    need_place("rig map:", plot, output / "zarr.json" if output and replaces_store else output)
+    if output is not None:
+        need_map_suffix(output)
+    if plot is not None and plot.suffix.lower() not in SUFFIXES:
+        raise BadFigureName(f"rig map: --plot {plot}: expected a name ending in {', '.join(SUFFIXES)}")
+
+
+def _answered(question: MapQuestion, output: Path | None, plot: Path | None, scheduler: str | None, json: bool) -> int:
+    """Compute, write, draw and say it."""
+    from analysis.maps.answers import answer  # noqa: PLC0415
+    from analysis.maps.files import write_map  # noqa: PLC0415
+    from analysis.maps.records import record  # noqa: PLC0415
+    from cli.map_page import draw, map_json, print_map  # noqa: PLC0415
+
     with in_tiles(question, output, scheduler) as grid_of:
         try:
             found = answer(question, share_progress, grid_of)
@@ -119,7 +142,7 @@ def map(
         draw(plot, found)
         written.append(plot)
     result |= {
-        "what_if": list(settings or []),
+        "what_if": list(question.settings),
         "file": None if output is None else str(output),
         "plot": None if plot is None else str(plot),
         "written": [str(path) for path in written],
@@ -127,7 +150,7 @@ def map(
     if json:
         print_json(result)
         return 0
-    print_map(result, settings)
+    print_map(result, question.settings)
     for path in written:
         print(f"written to {path}")
     if not written:

@@ -16,7 +16,7 @@ from analysis.maps.families import BestValue, best_value
 from analysis.maps.question import MapQuestion
 from analysis.maps.refinement import refined_grid
 from analysis.maps.shares import unresolved_share
-from dynamics.stability.borders import Borders, stability_borders
+from dynamics.stability.borders import LEVELS, Borders, stability_borders
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import compile_tiles
 from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, plane_map
@@ -160,16 +160,18 @@ def _classes(multipliers: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.where(np.isnan(multipliers), 2, multipliers < 1.0).astype(np.intp)
 
 
-def borders_of(question: MapQuestion, plane: Plane, told: Told, **finer: int) -> Borders:
+def borders_of(question: MapQuestion, plane: Plane, told: Told, levels: int = LEVELS) -> Borders:
     """The borders of stability over a question's plane, as fine as its map.
 
     Args:
-        finer: what `stability_borders` is to take in place of its own.
+        levels: halvings of the first grid's cells, see `stability_borders`.
     """
     x, y = question.axes
     logarithmic = x.logarithmic, y.logarithmic
     spacing = 1 / max(_BORDER_POINTS, x.count, y.count)  # no wider than the map's pitch
-    return stability_borders(plane, x.span, y.span, spacing=spacing, logarithmic=logarithmic, progress=told, **finer)
+    return stability_borders(
+        plane, x.span, y.span, levels=levels, spacing=spacing, logarithmic=logarithmic, progress=told
+    )
 
 
 def _best(question: MapQuestion, told: Told) -> BestValue:

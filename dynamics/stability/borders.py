@@ -26,7 +26,8 @@ from dynamics.stability.map_points import cores
 from dynamics.stability.matrix_patches import MatrixPatches, cover
 
 _FIRST = (192, 144)  # cells of the first grid
-_LEVELS = 1
+LEVELS = 1
+"""Halvings of the first grid, where nothing is said."""
 _SPACING = 1 / 4000
 _STEP = 1e-6  # of the unit square, over which coordinates are differentiated
 _REAL = 1e-9  # |Im μ| below which a multiplier counts as real
@@ -117,7 +118,7 @@ def stability_borders(
     y_range: Span,
     *,
     first: tuple[int, int] = _FIRST,
-    levels: int = _LEVELS,
+    levels: int = LEVELS,
     spacing: float = _SPACING,
     logarithmic: tuple[bool, bool] = (False, False),
     progress: Callable[[float], None] | None = None,

@@ -65,6 +65,18 @@ def test_what_is_not_resolved_may_hold_the_best() -> None:
     assert found.unresolved[-1] == 0.01
 
 
+@pytest.mark.parametrize("side", [0, 1])
+def test_where_nothing_is_clearly_worse_the_interval_reaches_the_end(side: int) -> None:
+    def share(value: float) -> tuple[float, float]:
+        off = (1.0 - value) if side else (value - 1.0)
+        return 0.8 - (off if off > 0 else -1e-4 * off), 0.0
+
+    found = best_value(share, lambda value: 1e-3, SearchRange(KEYS, 0.0, 2.0), ignored)
+    assert found.value == pytest.approx(1.0, abs=0.01)
+    assert found.interval[side] == 2.0 * side
+    assert found.interval[1 - side] == pytest.approx(1.0, abs=0.3)
+
+
 def test_what_is_no_family_is_refused() -> None:
     for values in ((), (0.2, 0.1), (math.nan,)):
         with pytest.raises(RigFileError, match="rise"):

@@ -59,6 +59,21 @@ def test_any_two_numbers_with_borders(capsys: pytest.CaptureFixture[str], tmp_pa
     assert "pendulum damping c3 = c4, N m s/rad" in text
 
 
+def test_a_store_is_replaced(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for points in (3, 4):
+        arguments = [
+            "--x",
+            f"speed_ratio=2:6:{points}",
+            "--y",
+            "stiffness_ratio=4:12:2",
+            "-o",
+            str(tmp_path / "m.zarr"),
+        ]
+        assert said(capsys, "map", "virtual", *arguments)[0] == 0
+        assert load_map(tmp_path / "m.zarr").grid["multiplier_max"].shape == (2, points)
+    assert [path.name for path in tmp_path.iterdir()] == ["m.zarr"]
+
+
 def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = said(
         capsys, "map", "virtual", "--x", "imbalance.radius_m=0.06:0.075:12", "--y", DAMPING, "--speed-ratio", "1.6"
@@ -114,7 +129,7 @@ def plane(axes: tuple[MapAxis, MapAxis], settings: Sequence[str] = (), speed_rad
 def test_the_usual_plane_and_any_other_agree() -> None:
     axes = read_axis("--x", "speed_ratio=1.2:5:4"), read_axis("--y", "stiffness_ratio=2:9:3")
     usual = plane(axes)
-    other = plane(axes[::-1])
+    other = plane((axes[1], axes[0]))
     assert isinstance(usual, SpeedStiffnessPlane)
     assert isinstance(other, RigPlane)
     rig, _, speed = usual.one(1.7, 4.0)
