@@ -35,7 +35,8 @@ def draw_map(found: MapAnswer) -> tuple[Figure, Readout | None]:
     points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
     what_if = f"; {', '.join(question.settings)}" if question.settings else ""
     varied = f", for values of {symbol_of(question.family.keys)[0]}" if question.family else ""
-    speed = f" at {question.speed_rad_s * 30 / math.pi:.4g} rpm" if question.speed_rad_s is not None else ""
+    turns = question.x.is_speed or question.y.is_speed
+    speed = f" at {question.speed_rad_s * 30 / math.pi:.4g} rpm" if question.speed_rad_s and not turns else ""
     title = f"{rig.name}: where the balanced state is stable{speed}{varied}{what_if}"
     with sheet(WIDTH_IN, _HEIGHT_IN + (_BELOW_IN if found.best else 0.0), title, _foot(found, usual)) as figure:
         ratios = [_HEIGHT_IN, _BELOW_IN] if found.best else [1.0]
