@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -34,7 +35,9 @@ def draw_map(found: MapAnswer) -> tuple[Figure, Readout | None]:
     points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
     what_if = f"; {', '.join(question.settings)}" if question.settings else ""
     varied = f", for values of {symbol_of(question.family.keys)[0]}" if question.family else ""
-    title = f"{rig.name}: where the balanced state is stable{varied}{what_if}"
+    turns = question.x.is_speed or question.y.is_speed
+    speed = f" at {question.speed_rad_s * 30 / math.pi:.4g} rpm" if question.speed_rad_s and not turns else ""
+    title = f"{rig.name}: where the balanced state is stable{speed}{varied}{what_if}"
     with sheet(WIDTH_IN, _HEIGHT_IN + (_BELOW_IN if found.best else 0.0), title, _foot(found, usual)) as figure:
         ratios = [_HEIGHT_IN, _BELOW_IN] if found.best else [1.0]
         rows: list[Axes] = figure.subplots(len(ratios), 1, height_ratios=ratios, squeeze=False)[:, 0].tolist()
@@ -121,6 +124,8 @@ def _foot(found: MapAnswer, usual: bool) -> list[str]:
         notes.append(f"Thick line: border of stability ({named}). {sides}")
     else:
         notes.append(f"Thick line: border of stability. {sides}")
+    if not found.family and np.isnan(found.grid.multiplier_max).any():
+        notes.append("White: no balanced state exists.")
     if usual:
         notes.append(
             "Thin dashed: resonances. Dotted: the rig's stiffness ratio, with its points and the state expected there; "
