@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +26,6 @@ Complex = NDArray[np.complexfloating]
 Flags = NDArray[np.bool_]
 Slopes = Callable[[Complex], tuple[Complex, Complex, Complex]]
 """λ, ∂λ/∂X and ∂λ/∂Y at points X + i Y of the unit square, each of shape (points,); of a pair that with Im λ ≥ 0."""
-
-_Values = TypeVar("_Values", Array, Complex)
 
 WANTED = 1e-11  # of the square: how far the curve may be off halfway between two points, before it is halved there
 CORNER = 1.5 * SHORTEST  # of the square: pieces up to there are straight
@@ -117,13 +114,13 @@ def _on_cubics(curve: BorderCurve, piece: NDArray[np.intp], share: Array) -> tup
     start, leaves, arrives, end = _controls(curve, piece)
     root, last = curve.roots[piece], curve.roots[piece + 1]
     gained = np.where(np.abs(end - start) <= CORNER, 0.0, np.angle(last * np.conj(root)))
-    rates = (curve.turning[piece + k] * np.abs(way) for k, way in enumerate((leaves, arrives)))
-    angle = _cubic(np.zeros(len(piece)), *rates, gained, share)
+    first, second = curve.turning[piece] * np.abs(leaves), curve.turning[piece + 1] * np.abs(arrives)
+    angle = _cubic(np.zeros(len(piece), complex), first + 0j, second + 0j, gained + 0j, share).real
     size = np.abs(root) ** (1 - share) * np.abs(last) ** share
     return _cubic(start, leaves, arrives, end, share), size * root / np.abs(root) * np.exp(1j * angle)
 
 
-def _cubic(start: _Values, leaves: _Values, arrives: _Values, end: _Values, share: Array) -> _Values:
+def _cubic(start: Complex, leaves: Complex, arrives: Complex, end: Complex, share: Array) -> Complex:
     """Cubic with values and derivatives at its ends."""
     rest = 1 - share
     return rest**2 * ((1 + 2 * share) * start + share * leaves) + share**2 * ((1 + 2 * rest) * end - rest * arrives)
@@ -158,8 +155,8 @@ def curve_through(points: Complex, slopes: Slopes) -> BorderCurve:
         off = max(curve.off, float(np.max(np.abs(seen.off[fits]), initial=0.0)), _longest(curve, rest[~found]) / 2)
         waiting[piece[fits]], waiting[rest[~found]] = False, False
         more = np.concatenate([piece[fits], rest[found]])
-        points = _joined(seen.some(fits), _looked_at(moved[found], slopes))
-        curve, waiting = _with_more(replace(curve, off=off), waiting, more, points)
+        there = _joined(seen.some(fits), _looked_at(moved[found], slopes))
+        curve, waiting = _with_more(replace(curve, off=off), waiting, more, there)
     return replace(curve, off=max(curve.off, _longest(curve, np.flatnonzero(waiting)) / 2))
 
 
