@@ -5,9 +5,10 @@ In the unit square a border is a level line of e = |λ|² − 1, so its tangent 
 hand), with ∇e = 2 Re(λ̄ ∇λ). Between two points the curve is the cubic with their tangents, as long as for an arc of a
 circle: |chord| / cos²(turn/4). Halfway, where it is off most, it is held against e, and the place is moved on to the
 border and becomes one of the curve's own points; where it was off by more than 10⁻¹¹, both halves are treated the same
-way. The error falls with the fourth power of the length, so what is left is a sixteenth of that (halfway an arc shows none of
-its error of sixth order: below 10⁻¹² of its radius where pieces turn by a few degrees, as those that were followed do). Only at corners, where
-one multiplier overtakes another, all this ends at 10⁻⁶: there the curve is a straight line.
+way. The error falls with the fourth power of the length, so what is left is a sixteenth of that. (Halfway an arc shows
+none of its error of sixth order: below 10⁻¹² of its radius where pieces turn by a few degrees, as those that were
+followed do.) Only at corners, where one multiplier overtakes another, all this ends at 10⁻⁶: there the curve is
+straight.
 Source: C. de Boor, K. Höllig, M. Sabin, High accuracy geometric Hermite interpolation, CAGD 4 (1987) 269.
 """
 
