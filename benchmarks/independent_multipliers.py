@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,13 +67,13 @@ class LinearRotor:
         for i in (0, 1):
             push[:, :, 2 + i] = -n[i]
             push[:, :, 6 + i] = 2 * e[i] - self.delta[:, i, None] * n[i]
-        mass = np.eye(2) - np.einsum("i,ia,ib->ab", self.share, n, n)
+        mass = np.eye(2) - (self.share[:, None] * n).T @ n
         pull = np.linalg.inv(mass) @ push
         found = np.zeros((points, 8, 8))
         found[:, :4, 4:] = np.eye(4)
         found[:, 4:6] = pull
         for i in (0, 1):
-            found[:, 6 + i] = self.share[i] * np.einsum("a,pas->ps", n[i], pull)
+            found[:, 6 + i] = self.share[i] * (n[i] @ pull)
             found[:, 6 + i, 6 + i] -= self.delta[:, i]
         return found
 
@@ -94,7 +95,7 @@ def _monodromy(rotor: LinearRotor) -> Array:
         return (rotor.rates(phase) @ state.reshape(points, 8, 8)).ravel()
 
     start = np.tile(np.eye(8), (points, 1, 1)).ravel()
-    run = solve_ivp(rate, (0.0, 2 * math.pi), start, "DOP853", t_eval=[2 * math.pi], rtol=_TOLERANCE, atol=1e-15)
+    run: Any = solve_ivp(rate, (0.0, 2 * math.pi), start, "DOP853", t_eval=[2 * math.pi], rtol=_TOLERANCE, atol=1e-15)
     return run.y[:, -1].reshape(points, 8, 8)
 
 

@@ -5,8 +5,10 @@ In the unit square a border is a level line of e = |λ|² − 1, so its tangent 
 hand), with ∇e = 2 Re(λ̄ ∇λ). Between two points the curve is the cubic with their tangents, as long as for an arc of a
 circle: |chord| / cos²(turn/4). Halfway, where it is off most, it is held against e, and the place is moved on to the
 border and becomes one of the curve's own points; where it was off by more than 10⁻¹¹, both halves are treated the same
-way. The error falls with the fourth power of the length, so what is left is a sixteenth of that. Only at corners, where
-one multiplier overtakes another, all this ends at 10⁻⁶: there the curve is a straight line.
+way. The error falls with the fourth power of the length, so what is left is a sixteenth of that. (Halfway an arc shows
+none of its error of sixth order: below 10⁻¹² of its radius where pieces turn by a few degrees, as those that were
+followed do.) Only at corners, where one multiplier overtakes another, all this ends at 10⁻⁶: there the curve is
+straight.
 Source: C. de Boor, K. Höllig, M. Sabin, High accuracy geometric Hermite interpolation, CAGD 4 (1987) 269.
 """
 
@@ -14,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,15 +116,13 @@ def _on_cubics(curve: BorderCurve, piece: NDArray[np.intp], share: Array) -> tup
     start, leaves, arrives, end = _controls(curve, piece)
     root, last = curve.roots[piece], curve.roots[piece + 1]
     gained = np.where(np.abs(end - start) <= CORNER, 0.0, np.angle(last * np.conj(root)))
-    first, second = (curve.turning[piece + k] * np.abs(way) for k, way in enumerate((leaves, arrives)))
-    angle = _cubic(np.zeros(len(piece)), first, second, gained, share)
+    first, second = curve.turning[piece] * np.abs(leaves), curve.turning[piece + 1] * np.abs(arrives)
+    angle = _cubic(np.zeros(len(piece), complex), first + 0j, second + 0j, gained + 0j, share).real
     size = np.abs(root) ** (1 - share) * np.abs(last) ** share
     return _cubic(start, leaves, arrives, end, share), size * root / np.abs(root) * np.exp(1j * angle)
 
 
-def _cubic(
-    start: NDArray[Any], leaves: NDArray[Any], arrives: NDArray[Any], end: NDArray[Any], share: Array
-) -> NDArray[Any]:
+def _cubic(start: Complex, leaves: Complex, arrives: Complex, end: Complex, share: Array) -> Complex:
     """Cubic with values and derivatives at its ends."""
     rest = 1 - share
     return rest**2 * ((1 + 2 * share) * start + share * leaves) + share**2 * ((1 + 2 * rest) * end - rest * arrives)
@@ -158,8 +157,8 @@ def curve_through(points: Complex, slopes: Slopes) -> BorderCurve:
         off = max(curve.off, float(np.max(np.abs(seen.off[fits]), initial=0.0)), _longest(curve, rest[~found]) / 2)
         waiting[piece[fits]], waiting[rest[~found]] = False, False
         more = np.concatenate([piece[fits], rest[found]])
-        added = _joined(seen.some(fits), _looked_at(moved[found], slopes))
-        curve, waiting = _with_more(replace(curve, off=off), waiting, more, added)
+        there = _joined(seen.some(fits), _looked_at(moved[found], slopes))
+        curve, waiting = _with_more(replace(curve, off=off), waiting, more, there)
     return replace(curve, off=max(curve.off, _longest(curve, np.flatnonzero(waiting)) / 2))
 
 

@@ -39,7 +39,7 @@ def round_the_island(radius: float, count: int) -> Complex:
 
 
 @settings(max_examples=25, deadline=None)
-@given(radius=st.floats(1e-3, 0.4), count=st.integers(24, 90), spacing=st.floats(1e-3, 0.05))
+@given(radius=st.floats(1e-3, 0.4), count=st.integers(60, 120), spacing=st.floats(1e-3, 0.05))
 def test_the_curve_between_few_points_is_the_circle(radius: float, count: int, spacing: float) -> None:
     curve = curve_through(round_the_island(radius, count), island(radius))
     at, root = curve.between(spacing * radius)
