@@ -21,7 +21,6 @@ from dynamics.equations.quick_derivatives import rate_derivatives
 
 _ITERATIONS = 25
 _LONGEST_TURN = 0.3  # rad: Newton's step of an angle is cut to this
-_SMALL = 128  # unknowns: up to here elimination needs no LAPACK, whose first call waits for scipy
 
 
 class Basis(NamedTuple):
@@ -111,10 +110,7 @@ def solve_balance(
     kept = np.array([0, 1] + [2 + i for i in range(2) if free[i]])
     states, c = np.empty((grid.n, 8)), np.array(start, float, order="C")
     bases = (grid.position[:4], grid.angle[:4])
-    try:
-        last = _newton(c, bases, grid.phase, speed_rad_s, packed, kept, least_size_m, states)
-    except (np.linalg.LinAlgError, ValueError):  # LAPACK: singular
-        return None
+    last = _newton(c, bases, grid.phase, speed_rad_s, packed, kept, least_size_m, states)
     return None if last < 0 else (states, last)
 
 
@@ -165,7 +161,9 @@ def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, righ
             accelerations[j, i] = out[4 + i]
             for k in range(8):
                 slopes[i, k, j] = one[i, k] * (speed if k >= 4 else 1.0)
-    matrix[:] = 0.0
+    for row in range(len(right)):  # a slice assignment takes numba long to compile
+        for column in range(len(right)):
+            matrix[row, column] = 0.0
     for r in range(len(kept)):
         i, top = kept[r], r * n
         _, _, transform, order = bases[i // 2]
@@ -237,11 +235,12 @@ def _solve(matrix, right):
     """Solution into right; False where there is none."""
     if not _scale_rows(matrix, right):
         return False
-    if len(right) > _SMALL:
-        right[:] = np.linalg.solve(matrix, right)
-    elif not _eliminate(matrix, right):
+    if not _eliminate(matrix, right):
         return False
-    return bool(np.all(np.isfinite(right)))
+    largest = 0.0
+    for value in right:
+        largest = max(largest, abs(value)) if abs(value) < np.inf else np.inf
+    return largest < np.inf
 
 
 @njit(cache=True, error_model="numpy")
@@ -258,14 +257,18 @@ def _newton(c, bases, phase, speed, p, kept, least_size, states):
     matrix, right, unit, previous = np.empty((m * n, m * n)), np.empty(m * n), np.ones(4), np.inf
     for _ in range(_ITERATIONS):
         _sample(c, bases, speed, states)
-        size = max(np.max(np.abs(c[:, :2])), least_size)
+        size = least_size
+        for k in range(n):
+            size = max(size, abs(c[k, 0]), abs(c[k, 1]))
         unit[0] = unit[1] = size if size != 0.0 else 1.0
         _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, right)
         if not _solve(matrix, right):
             return -1.0
         turn, largest = 0.0, 0.0
         for r in range(m):
-            moved = np.sum(np.abs(right[r * n : (r + 1) * n]))
+            moved = 0.0
+            for k in range(r * n, (r + 1) * n):
+                moved += abs(right[k])
             largest = max(largest, moved)
             if r >= 2:
                 turn = max(turn, moved)

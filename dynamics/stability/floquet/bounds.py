@@ -70,7 +70,8 @@ def _balance(size, unit):
     Mathematik 13 (1969) 293).
     """
     n = len(unit)
-    unit[:] = 1.0
+    for i in range(n):  # a slice assignment takes numba long to compile
+        unit[i] = 1.0
     for _ in range(_MOST_ROUNDS):
         settled = True
         for i in range(n):
@@ -129,8 +130,8 @@ def _couple(left, right, matrix, change, rounding, coupling):
     through, spread = np.empty(n, np.complex128), np.empty(n)
     for i in range(n):
         whole = 0.0
-        through[:] = 0.0
-        spread[:] = 0.0
+        for j in range(n):
+            through[j], spread[j] = 0.0, 0.0
         for k in range(n):
             share = abs(left[i, k])
             whole += share * share
