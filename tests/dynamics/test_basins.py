@@ -277,3 +277,11 @@ def test_stable_motions_along_a_row():
     assert rates[0] == pytest.approx(-0.0462726, abs=1e-6)
     assert rates[1] < rates[0]
     assert found[2].slipping[0].residual < 1e-5
+
+
+def test_maps_that_vary_faster_than_their_curve_take_more_steps():
+    p = rig(zeta=0.013895)
+    found = release_ends([p], [_speed(p, 4.036364)], (0.003, 3.14), 20.0)
+    assert not found.refused
+    assert found.name.tolist() == ["slipping"]
+    assert found.multiplier[0] < 1.0

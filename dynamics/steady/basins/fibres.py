@@ -26,6 +26,7 @@ _FOLLOWED, _DROPPED = 1600, 150  # revolutions over which deviations are followe
 _THOROUGH, _QUICK = (1.3, 50, 400), (1.8, 22, 100)  # ratio of neighbouring shells' radii, shells, samples on each
 _FIRST_RAD, _LARGEST_RAD, _SHRINK = 2e-3, 2.0, 0.999
 _SEED = 21
+_MOST_TERMS, _LARGEST_FORM = 5000, 1e12
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,10 @@ class Fibres:
         window = np.exp(-1.0 / (t * (1.0 - t)))
         return np.sort(np.exp(window @ logs[_DROPPED:] / window.sum()))[::-1]
 
-    def forms(self, gamma: float) -> Array:
-        """Q at the steps of χ, shape (m, a, a), in the units of the state.
+    def forms(self, gamma: float) -> Array | None:
+        """Q at the steps of χ, shape (m, a, a), in the units of the state; None where the sum does not converge.
+
+        It does not where the steps are too few for A, which varies faster along the curve than u does.
 
         Args:
             gamma: what deviations shrink by in a revolution, above the largest modulus.
@@ -93,14 +96,16 @@ class Fibres:
         number = len(self.across)
         one = np.eye(number)
         maps, found = self.maps / gamma, np.tile(one, (len(self.maps), 1, 1))
-        for _ in range(5000):
+        for _ in range(_MOST_TERMS):
             then = one + np.swapaxes(maps, 1, 2) @ turned(found, self.rate) @ maps
             then = 0.5 * (then + np.swapaxes(then, 1, 2))
-            done = float(np.max(np.abs(then - found))) <= 1e-7 * float(np.max(np.abs(then)))
+            size = float(np.max(np.abs(then)))
+            if not size < _LARGEST_FORM:
+                return None
+            if float(np.max(np.abs(then - found))) <= 1e-7 * size:
+                return then
             found = then
-            if done:
-                break
-        return found
+        return None
 
     def rows(self, count: int, forms: Array) -> tuple[Array, Array]:
         """States and forms (SI) at equal steps of the lead's angle, shapes (count, 8) and (count, 8, 8)."""
@@ -117,6 +122,16 @@ class Fibres:
         found = np.zeros((count, 8, 8))
         found[:, np.array(self.across)[:, None], np.array(self.across)[None, :]] = series(forms, place)
         return states, found / units[:, None] / units[None, :]
+
+
+def positive(forms: Array, across: list[int]) -> bool:
+    """Whether every form is finite and positive on the components of a deviation."""
+    own = forms[:, across][:, :, across]
+    scale = np.sqrt(np.abs(np.einsum("nii->ni", own)))
+    if not (np.all(np.isfinite(own)) and np.all(scale > 0)):
+        return False
+    values: Array = np.linalg.eigvalsh(own / scale[:, :, None] / scale[:, None, :]).astype(np.float64)
+    return bool(np.min(values) > 0)
 
 
 def caught_scale(

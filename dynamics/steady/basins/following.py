@@ -17,13 +17,12 @@ from dynamics.arguments import need_number
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.ends import End, packed
 from dynamics.steady.basins.pursuit import APART, CAUGHT, END, FACTS, RADIUS, SETTLED, TURNS_A, TURNS_B, pursue
-from dynamics.steady.basins.turning import STEP_RAD, Turning
+from dynamics.steady.basins.turning import COARSE_RAD, STEP_RAD, Turning
 
 Array = NDArray[np.float64]
 
 STATED_ERROR_RAD = 1e-6
 """How far beside the release its neighbour starts."""
-_COARSE_RAD = 0.6  # steps of the neighbour
 _SHARE = 0.25  # of a region's rim, as V, that catches
 _APART_RAD = 0.02  # distance of release and neighbour from which on they have come apart
 _FURTHER = 4  # horizons for which a release that is caught is followed until it settles
@@ -95,7 +94,7 @@ def follow(
     beside = last.copy()
     beside[:, 2:4] += stated_error_rad * np.array(_BESIDE)
     table = packed(ends, turning)
-    motion = (turning.speed_rad_s, turning.pace, (STEP_RAD, _COARSE_RAD), turning.system)
+    motion = (turning.speed_rad_s, turning.pace, (STEP_RAD, COARSE_RAD), turning.system)
     limits = (_SHARE, _APART_RAD, _FURTHER * turns)
 
     def group(begin: int) -> None:

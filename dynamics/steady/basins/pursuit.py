@@ -192,13 +192,13 @@ def _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit):
 
 @njit(cache=True, error_model="numpy")
 def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
-    """On from where an end has caught a release, until it is near and the time is over."""
+    """On from where an end has caught a release, in coarse steps, until it is near and the time is over."""
     omega, pace, steps_rad, system = motion
     straight, near, last = ends[6][number], ends[7][number], turns + limits[2]
     away = np.empty(8)
     value = deviation(y, number, ends, away)
     while near < value and straight < value and done < last:
-        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
+        advance(y, omega, steps_needed(y, omega, pace, steps_rad[1]), system, work[0], work[1], work[2], orbit)
         done += 1
         if done == turns:
             facts[RADIUS] = _radius_of(orbit)
@@ -214,7 +214,7 @@ def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
     early = done < turns
     _glide(y, away, value, number, done, turns, last, ends, facts)
     if early:  # the last revolution, from where the turn map has come to
-        advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
+        advance(y, omega, steps_needed(y, omega, pace, steps_rad[1]), system, work[0], work[1], work[2], orbit)
         facts[RADIUS] = _radius_of(orbit)
 
 

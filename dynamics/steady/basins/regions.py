@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import COARSE_RAD, Turning
 
 Array = NDArray[np.float64]
 
@@ -145,7 +145,7 @@ def _core(
     shells, radius, straight, samples, holds = _Shells(form), 0.0, 0.0, 0, True
     for wanted in shells.radii(_FIRST_RAD / shells.reach, ratio, most):
         away = shells.on(wanted, number)
-        moved = deviation(turning.after(placed(away)))
+        moved = deviation(turning.after(placed(away), 1, COARSE_RAD))
         if not np.all(shells.values(moved) < _SHRINK * wanted**2):  # nan counts as not nearer
             break
         radius, samples = wanted, samples + len(away)
@@ -164,7 +164,7 @@ def _outer(
         states = placed(shells.on(wanted, _OUTER_SAMPLES))
         number, done = len(states), 0
         while len(states) and done < patience:
-            states = turning.after(states, _AT_A_TIME)
+            states = turning.after(states, _AT_A_TIME, COARSE_RAD)
             states = states[~(shells.values(deviation(states)) < core**2)]
             done += _AT_A_TIME
         if len(states):

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, turned
+from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, positive, turned
 from dynamics.steady.basins.periodic import PeriodicMotion, periodic_motion, repeats
 from dynamics.steady.basins.regions import near_value
 from dynamics.steady.basins.turning import Turning
@@ -95,8 +95,11 @@ def slipping_orbit(
     for rate, winding in _windings(rates, there):
         for count in _ODD:
             found = curve_by_newton(turning, _guess(strobe, rate, winding, count), rate, winding)
-            if found is not None:
-                return described(turning, found[0], found[1], winding, found[2], near_rad, quick)
+            if found is None:
+                continue
+            orbit = described(turning, found[0], found[1], winding, found[2], near_rad, quick)
+            if orbit is not None:
+                return orbit
     return None
 
 
@@ -227,7 +230,12 @@ def described(
     across = float(moduli[0])
     if not across < 1.0:
         return None
-    points, forms = fibres.rows(_ROWS * fibres.sheets, fibres.forms(math.sqrt(max(across, 0.25))))
+    along = fibres.forms(math.sqrt(max(across, 0.25)))
+    if along is None:
+        return None
+    points, forms = fibres.rows(_ROWS * fibres.sheets, along)
+    if not positive(forms, fibres.across):
+        return None
     near = 0.0
     if near_rad is not None:
         scale = caught_scale(turning, points, forms, fibres.lead, fibres.sheets, quick=quick)

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 STEP_RAD = 0.4
 """Radians of the fastest oscillation that a step takes: an error of some 1e-9 a revolution."""
+COARSE_RAD = 0.6
+"""The same where an error of some 1e-8 a revolution is small."""
 _REACH = 10.0  # a step times the fastest decay stays below STEP_RAD times this
 _MOST_STEPS = 20_000.0  # a revolution
 _MANY = 128  # states from which on threads pay
