@@ -1,4 +1,3 @@
-# pyright: strict
 """Multipliers of the balanced state by numpy and scipy alone, from the linear equations in docs/theory/stability.md.
 
 Nothing of the project's dynamics is used but the rig's numbers: small motions over one whole revolution by scipy's

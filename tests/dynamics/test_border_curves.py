@@ -47,7 +47,7 @@ def test_the_curve_between_few_points_is_the_circle(radius: float, count: int, s
     assert np.max(np.abs(np.abs(at - MIDDLE) - radius)) <= WANTED / 8
     assert np.max(np.abs(np.diff(at))) <= spacing * radius
     assert np.abs(root) == pytest.approx(1, abs=1e-11)
-    assert np.angle(root) == pytest.approx(1 + at.real + at.imag**2 / 2, abs=2e-10)
+    assert np.angle(root) == pytest.approx(1 + at.real + at.imag**2 / 2, abs=1e-9)
     assert np.isin(curve.points, at).all()
 
 
