@@ -29,7 +29,7 @@ _COLOURS = {
     "slipping": ("#D55E00", "#E69F00", "#F5D08A", "#8C3B00"),
 }
 _NOT_SETTLED = "#d9d9d9"
-_HATCH = "#00000080"
+HATCH = "#00000080"
 _LOCKS_DEG = (0.0, 180.0)
 
 
@@ -81,9 +81,9 @@ def _ends(axes: Axes, found: BasinMap) -> None:
     norm = BoundaryNorm(np.arange(len(colours) + 1) - 1.5, len(colours))
     axes.pcolormesh(x, y, found.end, cmap=palette, norm=norm, shading="nearest", rasterized=True)
     axes.add_collection(LineCollection(_borders(x, y, found.end), colors="white", linewidths=0.7))
-    cells = _cells(x, y, ~found.sure)
+    cells = cells_of(x, y, ~found.sure)
     if cells:
-        axes.add_collection(PolyCollection(cells, facecolor="none", edgecolor=_HATCH, linewidth=0.0, hatch="////"))
+        axes.add_collection(PolyCollection(cells, facecolor="none", edgecolor=HATCH, linewidth=0.0, hatch="////"))
     label(axes, "A held at θ3, degrees", "B held at θ4, degrees", "where a release ends")
 
 
@@ -98,7 +98,7 @@ def _borders(x: Array, y: Array, end: NDArray[np.int64]) -> list[list[tuple[floa
     return lines
 
 
-def _cells(x: Array, y: Array, chosen: NDArray[np.bool_]) -> list[list[tuple[float, float]]]:
+def cells_of(x: Array, y: Array, chosen: NDArray[np.bool_]) -> list[list[tuple[float, float]]]:
     """Corners of the chosen cells; of a whole row of neighbours in one, so that the hatch runs through."""
     across, up = _sides(x), _sides(y)
     found = list[list[tuple[float, float]]]()
@@ -156,5 +156,5 @@ def _legend(found: BasinMap) -> Sequence[Any]:
     unsure = 1.0 - float(np.mean(found.sure))
     if unsure > 0:
         text = f"at a boundary: ± {math.degrees(found.stated_error_rad):.1g}° may change the end · {100 * unsure:.1f} %"
-        handles.append(Patch(facecolor="white", edgecolor=_HATCH, hatch="////", lw=0, label=text))
+        handles.append(Patch(facecolor="white", edgecolor=HATCH, hatch="////", lw=0, label=text))
     return handles

@@ -7,10 +7,12 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from analysis.figures.basins import HATCH, cells_of
 from analysis.figures.readout import Readout
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.stability_map import MapPoint, draw_borders, set_plane
@@ -65,11 +67,8 @@ def _draw_classes(axes: Axes, found: StateMap) -> None:
     norm = BoundaryNorm(np.arange(len(STATES) + 1) - 0.5, len(STATES))
     axes.pcolormesh(*_grid(found), found.state, cmap=palette, norm=norm, shading="nearest", rasterized=True)
     unsure = found.arrays["sure"] == 0
-    if np.any(unsure) and min(unsure.shape) > 1:
-        shown = np.ma.masked_where(~unsure, np.ones(unsure.shape))
-        mesh = axes.pcolor(*_grid(found), shown, hatch="////", alpha=0.0, shading="nearest")
-        mesh.set_edgecolor("black")
-        mesh.set_linewidth(0.0)
+    if min(unsure.shape) > 1 and (cells := cells_of(found.x, found.y, unsure)):
+        axes.add_collection(PolyCollection(cells, facecolor="none", edgecolor=HATCH, linewidth=0.0, hatch="////"))
     for name, share in found.shares.items():
         text = f"{_WORDS[name]} · {100 * share:.1f} %"
         axes.plot([], [], ls="", marker="s", ms=8, mfc=_COLOURS[name], mec="#888888", mew=0.6, label=text)

@@ -81,17 +81,17 @@ def states_at(
         workers: threads; None: one a core.
         progress: called with the share done, 0 … 1.
     Returns:
-        Arrays of shape (points,): `state`, an index into STATES; `sure`, 0 at a boundary; mean angles in degrees of a
-        state at rest; turns of A and B against the rotor in one of its revolutions; the largest multiplier of what
-        was reached; time until the motion stayed near it, s; rms distance of the disk's centre from the middle of its
-        orbit at the end, m. NaN where there is none.
+        Arrays of shape (points,): `state`, an index into STATES; `sure`, 0 at a boundary and NaN where refused; mean
+        angles in degrees of a state at rest; turns of A and B against the rotor in one of its revolutions; the largest
+        multiplier of what was reached; time until the motion stayed near it, s; rms distance of the disk's centre from
+        the middle of its orbit at the end, m. NaN where there is none.
     """
     points = [plane.rig_at(a, b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     rigs, speeds = [rig for rig, _ in points], [speed for _, speed in points]
     found = release_ends(rigs, speeds, RELEASED_RAD, seconds, workers=workers, progress=progress)
     return {
         "state": np.array([STATES.index(name) for name in found.name.tolist()], np.float64),
-        "sure": found.sure.astype(np.float64),
+        "sure": np.where(found.name == "refused", np.nan, found.sure),
         "theta3_deg": np.degrees(found.theta_rad[:, 0]),
         "theta4_deg": np.degrees(found.theta_rad[:, 1]),
         "turns3_per_rev": found.turns_per_revolution[:, 0],
