@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,7 @@ from cli.console import print_json, say, wait_for_compilation
 from cli.model import Plot
 from cli.numbers import Positive, PositiveRpm, PositiveSeconds
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from cli.scheduler import Scheduler, worked_out
 from cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from dynamics.equations.parameters import RotorParameters
     from dynamics.steady.basins.basin_map import BasinMap
     from dynamics.steady.basins.ends import End
+    from studies.basins import BasinQuestion
+    from studies.study import Study
 
 _MOST = 1_000_000
 
@@ -40,6 +44,7 @@ def basins(
         Parameter(help="also draw so many rigs from the parameters' covariance, released within the locks' play"),
     ] = None,
     play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2,
+    scheduler: Scheduler = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
     json: Json = False,
@@ -57,26 +62,29 @@ def basins(
     numbers = _grid(grid)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     loaded = load_rig(rig, known, settings or [])
-    physics, speed = known.with_effects(loaded.physics), _speed(loaded, point, speed_ratio, speed_rpm)
-    three, four = (np.radians(_angles(number, begin)) for number, begin in zip(numbers, (-180.0, 0.0), strict=True))
+    speed = _speed(loaded, point, speed_ratio, speed_rpm)
     with wait_for_compilation("basins"):
-        from dynamics.steady.basins.basin_map import basins as basin_map  # noqa: PLC0415
+        from analysis.maps.question import parameters_source, rig_source  # noqa: PLC0415
+        from studies.basins import KIND, BasinQuestion, basin_study  # noqa: PLC0415
+        from studies.tile_files import TileFolder  # noqa: PLC0415
 
-        basin_map(physics, speed, three[:1], four[:1], 2 * math.pi / speed)
+        what = BasinQuestion(
+            rig_source(rig), parameters_source(parameters), tuple(settings or ()), speed, numbers, seconds
+        )
+        study = basin_study(what)
+        KIND.warm_up(study.text)
     started = time.perf_counter()
-    total = numbers[0] * numbers[1]
-    try:
-        with share_progress(f"{total} releases of {seconds:g} s", total, "releases") as progress:
-            found = basin_map(physics, speed, three, four, seconds, progress=progress)
-    except KeyboardInterrupt:
-        say("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
-        raise
-    took = time.perf_counter() - started
-    chances = None
-    if probabilities is not None:
-        chances = _chances(physics, speed, known, probabilities, seconds, play_deg)
-    if output is not None:
-        np.savez_compressed(output, **_arrays(found))
+    with tempfile.TemporaryDirectory(prefix="rig-basins-") as passing:
+        place = Path(passing) if output is None else Path(f"{output}.tiles")
+        found = _found(what, study, place, scheduler)
+        took = time.perf_counter() - started
+        chances = None
+        if probabilities is not None:
+            chances = _chances(what.physics, speed, known, probabilities, seconds, play_deg)
+        if output is not None:
+            np.savez_compressed(output, **_arrays(found))
+        if place.is_dir():
+            TileFolder(place, study).forget()
     if plot is not None:
         _draw(plot, loaded, speed, found, settings)
     result = _result(loaded, found, took) | {
@@ -93,6 +101,22 @@ def basins(
         if path is not None:
             print(f"written to {path}")
     return 0
+
+
+def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None) -> BasinMap:
+    """The basin map: at once where it is one tile of this process, else by tiles."""
+    from dynamics.steady.basins.basin_map import basins as basin_map  # noqa: PLC0415
+    from studies.basins import assembled  # noqa: PLC0415
+
+    if study.tiles > 1 or scheduler is not None:
+        return assembled(worked_out(study, place, scheduler, "tiles"))
+    total = what.releases[0] * what.releases[1]
+    try:
+        with share_progress(f"{total} releases of {what.seconds:g} s", total, "releases") as progress:
+            return basin_map(what.physics, what.speed_rad_s, *what.angles_rad, what.seconds, progress=progress)
+    except KeyboardInterrupt:
+        say("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
+        raise
 
 
 def _chances(
@@ -130,11 +154,6 @@ def _grid(text: str) -> tuple[int, int]:
             f"60x40; got {text!r}"
         )
     return across, up
-
-
-def _angles(count: int, begin: float) -> np.ndarray:
-    """Middles of equal parts of the circle, degrees."""
-    return begin + (np.arange(count) + 0.5) * 360.0 / count
 
 
 def _speed(rig: Rig, point: str | None, speed_ratio: float | None, speed_rpm: float | None) -> float:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +16,10 @@ from dynamics.stability.map_plane import Plane
 from dynamics.stability.stability_map import StabilityMap, plane_map
 from studies.study import Answer, Study
 from studies.tile_files import TileFolder
+from studies.tiling import Part, parts_of
 
 _MOST_POINTS = 131_072  # of a tile: about a second of one processor
 _MOST_COLUMNS = 400
-Part = tuple[slice, slice]
-"""Rows and columns of a map."""
 
 
 def map_study(question: MapQuestion) -> Study:
@@ -30,29 +28,11 @@ def map_study(question: MapQuestion) -> Study:
     return Study.of("map", alone.as_json())
 
 
-def parts_of(columns: int, rows: int) -> list[Part]:
-    """The tiles of a map, row by row.
-
-    Args:
-        columns, rows: points of the map.
-    """
-    across = _cuts(columns, -(-columns // _MOST_COLUMNS))
-    widest = max(part.stop - part.start for part in across)
-    up = _cuts(rows, -(-rows * widest // _MOST_POINTS))
-    return [(some_rows, some_columns) for some_rows in up for some_columns in across]
-
-
-def _cuts(count: int, parts: int) -> list[slice]:
-    """Nearly equal parts."""
-    ends = [count * i // parts for i in range(parts + 1)]
-    return [slice(a, b) for a, b in pairwise(ends)]
-
-
 @lru_cache(maxsize=8)
 def _asked(text: str) -> tuple[MapQuestion, list[Part]]:
     """The question and its tiles."""
     question = MapQuestion.of_json(json.loads(text))
-    return question, parts_of(question.x.count, question.y.count)
+    return question, parts_of(question.x.count, question.y.count, _MOST_COLUMNS, _MOST_POINTS)
 
 
 @lru_cache(maxsize=8)

@@ -21,6 +21,7 @@ Answer = dict[str, NDArray[Any]]
 """What one tile found: arrays by name."""
 
 _KINDS = {
+    "basins": "studies.basins",
     "campaigns": "studies.campaigns",
     "map": "studies.maps",
     "archive": "studies.archive",

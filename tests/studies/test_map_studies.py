@@ -20,17 +20,18 @@ from studies.engines import engine_of
 from studies.engines.processes import Processes
 from studies.engines.threads import Threads
 from studies.errors import OtherSoftware, StudyInputError, TileFailed
-from studies.maps import assembled, map_study, parts_of
+from studies.maps import assembled, map_study
 from studies.running import run_study
 from studies.study import Study
 from studies.tile_files import TileFolder
+from studies.tiling import parts_of
 from studies.worker import answer_tile
 from tests.studies.asked import small_map
 
 
 @given(st.integers(1, 5000), st.integers(1, 5000))
 def test_tiles_cover_every_point_once_and_none_is_large(columns: int, rows: int) -> None:
-    parts = parts_of(columns, rows)
+    parts = parts_of(columns, rows, 400, 131_072)
     areas = [(r.stop - r.start) * (c.stop - c.start) for r, c in parts]
     assert sum(areas) == columns * rows
     assert max(areas) <= 140_000

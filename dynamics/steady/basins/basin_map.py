@@ -73,6 +73,7 @@ def basins(
     seconds: float = 20.0,
     *,
     stated_error_rad: float = STATED_ERROR_RAD,
+    workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> BasinMap:
     """Where releases from a grid of locked angles end.
@@ -82,6 +83,7 @@ def basins(
         theta3_rad, theta4_rad: angles at which the locks hold A and B.
         seconds: how long each release is followed.
         stated_error_rad: by how much the angles may be wrong where an end is called sure.
+        workers: threads; None: one a core.
         progress: called with the share done, 0 … 1.
     Raises:
         OutsideDomain: dry friction, no pendulum, no imbalance, or numbers that mean nothing.
@@ -95,7 +97,7 @@ def basins(
             raise OutsideDomain(f"{name}: expected finite angles, shape (n,), got shape {angles.shape}")
     grid = np.array([(a, b) for b in four for a in three])
     starts = released(turning, grid)
-    ends, found = follow_to_all(turning, starts, seconds, stated_error_rad, progress)
+    ends, found = follow_to_all(turning, starts, seconds, stated_error_rad, workers, progress)
     shape = (len(four), len(three))
     return BasinMap(
         three, four, tuple(ends), found.end.reshape(shape), found.sure.reshape(shape), found.caught_s.reshape(shape),
@@ -111,17 +113,17 @@ def released(turning: Turning, theta_rad: Array) -> Array:
 
 
 def follow_to_all(
-    turning: Turning, starts: Array, seconds: float, stated_error_rad: float,
+    turning: Turning, starts: Array, seconds: float, stated_error_rad: float, workers: int | None,
     progress: Callable[[float], None] | None,
 ) -> tuple[list[End], Followed]:  # fmt: skip
     """Releases followed to steady states and to the slipping orbits that they themselves lead to."""
     steady = steady_ends(turning)
     few = np.unique(np.linspace(0, len(starts) - 1, _FIRST).astype(int))
-    first = follow(turning, starts[few], steady, seconds, stated_error_rad=stated_error_rad)
+    first = follow(turning, starts[few], steady, seconds, stated_error_rad=stated_error_rad, workers=workers)
     orbits = _scouted(turning, first.last[first.end < 0], [])
     ends = with_slipping(steady, orbits)
     told = _part(progress, 0.0, _FIRST_PASS)
-    found = follow(turning, starts, ends, seconds, stated_error_rad=stated_error_rad, progress=told)
+    found = follow(turning, starts, ends, seconds, stated_error_rad=stated_error_rad, workers=workers, progress=told)
     left = np.flatnonzero(found.end < 0)
     while len(left):
         added = _scouted(turning, found.last[left], orbits)
@@ -130,7 +132,9 @@ def follow_to_all(
         orbits += added
         ends = with_slipping(steady, orbits)
         told = _part(progress, _FIRST_PASS, 1.0)
-        again = follow(turning, starts[left], ends, seconds, stated_error_rad=stated_error_rad, progress=told)
+        again = follow(
+            turning, starts[left], ends, seconds, stated_error_rad=stated_error_rad, workers=workers, progress=told
+        )
         found.put(left, again)
         left = np.flatnonzero(found.end < 0)
     return ends, found
@@ -150,11 +154,12 @@ def _scouted(turning: Turning, last: Array, known: Sequence[SlippingOrbit]) -> l
     for state in chosen:
         strobe = turning.strobed(state, _SCOUTED)[-_LOOKED_AT:]
         orbit = slipping_orbit(turning, strobe, NEAR_RAD)
-        if orbit is not None and not any(_same(orbit, other) for other in [*known, *found]):
+        if orbit is not None and not any(same_orbit(orbit, other) for other in [*known, *found]):
             found.append(orbit)
     return found
 
 
-def _same(one: SlippingOrbit, other: SlippingOrbit) -> bool:
+def same_orbit(one: SlippingOrbit, other: SlippingOrbit) -> bool:
+    """Whether two slipping orbits are one, by their rates."""
     apart = np.array(one.turns_per_revolution) - np.array(other.turns_per_revolution)
     return bool(np.all(np.abs(apart) < _SAME_RATE))

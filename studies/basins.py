@@ -1,0 +1,216 @@
+# pyright: strict
+"""Basins in tiles: a part of the grid of releases each."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.maps.question import SourceText
+from dynamics.equations.parameters import RotorParameters
+from dynamics.steady.basins.basin_map import BasinMap, basins, same_orbit
+from dynamics.steady.basins.ends import End
+from dynamics.steady.basins.following import STATED_ERROR_RAD
+from dynamics.steady.basins.slipping_orbits import SlippingOrbit
+from rig_configs import IdentifiedParameters
+from rig_configs.load import rig_from_text
+from studies.study import Answer, Study
+from studies.tile_files import TileFolder
+from studies.tiling import Part, parts_of
+
+_MOST, _WIDEST = 2400, 60  # releases of a tile, and along θ3
+_SAME_RAD = 1e-3  # angles of a steady state
+_GRIDS = ("end", "sure", "caught_s", "settled_s", "amplitude_m", "apart_rad", "turns")
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BasinQuestion:
+    """What decides a basin map.
+
+    Attributes:
+        rig: the rig file.
+        parameters: identified parameters laid over it, or None; a bow among them acts.
+        settings: "key=value", laid over both.
+        speed_rad_s: the rotor's.
+        releases: along θ3 and θ4, over the whole circle.
+        seconds: how long each is followed.
+    """
+
+    rig: SourceText
+    parameters: SourceText | None
+    settings: tuple[str, ...]
+    speed_rad_s: float
+    releases: tuple[int, int]
+    seconds: float
+
+    @property
+    def known(self) -> IdentifiedParameters:
+        """The identified parameters, none where none were given."""
+        if self.parameters is None:
+            return IdentifiedParameters({}, np.zeros((0, 0)))
+        return IdentifiedParameters.from_text(self.parameters.text, self.parameters.source)
+
+    @property
+    def physics(self) -> RotorParameters:
+        """The rig that is released."""
+        known = self.known
+        rig = rig_from_text(self.rig.source, self.rig.text, known, self.settings)
+        return known.with_effects(rig.physics)
+
+    @property
+    def angles_rad(self) -> tuple[Array, Array]:
+        """Middles of equal parts of the circle, θ3 from −180°, θ4 from 0°."""
+        across, up = self.releases
+        three = -180.0 + (np.arange(across) + 0.5) * 360.0 / across
+        return np.radians(three), np.radians((np.arange(up) + 0.5) * 360.0 / up)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain numbers and texts; `of_json` takes them back."""
+        return {
+            "rig": self.rig.as_json(),
+            "parameters": None if self.parameters is None else self.parameters.as_json(),
+            "settings": list(self.settings),
+            "speed_rad_per_s": self.speed_rad_s,
+            "releases": list(self.releases),
+            "seconds": self.seconds,
+        }
+
+    @classmethod
+    def of_json(cls, table: dict[str, Any]) -> BasinQuestion:
+        """What `as_json` gave."""
+        known = table["parameters"]
+        across, up = table["releases"]
+        return cls(
+            SourceText.of_json(table["rig"]), None if known is None else SourceText.of_json(known),
+            tuple(table["settings"]), float(table["speed_rad_per_s"]), (int(across), int(up)), float(table["seconds"]),
+        )  # fmt: skip
+
+
+def basin_study(question: BasinQuestion) -> Study:
+    """The study that answers a basin map's question."""
+    return Study.of("basins", question.as_json())
+
+
+@lru_cache(maxsize=8)
+def _asked(text: str) -> tuple[BasinQuestion, RotorParameters, list[Part]]:
+    question = BasinQuestion.of_json(json.loads(text))
+    across, up = question.releases
+    return question, question.physics, parts_of(across, up, _WIDEST, _MOST)
+
+
+class Basins:
+    """See Kind: a part of a basin map, and the ends that its releases lead to."""
+
+    uses_threads = True
+
+    def tiles(self, text: str) -> int:
+        """See Kind."""
+        return len(_asked(text)[2])
+
+    def warm_up(self, text: str) -> None:
+        """See Kind."""
+        question, physics, _ = _asked(text)
+        three, four = question.angles_rad
+        basins(physics, question.speed_rad_s, three[:1], four[:1], 2 * math.pi / question.speed_rad_s, workers=1)
+
+    def answer(self, text: str, tile: int, threads: int) -> Answer:
+        """See Kind."""
+        question, physics, parts = _asked(text)
+        rows, columns = parts[tile]
+        three, four = question.angles_rad
+        found = basins(physics, question.speed_rad_s, three[columns], four[rows], question.seconds, workers=threads)
+        return {name: np.asarray(getattr(found, name)) for name in _GRIDS} | _packed(found.ends)
+
+
+def assembled(folder: TileFolder) -> BasinMap:
+    """The whole of a folder that has every tile.
+
+    A slipping orbit is known in the tiles whose releases led to it: elsewhere releases that would reach it are "not
+    settled".
+
+    Raises:
+        FolderFault: a tile is damaged or missing.
+    """
+    question, _, parts = _asked(folder.study.text)
+    three, four = question.angles_rad
+    grids: dict[str, NDArray[Any]] = {}
+    ends: list[End] = []
+    for tile, part in enumerate(parts):
+        answer = folder.read(tile)
+        numbers = [_number_of(end, ends) for end in _unpacked(answer)]
+        answer["end"] = np.array([*numbers, -1], np.int64)[answer["end"]]  # −1 is the last one
+        for name in _GRIDS:
+            values = answer[name]
+            grid = grids.setdefault(name, np.empty((len(four), len(three), *values.shape[2:]), values.dtype))
+            grid[part] = values
+    return BasinMap(
+        three, four, tuple(ends), grids["end"], grids["sure"], grids["caught_s"], grids["settled_s"],
+        grids["amplitude_m"], grids["apart_rad"], grids["turns"], question.seconds, STATED_ERROR_RAD,
+        question.speed_rad_s,
+    )  # fmt: skip
+
+
+def _packed(ends: Sequence[End]) -> Answer:
+    none = (math.nan, math.nan)
+    orbits = [end.slipping for end in ends]
+    return {
+        "end_name": np.array([end.name for end in ends], dtype=str),
+        "end_mirror": np.array([end.mirror for end in ends], np.int64),
+        "end_theta_rad": np.array([end.theta_rad or none for end in ends], np.float64).reshape(-1, 2),
+        "end_amplitude_m": np.array([end.amplitude_m for end in ends], np.float64),
+        "end_multiplier": np.array([end.multiplier for end in ends], np.float64),
+        "end_start": np.array([end.start for end in ends], np.float64).reshape(-1, 8),
+        "end_turns": np.array([o.turns_per_revolution if o else none for o in orbits], np.float64).reshape(-1, 2),
+        "end_winding": np.array([o.winding if o else (0, 0) for o in orbits], np.int64).reshape(-1, 2),
+        "end_period": np.array([o.period_revolutions if o else 0 for o in orbits], np.int64),
+        "end_rotation": np.array([o.rotation if o else math.nan for o in orbits], np.float64),
+        "end_residual": np.array([o.residual if o else math.nan for o in orbits], np.float64),
+        "end_multipliers": np.array([o.multipliers if o else np.full(8, math.nan) for o in orbits]).reshape(-1, 8),
+    }
+
+
+def _unpacked(answer: Answer) -> list[End]:
+    found: list[End] = []
+    for i, name in enumerate(answer["end_name"].tolist()):
+        amplitude, multiplier = float(answer["end_amplitude_m"][i]), float(answer["end_multiplier"][i])
+        start, mirror = answer["end_start"][i], int(answer["end_mirror"][i])
+        if name != "slipping":
+            a, b = answer["end_theta_rad"][i].tolist()
+            found.append(End(name, mirror, (a, b), amplitude, multiplier, start, None))
+            continue
+        turns, winding = answer["end_turns"][i].tolist(), answer["end_winding"][i].tolist()
+        orbit = SlippingOrbit(
+            (turns[0], turns[1]), (winding[0], winding[1]), int(answer["end_period"][i]),
+            float(answer["end_rotation"][i]), float(answer["end_residual"][i]), answer["end_multipliers"][i],
+            multiplier, amplitude, start[None, :], np.zeros((0, 8, 8)), 0, 1, math.nan, np.zeros((0, 8)),
+        )  # fmt: skip
+        found.append(End(name, mirror, None, amplitude, multiplier, start, None, orbit))
+    return found
+
+
+def _number_of(end: End, ends: list[End]) -> int:
+    """Its place among ends, at which it is put where it is a new one."""
+    for i, other in enumerate(ends):
+        if end.slipping is not None and other.slipping is not None:
+            same = same_orbit(end.slipping, other.slipping)
+        elif end.theta_rad is not None and other.theta_rad is not None:
+            away = np.exp(1j * np.array(end.theta_rad)) - np.exp(1j * np.array(other.theta_rad))
+            same = end.name == other.name and float(np.max(np.abs(away))) < _SAME_RAD
+        else:
+            same = False
+        if same:
+            return i
+    alike = sum(other.name == end.name for other in ends)
+    ends.append(replace(end, mirror=alike) if end.slipping is not None else end)
+    return len(ends) - 1
+
+
+KIND = Basins()
