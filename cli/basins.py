@@ -49,9 +49,9 @@ def basins(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Where releases end: balance, another steady state, or slipping, over the angles the locks hold.
+    """Where releases end, over the angles at which the locks hold the pendulums.
 
-    Each release starts on the orbit of the locked rotor and is followed until a stable motion has caught it. Cells
+    An end is balance, another steady state, or slipping. Each release starts on the orbit of the locked rotor and is followed until a stable motion has caught it. Cells
     whose end hangs on less than the stated error are marked as boundaries.
     """
     need_place("rig basins:", output, plot)

@@ -14,16 +14,28 @@ from analysis.maps.answers import compile_maps
 from analysis.maps.question import MapQuestion
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.stability_map import StabilityMap, plane_map
+from studies.errors import StudyInputError
 from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 from studies.tiling import Part, parts_of
 
 _MOST_POINTS = 131_072  # of a tile: about a second of one processor
 _MOST_COLUMNS = 400
+_LARGEST = 200_000_000  # points of a map
 
 
 def map_study(question: MapQuestion) -> Study:
-    """The study that works out the grid of a map's question; refined grids and borders are not in tiles."""
+    """The study that works out the grid of a map's question; refined grids and borders are not in tiles.
+
+    Raises:
+        StudyInputError: more points than can be put together.
+    """
+    count = question.x.count * question.y.count
+    if count > _LARGEST:
+        raise StudyInputError(
+            f"a map holds at most {_LARGEST:.0e} points, all of which are in memory at the end; asked "
+            f"{question.x.count} × {question.y.count}. Ask for parts of the plane, one after the other"
+        )
     alone = replace(question, quantity="multiplier", borders=False, refine=0, family=None, best=None)
     return Study.of("map", alone.as_json())
 

@@ -13,14 +13,25 @@ from numpy.typing import NDArray
 from analysis.maps.question import MapQuestion
 from analysis.maps.states import ARRAYS, StateMap, states_at
 from dynamics.stability.map_plane import Plane
+from studies.errors import StudyInputError
 from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 
 _POINTS = 24  # of a tile: a second or two
+_LARGEST = 10_000_000  # points of a map
 
 
 def release_study(question: MapQuestion) -> Study:
-    """The study that follows the releases of a map's question; refined grids are not in tiles."""
+    """The study that follows the releases of a map's question; refined grids are not in tiles.
+
+    Raises:
+        StudyInputError: more points than can be put together.
+    """
+    if question.x.count * question.y.count > _LARGEST:
+        raise StudyInputError(
+            f"a map of releases has at most {_LARGEST:.0e} points, asked {question.x.count} × {question.y.count}; ask "
+            "for fewer, or for parts of the plane"
+        )
     return Study.of("releases", replace(question, quantity="state", borders=False, refine=0, accuracy=1e-8).as_json())
 
 

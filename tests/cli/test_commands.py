@@ -64,7 +64,8 @@ def test_map_writes_arrays_and_figure(capsys: pytest.CaptureFixture[str], tmp_pa
     assert code == 0
     assert result["points"] == 184
     with np.load(arrays) as found:
-        assert set(found) == {"speed_ratio", "stiffness_ratio", "multiplier_max", "error_estimate", "decay_rate_per_s"}
+        numbers = {"speed_ratio", "stiffness_ratio", "multiplier_max", "error_estimate", "decay_rate_per_s"}
+        assert set(found) == numbers | {"provenance"}
         assert found["multiplier_max"].shape == found["error_estimate"].shape == (8, 23)
         assert np.all(found["error_estimate"] <= 1e-8 * np.maximum(1, found["multiplier_max"]))
     assert figure.stat().st_size > 5000
