@@ -51,8 +51,9 @@ def basins(
 ) -> int:
     """Where releases end, over the angles at which the locks hold the pendulums.
 
-    An end is balance, another steady state, or slipping. Each release starts on the orbit of the locked rotor and is followed until a stable motion has caught it. Cells
-    whose end hangs on less than the stated error are marked as boundaries.
+    An end is balance, another steady state, or slipping. Each release starts on the orbit of the locked rotor and is
+    followed until a stable motion has caught it. Cells whose end hangs on less than the stated error are marked as
+    boundaries.
     """
     need_place("rig basins:", output, plot)
     if output is not None and output.suffix != ".npz":
