@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from analysis.maps.question import MapQuestion
 
 _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
-_X_OF_RELEASES, _Y_OF_RELEASES = "speed_ratio=0.3:7:80", "stiffness_ratio=1:16:40"
+_X_OF_MOTIONS, _Y_OF_MOTIONS = "speed_ratio=0.3:7:80", "stiffness_ratio=1:16:40"
 
 
 def map(
@@ -36,10 +36,10 @@ def map(
     ] = None,
     y: Annotated[str | None, Parameter(help=f"the same, of another number; {_Y} without")] = None,
     quantity: Annotated[
-        Literal["multiplier", "decay-rate", "state", "amplitude", "settling-time"],
+        Literal["multiplier", "decay-rate", "state", "amplitude", "settling-time", "coexisting"],
         Parameter(
             help="the largest multiplier; the decay rate per second that follows from it; or of a release at every "
-            "point the state reached, the amplitude left, the time it took"
+            "point the state reached, the amplitude left, the time it took; or which stable motions coexist"
         ),
     ] = "multiplier",
     borders: Annotated[
@@ -76,7 +76,7 @@ def map(
     with wait_for_compilation("stability map"):
         from analysis.maps.answers import compile_maps  # noqa: PLC0415 (numba takes a while to load)
         from analysis.maps.question import (  # noqa: PLC0415
-            OF_RELEASES,
+            NONLINEAR,
             MapQuestion,
             parameters_source,
             rig_source,
@@ -86,7 +86,7 @@ def map(
         from cli.map_page import say_what_is_left_out  # noqa: PLC0415
 
         _need_places(output, plot)
-        usual = (_X_OF_RELEASES, _Y_OF_RELEASES) if quantity in OF_RELEASES else (_X, _Y)
+        usual = (_X_OF_MOTIONS, _Y_OF_MOTIONS) if quantity in NONLINEAR else (_X, _Y)
         question = MapQuestion(
             rig_source(rig), read_axis("--x", x or usual[0]), read_axis("--y", y or usual[1]),
             parameters_source(parameters), tuple(settings or ()), None, quantity, accuracy, borders, refine,
@@ -95,13 +95,13 @@ def map(
             seconds,
         )  # fmt: skip
         question = replace(question, speed_rad_s=speed_of(question.loaded(), point, speed_ratio, speed_rpm))
-        if not question.of_releases:
+        if not question.is_nonlinear:
             say_what_is_left_out(question)
             compile_maps(question)
-    if question.of_releases:
-        from cli.map_states import map_states  # noqa: PLC0415
+    if question.is_nonlinear:
+        from cli.map_motions import map_motions  # noqa: PLC0415
 
-        return map_states(question, output, plot, scheduler, json)
+        return map_motions(question, output, plot, scheduler, json)
     return _answered(question, output, plot, scheduler, json)
 
 

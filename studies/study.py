@@ -25,6 +25,7 @@ _KINDS = {
     "campaigns": "studies.campaigns",
     "map": "studies.maps",
     "archive": "studies.archive",
+    "coexistence": "studies.coexistence",
     "releases": "studies.releases",
 }
 _SOURCES = ("dynamics", "uncertainty", "rig_configs", "daq", "identification", "analysis", "studies")

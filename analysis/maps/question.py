@@ -19,9 +19,9 @@ from rig_configs import IdentifiedParameters, ParametersFileError, Rig, RigFileE
 from rig_configs.load import rig_from_text, rig_text
 from rig_configs.toml_text import read_text
 
-Quantity = Literal["multiplier", "decay-rate", "state", "amplitude", "settling-time"]
-OF_RELEASES: tuple[Quantity, ...] = ("state", "amplitude", "settling-time")
-"""Quantities that a release at every point is followed for."""
+Quantity = Literal["multiplier", "decay-rate", "state", "amplitude", "settling-time", "coexisting"]
+NONLINEAR: tuple[Quantity, ...] = ("state", "amplitude", "settling-time", "coexisting")
+"""Quantities of the whole motion, that take much longer: what a release comes to, which motions there are."""
 _FINEST = 8
 _K2 = "suspension.k2_N_per_m"
 
@@ -89,7 +89,7 @@ class MapQuestion:
     seconds: float = 20.0
 
     def __post_init__(self) -> None:
-        if self.of_releases and (self.family or self.best):
+        if self.is_nonlinear and (self.family or self.best):
             raise RigFileError(f"rig map: --family and --best are of borders; --quantity {self.quantity} has none")
         if not 0 < self.seconds < math.inf:
             raise RigFileError(f"rig map: --seconds expected a number above 0, got {self.seconds!r}")
@@ -105,9 +105,9 @@ class MapQuestion:
                 raise RigFileError(f"rig map: {option}: {both[0]} changes along an axis; give another number")
 
     @property
-    def of_releases(self) -> bool:
-        """Whether a release is followed at every point."""
-        return self.quantity in OF_RELEASES
+    def is_nonlinear(self) -> bool:
+        """Whether the quantity is one of the whole motion."""
+        return self.quantity in NONLINEAR
 
     @property
     def axes(self) -> tuple[MapAxis, MapAxis]:

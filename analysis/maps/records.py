@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.maps.answers import MapAnswer
+from analysis.maps.coexistence import CoexistenceMap
 from analysis.maps.question import MapQuestion
 from analysis.maps.states import StateMap
 from daq.version import software_version
@@ -84,17 +85,19 @@ def record(found: MapAnswer, numbers: Mapping[str, Any]) -> MapRecord:
     return MapRecord(_provenance(question, found.method, numbers), grid.x, grid.y, arrays, lines)
 
 
-def state_record(found: StateMap, borders: Borders | None, numbers: Mapping[str, Any]) -> MapRecord:
-    """A map of releases to be kept: the arrays of `analysis.maps.states.states_at`.
+def motion_record(found: StateMap | CoexistenceMap, borders: Borders | None, numbers: Mapping[str, Any]) -> MapRecord:
+    """A map of motions to be kept: the arrays of `states_at` or of `motions_at`.
 
     Args:
         borders: of the balanced state's stability.
         numbers: what `rig map --json` says of it.
     """
     arrays: dict[str, NDArray[Any]] = dict(found.arrays)
-    if found.computed is not None:
-        arrays["computed"] = found.computed
-    method = f"a release at every point, followed for {found.question.seconds:g} s"
+    method = "stable motions by Newton's method and their own multipliers"
+    if isinstance(found, StateMap):
+        method = f"a release at every point, followed for {found.question.seconds:g} s"
+        if found.computed is not None:
+            arrays["computed"] = found.computed
     return MapRecord(_provenance(found.question, method, numbers), found.x, found.y, arrays, _lines(borders, None))
 
 

@@ -50,6 +50,7 @@ def stable_motions(
     speeds_rad_s: Sequence[float],
     *,
     row: int | None = None,
+    workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[StableMotions]:
     """All stable motions of each rig at its speed.
@@ -57,6 +58,7 @@ def stable_motions(
     Args:
         rigs, speeds_rad_s: neighbours follow one another, so that a slipping orbit is found from the one before.
         row: points in a row of a plane: within it orbits are carried on; None: all are one row.
+        workers: threads; None: one a core.
         progress: called with the share done.
     Raises:
         OutsideDomain: counts that do not match. What is wrong with one rig is in `refused`.
@@ -81,7 +83,7 @@ def stable_motions(
                 progress(done / count)
         return found
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
             return [each for part in pool.map(along, range(0, count, length)) for each in part]
         except BaseException:

@@ -1,0 +1,88 @@
+# pyright: strict, reportUnknownMemberType=false
+"""The figure of `rig map --quantity coexisting`: which stable motions there are at every point."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+
+from analysis.figures.readout import Readout
+from analysis.figures.sheet import WIDTH_IN, sheet
+from analysis.figures.stability_map import MapPoint, draw_borders, set_plane
+from analysis.maps.axes import SPEED_RATIO, STIFFNESS_RATIO
+from analysis.maps.coexistence import MOTIONS, CoexistenceMap, words_of
+from daq.version import software_version
+from dynamics.stability.borders import Borders
+
+_HEIGHT_IN = 4.6
+_KNOWN = {
+    "I": "#56B4E9", "III": "#009E73", "slipping": "#D55E00", "I + slipping": "#E69F00", "III + slipping": "#999933",
+    "I + III": "#0072B2", "I + III + slipping": "#882255", "nothing stable found": "#d9d9d9", "no answer": "#ffffff",
+}  # fmt: skip
+
+
+def draw_coexistence(found: CoexistenceMap, borders: Borders | None = None) -> tuple[Figure, Readout | None]:
+    """The figure of a map of coexisting motions, and what a page reads out under the pointer.
+
+    Args:
+        borders: of the balanced state's stability, drawn over it.
+    """
+    question, rig = found.question, found.question.loaded()
+    usual = (question.x.keys, question.y.keys) == ((SPEED_RATIO,), (STIFFNESS_RATIO,))
+    own = rig.physics.k2_N_per_m / rig.physics.k1_N_per_m if usual else None
+    points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
+    what_if = f"; {', '.join(question.settings)}" if question.settings else ""
+    with sheet(WIDTH_IN, _HEIGHT_IN, f"{rig.name}: which motions are stable{what_if}", _foot(found, borders)) as figure:
+        axes: Axes = figure.subplots()
+        axes.grid(False)
+        _draw_classes(axes, found)
+        if borders is not None:
+            draw_borders(axes, borders)
+        logarithmic = question.x.logarithmic, question.y.logarithmic
+        set_plane(axes, (found.x, found.y), (question.x.name, question.y.name), logarithmic, points, own)
+    return figure, _readout(found, axes) if min(len(found.x), len(found.y)) > 1 else None
+
+
+def _draw_classes(axes: Axes, found: CoexistenceMap) -> None:
+    stable = np.where(np.isnan(found.arrays["stable"]), -1.0, found.arrays["stable"])
+    values = np.unique(stable)
+    names = [words_of(np.nan if value < 0 else float(value)) for value in values.tolist()]
+    others = iter(colormaps["tab20b"](np.linspace(0, 1, 20)).tolist())
+    colours = [_KNOWN.get(name) or next(others) for name in names]
+    norm = BoundaryNorm(np.arange(len(values) + 1) - 0.5, len(values)) if len(values) > 1 else None
+    number = np.searchsorted(values, stable)
+    axes.pcolormesh(
+        found.x, found.y, number, cmap=ListedColormap(colours), norm=norm, shading="nearest", rasterized=True
+    )
+    shares = found.shares
+    for name, colour in zip(names, colours, strict=True):
+        text = f"{name} · {100 * shares[name]:.1f} %"
+        axes.plot([], [], ls="", marker="s", ms=8, mfc=colour, mec="#888888", mew=0.6, label=text)
+
+
+def _foot(found: CoexistenceMap, borders: Borders | None) -> list[str]:
+    question = found.question
+    notes = [
+        "I: balanced, II: pendulums opposed, III: together, each stable by its own multipliers; slipping: a stable "
+        "orbit on which pendulums turn against the rotor for ever, found from the point before or from three releases."
+    ]
+    if borders is not None:
+        notes.append("Black line: border of the balanced state's stability.")
+    notes.append(
+        f"Made by pendulum-balancer-rig {software_version()} of {question.rig.source} {question.rig.digest[:19]}."
+    )
+    return notes
+
+
+def _readout(found: CoexistenceMap, axes: Axes) -> Readout:
+    question, arrays = found.question, found.arrays
+    layers = {f"|multiplier| of {name}": arrays[f"multiplier_{name}"] for name in MOTIONS}
+    layers = {name: values for name, values in layers.items() if np.any(np.isfinite(values))}
+    box = axes.get_position()
+    return Readout(
+        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)), (question.x.name, question.y.name),
+        (question.x.logarithmic, question.y.logarithmic), found.x, found.y, layers,
+    )  # fmt: skip

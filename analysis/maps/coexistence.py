@@ -1,0 +1,98 @@
+# pyright: strict
+"""Which stable motions coexist over two numbers of a rig: balance, the other steady states, slipping orbits."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.maps.question import MapQuestion
+from analysis.maps.states import StateArrays
+from dynamics.stability.map_plane import Plane
+from dynamics.steady.basins.coexisting import StableMotions, stable_motions
+
+Array = NDArray[np.float64]
+
+MOTIONS = ("I", "II", "III", "one", "slipping")
+"""Kinds of motion; the n-th is the bit 2ⁿ of `stable`."""
+COEXISTENCE_ARRAYS: tuple[str, ...] = (
+    "stable", "multiplier_I", "multiplier_II", "multiplier_III", "multiplier_one", "multiplier_slipping",
+    "slipping_orbits", "turns3_per_rev", "turns4_per_rev",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class CoexistenceMap:
+    """Stable motions at every point of a grid.
+
+    Attributes:
+        question: what was asked.
+        x, y: values of its numbers, shapes (n,) and (m,).
+        arrays: by the names of COEXISTENCE_ARRAYS, shape (m, n); see `motions_at`.
+    """
+
+    question: MapQuestion
+    x: Array
+    y: Array
+    arrays: StateArrays
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Which motions coexist, as "I + slipping", to the share of the points where they do, the largest first."""
+        counts = Counter(words_of(value) for value in self.arrays["stable"].ravel().tolist())
+        return {name: count / self.arrays["stable"].size for name, count in counts.most_common()}
+
+
+def words_of(stable: float) -> str:
+    """The motions of a value of `stable`."""
+    if np.isnan(stable):
+        return "no answer"
+    bits = int(stable)
+    return " + ".join(name for i, name in enumerate(MOTIONS) if bits & (1 << i)) or "nothing stable found"
+
+
+def motions_at(
+    plane: Plane,
+    x: Array,
+    y: Array,
+    workers: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Array]:
+    """The stable motions of points that lie in a row: slipping orbits are carried on from one to the next.
+
+    Args:
+        x, y: of the points, shape (points,).
+        workers: threads; None: one a core.
+        progress: called with the share done, 0 … 1.
+    Returns:
+        Arrays of shape (points,): `stable`, the sum of 2ⁿ over the motions of MOTIONS that are there and stable, NaN
+        where there is no answer; the largest multiplier of the most stable motion of each kind over one revolution,
+        across the orbit for a slipping one; how many slipping orbits were found, and turns of A and B against the
+        rotor in one of its revolutions on the most stable of them. NaN where there is none.
+    """
+    points = [plane.rig_at(a, b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    found = stable_motions(
+        [rig for rig, _ in points], [speed for _, speed in points], workers=workers, progress=progress
+    )
+    columns = [_numbers(one) for one in found]
+    return {name: np.array([column[name] for column in columns]) for name in COEXISTENCE_ARRAYS}
+
+
+def _numbers(found: StableMotions) -> dict[str, float]:
+    numbers: dict[str, float] = dict.fromkeys(COEXISTENCE_ARRAYS, np.nan)
+    if found.refused:
+        return numbers
+    numbers["stable"] = float(sum(1 << MOTIONS.index(name) for name in found.names))
+    numbers["slipping_orbits"] = float(len(found.slipping))
+    for state in found.steady:
+        name = f"multiplier_{state.type}"
+        numbers[name] = float(np.nanmin([numbers[name], state.multiplier_max]))
+    if found.slipping:
+        best = min(found.slipping, key=lambda orbit: orbit.multiplier_across)
+        numbers["multiplier_slipping"] = best.multiplier_across
+        numbers["turns3_per_rev"], numbers["turns4_per_rev"] = best.turns_per_revolution
+    return numbers

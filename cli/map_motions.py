@@ -1,0 +1,122 @@
+# pyright: strict
+"""`rig map` of the whole motion: what a release comes to at every point, or which stable motions coexist."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.figures.coexistence import draw_coexistence
+from analysis.figures.page import write_figure
+from analysis.figures.state_maps import draw_states
+from analysis.maps.answers import borders_of
+from analysis.maps.coexistence import MOTIONS, CoexistenceMap
+from analysis.maps.files import write_map
+from analysis.maps.question import MapQuestion
+from analysis.maps.records import motion_record
+from analysis.maps.states import STATES, StateMap, refined_states
+from cli.console import plain, print_json, say
+from cli.map_page import borders_json
+from cli.options import what_if_words
+from cli.scheduler import worked_out
+from cli.share_progress import share_progress
+from rig_configs import RigFileError
+from studies import coexistence, releases
+from studies.study import Study
+from studies.tile_files import TileFolder
+
+
+def map_motions(
+    question: MapQuestion, output: Path | None, plot: Path | None, scheduler: str | None, as_json: bool
+) -> int:
+    """Work the map out; write, draw and say it."""
+    started = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="rig-map-") as passing:
+        place = Path(passing) if output is None else Path(f"{output}.tiles")
+        study = None if question.refine else _study(question)
+        found = _refined(question, scheduler) if study is None else _whole(question, study, place, scheduler)
+        seconds = time.perf_counter() - started
+        borders = None
+        if question.borders:
+            with share_progress("borders") as told:
+                borders = borders_of(question, question.plane(), told)
+        result = _json(found, seconds) | {"borders": None if borders is None else borders_json(borders)}
+        written = [] if output is None else write_map(output, motion_record(found, borders, plain(result)))
+        if study is not None:
+            TileFolder(place, study).forget()
+    if plot is not None:
+        draw = draw_states(found, borders) if isinstance(found, StateMap) else draw_coexistence(found, borders)
+        write_figure(plot, draw[0], f"Motions of {question.loaded().name}", draw[1])
+        written.append(plot)
+    result["written"] = [str(path) for path in written]
+    if as_json:
+        print_json(result)
+        return 0
+    _print(found, seconds)
+    for path in written:
+        print(f"written to {path}")
+    if not written:
+        say("nothing kept: give -o FILE.npz for the arrays, --plot FILE for the figure")
+    return 0
+
+
+def _study(question: MapQuestion) -> Study:
+    if question.quantity == "coexisting":
+        return coexistence.coexistence_study(question)
+    return releases.release_study(question)
+
+
+def _whole(question: MapQuestion, study: Study, place: Path, scheduler: str | None) -> StateMap | CoexistenceMap:
+    folder = worked_out(study, place, scheduler, "tiles")
+    if question.quantity == "coexisting":
+        return coexistence.assembled(folder, question)
+    return releases.assembled(folder, question)
+
+
+def _refined(question: MapQuestion, scheduler: str | None) -> StateMap:
+    if question.quantity == "coexisting":
+        raise RigFileError("rig map: --refine is of states; --quantity coexisting goes from point to point of a row")
+    if scheduler is not None:
+        raise RigFileError(
+            "rig map: --refine works in this process, cell by cell after what it has found; leave --scheduler out, or "
+            "ask for the whole fine grid"
+        )
+    with share_progress(f"{question.x.count * question.y.count} releases and more where the state changes") as told:
+        return refined_states(question, told)
+
+
+def _json(found: StateMap | CoexistenceMap, seconds: float) -> dict[str, Any]:
+    question = found.question
+    result: dict[str, Any] = {
+        "x": question.x.key,
+        "y": question.y.key,
+        "quantity": question.quantity,
+        "points": len(found.x) * len(found.y),
+        "seconds": seconds,
+        "shares": found.shares,
+        "what_if": list(question.settings),
+    }
+    if isinstance(found, CoexistenceMap):
+        return result | {"motions": list(MOTIONS)}
+    return result | {
+        "followed_s": question.seconds,
+        "states": list(STATES),
+        "boundary_share": found.unsure_share,
+        "computed_share": 1.0 if found.computed is None else float(np.mean(found.computed)),
+    }
+
+
+def _print(found: StateMap | CoexistenceMap, seconds: float) -> None:
+    question, count = found.question, len(found.x) * len(found.y)
+    what = f"releases of {question.seconds:g} s" if isinstance(found, StateMap) else "points"
+    print(f"{count} {what} in {seconds:.3g} s")
+    for name, share in found.shares.items():
+        print(f"{name}: {100 * share:.1f} %")
+    if isinstance(found, StateMap):
+        print(f"at a boundary: {100 * found.unsure_share:.1f} %")
+    if question.settings:
+        print(what_if_words(question.settings))
