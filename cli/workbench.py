@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import multiprocessing
-import os
 import queue
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.connection import Connection
@@ -16,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rig_configs.schema import Rig
+from studies.engines.lifeline import end_with_parent
 
 _found: dict[str, Any] = {}  # the worker's own memory between two jobs of one campaign
 _TOLD_EVERY_S = 0.2
@@ -26,23 +25,9 @@ def _tell(text: str) -> None:
     _found["told"].put(text)
 
 
-def _end_with_parent(lifeline: Connection) -> None:
-    """End this process as soon as the one that started it is gone, however it went.
-
-    The other end of the pipe is the parent's alone. When it is closed, nobody waits for what is being worked out.
-    """
-
-    def wait() -> None:
-        with contextlib.suppress(EOFError, OSError):
-            lifeline.recv_bytes()
-        os._exit(1)
-
-    threading.Thread(target=wait, name="lifeline", daemon=True).start()
-
-
 def _begin_work(lifeline: Connection, told: Queue[str]) -> None:
     """In the worker, before its first job: end with the parent, and know where to say what a job is at."""
-    _end_with_parent(lifeline)
+    end_with_parent(lifeline)
     _found["told"] = told
 
 

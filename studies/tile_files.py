@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import os
 import re
@@ -16,16 +17,33 @@ import numpy as np
 from studies.errors import FolderFault
 from studies.study import Answer, Study
 
+_SEAL = 64  # hexadecimal digits of a SHA-256
+
 
 def packed(answer: Answer) -> bytes:
-    """A tile's arrays as the bytes of its file: the same arrays give the same bytes."""
+    """A tile's arrays as the bytes of its file, an .npz: the same arrays give the same bytes.
+
+    The archive's comment is the SHA-256 of all before it: what is damaged anywhere is found, its directory included.
+    """
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, values in answer.items():
             content = io.BytesIO()
             np.lib.format.write_array(content, np.asanyarray(values), allow_pickle=False)
             archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue(), zipfile.ZIP_DEFLATED)
-    return stream.getvalue()
+    whole = stream.getvalue()  # it ends with the length of its comment, 0
+    return whole[:-2] + _SEAL.to_bytes(2, "little") + hashlib.sha256(whole).hexdigest().encode()
+
+
+def _need_whole(content: bytes) -> None:
+    """Whether a file's content is what was written.
+
+    Raises:
+        ValueError: it is not.
+    """
+    whole = content[: -_SEAL - 2] + b"\0\0"
+    if hashlib.sha256(whole).hexdigest().encode() != content[-_SEAL:]:
+        raise ValueError("its checksum is another")
 
 
 class TileFolder:
@@ -68,14 +86,16 @@ class TileFolder:
         """
         path = self.path / self._name(tile)
         try:
-            with zipfile.ZipFile(path) as archive:
+            content = path.read_bytes()
+            _need_whole(content)
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
                 return {
                     name.removesuffix(".npy"): np.lib.format.read_array(
                         io.BytesIO(archive.read(name)), allow_pickle=False
                     )
                     for name in archive.namelist()
                 }
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as fault:
+        except (OSError, ValueError, zipfile.BadZipFile) as fault:
             raise FolderFault(
                 f"{path}: expected a finished tile, it cannot be read ({fault}); delete it and give the same command "
                 "again: this tile alone is worked out anew"

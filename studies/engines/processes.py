@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -69,7 +70,7 @@ class Processes:
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
             ours, self._lifeline = context.Pipe(duplex=False)
-            self._pool = ProcessPoolExecutor(self._count, context, end_with_parent, (ours,))
+            self._pool = ProcessPoolExecutor(self._count, context, _begin, (ours,))
         return self._pool
 
     def _end(self) -> None:
@@ -78,3 +79,9 @@ class Processes:
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
         self._pool = self._lifeline = None
+
+
+def _begin(lifeline: Connection) -> None:
+    """In a process, before its first tile: Ctrl-C is for the one who asks, at whose end this process ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent(lifeline)
