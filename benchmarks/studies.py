@@ -98,6 +98,17 @@ def client_seconds_per_tile(address: str, content: bytes, tiles: int) -> float:
         return (time.perf_counter() - started) / tiles
 
 
+def largest_memory_bytes(address: str) -> list[int]:
+    """What each worker of a scheduler has held at most since it began (Linux)."""
+    with distributed.Client(address, set_as_default=False) as client:
+        return sorted(client.run(_peak).values())
+
+
+def _peak() -> int:
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return 1024 * int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
+
+
 def _same(content: bytes, number: int) -> bytes:
     return content + bytes([number % 256])
 
@@ -129,9 +140,11 @@ def main() -> None:
                 taken, found = seconds_of(engine, study, Path(place))
                 seconds[name].append(taken)
                 files.append(found)
+        memory = largest_memory_bytes(address)
         per_tile = client_seconds_per_tile(address, next(iter(files[0].values())), 50)
     ratio = statistics.median(b / a for a, b in zip(seconds["processes"], seconds["dask"], strict=True))
     result = _result(study, seconds, ratio, per_tile, files)
+    result["largest_memory_of_workers_MB"] = [round(bytes_ / 1e6) for bytes_ in memory]
     for name, value in result.items():
         print(f"{name}: {value}")
     if given.out:

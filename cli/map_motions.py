@@ -21,6 +21,7 @@ from analysis.maps.records import motion_record
 from analysis.maps.states import STATES, StateMap, refined_states
 from cli.console import plain, print_json, say
 from cli.map_page import borders_json
+from cli.map_tiles import need_own_process
 from cli.options import what_if_words
 from cli.scheduler import worked_out
 from cli.share_progress import share_progress
@@ -79,12 +80,10 @@ def _whole(question: MapQuestion, study: Study, place: Path, scheduler: str | No
 
 def _refined(question: MapQuestion, scheduler: str | None) -> StateMap:
     if question.quantity == "coexisting":
-        raise RigFileError("rig map: --refine is of states; --quantity coexisting goes from point to point of a row")
-    if scheduler is not None:
         raise RigFileError(
-            "rig map: --refine works in this process, cell by cell after what it has found; leave --scheduler out, or "
-            "ask for the whole fine grid"
+            "rig map: --refine is of states; --quantity coexisting goes from each point to its neighbours"
         )
+    need_own_process(question, scheduler)
     with share_progress(f"{question.x.count * question.y.count} releases and more where the state changes") as told:
         return refined_states(question, told)
 

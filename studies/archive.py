@@ -101,6 +101,12 @@ class Archive:
         """See Kind."""
         return len(_asked(text)["campaigns"])
 
+    def part(self, text: str, tile: int) -> str:
+        """See Kind: a campaign's logs give the same among any others."""
+        asked = _asked(text)
+        own = {name: value for name, value in asked.items() if name != "campaigns"}
+        return Study.question(own | {"campaign": asked["campaigns"][tile]})
+
     def warm_up(self, text: str) -> None:
         """See Kind: importing is all that can be done beforehand; the first campaign compiles the rest."""
 

@@ -115,6 +115,9 @@ class Basins:
         """See Kind."""
         return len(_asked(text)[2])
 
+    def part(self, text: str, tile: int) -> None:
+        """See Kind: a tile's number says it."""
+
     def warm_up(self, text: str) -> None:
         """See Kind."""
         question, physics, _ = _asked(text)

@@ -63,6 +63,12 @@ class Campaigns:
         """See Kind."""
         return int(_asked(text)["campaigns"])
 
+    def part(self, text: str, tile: int) -> str:
+        """See Kind: a seed's campaign is the same among any number of others."""
+        asked = _asked(text)
+        own = {name: asked[name] for name in ("rig", "settings")}
+        return Study.question(own | {"seed": int(asked["first_seed"]) + tile})
+
     def warm_up(self, text: str) -> None:
         """See Kind: importing is all that can be done beforehand; the first campaign compiles the rest."""
 

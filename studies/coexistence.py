@@ -1,5 +1,5 @@
 # pyright: strict
-"""Which stable motions coexist over two numbers of a rig, a piece of a row to a tile."""
+"""Which stable motions coexist over two numbers of a rig, a rectangle of neighbours to a tile."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 from studies.tiling import Part, parts_of
 
-_POINTS = 16  # of a row in a tile: slipping orbits are carried on within it
+_WIDE, _POINTS = 8, 32  # columns and points of a tile: slipping orbits are carried to neighbours within it
 
 
 def coexistence_study(question: MapQuestion) -> Study:
@@ -29,7 +29,7 @@ def coexistence_study(question: MapQuestion) -> Study:
 @lru_cache(maxsize=8)
 def _asked(text: str) -> tuple[MapQuestion, list[Part]]:
     question = MapQuestion.of_json(json.loads(text))
-    return question, parts_of(question.x.count, question.y.count, _POINTS, 1)
+    return question, parts_of(question.x.count, question.y.count, _WIDE, _POINTS)
 
 
 @lru_cache(maxsize=8)
@@ -39,7 +39,7 @@ def _plane(text: str) -> tuple[Plane, NDArray[np.float64], NDArray[np.float64]]:
 
 
 class Coexistence:
-    """See Kind: the arrays of `analysis.maps.coexistence.motions_at`, shape (1, points)."""
+    """See Kind: the arrays of `analysis.maps.coexistence.motions_at`, shape (rows, columns)."""
 
     uses_threads = True
 
@@ -47,17 +47,21 @@ class Coexistence:
         """See Kind."""
         return len(_asked(text)[1])
 
+    def part(self, text: str, tile: int) -> None:
+        """See Kind: a tile's number says it."""
+
     def warm_up(self, text: str) -> None:
         """See Kind."""
         plane, x, y = _plane(text)
-        motions_at(plane, x[:1], y[:1], 1)
+        motions_at(plane, x[:1], y[:1], workers=1)
 
     def answer(self, text: str, tile: int, threads: int) -> Answer:
         """See Kind."""
         plane, x, y = _plane(text)
         rows, columns = _asked(text)[1][tile]
-        found = motions_at(plane, x[columns], np.full(len(x[columns]), y[rows][0]), threads)
-        return {name: values[None, :] for name, values in found.items()}
+        grid = np.meshgrid(x[columns], y[rows])
+        found = motions_at(plane, grid[0].ravel(), grid[1].ravel(), len(x[columns]), threads)
+        return {name: values.reshape(grid[0].shape) for name, values in found.items()}
 
 
 def assembled(folder: TileFolder, question: MapQuestion) -> CoexistenceMap:

@@ -63,6 +63,9 @@ class Maps:
         """See Kind."""
         return len(_asked(text)[1])
 
+    def part(self, text: str, tile: int) -> None:
+        """See Kind: a tile's number says it."""
+
     def warm_up(self, text: str) -> None:
         """See Kind."""
         compile_maps(_asked(text)[0])

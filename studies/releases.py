@@ -58,6 +58,9 @@ class Releases:
         question = _asked(text)
         return -(-question.x.count * question.y.count // _POINTS)
 
+    def part(self, text: str, tile: int) -> None:
+        """See Kind: a tile's number says it."""
+
     def warm_up(self, text: str) -> None:
         """See Kind."""
         plane, x, y = _points(text)

@@ -45,6 +45,13 @@ class Kind(Protocol):
         """How many there are."""
         ...
 
+    def part(self, text: str, tile: int) -> str | None:
+        """All of the question that decides one tile's answer: other questions with this part have the tile in common.
+
+        None: the whole question, of which the tile has its number.
+        """
+        ...
+
     def warm_up(self, text: str) -> None:
         """Import and compile what a tile needs."""
         ...
@@ -92,13 +99,25 @@ class Study:
         Args:
             question: what JSON can hold; numbers finite.
         """
-        text = json.dumps(question, sort_keys=True, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-        return cls(kind, text, software_digest())
+        return cls(kind, cls.question(question), software_digest())
+
+    @classmethod
+    def question(cls, question: Mapping[str, Any]) -> str:
+        """A question as the one text that stands for it."""
+        return json.dumps(question, sort_keys=True, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
 
     @cached_property
     def digest(self) -> str:
         """Twenty hexadecimal digits that change with anything that could change an answer."""
-        whole = "\n".join([self.kind, self.software, np.__version__, self.text])
+        return self._digest_of(self.text)
+
+    def name_of(self, tile: int) -> str:
+        """A tile's name: with the same name the same answer."""
+        part = kind_named(self.kind).part(self.text, tile)
+        return f"{self.digest}-{tile:06d}" if part is None else self._digest_of(part)
+
+    def _digest_of(self, question: str) -> str:
+        whole = "\n".join([self.kind, self.software, np.__version__, question])
         return hashlib.sha256(whole.encode()).hexdigest()[:20]
 
     @cached_property

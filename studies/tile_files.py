@@ -7,7 +7,6 @@ import contextlib
 import hashlib
 import io
 import os
-import re
 import zipfile
 from collections.abc import Generator
 from pathlib import Path
@@ -61,13 +60,12 @@ class TileFolder:
         with self._faults():
             path.mkdir(parents=True, exist_ok=True)
             self._write(f"{study.digest}.json", study.text.encode())
-        self._pattern = re.compile(rf"{study.digest}-([0-9]+)\.npz")
 
     def finished(self) -> set[int]:
         """Numbers of the tiles that are there."""
         with self._faults():
-            matches = (self._pattern.fullmatch(name) for name in os.listdir(self.path))
-        return {number for match in matches if match and (number := int(match[1])) < self.study.tiles}
+            there = frozenset(os.listdir(self.path))
+        return {tile for tile in range(self.study.tiles) if self._name(tile) in there}
 
     def keep(self, tile: int, content: bytes) -> None:
         """Write a tile's file.
@@ -111,7 +109,7 @@ class TileFolder:
                 self.path.rmdir()
 
     def _name(self, tile: int) -> str:
-        return f"{self.study.digest}-{tile:06d}.npz"
+        return f"{self.study.name_of(tile)}.npz"
 
     def _write(self, name: str, content: bytes) -> None:
         part = self.path / f".{name}.{os.getpid()}.part"

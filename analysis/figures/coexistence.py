@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
+from analysis.figures.map_frames import frame_of, what_if
 from analysis.figures.readout import Readout
 from analysis.figures.sheet import WIDTH_IN, sheet
-from analysis.figures.stability_map import MapPoint, draw_borders, set_plane
-from analysis.maps.axes import SPEED_RATIO, STIFFNESS_RATIO
+from analysis.figures.stability_map import draw_borders, set_plane
 from analysis.maps.coexistence import MOTIONS, CoexistenceMap, words_of
 from daq.version import software_version
 from dynamics.stability.borders import Borders
@@ -31,18 +31,14 @@ def draw_coexistence(found: CoexistenceMap, borders: Borders | None = None) -> t
         borders: of the balanced state's stability, drawn over it.
     """
     question, rig = found.question, found.question.loaded()
-    usual = (question.x.keys, question.y.keys) == ((SPEED_RATIO,), (STIFFNESS_RATIO,))
-    own = rig.physics.k2_N_per_m / rig.physics.k1_N_per_m if usual else None
-    points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
-    what_if = f"; {', '.join(question.settings)}" if question.settings else ""
-    with sheet(WIDTH_IN, _HEIGHT_IN, f"{rig.name}: which motions are stable{what_if}", _foot(found, borders)) as figure:
+    title = f"{rig.name}: which motions are stable{what_if(question)}"
+    with sheet(WIDTH_IN, _HEIGHT_IN, title, _foot(found, borders)) as figure:
         axes: Axes = figure.subplots()
         axes.grid(False)
         _draw_classes(axes, found)
         if borders is not None:
             draw_borders(axes, borders)
-        logarithmic = question.x.logarithmic, question.y.logarithmic
-        set_plane(axes, (found.x, found.y), (question.x.name, question.y.name), logarithmic, points, own)
+        set_plane(axes, (found.x, found.y), frame_of(question))
     return figure, _readout(found, axes) if min(len(found.x), len(found.y)) > 1 else None
 
 
@@ -67,7 +63,7 @@ def _foot(found: CoexistenceMap, borders: Borders | None) -> list[str]:
     question = found.question
     notes = [
         "I: balanced, II: pendulums opposed, III: together, each stable by its own multipliers; slipping: a stable "
-        "orbit on which pendulums turn against the rotor for ever, found from the point before or from three releases."
+        "orbit on which pendulums turn against the rotor for ever, found from a neighbour or from three releases."
     ]
     if borders is not None:
         notes.append("Black line: border of the balanced state's stability.")

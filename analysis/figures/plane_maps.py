@@ -14,12 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withTickedStroke
 from matplotlib.ticker import StrMethodFormatter
 
+from analysis.figures.map_frames import frame_of, what_if
 from analysis.figures.readout import Readout
 from analysis.figures.sheet import WIDTH_IN, sheet
-from analysis.figures.stability_map import MapGrid, MapPoint, draw_grid, set_plane
+from analysis.figures.stability_map import MapGrid, draw_grid, set_plane
 from analysis.figures.style import GREY, MODEL, label
 from analysis.maps.answers import FamilyMember, MapAnswer
-from analysis.maps.axes import SPEED_RATIO, STIFFNESS_RATIO, name_of, symbol_of
+from analysis.maps.axes import name_of, symbol_of
 from analysis.maps.families import BestValue, SearchRange
 from daq.version import software_version
 
@@ -29,29 +30,24 @@ _MOST_READ = 400  # points a side that a page holds for reading
 
 def draw_map(found: MapAnswer) -> tuple[Figure, Readout | None]:
     """The figure of a map, and what a page reads out under the pointer (None of a map of one row or column)."""
-    question, rig = found.question, found.question.loaded()
-    usual = (question.x.keys, question.y.keys) == ((SPEED_RATIO,), (STIFFNESS_RATIO,))
-    own = rig.physics.k2_N_per_m / rig.physics.k1_N_per_m if usual else None
-    points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
-    what_if = f"; {', '.join(question.settings)}" if question.settings else ""
+    question, rig, frame = found.question, found.question.loaded(), frame_of(found.question)
     varied = f", for values of {symbol_of(question.family.keys)[0]}" if question.family else ""
     turns = question.x.is_speed or question.y.is_speed
     speed = f" at {question.speed_rad_s * 30 / math.pi:.4g} rpm" if question.speed_rad_s and not turns else ""
-    title = f"{rig.name}: where the balanced state is stable{speed}{varied}{what_if}"
-    with sheet(WIDTH_IN, _HEIGHT_IN + (_BELOW_IN if found.best else 0.0), title, _foot(found, usual)) as figure:
+    title = f"{rig.name}: where the balanced state is stable{speed}{varied}{what_if(question)}"
+    height = _HEIGHT_IN + (_BELOW_IN if found.best else 0.0)
+    with sheet(WIDTH_IN, height, title, _foot(found, frame.own is not None)) as figure:
         ratios = [_HEIGHT_IN, _BELOW_IN] if found.best else [1.0]
         rows: list[Axes] = figure.subplots(len(ratios), 1, height_ratios=ratios, squeeze=False)[:, 0].tolist()
-        names = question.x.name, question.y.name
-        logarithmic = question.x.logarithmic, question.y.logarithmic
         as_rate = question.quantity == "decay-rate"
         grid = found.grid
         if found.family:
             _draw_family(rows[0], found)
-            set_plane(rows[0], (grid.x, grid.y), names, logarithmic, points, own)
+            set_plane(rows[0], (grid.x, grid.y), frame)
         else:
             values = grid.decay_rate_per_s if as_rate else grid.multiplier_max
             shown = MapGrid(grid.x, grid.y, values, as_rate)
-            draw_grid(rows[0], shown, names, logarithmic, found.borders, points, own)
+            draw_grid(rows[0], shown, frame, found.borders)
         if found.best is not None and question.best is not None:
             same = question.family is not None and question.family.keys == question.best.keys
             _draw_shares(rows[1], found.best, question.best, found.family if same else ())

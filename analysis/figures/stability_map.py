@@ -43,6 +43,23 @@ class MapPoint:
     state: str
 
 
+@dataclass(frozen=True)
+class MapFrame:
+    """What a map stands in.
+
+    Attributes:
+        names: of the axes.
+        logarithmic: whether an axis is.
+        points: marked on the rig's line.
+        own: the rig's stiffness ratio, where y is one and x the speed ratio; else neither points nor lines are drawn.
+    """
+
+    names: tuple[str, str] = USUAL
+    logarithmic: tuple[bool, bool] = (False, False)
+    points: Sequence[MapPoint] = ()
+    own: float | None = None
+
+
 def draw_stability_map(physics: RotorParameters, points: Sequence[MapPoint], name: str = "map") -> str:
     """SVG of the largest Type I multiplier over Ω × K around the line of the points, for a report.
 
@@ -118,27 +135,20 @@ class MapGrid:
 def _figure(grid: MapGrid, points: Sequence[MapPoint], own: float) -> Figure:
     with drawing(8.6, 4.4) as figure:
         figure.subplots_adjust(left=0.075, right=1.04, top=0.97, bottom=0.12)
-        draw_grid(figure.add_subplot(), grid, USUAL, (False, False), None, points, own)
+        draw_grid(figure.add_subplot(), grid, MapFrame(points=points, own=own))
         return figure
 
 
-def draw_grid(
-    axes: Axes, grid: MapGrid, names: tuple[str, str], logarithmic: tuple[bool, bool], borders: Borders | None = None,
-    points: Sequence[MapPoint] = (), own: float | None = None,
-) -> None:  # fmt: skip
+def draw_grid(axes: Axes, grid: MapGrid, frame: MapFrame, borders: Borders | None = None) -> None:
     """Values as filled contours with a bar, white where there are none; of one row or column a curve.
 
     Args:
-        names: of the axes.
-        logarithmic: whether an axis is.
         borders: drawn in place of the map's own contour, a line each for flutter, divergence and period doubling.
-        points: marked on the rig's line, over speed ratio and stiffness ratio only.
-        own: the rig's stiffness ratio, where y is one and x the speed ratio.
     """
     x, y = grid.x, grid.y
     axes.grid(False)
     if min(len(x), len(y)) < 2:
-        _one_line(axes, grid, names, logarithmic)
+        _one_line(axes, grid, frame)
         return
     colours = _COLOURS[::-1] if grid.is_rate else _COLOURS
     shown = np.ma.masked_invalid(grid.values)
@@ -147,29 +157,26 @@ def draw_grid(
         axes.contour(x, y, shown, levels=[grid.border], colors="black", linewidths=1.6)
     else:
         draw_borders(axes, borders)
-    set_plane(axes, (x, y), names, logarithmic, points, own)
+    set_plane(axes, (x, y), frame)
     figure = axes.figure
     bar = figure.colorbar(filled, ax=axes, ticks=grid.levels, pad=0.01, format="%g" if grid.is_rate else None)
     bar.set_label("decay rate, 1/s" if grid.is_rate else "largest |multiplier| over one revolution")
 
 
-def set_plane(
-    axes: Axes, grid: tuple[np.ndarray, np.ndarray], names: tuple[str, str], logarithmic: tuple[bool, bool],
-    points: Sequence[MapPoint] = (), own: float | None = None,
-) -> None:  # fmt: skip
+def set_plane(axes: Axes, grid: tuple[np.ndarray, np.ndarray], frame: MapFrame) -> None:
     """Ranges and names of a map's axes, and over speed and stiffness ratio both resonances and the rig's line."""
     x, y = grid
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-    if logarithmic[0]:
+    if frame.logarithmic[0]:
         axes.set_xscale("log")
-    if logarithmic[1]:
+    if frame.logarithmic[1]:
         axes.set_yscale("log")
-    if own is not None:
+    if frame.own is not None:
         _resonances(axes, x, y)
-        if y[0] <= own <= y[-1]:
-            axes.axhline(own, color="#333333", lw=0.6, ls=":")
-            _points(axes, [p for p in points if x[0] <= p.speed_ratio <= x[-1]], own)
-    label(axes, *names)
+        if y[0] <= frame.own <= y[-1]:
+            axes.axhline(frame.own, color="#333333", lw=0.6, ls=":")
+            _points(axes, [p for p in frame.points if x[0] <= p.speed_ratio <= x[-1]], frame.own)
+    label(axes, *frame.names)
 
 
 _LINES = {"flutter": "-", "divergence": "--", "period doubling": ":"}
@@ -191,16 +198,16 @@ def draw_borders(axes: Axes, borders: Borders) -> None:
             )
 
 
-def _one_line(axes: Axes, grid: MapGrid, names: tuple[str, str], logarithmic: tuple[bool, bool]) -> None:
+def _one_line(axes: Axes, grid: MapGrid, frame: MapFrame) -> None:
     """A map of one row or one column is a curve."""
     along_x = len(grid.x) > 1 or len(grid.y) == 1
     x, fixed = (grid.x, grid.y[0]) if along_x else (grid.y, grid.x[0])
     axes.grid(True)
     axes.plot(x, grid.values.ravel(), color=MODEL, marker="o" if len(x) == 1 else "")
     axes.axhline(grid.border, color="black", lw=0.9)
-    if logarithmic[0 if along_x else 1]:
+    if frame.logarithmic[0 if along_x else 1]:
         axes.set_xscale("log")
-    name, other = names if along_x else names[::-1]
+    name, other = frame.names if along_x else frame.names[::-1]
     label(axes, name, f"{grid.name} at {_SHORT.get(other, other)} = {fixed:g}")
 
 

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analysis.figures.basins import HATCH, cells_of
+from analysis.figures.map_frames import frame_of, what_if
 from analysis.figures.readout import Readout
 from analysis.figures.sheet import WIDTH_IN, sheet
-from analysis.figures.stability_map import MapPoint, draw_borders, set_plane
-from analysis.maps.axes import SPEED_RATIO, STIFFNESS_RATIO
+from analysis.figures.stability_map import draw_borders, set_plane
 from analysis.maps.states import RELEASED_RAD, STATES, StateMap
 from daq.version import software_version
 from dynamics.stability.borders import Borders
@@ -43,11 +43,7 @@ def draw_states(found: StateMap, borders: Borders | None = None) -> tuple[Figure
         borders: of the balanced state's stability, drawn over it.
     """
     question, rig = found.question, found.question.loaded()
-    usual = (question.x.keys, question.y.keys) == ((SPEED_RATIO,), (STIFFNESS_RATIO,))
-    own = rig.physics.k2_N_per_m / rig.physics.k1_N_per_m if usual else None
-    points = [MapPoint(name, p.speed_ratio, p.expected) for name, p in rig.points.items()] if usual else []
-    what_if = f"; {', '.join(question.settings)}" if question.settings else ""
-    title = f"{rig.name}: where a release ends{what_if}"
+    title = f"{rig.name}: where a release ends{what_if(question)}"
     with sheet(WIDTH_IN, _HEIGHT_IN, title, _foot(found, borders)) as figure:
         axes: Axes = figure.subplots()
         axes.grid(False)
@@ -57,8 +53,7 @@ def draw_states(found: StateMap, borders: Borders | None = None) -> tuple[Figure
             _draw_numbers(figure, axes, found)
         if borders is not None:
             draw_borders(axes, borders)
-        logarithmic = question.x.logarithmic, question.y.logarithmic
-        set_plane(axes, (found.x, found.y), (question.x.name, question.y.name), logarithmic, points, own)
+        set_plane(axes, (found.x, found.y), frame_of(question))
     return figure, _readout(found, axes) if min(len(found.x), len(found.y)) > 1 else None
 
 

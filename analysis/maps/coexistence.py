@@ -59,13 +59,15 @@ def motions_at(
     plane: Plane,
     x: Array,
     y: Array,
+    columns: int | None = None,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Array]:
-    """The stable motions of points that lie in a row: slipping orbits are carried on from one to the next.
+    """The stable motions of the points of a grid: slipping orbits are carried to every neighbour.
 
     Args:
-        x, y: of the points, shape (points,).
+        x, y: of the points, row by row, shape (points,).
+        columns: points in a row; None: all are one row.
         workers: threads; None: one a core.
         progress: called with the share done, 0 … 1.
     Returns:
@@ -76,10 +78,11 @@ def motions_at(
     """
     points = [plane.rig_at(a, b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     found = stable_motions(
-        [rig for rig, _ in points], [speed for _, speed in points], workers=workers, progress=progress
-    )
-    columns = [_numbers(one) for one in found]
-    return {name: np.array([column[name] for column in columns]) for name in COEXISTENCE_ARRAYS}
+        [rig for rig, _ in points], [speed for _, speed in points], columns=columns, workers=workers,
+        progress=progress,
+    )  # fmt: skip
+    rows = [_numbers(one) for one in found]
+    return {name: np.array([row[name] for row in rows]) for name in COEXISTENCE_ARRAYS}
 
 
 def _numbers(found: StableMotions) -> dict[str, float]:

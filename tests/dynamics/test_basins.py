@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from dynamics import Pendulum, Scene, SpeedHistory, simulate, steady_states
 from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import locked_state
+from dynamics.steady.basins import coexisting
 from dynamics.steady.basins.basin_map import basins
 from dynamics.steady.basins.coexisting import stable_motions
 from dynamics.steady.basins.ends import NEAR_RAD, packed, steady_ends
@@ -277,6 +278,68 @@ def test_stable_motions_along_a_row():
     assert rates[0] == pytest.approx(-0.0462726, abs=1e-6)
     assert rates[1] < rates[0]
     assert found[2].slipping[0].residual < 1e-5
+
+
+def test_an_orbit_that_releases_miss_comes_from_a_neighbour(monkeypatch):
+    p, damped = rig(zeta=0.02), rig(zeta=0.05)
+    near = [rig(zeta=z) for z in (0.049, 0.051)]
+    rigs = [near[0], p, near[1], damped]  # two rows: the one below the first sees it, and hands it on to the right
+    released = coexisting.slipping_orbit
+    first = _speed(near[0], D)
+    monkeypatch.setattr(coexisting, "slipping_orbit", lambda turning, strobe, near_rad: (
+        released(turning, strobe, near_rad) if turning.parameters == near[0] else None))  # fmt: skip
+    found = stable_motions(rigs, [first, *(_speed(one, D) for one in rigs[1:])], columns=2)
+    assert [each.names for each in found] == [("slipping",), ("III",), ("slipping",), ("slipping",)]
+    monkeypatch.undo()
+    alone = stable_motions([damped], [_speed(damped, D)])[0].slipping[0]
+    assert found[3].slipping[0].turns_per_revolution == pytest.approx(alone.turns_per_revolution, abs=1e-9)
+    assert found[3].slipping[0].multiplier_across == pytest.approx(alone.multiplier_across, abs=1e-6)
+    with pytest.raises(OutsideDomain, match="columns must divide the 4 points"):
+        stable_motions(rigs, [first] * 4, columns=3)
+
+
+def test_a_slipping_orbit_whose_period_is_doubled():
+    p = replace(rig(zeta=0.05), k2_N_per_m=8.0 * rig().k1_N_per_m)
+    speed = _speed(p, 3.428571428571429)
+    found = stable_motions([p], [speed])[0]
+    assert found.names == ("slipping",)
+    orbit = found.slipping[0]
+    assert orbit.winding == (2, 2), "passed once, the pendulums turn twice: the simple curve has a multiplier of −1.11"
+    assert not orbit.catches
+    turning = Turning.of(p, speed)
+    strobe = turning.strobed(locked_state(p, speed, 0.0, 1.5, 3.6), 4000)[-2000:]
+    assert orbit.turns_per_revolution == pytest.approx(mean_rates(strobe[:, 2:4]), abs=1e-8)
+
+
+def test_multiplier_across_is_what_motions_beside_the_orbit_shrink_by():
+    p = rig(zeta=0.05)
+    turning = Turning.of(p, _speed(p, D))
+    strobe = turning.strobed(locked_state(p, turning.speed_rad_s, 0.0, 1.5, 3.6), 1500)[-700:]
+    orbit = slipping_orbit(turning, strobe, None)
+    assert orbit is not None
+    beside = orbit.values[0].copy()
+    beside[turning.free] += 1e-3 * turning.units[turning.free]
+    apart = _off_curve(orbit, turning.strobed(beside, 60)[15:], turning)
+    slope = np.polyfit(np.arange(len(apart)), np.log(apart), 1)[0]
+    assert math.exp(slope) == pytest.approx(orbit.multiplier_across, abs=0.005)
+
+
+def _off_curve(orbit, states, turning):
+    """Distances of states from a curve, in units, across it."""
+    turns = np.zeros(8)
+    turns[2:4] = 2 * math.pi * np.array(orbit.winding)
+    places = np.linspace(0, 1, 20001)[:-1]
+    curve = series(orbit.values, places) + np.outer(places, turns)
+    found = []
+    for state in states:
+        gap = state - curve
+        gap[:, 2:4] = (gap[:, 2:4] + math.pi) % (2 * math.pi) - math.pi
+        gap = (gap / turning.units)[:, turning.free]
+        i = int(np.argmin(np.linalg.norm(gap, axis=1)))
+        along = ((curve[(i + 1) % len(curve)] - curve[i - 1]) / turning.units)[turning.free]
+        along /= np.linalg.norm(along)
+        found.append(np.linalg.norm(gap[i] - along * (along @ gap[i])))
+    return np.array(found)
 
 
 def test_maps_that_vary_faster_than_their_curve_take_more_steps():

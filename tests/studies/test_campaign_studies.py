@@ -60,6 +60,17 @@ def test_another_process_gives_the_same_campaign(campaigns: TileFolder, tmp_path
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
 
+def test_more_campaigns_go_on_from_those_there_are(campaigns: TileFolder) -> None:
+    text = with_one_point()
+    more, before = campaign_study(text, [], 3, 2), campaigns.study
+    assert more.digest != before.digest
+    assert more.name_of(1) == before.name_of(0), "seed 4 is seed 4"
+    assert TileFolder(campaigns.path, more).finished() == {1}
+    assert TileFolder(campaigns.path, before).finished() == {0}
+    other = campaign_study(text, ["virtual.truth.imbalance.radius_m=*1.1"], 4, 1)
+    assert other.name_of(0) != before.name_of(0)
+
+
 def test_a_campaign_that_cannot_be_run_says_why_and_the_others_count(campaigns: TileFolder, tmp_path: Path) -> None:
     study = campaign_study(with_one_point(), ["limits.speed_rpm=100"], 4, 1)
     folder = TileFolder(tmp_path, study)
@@ -115,6 +126,14 @@ def test_an_archive_is_identified_campaign_by_campaign(archive: Path, tmp_path: 
         theirs = tomlkit.parse(alone.read_text(encoding="utf-8")).unwrap()
         assert ours["k1_N_per_m"] == theirs["k1_N_per_m"]
         assert ours["covariance"] == theirs["covariance"]
+
+
+def test_an_archive_with_more_campaigns_goes_on(archive: Path) -> None:
+    rig = rig_source("virtual")
+    found = campaigns_in([archive])
+    few, all_of_them = (archive_study(rig.source, rig.text, [], part) for part in (found[1:], found))
+    assert [few.name_of(0), few.name_of(1)] == [all_of_them.name_of(1), all_of_them.name_of(2)]
+    assert len({all_of_them.name_of(tile) for tile in range(3)}) == 3
 
 
 def test_a_log_that_another_host_has_otherwise_is_refused(archive: Path) -> None:

@@ -19,7 +19,7 @@ from studies.engines.threads import Threads
 from studies.running import run_study
 from studies.tile_files import TileFolder
 
-X, Y = MapAxis(("speed_ratio",), 1.6, 3.6, 5), MapAxis(("stiffness_ratio",), 8.0, 14.9, 2)
+X, Y = MapAxis(("speed_ratio",), 1.6, 3.6, 9), MapAxis(("stiffness_ratio",), 8.0, 14.9, 2)
 SLIPPING = ("suspension.zeta1=0.05", "suspension.zeta2=0.05")
 QUESTION = MapQuestion(rig_source("virtual"), X, Y, settings=SLIPPING, quantity="coexisting")
 
@@ -27,7 +27,7 @@ QUESTION = MapQuestion(rig_source("virtual"), X, Y, settings=SLIPPING, quantity=
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> CoexistenceMap:
     folder = TileFolder(tmp_path_factory.mktemp("coexistence"), coexistence_study(QUESTION))
-    assert folder.study.tiles == 2, "a row is a tile"
+    assert folder.study.tiles == 2, "a rectangle of neighbours is a tile"
     run_study(folder, Threads())
     return assembled(folder, QUESTION)
 
@@ -35,7 +35,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> CoexistenceMap:
 def test_steady_motions_are_those_of_the_service(found: CoexistenceMap) -> None:
     plane = QUESTION.plane()
     for row in range(2):
-        for column in range(5):
+        for column in range(9):
             rig, speed = plane.rig_at(float(found.x[column]), float(found.y[row]))
             names = {state.type for state in steady_states(rig, speed) if state.stable}
             words = set(words_of(float(found.arrays["stable"][row, column])).split(" + "))

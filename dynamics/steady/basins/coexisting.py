@@ -1,5 +1,5 @@
 # pyright: strict
-"""All stable motions of many rigs and speeds: steady states of every type, and slipping orbits from point to point."""
+"""All stable motions over a plane: steady states of every type, and slipping orbits carried to every neighbour."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,9 @@ from dynamics.steady.steady_state import SteadyState
 
 _SCOUTS_RAD = ((0.0035, 3.1398), (1.5, 3.6), (3.0, 3.3))  # releases that are followed to see whether they slip
 _FOLLOWED, _LOOKED_AT = 1500, 700  # revolutions
+_FURTHER = 2500  # revolutions more that are looked at where a motion slips and its orbit is not found from fewer
 _SAME_RATE = 1e-5  # turns per revolution
+_KIN = 0.2  # of an orbit's rates: so near them an orbit here is taken for its continuation
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class StableMotions:
 
     Attributes:
         steady: stable steady states.
-        slipping: stable slipping orbits that were found: from the point before by Newton's method, else by releases.
+        slipping: stable slipping orbits that were found: from a neighbour by Newton's method, or by releases.
         refused: why there is no answer; "" where there is one.
     """
 
@@ -49,32 +51,36 @@ def stable_motions(
     rigs: Sequence[RotorParameters | object],
     speeds_rad_s: Sequence[float],
     *,
-    row: int | None = None,
+    columns: int | None = None,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[StableMotions]:
     """All stable motions of each rig at its speed.
 
+    Releases are followed at every point. Each slipping orbit that a point has is then sought at its four neighbours
+    by Newton's method, at theirs again, and so on, until no neighbour has one more: an orbit that a few releases miss
+    is found wherever the plane leads to it. The answer depends on neither workers nor their order.
+
     Args:
-        rigs, speeds_rad_s: neighbours follow one another, so that a slipping orbit is found from the one before.
-        row: points in a row of a plane: within it orbits are carried on; None: all are one row.
+        rigs, speeds_rad_s: points of a grid, row by row, neighbours so close that an orbit is found from the next.
+        columns: points in a row of the grid; None: all are one row.
         workers: threads; None: one a core.
-        progress: called with the share done.
+        progress: called with the share of the points at which releases have been followed.
     Raises:
         OutsideDomain: counts that do not match. What is wrong with one rig is in `refused`.
     """
     count = len(rigs)
     if len(speeds_rad_s) != count:
         raise OutsideDomain(f"{count} rigs need as many speeds, got {len(speeds_rad_s)}")
-    if row is not None and row < 1:
-        raise OutsideDomain(f"row must be at least 1, got {row!r}")
-    length = row or max(count, 1)
+    wide = columns or max(count, 1)
+    if wide < 1 or count % wide:
+        raise OutsideDomain(f"columns must divide the {count} points, got {columns!r}")
     done = 0
 
     def along(begin: int) -> list[StableMotions]:
         nonlocal done
         carried, found = list[SlippingOrbit](), list[StableMotions]()
-        for rig, speed in zip(rigs[begin : begin + length], speeds_rad_s[begin : begin + length], strict=True):
+        for rig, speed in zip(rigs[begin : begin + wide], speeds_rad_s[begin : begin + wide], strict=True):
             here = _at(rig, float(speed), carried)
             carried = list(here.slipping)
             found.append(here)
@@ -85,10 +91,58 @@ def stable_motions(
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
-            return [each for part in pool.map(along, range(0, count, length)) for each in part]
+            found = [each for part in pool.map(along, range(0, count, wide)) for each in part]
+            tried: list[list[SlippingOrbit]] = [[] for _ in found]
+            while pairs := _to_try(found, tried, wide):
+                places = [place for place, _ in pairs]
+                new = pool.map(_with, (rigs[i] for i in places), (speeds_rad_s[i] for i in places),
+                               (found[i] for i in places), (orbits for _, orbits in pairs))  # fmt: skip
+                for place, here in zip(places, list(new), strict=True):
+                    found[place] = here
+            return found
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _to_try(
+    found: list[StableMotions], tried: list[list[SlippingOrbit]], wide: int
+) -> list[tuple[int, list[SlippingOrbit]]]:
+    """Points with orbits of their neighbours that they have not, and that were not sought there; these are noted."""
+    pairs = list[tuple[int, list[SlippingOrbit]]]()
+    for place, here in enumerate(found):
+        if here.refused:
+            continue
+        column, wanted = place % wide, list[SlippingOrbit]()
+        for other, there in ((place - 1, column > 0), (place + 1, column < wide - 1), (place - wide, True),
+                             (place + wide, True)):  # fmt: skip
+            if not there or not 0 <= other < len(found):
+                continue
+            for orbit in found[other].slipping:
+                rates = np.array(orbit.turns_per_revolution)
+                near = _KIN * float(np.max(np.abs(rates)))
+                if all(known is not orbit for known in tried[place]) and all(
+                    _rate_apart(known, rates) >= near for known in here.slipping
+                ):
+                    wanted.append(orbit)
+        if wanted:
+            tried[place] += wanted
+            pairs.append((place, wanted))
+    return pairs
+
+
+def _with(
+    rig: RotorParameters | object, speed: float, here: StableMotions, orbits: list[SlippingOrbit]
+) -> StableMotions:
+    """What is stable at a point, with the orbits of its neighbours where it has them too."""
+    slipping = list(here.slipping)
+    try:
+        turning = Turning.of(rig, float(speed))
+        for known in orbits:
+            _add(slipping, continued(turning, known))
+    except (DynamicsError, np.linalg.LinAlgError):
+        pass  # the neighbour's orbit leads nowhere here; what was found by releases stands
+    return replace(here, slipping=tuple(slipping))
 
 
 def _at(rig: RotorParameters | object, speed: float, carried: Sequence[SlippingOrbit]) -> StableMotions:
@@ -104,7 +158,10 @@ def _at(rig: RotorParameters | object, speed: float, carried: Sequence[SlippingO
             rates = (strobe[-1, 2:4] - strobe[0, 2:4]) / (2 * math.pi * (len(strobe) - 1))
             if np.max(turned) < 2.0 or any(_rate_apart(o, rates) < 2.0 / len(strobe) for o in orbits):
                 continue
-            _add(orbits, slipping_orbit(turning, strobe, None))
+            orbit = slipping_orbit(turning, strobe, None)
+            if orbit is None and not orbits:
+                orbit = slipping_orbit(turning, turning.strobed(strobe[-1], _FURTHER), None)
+            _add(orbits, orbit)
         return StableMotions(steady, tuple(orbits))
     except (DynamicsError, np.linalg.LinAlgError) as error:
         return StableMotions(refused=str(error))

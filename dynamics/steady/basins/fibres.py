@@ -73,18 +73,6 @@ class Fibres:
         """Turns of the lead pendulum while the curve is passed once."""
         return round(abs(self.turns[2 + self.lead]) / (2 * math.pi))
 
-    def moduli(self) -> Array:
-        """What deviations across the curve are multiplied with in a revolution, largest first."""
-        number = len(self.across)
-        maps = series(self.maps, self.rate * np.arange(_FOLLOWED, dtype=np.float64))
-        frame, logs = np.eye(number), np.zeros((_FOLLOWED, number))
-        for i, each in enumerate(maps):
-            frame, r = np.linalg.qr(each @ frame)
-            logs[i] = np.log(np.maximum(np.abs(np.diag(r)), 1e-300))
-        t = (np.arange(_FOLLOWED - _DROPPED) + 0.5) / (_FOLLOWED - _DROPPED)
-        window = np.exp(-1.0 / (t * (1.0 - t)))
-        return np.sort(np.exp(window @ logs[_DROPPED:] / window.sum()))[::-1]
-
     def forms(self, gamma: float) -> Array | None:
         """Q at the steps of χ, shape (m, a, a), in the units of the state; None where the sum does not converge.
 
@@ -122,6 +110,35 @@ class Fibres:
         found = np.zeros((count, 8, 8))
         found[:, np.array(self.across)[:, None], np.array(self.across)[None, :]] = series(forms, place)
         return states, found / units[:, None] / units[None, :]
+
+
+def moduli_across(turning: Turning, values: Array, rate: float, winding: tuple[int, int]) -> Array:
+    """What deviations across a curve are multiplied with in a revolution, largest first, shape (free − 1,).
+
+    They are followed along the curve in the planes normal to it, so that it may turn back in any of its angles.
+
+    Args:
+        values, rate, winding: u at equal steps of χ without winding, ρ, and turns of A and B along the whole curve.
+    """
+    free, units = turning.free, turning.units
+    turns, steps = np.zeros(8), np.arange(len(values)) / len(values)
+    turns[2:4] = 2 * math.pi * np.array(winding)
+    tangents = ((derivative(values) + turns) / units)[:, free]
+    maps = (turning.derivatives(values + np.outer(steps, turns)) * units[None, :] / units[:, None])[:, free][:, :, free]
+    places = rate * np.arange(_FOLLOWED + 1, dtype=np.float64)
+    along = series(tangents, places)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    number = len(free) - 1
+    frame = np.linalg.qr(along[0][:, None], mode="complete")[0][:, 1:]
+    logs = np.zeros((_FOLLOWED, number))
+    for i, each in enumerate(series(maps, places[:-1])):
+        moved = each @ frame
+        moved -= np.outer(along[i + 1], along[i + 1] @ moved)
+        frame, r = np.linalg.qr(moved)
+        logs[i] = np.log(np.maximum(np.abs(np.diag(r)), 1e-300))
+    t = (np.arange(_FOLLOWED - _DROPPED) + 0.5) / (_FOLLOWED - _DROPPED)
+    window = np.exp(-1.0 / (t * (1.0 - t)))
+    return np.sort(np.exp(window @ logs[_DROPPED:] / window.sum()))[::-1]
 
 
 def positive(forms: Array, across: list[int]) -> bool:

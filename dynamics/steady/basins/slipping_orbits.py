@@ -11,12 +11,12 @@ with q revolutions. Source: docs/theory/basins.md.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, positive, turned
+from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, moduli_across, positive, series, turned
 from dynamics.steady.basins.periodic import PeriodicMotion, periodic_motion, repeats
 from dynamics.steady.basins.regions import near_value
 from dynamics.steady.basins.turning import Turning
@@ -47,7 +47,7 @@ class SlippingOrbit:
         multipliers: moduli over one revolution, largest first, shape (8,); of a curve one is 1, that along it.
         multiplier_across: the largest of the others; of a periodic orbit the largest of all.
         amplitude_m: root mean square distance of the disk centre from its mean.
-        points, forms, lead, sheets, near: for dynamics.steady.basins.pursuit.
+        points, forms, lead, sheets, near: for dynamics.steady.basins.pursuit; empty where no region is known.
         values: the curve at equal steps of χ without winding, shape (m, 8), or the q states.
     """
 
@@ -71,6 +71,11 @@ class SlippingOrbit:
         """Whether every deviation across the orbit shrinks."""
         return self.multiplier_across < 1.0
 
+    @property
+    def catches(self) -> bool:
+        """Whether a region is known out of which no motion leaves it."""
+        return len(self.forms) > 0
+
 
 def slipping_orbit(
     turning: Turning, strobe: Array, near_rad: float | None, *, quick: bool = False
@@ -93,12 +98,16 @@ def slipping_orbit(
     if not np.all(np.isfinite(strobe)) or np.max(np.abs(rates[there])) * len(strobe) < _LEAST_TURNS:
         return None
     for rate, winding in _windings(rates, there):
+        curve: tuple[Array, float, float] | None = None
         for count in _ODD:
-            found = curve_by_newton(turning, _guess(strobe, rate, winding, count), rate, winding)
-            if found is None:
+            guess = _guess(strobe, rate, winding, count) if curve is None else _finer(curve[0], count)
+            curve = curve_by_newton(turning, guess, rate if curve is None else curve[1], winding)
+            if curve is None:
                 continue
-            orbit = described(turning, found[0], found[1], winding, found[2], near_rad, quick)
-            if orbit is not None:
+            orbit = described(turning, curve, winding, near_rad, quick)
+            if orbit is None or not orbit.stable:
+                break
+            if near_rad is None or orbit.catches:
                 return orbit
     return None
 
@@ -112,7 +121,8 @@ def continued(turning: Turning, known: SlippingOrbit) -> SlippingOrbit | None:
         motion = periodic_motion(turning, known.values[0], known.period_revolutions, known.winding)
         return _of_periodic(turning, motion, None) if motion is not None and motion.stable else None
     found = curve_by_newton(turning, known.values, known.rotation, known.winding)
-    return None if found is None else described(turning, found[0], found[1], known.winding, found[2], None)
+    orbit = None if found is None else described(turning, found, known.winding, None)
+    return orbit if orbit is not None and orbit.stable else None
 
 
 def mean_rates(angles: Array) -> Array:
@@ -212,45 +222,54 @@ def _shift(count: int, rate: float) -> tuple[Array, Array]:
     return np.real((waves * turn) @ forth), np.real((waves * (2j * math.pi * orders * turn)) @ forth)
 
 
+def _finer(values: Array, count: int) -> Array:
+    """A curve's values at more equal steps."""
+    return series(values, np.arange(count) / count)
+
+
 def described(
-    turning: Turning, u: Array, rate: float, winding: tuple[int, int], residual: float, near_rad: float | None,
+    turning: Turning, curve: tuple[Array, float, float], winding: tuple[int, int], near_rad: float | None,
     quick: bool = False,
 ) -> SlippingOrbit | None:  # fmt: skip
-    """A curve with its multipliers and its region; None where it is not stable, or its lead pendulum turns back.
+    """A curve with its multipliers, and with its region where there is one; None where the multipliers are no numbers.
 
     Args:
-        u, rate, winding, residual: as curve_by_newton has them.
+        curve: as curve_by_newton has it.
         near_rad: deviation at which a motion is on it; None: no region is sought, and it catches nothing.
         quick: a region from fewer samples.
     """
-    fibres = Fibres.of(turning, u, rate, winding)
-    if fibres is None:
+    u, rate, residual = curve
+    moduli = moduli_across(turning, u, rate, winding)
+    if not np.all(np.isfinite(moduli)):
         return None
-    moduli = fibres.moduli()
-    across = float(moduli[0])
-    if not across < 1.0:
-        return None
-    along = fibres.forms(math.sqrt(max(across, 0.25)))
-    if along is None:
-        return None
-    points, forms = fibres.rows(_ROWS * fibres.sheets, along)
-    if not positive(forms, fibres.across):
-        return None
-    near = 0.0
-    if near_rad is not None:
-        scale = caught_scale(turning, points, forms, fibres.lead, fibres.sheets, quick=quick)
-        if scale == 0.0:
-            return None
-        forms = forms / scale
-        near = min(near_value(form, turning.units, near_rad) for form in forms)
     multipliers = np.zeros(8)
     multipliers[: len(moduli) + 1] = np.sort(np.append(moduli, 1.0))[::-1]
-    radius = turning.mean_radius(points[0], min(400, max(20, math.ceil(4 / abs(rate)))))
+    radius = turning.mean_radius(u[0], min(400, max(20, math.ceil(4 / abs(rate)))))
     rates = (rate * winding[0], rate * winding[1])
-    return SlippingOrbit(
-        rates, winding, 0, rate, residual, multipliers, across, radius, points, forms, fibres.lead, fibres.sheets,
-        near, u,
+    orbit = SlippingOrbit(
+        rates, winding, 0, rate, residual, multipliers, float(moduli[0]), radius, np.zeros((0, 8)),
+        np.zeros((0, 8, 8)), 0, 0, 0.0, u,
     )  # fmt: skip
+    return orbit if near_rad is None or not orbit.stable else _with_region(turning, orbit, near_rad, quick)
+
+
+def _with_region(turning: Turning, orbit: SlippingOrbit, near_rad: float, quick: bool) -> SlippingOrbit:
+    """A stable curve with the region it catches; without where its lead pendulum turns back, or none is proven."""
+    fibres = Fibres.of(turning, orbit.values, orbit.rotation, orbit.winding)
+    if fibres is None:
+        return orbit
+    along = fibres.forms(math.sqrt(max(orbit.multiplier_across, 0.25)))
+    if along is None:
+        return orbit
+    points, forms = fibres.rows(_ROWS * fibres.sheets, along)
+    if not positive(forms, fibres.across):
+        return orbit
+    scale = caught_scale(turning, points, forms, fibres.lead, fibres.sheets, quick=quick)
+    if scale == 0.0:
+        return orbit
+    forms = forms / scale
+    near = min(near_value(form, turning.units, near_rad) for form in forms)
+    return replace(orbit, points=points, forms=forms, lead=fibres.lead, sheets=fibres.sheets, near=near)
 
 
 def _of_periodic(
