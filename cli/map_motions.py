@@ -18,12 +18,11 @@ from analysis.maps.coexistence import MOTIONS, CoexistenceMap
 from analysis.maps.files import write_map
 from analysis.maps.question import MapQuestion
 from analysis.maps.records import motion_record
-from analysis.maps.states import STATES, StateMap, refined_states
+from analysis.maps.states import STATES, StateMap
 from cli.console import plain, print_json, say
 from cli.map_page import borders_json
-from cli.map_tiles import need_own_process
 from cli.options import what_if_words
-from cli.scheduler import worked_out
+from cli.scheduler import lent_engine, worked_out
 from cli.share_progress import share_progress
 from rig_configs import RigFileError
 from studies import coexistence, releases
@@ -38,8 +37,7 @@ def map_motions(
     started = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="rig-map-") as passing:
         place = Path(passing) if output is None else Path(f"{output}.tiles")
-        study = None if question.refine else _study(question)
-        found = _refined(question, scheduler) if study is None else _whole(question, study, place, scheduler)
+        found, studies = _refined(question, place, scheduler) if question.refine else _whole(question, place, scheduler)
         seconds = time.perf_counter() - started
         borders = None
         if question.borders:
@@ -47,7 +45,7 @@ def map_motions(
                 borders = borders_of(question, question.plane(), told)
         result = _json(found, seconds) | {"borders": None if borders is None else borders_json(borders)}
         written = [] if output is None else write_map(output, motion_record(found, borders, plain(result)))
-        if study is not None:
+        for study in studies:
             TileFolder(place, study).forget()
     if plot is not None:
         draw = draw_states(found, borders) if isinstance(found, StateMap) else draw_coexistence(found, borders)
@@ -65,27 +63,21 @@ def map_motions(
     return 0
 
 
-def _study(question: MapQuestion) -> Study:
+def _whole(question: MapQuestion, place: Path, scheduler: str | None) -> tuple[StateMap | CoexistenceMap, list[Study]]:
     if question.quantity == "coexisting":
-        return coexistence.coexistence_study(question)
-    return releases.release_study(question)
+        study = coexistence.coexistence_study(question)
+        return coexistence.assembled(worked_out(study, place, scheduler, "tiles"), question), [study]
+    study = releases.release_study(question)
+    return releases.assembled(worked_out(study, place, scheduler, "tiles"), question), [study]
 
 
-def _whole(question: MapQuestion, study: Study, place: Path, scheduler: str | None) -> StateMap | CoexistenceMap:
-    folder = worked_out(study, place, scheduler, "tiles")
-    if question.quantity == "coexisting":
-        return coexistence.assembled(folder, question)
-    return releases.assembled(folder, question)
-
-
-def _refined(question: MapQuestion, scheduler: str | None) -> StateMap:
+def _refined(question: MapQuestion, place: Path, scheduler: str | None) -> tuple[StateMap, list[Study]]:
     if question.quantity == "coexisting":
         raise RigFileError(
             "rig map: --refine is of states; --quantity coexisting goes from each point to its neighbours"
         )
-    need_own_process(question, scheduler)
-    with share_progress(f"{question.x.count * question.y.count} releases and more where the state changes") as told:
-        return refined_states(question, told)
+    with lent_engine(scheduler) as engine:
+        return releases.refined(question, lambda study: worked_out(study, place, engine, "tiles where states change"))
 
 
 def _json(found: StateMap | CoexistenceMap, seconds: float) -> dict[str, Any]:

@@ -17,19 +17,6 @@ if TYPE_CHECKING:
     from dynamics.stability.stability_map import StabilityMap
 
 
-def need_own_process(question: MapQuestion, scheduler: str | None) -> None:
-    """A refined map is for this process.
-
-    Raises:
-        RigFileError: others are to work it out.
-    """
-    if question.refine and scheduler is not None:
-        raise RigFileError(
-            "rig map: --refine works in this process, cell by cell after what it has found; leave --scheduler out, or "
-            "ask for the whole fine grid"
-        )
-
-
 @contextmanager
 def in_tiles(
     question: MapQuestion, output: Path | None, scheduler: str | None
@@ -45,7 +32,11 @@ def in_tiles(
     from studies.maps import assembled, map_study  # noqa: PLC0415 (loads numba)
     from studies.tile_files import TileFolder  # noqa: PLC0415
 
-    need_own_process(question, scheduler)
+    if question.refine and scheduler is not None:
+        raise RigFileError(
+            "rig map: multipliers that are refined are this process's work, microseconds a point; leave --scheduler "
+            "out, or ask for the whole fine grid"
+        )
     study = map_study(question)
     if question.refine or (study.tiles == 1 and scheduler is None):
         yield None

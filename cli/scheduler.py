@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +15,7 @@ from cli.console import say
 from cli.share_progress import share_progress
 
 if TYPE_CHECKING:
+    from studies.running import Engine
     from studies.study import Study
     from studies.tile_files import TileFolder
 
@@ -22,12 +25,27 @@ Scheduler = Annotated[
 ]
 
 
-def worked_out(study: Study, place: Path, scheduler: str | None, what: str) -> TileFolder:
+@contextmanager
+def lent_engine(scheduler: str | None) -> Generator[Engine]:
+    """Who works at several studies one after the other, begun once.
+
+    Args:
+        scheduler: see `Scheduler`; None: the threads of this process.
+    """
+    from studies.engines import engine_of  # noqa: PLC0415
+    from studies.engines.threads import Threads  # noqa: PLC0415
+    from studies.running import Lent  # noqa: PLC0415
+
+    with engine_of(scheduler, say) if scheduler else Threads() as engine:
+        yield Lent(engine)
+
+
+def worked_out(study: Study, place: Path, scheduler: str | Engine | None, what: str) -> TileFolder:
     """Work a study out, with progress; a study that was begun goes on.
 
     Args:
         place: folder of its tiles.
-        scheduler: who works; None: this machine.
+        scheduler: who works, or where; None: this machine.
         what: its tiles, in a word for the progress bar.
     Returns:
         The folder, every tile in it.
@@ -42,7 +60,9 @@ def worked_out(study: Study, place: Path, scheduler: str | None, what: str) -> T
 
     if scheduler is None and not kind_named(study.kind).uses_threads:
         scheduler = f"local:{os.cpu_count() or 1}"
-    engine = engine_of(scheduler, say) if scheduler else Threads()
+    if isinstance(scheduler, str):
+        scheduler = engine_of(scheduler, say)
+    engine = scheduler or Threads()
     folder = TileFolder(place, study)
     there = len(folder.finished())
     if there:

@@ -32,6 +32,23 @@ class Engine(AbstractContextManager["Engine"], Protocol):
         ...
 
 
+class Lent:
+    """An engine for several studies, begun and ended by whoever lends it."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.name, self._engine = engine.name, engine
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *ending: object) -> None:
+        """It goes on."""
+
+    def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
+        """See Engine."""
+        return self._engine.answers(study, tiles)
+
+
 def run_study(folder: TileFolder, engine: Engine, progress: Progress | None = None) -> int:
     """Work out every tile that the folder does not have.
 

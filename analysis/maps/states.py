@@ -16,6 +16,7 @@ from dynamics.steady.basins.single import release_ends
 from dynamics.steady.outcome import PLAY_RAD
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 StateArrays = Mapping[str, NDArray[np.floating]]
 """Arrays by name, see `states_at`."""
 
@@ -102,19 +103,27 @@ def states_at(
     }
 
 
-def refined_states(question: MapQuestion, progress: Callable[[float], None] | None = None) -> StateMap:
+def refined_states(
+    question: MapQuestion,
+    states: Callable[[Indices, Indices], Mapping[str, Array]] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> StateMap:
     """The states on the question's finest grid, computed where they change.
 
     Args:
+        states: works points of that grid out, by their columns and rows, see `states_at`; None: this process.
         progress: called with the share done, as far as it can be foreseen.
     """
-    plane = question.plane()
     x, y = (axis.values for axis in question.fine)
     arrays = {name: np.full((len(y), len(x)), np.nan) for name in ARRAYS}
+    plane = question.plane()
+
+    def here(columns: Indices, rows: Indices) -> Mapping[str, Array]:
+        return states_at(plane, x[columns], y[rows], question.seconds)
 
     def evaluate(at_x: Array, at_y: Array) -> Array:
-        found = states_at(plane, at_x, at_y, question.seconds)
         rows, columns = np.searchsorted(y, at_y), np.searchsorted(x, at_x)
+        found = (states or here)(columns, rows)
         for name, values in found.items():
             arrays[name][rows, columns] = values
         return found["state"]

@@ -18,8 +18,9 @@ from dynamics.steady.outcome import release_outcome
 from rig_configs import RigFileError
 from studies.engines.processes import Processes
 from studies.engines.threads import Threads
-from studies.releases import assembled, release_study
-from studies.running import run_study
+from studies.releases import assembled, refined, release_study
+from studies.running import Lent, run_study
+from studies.study import Study
 from studies.tile_files import TileFolder
 
 X, Y = MapAxis(("speed_ratio",), 0.8, 6.0, 9), MapAxis(("stiffness_ratio",), 4.0, 14.0, 5)
@@ -78,6 +79,54 @@ def test_a_refined_map_has_the_states_of_the_whole_where_it_was_computed(whole: 
     np.testing.assert_allclose(found.x, whole.x)
     assert np.array_equal(found.state[found.computed], whole.state[found.computed])
     assert np.all(np.isfinite(found.arrays["amplitude_m"][found.computed & (found.state >= 2)]))
+
+
+def test_a_refined_map_goes_on_from_its_tiles_and_others_give_the_same(tmp_path: Path) -> None:
+    coarse = replace(QUESTION, x=replace(X, count=5), y=replace(Y, count=3), refine=1, seconds=5.0)
+    given = list[int]()
+
+    def ended_early(study: Study) -> TileFolder:
+        if len(given) == 1:
+            raise KeyboardInterrupt
+        return by_threads(study)
+
+    def by_threads(study: Study) -> TileFolder:
+        found = TileFolder(tmp_path / "tiles", study)
+        given.append(study.tiles - run_study(found, Threads()))
+        return found
+
+    with pytest.raises(KeyboardInterrupt):
+        refined(coarse, ended_early)
+    assert given == [1]
+    found, studies = refined(coarse, by_threads)
+    assert given[1] == 0, "the coarse grid was there"
+    assert len(studies) >= 2
+    assert sum(given[2:]) >= 1
+    with Processes(1, print) as engine:
+
+        def by_processes(study: Study) -> TileFolder:
+            other = TileFolder(tmp_path / "others", study)
+            run_study(other, Lent(engine))
+            return other
+
+        same, _ = refined(coarse, by_processes)
+    for name in ARRAYS:
+        np.testing.assert_array_equal(found.arrays[name], same.arrays[name])
+    for study in studies:
+        TileFolder(tmp_path / "tiles", study).forget()
+    assert not (tmp_path / "tiles").exists()
+
+
+def test_the_command_refines_by_other_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "r.npz"
+    plane = ["--x", "speed_ratio=1.2:3.2:3", "--y", "stiffness_ratio=6:14.9:2", "--seconds", "5"]
+    command = ["map", "virtual", "--quantity", "state", *plane, "--refine", "1", "-o", str(file), "--json"]
+    assert run([*command, "--scheduler", "local:1"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    kept = load_map(file)
+    assert kept.grid["state"].shape == (3, 5)
+    assert result["computed_share"] == pytest.approx(np.mean(kept.grid["computed"] == 1))
+    assert not (tmp_path / "r.npz.tiles").exists()
 
 
 def test_the_command_writes_draws_and_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
