@@ -18,7 +18,7 @@ from ipaddress import ip_address
 from typing import Any, Self
 from urllib.parse import urlsplit
 
-from studies.errors import EngineLost, EngineMissing, TileFailed
+from studies.errors import EngineLost, EngineMissing, StudyInputError, TileFailed
 from studies.study import Study
 from studies.worker import answer_tile
 
@@ -28,6 +28,10 @@ _PATIENCE_S = 60.0  # for a scheduler that is gone, and for workers to come
 _DEATHS = 10  # of workers with a tile in hand, before it is given up
 _LOOK_S = 2.0  # how often the number of workers is asked for
 _WAIT_S = 0.2  # for a tile, before the scheduler is looked at
+_CERTIFICATES = (
+    "set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, …__CLIENT__CERT and …__CLIENT__KEY to PEM files, or the same in dask's "
+    "configuration (docs/how-to/many_machines.md)"
+)
 _CONNECTION_FAULTS = (OSError, CancelledError)  # a timeout is an OSError, a closed connection too
 
 
@@ -40,6 +44,7 @@ class DaskWorkers:
         patience_s: how long a scheduler, or workers, are waited for.
     Raises:
         EngineMissing: dask is not installed.
+        StudyInputError: tls:// without certificates.
     """
 
     def __init__(self, address: str, tell: Callable[[str], None], patience_s: float = _PATIENCE_S) -> None:
@@ -54,6 +59,8 @@ class DaskWorkers:
         self._dask: Any = distributed
         self._client: Any = None
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told here, in plain words
+        if address.startswith("tls://"):
+            _need_certificates(address)
         if address.startswith("tcp://") and not _loopback(address):
             tell(
                 f"{address} is not of this machine and not encrypted: whoever reaches that port can run programs on "
@@ -187,6 +194,20 @@ def _scheduler_needed() -> Generator[None]:
         yield
     except _CONNECTION_FAULTS as fault:
         raise _SchedulerLost from fault
+
+
+def _need_certificates(address: str) -> None:
+    from distributed.security import Security  # noqa: PLC0415 (of an extra)
+
+    security: Any = Security()
+    try:
+        context = security.get_connection_args("client")["ssl_context"]
+    except OSError as fault:
+        raise StudyInputError(
+            f"--scheduler {address}: the certificates cannot be read ({fault}); {_CERTIFICATES}"
+        ) from fault
+    if context is None:
+        raise StudyInputError(f"--scheduler {address}: expected certificates, none are set; {_CERTIFICATES}")
 
 
 def _loopback(address: str) -> bool:
