@@ -26,6 +26,7 @@ from daq.errors import LogError, OperatorStop, RigError
 from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
 from dynamics.errors import DynamicsError
+from reproduction.errors import ReproductionError, UnknownItem
 from rig_configs.errors import RigConfigError
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
@@ -79,6 +80,9 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
     },
     "cli.completion": {
         "completion": "Print the script with which a shell completes commands and options of rig.",
+    },
+    "cli.reproduce": {
+        "reproduce": "Make the source's figures and tables anew and judge its claims: a book of them.",
     },
     "cli.bench": {"bench": "Time against true error for every method on offer, with peers in the same run."},
 }
@@ -182,6 +186,8 @@ def _exit_code(error: Exception) -> int | None:
         identification is not None and isinstance(error, identification.IdentificationError)
     ):
         return 2
+    if isinstance(error, ReproductionError):
+        return 2 if isinstance(error, UnknownItem) else 3
     if isinstance(error, StudyError):
         return 2 if isinstance(error, StudyInputError | EngineMissing | OtherSoftware) else 3
     return 3 if isinstance(error, RigError | OSError | MemoryError) else None

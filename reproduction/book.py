@@ -1,0 +1,106 @@
+# pyright: strict
+"""All items in one HTML file that needs nothing beside it, and the same verdicts as a page of the docs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from daq.version import software_version
+from reproduction.files import Written
+
+_TEMPLATE = "book.html.j2"
+_CLASSES = {"holds": "good", "holds in part": "open", "does not hold": "bad"}
+
+
+def write_book(path: Path, made: Sequence[Written]) -> Path:
+    """Write the book.
+
+    Args:
+        path: the HTML file, in the folder that the items' folders are in.
+        made: items in their order.
+    Returns:
+        The path.
+    """
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    text = resources.files("reproduction").joinpath(_TEMPLATE).read_text(encoding="utf-8")
+    page = environment.from_string(text).render(
+        version=software_version(),
+        items=[_entry(one) for one in made],
+        counts=counts_of(made),
+        classes=_CLASSES,
+        wrong=[(one.item.id, claim) for one in made for claim in one.claims if claim["verdict"] != "holds"],
+    )
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def counts_of(made: Sequence[Written]) -> dict[str, int]:
+    """Verdict to the number of claims that have it."""
+    found = Counter(claim["verdict"] for one in made for claim in one.claims)
+    return {verdict: found[verdict] for verdict in _CLASSES if found[verdict]}
+
+
+def _entry(one: Written) -> dict[str, Any]:
+    record = one.record
+    names = [f"{panel['name']}.{end}" for panel in record["panels"] for end in ("svg", "png")]
+    names += [f"{table['name']}.parquet" for table in record["tables"]]
+    return {
+        "id": record["id"],
+        "title": record["title"],
+        "seconds": record["seconds"],
+        "panels": [{"svg": Markup(one.svg(p["name"])), "description": p["description"]} for p in record["panels"]],
+        "claims": record["claims"],
+        "tables": [{**table, "rows": [[_cell(value) for value in row] for row in table["rows"]]}
+                   for table in record["tables"]],
+        "assumed": record["assumed"],
+        "parameters": [(name, _cell(value)) for name, value in record["parameters"].items()],
+        "files": [f"{one.folder.name}/{name}" for name in (*names, "item.json")],
+    }  # fmt: skip
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def docs_page(made: Sequence[Written]) -> str:
+    """Markdown: every claim with its verdict and the numbers that decide."""
+    lines = [
+        "# The source, reproduced",
+        "",
+        "<!-- Written by `rig reproduce --all --docs docs/reproduction.md`; run that, do not edit this page. -->",
+        "",
+        "The source is R. Horváth, *Passive Pendulum Balancer for Rotor Systems*, dissertation, Auburn University,",
+        "2006. `rig reproduce` makes its figures and tables anew, with their data, and judges its claims. Statements",
+        "are worded by us.",
+        "Wrong equations are in [misprints.md](theory/misprints.md).",
+        "",
+        ", ".join(f"{count} claims: {verdict}" for verdict, count in counts_of(made).items()) + ".",
+        "",
+        "## Claims that do not hold, or hold in part",
+        "",
+        "| item | where | claimed | | computed |",
+        "|---|---|---|---|---|",
+    ]
+    wrong = [(one.item.id, claim) for one in made for claim in one.claims if claim["verdict"] != "holds"]
+    lines += [f"| {number} | {_row(claim)}" for number, claim in wrong]
+    for one in made:
+        lines += ["", f"## {one.item.id}: {one.item.title}", ""]
+        lines += [f"- Assumed: {text}" for text in one.record["assumed"]] + ["" for _ in one.record["assumed"][:1]]
+        lines += ["| where | claimed | | computed |", "|---|---|---|---|"]
+        lines += [f"| {_row(claim)}" for claim in one.claims]
+    return "\n".join(lines) + "\n"
+
+
+def _row(claim: Mapping[str, str]) -> str:
+    verdict = claim["verdict"] if claim["verdict"] == "holds" else f"**{claim['verdict']}**"
+    cells = (claim["place"], claim["statement"], verdict, claim["computed"])
+    return " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

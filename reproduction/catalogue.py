@@ -1,0 +1,61 @@
+# pyright: strict
+"""Which items of the source there are, and which function makes each."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from reproduction.errors import UnknownItem
+from reproduction.results import Reproduced
+from reproduction.workspace import Workspace
+
+Make = Callable[[Workspace], Reproduced]
+
+
+@dataclass(frozen=True)
+class Item:
+    """A figure or table of the source, or a question it leaves open.
+
+    Attributes:
+        id: the source's number; "open-…" for its open questions, "script" for its program.
+        title: what it shows.
+        place: "module:function" that makes it.
+        seconds: of work on one core, about; long ones are begun first.
+    """
+
+    id: str
+    title: str
+    place: str
+    seconds: float = 5.0
+
+    def make(self) -> Make:
+        """The function."""
+        module, name = self.place.split(":")
+        return getattr(importlib.import_module(f"reproduction.items.{module}"), name)
+
+
+ITEMS: tuple[Item, ...] = (
+    Item("2.2", "Amplification and phase lag of the rotor alone", "rotor_alone:frequency_response_2_2"),
+    Item("2.3", "Forces on a light pendulum below, at and above resonance", "rotor_alone:forces_2_3"),
+)
+
+
+def chosen(ids: Sequence[str]) -> list[Item]:
+    """Items by their numbers, in the source's order; all without.
+
+    Args:
+        ids: "2.2", or "2" and "3.1" for all whose numbers begin so, part by part.
+    Raises:
+        UnknownItem: a number that no item has.
+    """
+    if not ids:
+        return list(ITEMS)
+    found = set[str]()
+    for wanted in ids:
+        own = [item.id for item in ITEMS if item.id == wanted or item.id.startswith((f"{wanted}.", f"{wanted}-"))]
+        if not own:
+            raise UnknownItem(f"no item {wanted!r} of the source; known: {', '.join(item.id for item in ITEMS)}")
+        found.update(own)
+    return [item for item in ITEMS if item.id in found]

@@ -1,0 +1,96 @@
+# pyright: strict, reportUnknownMemberType=false
+"""An item's files: figures as SVG and PNG, tables as parquet, all else as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # pyright: ignore[reportMissingTypeStubs]
+import pyarrow.parquet as pq  # pyright: ignore[reportMissingTypeStubs]
+
+from analysis.figures.style import save, to_svg
+from reproduction.catalogue import Item
+from reproduction.results import Reproduced, Table
+
+_RECORD = "item.json"
+_MOST_SHOWN = 200  # rows of a table that the book prints
+
+
+@dataclass(frozen=True)
+class Written:
+    """An item as its folder has it.
+
+    Attributes:
+        item: which.
+        folder: where.
+        record: item.json: seconds, parameters, assumed, claims, panels, tables.
+    """
+
+    item: Item
+    folder: Path
+    record: Mapping[str, Any]
+
+    @property
+    def claims(self) -> list[dict[str, str]]:
+        """As Claim.to_json has them."""
+        return list(self.record["claims"])
+
+    def svg(self, name: str) -> str:
+        """A figure's one element, ids made different from those of other items."""
+        return (self.folder / f"{name}.inline.svg").read_text(encoding="utf-8")
+
+
+def write_item(item: Item, found: Reproduced, folder: Path, seconds: float) -> Written:
+    """Write an item's files into its folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for panel in found.panels:
+        save(folder / f"{panel.name}.svg", panel.figure)
+        save(folder / f"{panel.name}.png", panel.figure)
+        ids = f"f{item.id}-{panel.name}".replace(".", "-")
+        inline = to_svg(panel.figure, ids, panel.description)
+        (folder / f"{panel.name}.inline.svg").write_text(inline, encoding="utf-8")
+    for table in found.tables:
+        _write_table(folder / f"{table.name}.parquet", item, table, found.parameters)
+    record = {
+        "id": item.id,
+        "title": item.title,
+        "seconds": round(seconds, 2),
+        "parameters": dict(found.parameters),
+        "assumed": list(found.assumed),
+        "claims": [claim.to_json() for claim in found.claims],
+        "panels": [{"name": panel.name, "description": panel.description} for panel in found.panels],
+        "tables": [_table_json(table) for table in found.tables],
+    }
+    text = json.dumps(record, ensure_ascii=False, indent=1, allow_nan=False)
+    (folder / _RECORD).write_text(text + "\n", encoding="utf-8")
+    return Written(item, folder, record)
+
+
+def read_item(item: Item, folder: Path) -> Written:
+    """An item's record from its folder."""
+    return Written(item, folder, json.loads((folder / _RECORD).read_text(encoding="utf-8")))
+
+
+def _write_table(path: Path, item: Item, table: Table, parameters: Mapping[str, float | str]) -> None:
+    lengths = {name: len(values) for name, values in table.columns.items()}
+    if len(set(lengths.values())) != 1:
+        raise ValueError(f"{item.id} {table.name}: columns of one length were expected, got {lengths}")
+    about = {"item": item.id, "title": table.title, "parameters": json.dumps(dict(parameters), allow_nan=False)}
+    arrow: Any = pa
+    columns = arrow.table({name: np.asarray(values) for name, values in table.columns.items()})
+    pq.write_table(columns.replace_schema_metadata(about), path)
+
+
+def _table_json(table: Table) -> dict[str, Any]:
+    columns = {name: [_plain(value) for value in np.asarray(values).tolist()] for name, values in table.columns.items()}
+    rows = [list(row) for row in zip(*columns.values(), strict=True)][:_MOST_SHOWN] if table.shown else []
+    return {"name": table.name, "title": table.title, "columns": list(columns), "rows": rows}
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value

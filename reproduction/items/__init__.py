@@ -1,0 +1,1 @@
+"""Functions that make the items, by subject."""

@@ -1,0 +1,59 @@
+"""The book and the command: what is in them, what is refused, the same from several processes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cli.main import run
+from reproduction.book import docs_page, write_book
+from reproduction.catalogue import ITEMS, chosen
+from reproduction.errors import UnknownItem
+from reproduction.running import reproduce
+
+
+def test_numbers_choose_items() -> None:
+    assert [item.id for item in chosen(["2.2"])] == ["2.2"]
+    assert [item.id for item in chosen(["2"])] == ["2.2", "2.3"]
+    assert chosen([]) == list(ITEMS)
+    with pytest.raises(UnknownItem, match=r"no item '2\.9' of the source; known: 2\.2, 2\.3"):
+        chosen(["2.9"])
+    assert len({item.id for item in ITEMS}) == len(ITEMS)
+
+
+@pytest.mark.parametrize("item", ITEMS, ids=lambda item: item.id)
+def test_every_item_has_a_function(item) -> None:
+    assert callable(item.make())
+
+
+def test_the_book_has_figures_claims_and_what_does_not_hold(tmp_path: Path) -> None:
+    made = reproduce(chosen(["2"]), tmp_path)
+    text = write_book(tmp_path / "book.html", made).read_text(encoding="utf-8")
+    assert text.count("<svg") == 2
+    assert text.index("Claims that do not hold") < text.index("2.2 · ")
+    assert "above resonance the printed form is 180° off" in text
+    assert "http" not in text.replace("http://www.w3.org", ""), "nothing is fetched"
+    page = docs_page(made)
+    assert "| 2.2 | (2-9) |" in page
+    assert "6 claims: holds, 1 claims: does not hold." in page
+
+
+def test_the_command_writes_the_same_from_two_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for jobs in ("1", "2"):
+        assert run(["reproduce", "2", "-o", str(tmp_path / jobs), "--jobs", jobs, "--json"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        assert [one["id"] for one in result["items"]] == ["2.2", "2.3"]
+        assert result["verdicts"]["does not hold"] == 1
+    for name in ("2.2/response.parquet", "2.2/response.svg", "2.3/forces.inline.svg"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+
+
+def test_the_command_refuses_and_lists(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["reproduce"]) == 2
+    assert "--list shows them" in capsys.readouterr().err
+    assert run(["reproduce", "9.9"]) == 2
+    assert "no item '9.9' of the source" in capsys.readouterr().err
+    assert run(["reproduce", "--list"]) == 0
+    assert "2.2        Amplification and phase lag" in capsys.readouterr().out
