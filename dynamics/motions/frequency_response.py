@@ -50,8 +50,8 @@ def frequency_response(rig: RotorParameters | object, speed_ratio: Array) -> Fre
     speed, own = p.speed_rad_s(1.0) * ratio, p.total_mass_kg
     pairs = zip((p.k1_N_per_m, p.k2_N_per_m), p.damping_Ns_per_m, strict=True)
     stiffness = np.array([k - own * speed**2 + 1j * speed * c for k, c in pairs])
-    if np.any(stiffness == 0):
-        raise OutsideDomain("a speed lies exactly in a resonance without damping: the whirl grows for ever")
+    if np.any(np.abs(stiffness) <= 1e-14 * np.array([[p.k1_N_per_m], [p.k2_N_per_m]])):
+        raise OutsideDomain("a speed lies in a resonance without damping: the whirl grows for ever")
     return FrequencyResponse(ratio, own * speed**2 / np.abs(stiffness), np.angle(stiffness))
 
 
