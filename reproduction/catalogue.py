@@ -23,12 +23,14 @@ class Item:
         title: what it shows.
         place: "module:function" that makes it.
         seconds: of work on one core, about; long ones are begun first.
+        group: items with the same one are made one after the other in one process, and share what they keep in memory.
     """
 
     id: str
     title: str
     place: str
     seconds: float = 5.0
+    group: str = ""
 
     def make(self) -> Make:
         """The function."""
@@ -39,6 +41,12 @@ class Item:
 ITEMS: tuple[Item, ...] = (
     Item("2.2", "Amplification and phase lag of the rotor alone", "rotor_alone:frequency_response_2_2"),
     Item("2.3", "Forces on a light pendulum below, at and above resonance", "rotor_alone:forces_2_3"),
+    Item("4.1", "Coarse stability map of the balanced state", "floquet_maps:coarse_map_4_1", 8.0),
+    Item("4.2", "Borders of the stable areas and the points", "floquet_maps:fine_map_4_2", 5.0),
+    Item("4.3", "Largest multipliers along the points' line", "floquet_maps:largest_multiplier_4_3", 5.0),
+    Item("4.4", "Three views of the multipliers", "floquet_maps:three_views_4_4", 5.0),
+    Item("4.5", "Borders over the suspension's damping", "floquet_maps:family_over_zeta_4_5", 40.0),
+    Item("4.6", "Borders over the pendulums' damping", "floquet_maps:family_over_c34_4_6", 30.0),
 )
 
 
