@@ -47,6 +47,11 @@ ITEMS: tuple[Item, ...] = (
     Item("4.4", "Three views of the multipliers", "floquet_maps:three_views_4_4", 5.0),
     Item("4.5", "Borders over the suspension's damping", "floquet_maps:family_over_zeta_4_5", 40.0),
     Item("4.6", "Borders over the pendulums' damping", "floquet_maps:family_over_c34_4_6", 30.0),
+    Item("4.10", "Point A, simulated and recorded", "points:point_a_4_10", 10.0, "points"),
+    Item("4.11", "Point B, simulated and recorded", "points:point_b_4_11", 10.0, "points"),
+    Item("4.12", "Point C, simulated and recorded", "points:point_c_4_12", 10.0, "points"),
+    Item("4.13", "Point D, simulated and recorded", "points:point_d_4_13", 10.0, "points"),
+    Item("4.14", "Point E, simulated and recorded", "points:point_e_4_14", 10.0, "points"),
 )
 
 

@@ -76,9 +76,10 @@ def coarse_map_4_1(work: Workspace) -> Reproduced:
             matrix = type_one(rig, *angles, rig.speed_rad_s(speed_ratio))
             for number, (method, steps, into) in enumerate(((piecewise, 50, by_pieces), (single_pass, 10, by_pass))):
                 began = time.perf_counter()
-                half = method.monodromy(matrix, steps)
+                half: Array = method.monodromy(matrix, steps).astype(np.float64)
                 times[number] += time.perf_counter() - began
-                into[row, column] = float(np.max(np.abs(np.linalg.eigvals(half)))) ** 2
+                values: NDArray[np.complex128] = np.linalg.eigvals(half).astype(np.complex128)
+                into[row, column] = float(np.max(np.abs(values))) ** 2
         work.tell((row + 1) / len(y))
     with sheet(WIDTH_IN, 4.4, "4.1: coarse stability map of the balanced state") as figure:
         axes: Axes = figure.subplots()
@@ -90,8 +91,13 @@ def coarse_map_4_1(work: Workspace) -> Reproduced:
         set_plane(axes, (x, y), replace(_frame(p), points=()))
     differ = int(np.count_nonzero((by_pieces < 1) != stable)), int(np.count_nonzero((by_pass < 1) != stable))
     spans = _stable_spans(p, ON_LINE)
-    kept: dict[str, Array] = {"speed_ratio": grid_x.ravel(), "stiffness_ratio": grid_y.ravel(), "multiplier": ours.ravel(),
-             "multiplier_piecewise_100": by_pieces.ravel(), "multiplier_single_pass": by_pass.ravel()}  # fmt: skip
+    kept: dict[str, Array] = {
+        "speed_ratio": grid_x.ravel(),
+        "stiffness_ratio": grid_y.ravel(),
+        "multiplier": ours.ravel(),
+        "multiplier_piecewise_100": by_pieces.ravel(),
+        "multiplier_single_pass": by_pass.ravel(),
+    }
     return Reproduced(
         (Panel("map", "Dots: stable, crosses: unstable; dashed lines: resonances Ω = 1 and Ω = √K.", figure),),
         (Table("map", "Largest multiplier over a revolution at the points of the coarse grid", kept),),
