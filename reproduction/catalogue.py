@@ -52,6 +52,11 @@ ITEMS: tuple[Item, ...] = (
     Item("4.12", "Point C, simulated and recorded", "points:point_c_4_12", 10.0, "points"),
     Item("4.13", "Point D, simulated and recorded", "points:point_d_4_13", 10.0, "points"),
     Item("4.14", "Point E, simulated and recorded", "points:point_e_4_14", 10.0, "points"),
+    Item("open-gravity", "Open question: gravity on a horizontal shaft", "open_questions:gravity", 6.0),
+    Item("open-damping", "Open question: the best damping of the pendulums", "open_questions:pendulum_damping", 15.0),
+    Item("open-type-iii", "Open question: Type III on anisotropic suspensions", "open_questions:type_three", 30.0),
+    Item("open-step", "Open question: a sudden change of the imbalance", "open_questions:imbalance_step", 5.0),
+    Item("script", "The run-up program, faulty and right", "run_up_script:run_up_script", 5.0),
 )
 
 
