@@ -71,6 +71,13 @@ class NumericMotion:
         lower = -np.linalg.solve(np.array(inertia, float), np.hstack([stiffness, damping]).astype(float))
         return np.vstack([np.hstack([np.zeros((4, 4)), np.eye(4)]), lower])
 
+    def matrices(
+        self, p: RotorParameters, psi: float, omega: float, state: Sequence[float], moments: Sequence[float]
+    ) -> list[np.ndarray]:
+        """[M], [D + G], [K + N], shape (4, 4) each; arguments as of `system`, moments M_S, S_A, S_B, S_P."""
+        found = self._evaluate(psi, omega, *state, *moments, *rig_values(p).values())
+        return [np.array(matrix, float) for matrix in found]
+
     def type_i_harmonics(self, p: RotorParameters, omega: float) -> np.ndarray:
         """[A] = [A0] + [A1] cos 2ψ + [A2] sin 2ψ about Type I: shape (3, 8, 8). Exact: it holds nothing else."""
         state = (0.0, 0.0, *balanced_angles(p)[0])

@@ -9,6 +9,7 @@ import textwrap
 
 from dynamics.derivation import misprint_numbers as numbers
 from dynamics.derivation.comparison import comparisons
+from dynamics.derivation.definitions import definitions
 from dynamics.derivation.effects import POINTS, rig
 from dynamics.derivation.misprint_pieces import details
 from dynamics.derivation.misprint_text import program_section, release_section, text_section
@@ -84,13 +85,17 @@ def summary() -> list[str]:
 
 
 def verdicts() -> list[str]:
-    """One line for each printed equation compared."""
-    lines = ["| equation | subject | verdict |", "|---|---|---|"]
+    """One line for each numbered equation of chapters 2 to 4."""
+    lines = dict[str, str]()
     for c in comparisons():
         cells = ", ".join(f"({d.row},{d.column})" for d in c.deviations) if c.subject.startswith("[") else ""
         verdict = "agrees" if c.agrees else f"**differs** {cells}".rstrip()
-        lines.append(f"| {c.number} | {c.subject} | {verdict} |")
-    return lines
+        lines[c.number] = f"| {c.number} | {c.subject} | {verdict} |"
+    for d in definitions():
+        verdict = "agrees" if d.agrees else "**differs**"
+        lines[d.number] = f"| {d.number} | {d.subject} | {verdict}: {d.how} |"
+    ordered = sorted(lines, key=lambda number: [int(n) for n in number.split("-")])
+    return ["| equation | subject | verdict |", "|---|---|---|", *(lines[number] for number in ordered)]
 
 
 def equation_details() -> list[str]:
@@ -150,13 +155,14 @@ def text() -> str:
     """docs/theory/misprints.md."""
     points = ", ".join(f"{name} (Ω = {ratio})" for name, ratio in POINTS.items())
     wrong = sum(not c.agrees for c in comparisons())
+    vague = sum(not d.agrees for d in definitions())
     parts = [
         HEAD + points + ".",
         "## Equations: summary", "\n".join(summary()),
         "## Everything compared",
-        f"{len(comparisons())} equations and matrices compared, {wrong} differ. (3-1) to (3-6), (3-8), (3-26), (3-30) "
-        "to (3-32), (4-1), (4-5), (4-14), (4-18) to (4-25) are definitions or methods; by inspection they are right, "
-        "but for two arguments lost next to (4-21); see the last section.",
+        f"{len(comparisons())} equations and matrices are compared cell by cell, {wrong} of them differ. The other "
+        f"{len(definitions())} numbered ones are definitions and methods: each is held against a property that it "
+        f"would not have if it were wrong (`dynamics/derivation/definitions.py`); {vague} of them fails.",
         "\n".join(verdicts()),
         "## Equations: details", "\n".join(equation_details()).rstrip(),
         "## What the printed matrices would do", "\n".join(multiplier_section()),

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import GOOD, GREY, MEASURED, MODEL, label
@@ -127,8 +128,8 @@ def forces_2_3(work: Workspace) -> Reproduced:
             Panel(
                 "forces",
                 "The disk with its imbalance on the right at three speeds. O: place of rest, about which the "
-                "centrifugal field turns; C: the disk's centre. Arrows: what the field drives a light pendulum with "
-                "along its path; filled circle: where it rests.",
+                "centrifugal field turns; C: the disk's centre. Thin arrows: what the field drives a light pendulum with "
+                "along its path; filled circle: where it rests; open circle: a place with its three forces.",
                 figure,
             ),
         ),
@@ -154,10 +155,26 @@ def _draw_forces(axes: Axes, lag: float, title: str) -> None:
         push = float(light_pendulum_torque(lag, np.array([angle]))[0]) * 0.42 * np.array([-out[1], out[0]])
         axes.annotate("", xy=tuple(centre + out + push), xytext=tuple(centre + out), arrowprops=_ARROW)
     axes.plot(*(centre + np.array([math.cos(-lag), math.sin(-lag)])), "o", color=GOOD, ms=9, label="pendulum rests")
-    axes.set(aspect="equal", xlim=(-1.9, 1.9), ylim=(-1.9, 1.9), xticks=(), yticks=())
+    _draw_three_forces(axes, centre, -lag + 1.9)
+    for colour, name in ((MEASURED, "F_CF, from O"), (GREY, "F_C, along the arm"), (MODEL, "F_B, what drives it")):
+        axes.plot([], [], color=colour, lw=1.6, label=name)
+    axes.set(aspect="equal", xlim=(-2.1, 2.1), ylim=(-2.1, 2.1), xticks=(), yticks=())
     for spine in axes.spines.values():
         spine.set_visible(False)
     label(axes, None, None, title)
+
+
+def _draw_three_forces(axes: Axes, centre: NDArray[np.float64], angle: float) -> None:
+    """Centrifugal force, constraint, and their sum along the path, at one place of the pendulum."""
+    out = np.array([math.cos(angle), math.sin(angle)])
+    place = centre + out
+    field = 0.8 * place
+    constraint = -float(field @ out) * out
+    axes.plot(*place, "o", color="white", mec="black", ms=6, zorder=4)
+    for force, colour in ((field, MEASURED), (constraint, GREY), (field + constraint, MODEL)):
+        axes.annotate(
+            "", xy=tuple(place + force), xytext=tuple(place), arrowprops=_ARROW | {"color": colour, "lw": 1.8}
+        )
 
 
 def _light_pendulum(p: RotorParameters, ratio: float, lag: float, name: str) -> Claim:

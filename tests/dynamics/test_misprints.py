@@ -12,7 +12,8 @@ import sympy as sp
 from dynamics.derivation import misprint_numbers, misprints, rotating_frame_equations, source_listing
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
-from dynamics.derivation.comparison import comparison, comparisons
+from dynamics.derivation.comparison import compare, comparison, comparisons
+from dynamics.derivation.definitions import definitions, lagrange_rows
 from dynamics.derivation.effects import POINTS, rig, variants
 from dynamics.derivation.misprint_pieces import PIECES, unexplained
 from dynamics.derivation.run_up_faults import Faults, release, script_rates
@@ -39,6 +40,23 @@ def test_which_cells_differ() -> None:
     found = {c.number: {(d.row, d.column) for d in c.deviations} for c in comparisons() if not c.agrees}
     assert found == WRONG
     assert len(comparisons()) == 38
+
+
+def test_every_numbered_equation_of_three_chapters_has_a_row() -> None:
+    wanted = {f"{chapter}-{i}" for chapter, last in ((2, 13), (3, 35), (4, 25)) for i in range(1, last + 1)}
+    compared, defined = [c.number for c in comparisons()], [d.number for d in definitions()]
+    assert sorted(compared + defined) == sorted(wanted)
+    assert [d.number for d in definitions() if not d.agrees] == ["3-7"]
+    rows = {line.split(" | ")[0][2:] for line in misprints.verdicts()[2:]}
+    assert rows == wanted
+
+
+def test_energies_with_a_wrong_term_do_not_give_the_motion() -> None:
+    right = rotating_frame_equations().residual.subs(s.PLAIN)
+    wrong = lagrange_rows(source.KINETIC + s.S_A * s.Y1 * s.dtheta3, source.POTENTIAL, source.DISSIPATION)
+    assert [compare("", "", row, ours).agrees for row, ours in zip(wrong, right, strict=True)] == [
+        False, True, False, True,
+    ]  # fmt: skip
 
 
 def test_the_key_deviations() -> None:
