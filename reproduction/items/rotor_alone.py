@@ -128,8 +128,8 @@ def forces_2_3(work: Workspace) -> Reproduced:
             Panel(
                 "forces",
                 "The disk with its imbalance on the right at three speeds. O: place of rest, about which the "
-                "centrifugal field turns; C: the disk's centre. Thin arrows: what the field drives a light pendulum with "
-                "along its path; filled circle: where it rests; open circle: a place with its three forces.",
+                "centrifugal field turns; C: the disk's centre. Thin arrows: what the field drives a light pendulum "
+                "with along its path; filled circle: where it rests; open circle: a place with its three forces.",
                 figure,
             ),
         ),
