@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -14,6 +15,9 @@ from cli.numbers import WholeCount
 from cli.options import Json
 from cli.share_progress import share_progress
 from rig_configs import RigFileError
+
+if TYPE_CHECKING:
+    from reproduction.files import Written
 
 
 def reproduce(
@@ -58,13 +62,22 @@ def reproduce(
         print_json({
             "book": str(book),
             "verdicts": counts_of(made),
-            "items": [{"id": one.item.id, "folder": str(one.folder), "claims": one.claims} for one in made],
+            "items": [{"id": one.item.id, "folder": str(one.folder), "failed": one.failed or None, "claims": one.claims}
+                      for one in made],
         })  # fmt: skip
-        return 0
+        return _exit_code(made)
     for one in made:
         print(f"{one.item.id}: {one.item.title}")
         for claim in one.claims:
             print(f"  {claim['verdict']}: {claim['statement']} ({claim['place']}) {claim['computed']}")
     counts = ", ".join(f"{count} {verdict}" for verdict, count in counts_of(made).items())
     say(f"{counts}; the book is {book}")
-    return 0
+    return _exit_code(made)
+
+
+def _exit_code(made: Sequence[Written]) -> int:
+    """3 where an item could not be made."""
+    failed = [one for one in made if one.failed]
+    for one in failed:
+        say(f"{one.item.id} could not be made: {one.failed}")
+    return 3 if failed else 0

@@ -55,6 +55,7 @@ def _entry(one: Written) -> dict[str, Any]:
         "id": record["id"],
         "title": record["title"],
         "seconds": record["seconds"],
+        "failed": one.failed,
         "panels": [{"svg": Markup(one.svg(p["name"])), "description": p["description"]} for p in record["panels"]],
         "claims": record["claims"],
         "tables": [{**table, "rows": [[_cell(value) for value in row] for row in table["rows"]]}
@@ -94,6 +95,9 @@ def docs_page(made: Sequence[Written]) -> str:
     lines += [f"| {number} | {_row(claim)}" for number, claim in wrong]
     for one in made:
         lines += ["", f"## {one.item.id}: {one.item.title}", ""]
+        if one.failed:
+            lines += [f"Not made: {one.failed}"]
+            continue
         lines += [f"- Assumed: {text}" for text in one.record["assumed"]] + ["" for _ in one.record["assumed"][:1]]
         lines += ["| where | claimed | | computed |", "|---|---|---|---|"]
         lines += [f"| {_row(claim)}" for claim in one.claims]

@@ -36,6 +36,11 @@ class Written:
     record: Mapping[str, Any]
 
     @property
+    def failed(self) -> str:
+        """Why it could not be made; "" where it was."""
+        return str(self.record.get("failed", ""))
+
+    @property
     def claims(self) -> list[dict[str, str]]:
         """As Claim.to_json has them."""
         return list(self.record["claims"])
@@ -69,6 +74,16 @@ def write_item(item: Item, found: Reproduced, folder: Path, seconds: float) -> W
     text = json.dumps(record, ensure_ascii=False, indent=1, allow_nan=False)
     (folder / _RECORD).write_text(text + "\n", encoding="utf-8")
     return Written(item, folder, record)
+
+
+def write_failure(item: Item, folder: Path, fault: Exception) -> None:
+    """Leave a record of an item that could not be made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    record = {
+        "id": item.id, "title": item.title, "seconds": 0.0, "failed": f"{type(fault).__name__}: {fault}", "parameters": {},
+        "assumed": [], "claims": [], "panels": [], "tables": [],
+    }  # fmt: skip
+    (folder / _RECORD).write_text(json.dumps(record, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
 
 
 def read_item(item: Item, folder: Path) -> Written:

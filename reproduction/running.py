@@ -12,7 +12,7 @@ from typing import Any
 
 from dynamics.compiled_code import keep_compiled_code
 from reproduction.catalogue import ITEMS, Item
-from reproduction.files import Written, read_item, write_item
+from reproduction.files import Written, read_item, write_failure, write_item
 from reproduction.workspace import Workspace
 
 _LOOK_S = 0.5  # how often what has ended is looked for
@@ -29,7 +29,7 @@ def reproduce(items: Sequence[Item], folder: Path, jobs: int = 1, progress: Prog
         jobs: processes; 1: this one.
         progress: see Progress.
     Returns:
-        What was written, in the order of `items`.
+        What was written, in the order of `items`; an item that could not be made has `failed` set.
     """
     tell = progress or _tell_nobody
     total = sum(item.seconds for item in items)
@@ -93,8 +93,11 @@ def _made(item: Item, folder: Path, tell: Callable[[float], None]) -> None:
     started = time.perf_counter()
     own = folder / item.id
     own.mkdir(parents=True, exist_ok=True)
-    found = item.make()(Workspace(own, tell))
-    write_item(item, found, own, time.perf_counter() - started)
+    try:
+        found = item.make()(Workspace(own, tell))
+        write_item(item, found, own, time.perf_counter() - started)
+    except Exception as fault:  # the others are made all the same; the record and the command say what failed
+        write_failure(item, own, fault)
 
 
 def _tell_nobody(share: float, what: str) -> None:

@@ -11,6 +11,7 @@ from cli.main import run
 from reproduction.book import docs_page, write_book
 from reproduction.catalogue import ITEMS, chosen
 from reproduction.errors import UnknownItem
+from reproduction.items import rotor_alone
 from reproduction.running import reproduce
 
 
@@ -48,6 +49,27 @@ def test_the_command_writes_the_same_from_two_processes(tmp_path: Path, capsys: 
         assert result["verdicts"]["does not hold"] == 1
     for name in ("2.2/response.parquet", "2.2/response.svg", "2.3/forces.inline.svg"):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+
+
+def test_an_item_that_fails_leaves_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(work: object) -> None:
+        raise ZeroDivisionError("no such speed")
+
+    monkeypatch.setattr(rotor_alone, "forces_2_3", broken)
+    assert run(["reproduce", "2", "-o", str(tmp_path), "--jobs", "1"]) == 3
+    assert "2.3 could not be made: ZeroDivisionError: no such speed" in capsys.readouterr().err
+    text = (tmp_path / "book.html").read_text(encoding="utf-8")
+    assert text.count("<svg") == 1
+    assert "not made</span> ZeroDivisionError: no such speed" in text
+
+
+def test_the_page_of_the_docs_has_every_item() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reproduction.md").read_text(encoding="utf-8")
+    headings = [line[3:] for line in page.splitlines() if line.startswith("## ")][1:]
+    assert headings == [f"{item.id}: {item.title}" for item in ITEMS], "rig reproduce --all --docs docs/reproduction.md"
+    assert "Not made" not in page
 
 
 def test_the_command_refuses_and_lists(capsys: pytest.CaptureFixture[str]) -> None:
