@@ -79,9 +79,10 @@ def write_item(item: Item, found: Reproduced, folder: Path, seconds: float) -> W
 def write_failure(item: Item, folder: Path, fault: Exception) -> None:
     """Leave a record of an item that could not be made."""
     folder.mkdir(parents=True, exist_ok=True)
-    empty: dict[str, Any] = dict.fromkeys(("assumed", "claims", "panels", "tables"), [])
-    failed = f"{type(fault).__name__}: {fault}"
-    record = empty | {"id": item.id, "title": item.title, "seconds": 0.0, "failed": failed, "parameters": {}}
+    record: dict[str, Any] = {
+        "id": item.id, "title": item.title, "seconds": 0.0, "parameters": {}, "assumed": [], "claims": [], "panels": [],
+        "tables": [], "failed": f"{type(fault).__name__}: {fault}",
+    }  # fmt: skip
     (folder / _RECORD).write_text(json.dumps(record, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
 
 
