@@ -39,6 +39,9 @@ class Item:
 ITEMS: tuple[Item, ...] = (
     Item("2.2", "Amplification and phase lag of the rotor alone", "rotor_alone:frequency_response_2_2"),
     Item("2.3", "Forces on a light pendulum below, at and above resonance", "rotor_alone:forces_2_3"),
+    Item("3.2", "What a pendulum set can balance: regions of first mass moments", "balancing_regions:regions_3_2", 8),
+    Item("3.3", "The same for a series of imbalances", "balancing_regions:series_3_3", 4),
+    Item("3.4", "Where each pendulum set can put the centre of gravity", "gravity_circles:gravity_circles_3_4", 3),
 )
 
 

@@ -44,8 +44,8 @@ def point_eigenvalues(
         raise OutsideDomain("eigenvalues of singular points: expected both pendulums, got one with mass 0")
     found = np.empty((len(points), 8), np.complex128)
     for own, point in zip(found, points, strict=True):
-        matrix = rotating_frame(p, circular_whirl(speed_rad_s, point)[0], speed_rad_s).harmonics[0]
-        values = np.linalg.eigvals(matrix.real)
+        matrix = rotating_frame(p, circular_whirl(speed_rad_s, point)[0], speed_rad_s)
+        values: NDArray[np.complex128] = np.asarray(np.linalg.eigvals(np.asarray(matrix.at(0.0))), np.complex128)
         own[:] = values[np.argsort(-values.real)]
     return found
 

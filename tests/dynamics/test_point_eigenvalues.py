@@ -56,6 +56,7 @@ def test_refusals() -> None:
         point_eigenvalues(replace(rig(1.0), b=Pendulum.absent()), 10.0, [])
     with pytest.raises(OutsideDomain, match="finite value above 0"):
         point_eigenvalues(rig(1.0), 0.0, [])
+    p = rig()
+    points = singular_points(p, p.speed_rad_s(2.0))
     with pytest.raises(OutsideDomain, match="constant equations only"):
-        p = rig()
-        point_eigenvalues(p, p.speed_rad_s(2.0), singular_points(p, p.speed_rad_s(2.0)))
+        point_eigenvalues(p, p.speed_rad_s(2.0), points)
