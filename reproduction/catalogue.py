@@ -42,6 +42,9 @@ ITEMS: tuple[Item, ...] = (
     Item("3.2", "What a pendulum set can balance: regions of first mass moments", "balancing_regions:regions_3_2", 8),
     Item("3.3", "The same for a series of imbalances", "balancing_regions:series_3_3", 4),
     Item("3.4", "Where each pendulum set can put the centre of gravity", "gravity_circles:gravity_circles_3_4", 3),
+    Item("table-3.1", "Stability of Type I, balanced", "stability_tables:table_3_1", 4),
+    Item("table-3.2", "Stability of Type II, pendulums opposed", "stability_tables:table_3_2", 5),
+    Item("table-3.3", "Stability of Type III, pendulums together", "stability_tables:table_3_3", 5),
 )
 
 
