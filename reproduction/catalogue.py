@@ -45,6 +45,8 @@ ITEMS: tuple[Item, ...] = (
     Item("table-3.1", "Stability of Type I, balanced", "stability_tables:table_3_1", 4),
     Item("table-3.2", "Stability of Type II, pendulums opposed", "stability_tables:table_3_2", 5),
     Item("table-3.3", "Stability of Type III, pendulums together", "stability_tables:table_3_3", 5),
+    Item("3.6", "Loss of singular points, properly oversized", "lost_points:loss_3_6", 12),
+    Item("3.7", "Loss of singular points, improperly oversized", "lost_points:loss_3_7", 12),
 )
 
 
