@@ -42,9 +42,11 @@ ITEMS: tuple[Item, ...] = (
     Item("3.2", "What a pendulum set can balance: regions of first mass moments", "balancing_regions:regions_3_2", 8),
     Item("3.3", "The same for a series of imbalances", "balancing_regions:series_3_3", 4),
     Item("3.4", "Where each pendulum set can put the centre of gravity", "gravity_circles:gravity_circles_3_4", 3),
+    Item("3.5", "The three types of singular points", "point_poses:types_3_5", 3),
     Item("table-3.1", "Stability of Type I, balanced", "stability_tables:table_3_1", 4),
     Item("table-3.2", "Stability of Type II, pendulums opposed", "stability_tables:table_3_2", 5),
     Item("table-3.3", "Stability of Type III, pendulums together", "stability_tables:table_3_3", 5),
+    Item("table-3.4", "Which type is stable in six cases", "stable_summary:table_3_4", 12),
     Item("3.6", "Loss of singular points, properly oversized", "lost_points:loss_3_6", 12),
     Item("3.7", "Loss of singular points, improperly oversized", "lost_points:loss_3_7", 12),
 )
