@@ -47,8 +47,9 @@ ITEMS: tuple[Item, ...] = (
     Item("table-3.2", "Stability of Type II, pendulums opposed", "stability_tables:table_3_2", 5),
     Item("table-3.3", "Stability of Type III, pendulums together", "stability_tables:table_3_3", 5),
     Item("table-3.4", "Which type is stable in six cases", "stable_summary:table_3_4", 12),
-    Item("3.6", "Loss of singular points, properly oversized", "lost_points:loss_3_6", 12),
-    Item("3.7", "Loss of singular points, improperly oversized", "lost_points:loss_3_7", 12),
+    Item("3.6", "Loss of singular points, properly oversized", "lost_points:loss_3_6", 20),
+    Item("3.7", "Loss of singular points, improperly oversized", "lost_points:loss_3_7", 20),
+    Item("open-lost-points", "What happens where nothing is stable, k2 = 14.9 k1", "open_lost_points:open_lost_points", 25),
 )
 
 
