@@ -49,7 +49,12 @@ ITEMS: tuple[Item, ...] = (
     Item("table-3.4", "Which type is stable in six cases", "stable_summary:table_3_4", 12),
     Item("3.6", "Loss of singular points, properly oversized", "lost_points:loss_3_6", 20),
     Item("3.7", "Loss of singular points, improperly oversized", "lost_points:loss_3_7", 20),
-    Item("open-lost-points", "What happens where nothing is stable, k2 = 14.9 k1", "open_lost_points:open_lost_points", 25),
+    Item(
+        "open-lost-points",
+        "What happens where nothing is stable, k2 = 14.9 k1",
+        "open_lost_points:open_lost_points",
+        25,
+    ),
 )
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 
 from analysis.figures.sheet import WIDTH_IN, sheet
-from analysis.figures.style import GREY, MODEL, label
+from analysis.figures.style import MODEL, label
 from dynamics import Scene, SpeedHistory, balanced_angles, simulate
 from dynamics.equations.parameters import RotorParameters
 from dynamics.steady.point_eigenvalues import point_eigenvalues, stability_of
