@@ -57,8 +57,8 @@ def predict(
 ) -> int:
     """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
 
-    --balancing and --lost need no speed. With --parameters what was found beside the values acts in all of it (a bow, drag, a suspension that depends on the
-    motion), and run-out is in what the sensors show.
+    --balancing and --lost need no speed. With --parameters what was found beside the values acts in all of it (a bow,
+    drag, a suspension that depends on the motion), and run-out is in what the sensors show.
     """
     need_place("rig predict: --plot", plot)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))

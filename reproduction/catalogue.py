@@ -51,7 +51,7 @@ ITEMS: tuple[Item, ...] = (
     Item("3.7", "Loss of singular points, improperly oversized", "lost_points:loss_3_7", 20),
     Item(
         "open-lost-points",
-        "What happens where nothing is stable, k2 = 14.9 k1",
+        "What happens where nothing is stable",
         "open_lost_points:open_lost_points",
         25,
     ),

@@ -83,7 +83,7 @@ def draw_balancing(
     a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
     s = physics.imbalance_moment_kg_m
     upto = 1.25 * max(a, b, 1.2 * s, 1e-9)
-    with sheet(8.6, 4.0, title, _foot(std_kg_m)) as figure:
+    with sheet(8.6, 4.3, title, _foot(std_kg_m)) as figure:
         left, right = figure.subplots(1, 2).tolist()
         draw_regions(left, s, upto)
         if std_kg_m[2] > 0:

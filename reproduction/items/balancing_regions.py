@@ -160,8 +160,8 @@ def series_3_3(work: Workspace) -> Reproduced:
             Claim.judged(
                 "3.1, Figure 3.3", "Equal first mass moments are undersized or properly oversized against any "
                 "imbalance, never improperly.", fits,
-                f"{len(cases)} releases of equal pendulums against {len(SERIES)} imbalances: {reached.count('I')} end in "
-                f"I, {reached.count('III')} in III, {len(cases) - right} elsewhere than the region says",
+                f"{len(cases)} releases of equal pendulums against {len(SERIES)} imbalances: {reached.count('I')} end "
+                f"in I, {reached.count('III')} in III, {len(cases) - right} elsewhere than the region says",
             ),
         ),
     )  # fmt: skip

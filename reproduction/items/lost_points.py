@@ -18,7 +18,7 @@ from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, PROPERLY_OVERSIZE
 from dynamics.steady.point_loss import point_losses, speeds_at_loss
 from dynamics.steady.singular_points import singular_points
 from reproduction.items.point_sweeps import CASES, Bench, stable_types
-from reproduction.items.slips import SLIPPING, Ends, draw_ends, rates_said, released, turning
+from reproduction.items.slips import Ends, draw_ends, ends_counted, rates_said, released, slip_verdict, turning
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
 
@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 
 LIGHT, HEAVY = 1e-3, 0.1
 """Pendulum damping, N m s/rad: the rig's, and so much that Type I is stable right above resonance."""
-ZETAS = np.linspace(0.01, 0.5, 36)
-RATIOS = np.linspace(0.4, 2.0, 49)
+ZETAS: Array = np.linspace(0.01, 0.5, 36)
+RATIOS: Array = np.linspace(0.4, 2.0, 49)
 RELEASED = (7, 11)
 """Releases over damping and over speed."""
 NAMES = ("I", "II", "III", "none")
@@ -98,8 +98,8 @@ def _made(work: Workspace, region: str, number: str) -> Reproduced:
         ),
         numbers_of(bench.rig) | {"zeta1": "0.01 … 0.5", "zeta2": "0.01 … 0.5", "c34_Nms_per_rad": f"{HEAVY}, {LIGHT}"},
         (
-            f"S_A = {case.a:g} S_P, S_B = {case.b:g} S_P; the source gives no numbers. Damping across, speed upwards, as "
-            "its text describes.",
+            f"S_A = {case.a:g} S_P, S_B = {case.b:g} S_P; the source gives no numbers. Damping across, speed upwards, "
+            "as its text describes.",
         ),
         (
             *_border_claims(bench, region, number),
@@ -131,11 +131,11 @@ def _draw(axes: Axes, bench: Bench, found: _Map) -> None:
 
 def _releases(work: Workspace, bench: Bench) -> tuple[Array, Ends]:
     """Damping and speed of releases, shape (n, 2), and their ends; pendulum damping LIGHT."""
-    zetas = np.linspace(ZETAS[0], ZETAS[-1], RELEASED[0] + 2)[1:-1]
-    ratios = np.linspace(RATIOS[0], RATIOS[-1], RELEASED[1] + 2)[1:-1]
-    at = np.array([(z, r) for z in zetas for r in ratios], np.float64)
-    rigs = [bench.damped(float(z), LIGHT) for z, _ in at]
-    speeds = [p.speed_rad_s(float(r)) for p, (_, r) in zip(rigs, at, strict=True)]
+    zetas: Array = np.linspace(float(ZETAS[0]), float(ZETAS[-1]), RELEASED[0] + 2)[1:-1]
+    ratios: Array = np.linspace(float(RATIOS[0]), float(RATIOS[-1]), RELEASED[1] + 2)[1:-1]
+    at = np.array([(z, r) for z in zetas.tolist() for r in ratios.tolist()], np.float64)
+    rigs = [bench.damped(z, LIGHT) for z, _ in at.tolist()]
+    speeds = [p.speed_rad_s(r) for p, (_, r) in zip(rigs, at.tolist(), strict=True)]
     return at, released(rigs, speeds, lambda share: work.tell(0.5 + 0.5 * share))
 
 
@@ -165,8 +165,8 @@ def _border_claims(bench: Bench, region: str, number: str) -> tuple[Claim, ...]:
     three = lower["III"]
     return (
         Claim.judged(
-            f"Figure {number}", "Points are lost where damping is high and the speed near the critical one, the more the "
-            "higher the damping.", worst < 1e-9 and all(a > b for a, b in pairwise(three)),
+            f"Figure {number}", "Points are lost where damping is high and the speed near the critical one, the more "
+            "the higher the damping.", worst < 1e-9 and all(a > b for a, b in pairwise(three)),
             f"{region}: lost where 2ζΩ > |1 − Ω²| tan β, sin β = S_P/S_T; border against the points themselves within "
             f"{worst:.0e}; Type III lost from Ω = " + ", ".join(f"{x:.3f} (ζ = {z:g})" for x, z in
                                                                zip(three, tried, strict=True)),
@@ -226,26 +226,24 @@ def _improper_claims(work: Workspace, bench: Bench, maps: list[_Map]) -> tuple[C
 
 def _one_type(maps: list[_Map]) -> Claim:
     several, size = sum(one.several for one in maps), sum(one.stable.size for one in maps)
-    none = [float(np.mean(one.stable == NAMES.index("none"))) for one in maps]
+    none = [np.count_nonzero(one.stable == NAMES.index("none")) / one.stable.size for one in maps]
     return Claim.judged(
         "3.1", "At most one type of singular point is stable.", several == 0,
         f"{size} points of both maps: two types stable at {several}; none at "
-        + ", ".join(f"{100 * share:.0f} % (c34 = {one.c34:g} N m s/rad)" for share, one in zip(none, maps, strict=True)),
+        + ", ".join(f"{100 * own:.0f} % (c34 = {one.c34:g} N m s/rad)" for own, one in zip(none, maps, strict=True)),
     )  # fmt: skip
 
 
 def _slip_claims(bench: Bench, at: Array, ends: Ends, number: str) -> tuple[Claim, Claim]:
     """What the pendulums do where no point is stable, and whether they reach one that is."""
-    types = [stable_types(bench.damped(float(z), LIGHT), float(r)) for z, r in at]
+    types = [stable_types(bench.damped(z, LIGHT), r) for z, r in at.tolist()]
     bare, slips = np.array([not own for own in types]), turning(ends)
     reach = np.array([name in own for name, own in zip(ends.name.tolist(), types, strict=True)])
-    regular = int(np.sum(bare & (ends.name == SLIPPING)))
     return (
-        Claim.judged(
+        Claim(
             f"Figure {number}, open", "Where no singular point is stable the pendulums slip on the rotor for ever.",
-            bool(np.all(slips[bare])),
-            f"c34 = {LIGHT:g} N m s/rad: of {int(bare.sum())} releases without a stable point {int((bare & slips).sum())} "
-            f"lock nowhere, {regular} of them in a stable slipping motion; {rates_said(ends, bare, at[:, 1])}",
+            slip_verdict(ends, bare),
+            f"c34 = {LIGHT:g} N m s/rad: {ends_counted(ends, bare)}; {rates_said(ends, bare, at[:, 1])}",
         ),
         Claim.judged(
             "3.1", f"Where a singular point is stable a release from 0° and 180° ends in it ({bench.case.region}).",

@@ -39,15 +39,15 @@ def draw_pose(axes: Axes, p: RotorParameters, point: SingularPoint, title: str, 
         axes.plot((0, centre[0]), (0, centre[1]), color=MODEL, lw=1.2)
     axes.add_patch(Circle((centre[0], centre[1]), 1.0, fill=False, ec="#999999", lw=1.0))
     axes.plot((centre[0], centre[0] + 0.62), (centre[1], centre[1]), color="black", lw=0.8)
-    axes.plot(*(centre + (0.62, 0.0)), "s", color="black", ms=6, label="imbalance")
+    axes.plot(centre[0] + 0.62, centre[1], "s", color="black", ms=6, label="imbalance")
     most = max(p.a.first_moment_kg_m, p.b.first_moment_kg_m)
     both = ((p.a, A_COLOUR, 0.86, "A"), (p.b, B_COLOUR, 0.74, "B"))
     for theta, (pendulum, colour, reach, name) in zip(point.theta_rad, both, strict=True):
         out = np.array([math.cos(theta), math.sin(theta)])
         tip = centre + reach * out
         axes.plot((centre[0], tip[0]), (centre[1], tip[1]), color=colour, lw=2.0)
-        axes.plot(*tip, "o", color=colour, ms=4 + 5 * math.sqrt(pendulum.first_moment_kg_m / most), mec="white", mew=0.6,
-                  label=f"pendulum {name}")  # fmt: skip
+        axes.plot(*tip, "o", color=colour, ms=4 + 5 * math.sqrt(pendulum.first_moment_kg_m / most), mec="white",
+                  mew=0.6, label=f"pendulum {name}")  # fmt: skip
     axes.plot(*centre, "o", color=MODEL, ms=4, label="C: centre of the disk")
     axes.plot(0, 0, "+", color="black", ms=9, mew=1.4, label="O: where it would rest")
     axes.grid(False)
@@ -99,8 +99,8 @@ def types_3_5(work: Workspace) -> Reproduced:
         (
             Panel(
                 "types",
-                "Disk, imbalance on the right and pendulums in the rotor's frame: C is at O in Type I; in II and III it "
-                "whirls about O, drawn at one length whatever its radius.",
+                "Disk, imbalance on the right and pendulums in the rotor's frame: C is at O in Type I; in II and III "
+                "it whirls about O, drawn at one length whatever its radius.",
                 figure,
             ),
         ),
@@ -149,9 +149,9 @@ def _equations(cases: list[tuple[str, RotorParameters, float]]) -> Claim:
             turning = max(turning, *(abs(torque) / (s * max(abs(z), 1e-3)) for torque in torques))
             count += 1
     return Claim.judged(
-        "(3-17) to (3-20)", "The points make the printed left sides vanish.", lacking < 1e-9 and turning < 1e-9,
-        f"{count} points of all types: torques vanish within {turning:.0e} S_P |z|; of the forces {lacking:.3f} ω² S_P is "
-        f"left (of (3-13), where the term stands, {with_imbalance:.0e})",
+        "(3-17) to (3-20)", "Singular points fulfil the four equations as printed.", lacking < 1e-9 and turning < 1e-9,
+        f"{count} points of all types: torques vanish within {turning:.0e} S_P |z|; of the forces {lacking:.3f} ω² S_P "
+        f"is left (of (3-13), where the term stands, {with_imbalance:.0e})",
     )  # fmt: skip
 
 

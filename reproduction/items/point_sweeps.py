@@ -1,5 +1,5 @@
 # pyright: strict
-"""Eigenvalues of singular points over speed, suspension damping and pendulum damping: what Tables 3.1 to 3.4 rest on."""
+"""Eigenvalues of singular points over speed and both dampings: what Tables 3.1 to 3.4 rest on."""
 
 from __future__ import annotations
 

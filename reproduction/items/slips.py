@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownMemberType=false
 """Where releases end, many at once, and how fast pendulums that lock nowhere turn against the rotor."""
 
 from __future__ import annotations
@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 from dynamics import ReleaseOutcome, release_outcome, steady_states
 from dynamics.equations.parameters import RotorParameters
 from reproduction.items.pendulum_sets import FROM_RAD
+from reproduction.results import Verdict
 
 Array = NDArray[np.float64]
 
-SLIPPING, TURNING = "slipping", "turning, no regular slip"
+SLIPPING, TURNING, SWINGING = "slipping", "turning, no regular slip", "swinging"
 MOST_REVOLUTIONS = 8000
 _TURNED = 6.0  # turns against the rotor, from which on pendulums that settle nowhere count as turning
 MARKS = {
     "I": ("o", "#00604a", 4.0), "II": ("^", "#8a3b00", 4.0), "III": ("s", "#003d66", 4.0),
-    SLIPPING: ("*", "white", 9.0), TURNING: ("P", "#ffd54d", 6.5), "not settled": ("X", "#e05050", 6.0),
+    SLIPPING: ("*", "white", 9.0), TURNING: ("P", "#ffd54d", 6.5), SWINGING: ("D", "#ffd54d", 5.0),
+    "not settled": ("X", "#e05050", 6.0),
 }  # fmt: skip
 
 
@@ -33,7 +35,7 @@ class Ends:
 
     Attributes:
         name: type reached, SLIPPING (a stable slipping motion), TURNING (turns on and is nothing of these) or
-            "not settled"; shape (n,).
+            SWINGING (with no stable state to go to) or "not settled"; shape (n,).
         turns: of A and B against the rotor, per revolution, shape (n, 2).
     """
 
@@ -44,23 +46,42 @@ class Ends:
 def released(rigs: Sequence[RotorParameters], speeds_rad_s: Sequence[float], progress: Callable[[float], None]) -> Ends:
     """Releases from 0° and 180° within the play, followed until they reach something or for MOST_REVOLUTIONS."""
 
-    def one(i: int) -> ReleaseOutcome:
+    def one(i: int) -> tuple[ReleaseOutcome, bool]:
         states = steady_states(rigs[i], speeds_rad_s[i], 1e-6)
-        return release_outcome(rigs[i], speeds_rad_s[i], FROM_RAD, states=states, most_revolutions=MOST_REVOLUTIONS)
+        end = release_outcome(rigs[i], speeds_rad_s[i], FROM_RAD, states=states, most_revolutions=MOST_REVOLUTIONS)
+        return end, any(state.stable for state in states)
 
-    found = list[ReleaseOutcome]()
+    found, names = list[ReleaseOutcome](), list[str]()
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        for outcome in pool.map(one, range(len(rigs))):
+        for outcome, somewhere in pool.map(one, range(len(rigs))):
             found.append(outcome)
+            names.append(_name(outcome, somewhere))
             progress(len(found) / len(rigs))
     turns = np.array([o.slipping.turns_per_revolution if o.slipping else np.array(o.slip_turns) / o.revolutions
                       for o in found], np.float64)  # fmt: skip
-    return Ends(np.array([_name(o) for o in found]), turns)
+    return Ends(np.array(names), turns)
 
 
-def _name(outcome: ReleaseOutcome) -> str:
-    on = max(abs(turns) for turns in outcome.slip_turns) > _TURNED
-    return TURNING if outcome.state == "not settled" and on else outcome.state
+def _name(outcome: ReleaseOutcome, somewhere: bool) -> str:
+    if outcome.state != "not settled":
+        return outcome.state
+    if max(abs(turns) for turns in outcome.slip_turns) > _TURNED:
+        return TURNING
+    return outcome.state if somewhere else SWINGING
+
+
+def slip_verdict(ends: Ends, bare: NDArray[np.bool_]) -> Verdict:
+    """Whether all releases without a stable state slip: in part where the others swing."""
+    rest = bare & ~turning(ends)
+    return "holds" if not rest.any() else "holds in part" if np.all(ends.name[rest] == SWINGING) else "does not hold"
+
+
+def ends_counted(ends: Ends, bare: NDArray[np.bool_]) -> str:
+    """How releases without a stable state go on, in words."""
+    slip, turn, swing = (int(np.sum(bare & (ends.name == name))) for name in (SLIPPING, TURNING, SWINGING))
+    said = f"{slip} of {int(bare.sum())} releases there come to a stable slipping motion"
+    said += f", {turn} turn on without a regular slip" if turn else ""
+    return said + (f", {swing} still swing after {MOST_REVOLUTIONS} revolutions, without turning over" if swing else "")
 
 
 def draw_ends(axes: Axes, x: Array, y: Array, ends: Ends) -> None:

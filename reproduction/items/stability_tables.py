@@ -55,7 +55,7 @@ def table_3_1(work: Workspace) -> Reproduced:
     met = sum(int(np.sum(one.stable != ABSENT)) for one in outside)
     claim = Claim.judged(
         "Table 3.1", "Outside ABCD Type I does not exist.", met == 0,
-        f"{sum(one.stable[0].size for one in outside)} sweeps of undersized and improperly oversized sets: {met} points",
+        f"{sum(one.stable[0].size for one in outside)} places of undersized and improperly oversized sets: {met}",
     )  # fmt: skip
     return Reproduced(made.panels, made.tables, made.parameters, made.assumed, (*made.claims, claim))
 
@@ -96,8 +96,8 @@ def _made(work: Workspace, kind: str, number: str, said: Said) -> Reproduced:
             f"ζ = {', '.join(f'{z:g}' for z in ZETAS)} and {len(C34)} values of c34 from 1e-5 to 1 N m s/rad.",
             "The source does not say which of a type's two solutions its sets are: set II is the one whose whirl lies "
             "further along the pendulums' moment.",
-            "A cell holds where every point of the sweep agrees, in part where Ω = 0.8 or 2.5, ζ = 0.05 and c34 = 0.001 "
-            "N m s/rad agree.",
+            "A cell holds where every point of the sweep agrees, in part where Ω = 0.8 or 2.5, ζ = 0.05 and c34 = "
+            "0.001 N m s/rad agree.",
         ),
         tuple(_judged(found[cell], cell, says, kind, number) for cell, says in said.items()),
     )  # fmt: skip
@@ -212,7 +212,7 @@ def _curves(axes: Axes, values: NDArray[np.float64] | None, name: str) -> None:
         axes.plot(c34, own, color=GREY, lw=0.7)
     axes.plot(c34, largest, color=colour, lw=1.8)
     axes.axhline(0, color="black", lw=0.8)
-    axes.set_yscale("symlog", linthresh=_LINEAR_1_PER_S, linscale=0.5)
+    axes.set_yscale("symlog", linthresh=_LINEAR_1_PER_S, linscale=0.9)
     axes.set_yticks((-100, -1, -0.01, 0, 0.01, 1, 100), ("−100", "−1", "−0.01", "0", "0.01", "1", "100"))
     axes.set(ylim=(-5e3, 1e2), xlim=(c34[0], c34[-1]))
     axes.tick_params(labelsize=7)

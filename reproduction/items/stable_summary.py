@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Table 3.4: which type is stable in each of six cases, how far that depends on damping, and the text's summary of it."""
+"""Table 3.4: which type is stable in six cases, how far that depends on damping, and what the text says."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ from reproduction.workspace import Workspace, numbers_of
 
 _KINDS = ("I", "II", "III")
 _SAID = {
-    (SUB, PROPERLY_OVERSIZED): ("III", True), (SUB, UNDERSIZED): ("III", False), (SUB, IMPROPERLY_OVERSIZED): ("III", True),
+    (SUB, PROPERLY_OVERSIZED): ("III", True), (SUB, UNDERSIZED): ("III", False),
+    (SUB, IMPROPERLY_OVERSIZED): ("III", True),
     (SUPER, PROPERLY_OVERSIZED): ("I", False), (SUPER, UNDERSIZED): ("III", False),
     (SUPER, IMPROPERLY_OVERSIZED): ("II", True),
 }  # fmt: skip
@@ -114,7 +115,7 @@ def _summary(benches: dict[str, Bench], stable: dict[Cell, dict[str, NDArray[np.
     counts = {cell: sum(own.astype(int) for own in kinds.values()) for cell, kinds in stable.items()}
     most = max(int(np.max(count)) for count in counts.values())
     none = sum(int(np.sum(count == 0)) for count in counts.values())
-    size = sum(count.size for count in counts.values())
+    size = sum(np.size(count) for count in counts.values())
     sub = {kind: sum(int(np.sum(stable[SUB, case.region][kind])) for case in CASES) for kind in _KINDS}
     over = {region: {kind: int(np.sum(stable[SUPER, region][kind])) for kind in _KINDS}
             for region in (PROPERLY_OVERSIZED, IMPROPERLY_OVERSIZED)}  # fmt: skip
@@ -130,13 +131,14 @@ def _summary(benches: dict[str, Bench], stable: dict[Cell, dict[str, NDArray[np.
         ),
         Claim.judged(
             "3.1, summary", "Below resonance Type II alone is stable.", sub["II"] > 0 and sub["I"] + sub["III"] == 0,
-            f"stable below resonance: II at {sub['II']}, III at {sub['III']} places; the source's own Tables 3.3 and 3.4 "
-            "have III",
+            f"stable below resonance: II at {sub['II']}, III at {sub['III']} places; the source's own Tables 3.3 and "
+            "3.4 have III",
         ),
         Claim.judged(
             "3.1, summary", "Above resonance oversized pendulums have Type III stable.",
             all(kinds["III"] > 0 and kinds["I"] + kinds["II"] == 0 for kinds in over.values()),
-            "; ".join(f"{region}: I at {k['I']}, II at {k['II']}, III at {k['III']} places" for region, k in over.items()),
+            "; ".join(f"{region}: I at {k['I']}, II at {k['II']}, III at {k['III']} places"
+                      for region, k in over.items()),
         ),
         Claim(
             "3.1, summary", "Below resonance undersized pendulums do not depend on rotor damping.", same,
@@ -154,7 +156,7 @@ def _table(sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> 
     for kind in _KINDS:
         columns[f"{kind}_stable_share"] = [float(np.mean(stable[cell][kind])) for cell in _SAID]
         gone = [np.all(sweeps[cell][kind].stable == ABSENT, axis=0) for cell in _SAID]
-        columns[f"{kind}_absent_share"] = [float(np.mean(g)) for g in gone]
+        columns[f"{kind}_absent_share"] = [np.count_nonzero(g) / np.size(g) for g in gone]
     return Table("stable-types", "Share of the sweep at which a type has a stable point", columns, shown=True)
 
 
