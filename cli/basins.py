@@ -17,6 +17,7 @@ from cli.numbers import Positive, PositiveRpm, PositiveSeconds
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
 from cli.scheduler import Scheduler, worked_out
 from cli.share_progress import share_progress
+from cli.speed import asked_speed
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def basins(
     numbers = _grid(grid)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     loaded = load_rig(rig, known, settings or [])
-    speed = _speed(loaded, point, speed_ratio, speed_rpm)
+    speed = asked_speed("rig basins", loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("basins"):
         from analysis.maps.question import parameters_source, rig_source  # noqa: PLC0415
         from studies.basins import KIND, BasinQuestion, basin_study  # noqa: PLC0415
@@ -155,17 +156,6 @@ def _grid(text: str) -> tuple[int, int]:
             f"60x40; got {text!r}"
         )
     return across, up
-
-
-def _speed(rig: Rig, point: str | None, speed_ratio: float | None, speed_rpm: float | None) -> float:
-    """The speed asked for, rad/s."""
-    if sum(given is not None for given in (point, speed_ratio, speed_rpm)) != 1:
-        raise RigFileError("rig basins: give one of --point, --speed-ratio, --speed-rpm")
-    if point is not None:
-        if point not in rig.points:
-            raise RigFileError(f"rig basins: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
-        return rig.physics.speed_rad_s(rig.points[point].speed_ratio)
-    return rig.physics.speed_rad_s(speed_ratio) if speed_ratio is not None else (speed_rpm or 0.0) * math.pi / 30
 
 
 def _arrays(found: BasinMap) -> dict[str, Any]:

@@ -72,6 +72,9 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
     "cli.model": {
         "predict": "Steady states, stability and amplitudes at a point or a speed, and where a release ends.",
     },
+    "cli.react": {
+        "react": "How the pendulums answer a sudden change at speed: peak, and the time until it is balanced again.",
+    },
     "cli.basins": {"basins": "Where releases end, over the angles at which the locks hold the pendulums."},
     "cli.maps": {"map": "Where the balanced state is stable, over any two numbers of the rig file."},
     "cli.plan": {

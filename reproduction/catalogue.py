@@ -23,12 +23,14 @@ class Item:
         title: what it shows.
         place: "module:function" that makes it.
         seconds: of work on one core, about; long ones are begun first.
+        group: items with the same one are made one after the other in one process, and share what they keep in memory.
     """
 
     id: str
     title: str
     place: str
     seconds: float = 5.0
+    group: str = ""
 
     def make(self) -> Make:
         """The function."""
@@ -39,22 +41,33 @@ class Item:
 ITEMS: tuple[Item, ...] = (
     Item("2.2", "Amplification and phase lag of the rotor alone", "rotor_alone:frequency_response_2_2"),
     Item("2.3", "Forces on a light pendulum below, at and above resonance", "rotor_alone:forces_2_3"),
-    Item("3.2", "What a pendulum set can balance: regions of first mass moments", "balancing_regions:regions_3_2", 8),
-    Item("3.3", "The same for a series of imbalances", "balancing_regions:series_3_3", 4),
-    Item("3.4", "Where each pendulum set can put the centre of gravity", "gravity_circles:gravity_circles_3_4", 3),
-    Item("3.5", "The three types of singular points", "point_poses:types_3_5", 3),
-    Item("table-3.1", "Stability of Type I, balanced", "stability_tables:table_3_1", 4),
-    Item("table-3.2", "Stability of Type II, pendulums opposed", "stability_tables:table_3_2", 5),
-    Item("table-3.3", "Stability of Type III, pendulums together", "stability_tables:table_3_3", 5),
-    Item("table-3.4", "Which type is stable in six cases", "stable_summary:table_3_4", 12),
-    Item("3.6", "Loss of singular points, properly oversized", "lost_points:loss_3_6", 20),
-    Item("3.7", "Loss of singular points, improperly oversized", "lost_points:loss_3_7", 20),
-    Item(
-        "open-lost-points",
-        "What happens where nothing is stable",
-        "open_lost_points:open_lost_points",
-        25,
-    ),
+    Item("3.2", "What a pendulum set can balance: regions of first mass moments", "balancing_regions:regions_3_2", 8.0),
+    Item("3.3", "The same for a series of imbalances", "balancing_regions:series_3_3", 4.0),
+    Item("3.4", "Where each pendulum set can put the centre of gravity", "gravity_circles:gravity_circles_3_4", 3.0),
+    Item("3.5", "The three types of singular points", "point_poses:types_3_5", 3.0),
+    Item("table-3.1", "Stability of Type I, balanced", "stability_tables:table_3_1", 4.0),
+    Item("table-3.2", "Stability of Type II, pendulums opposed", "stability_tables:table_3_2", 5.0),
+    Item("table-3.3", "Stability of Type III, pendulums together", "stability_tables:table_3_3", 5.0),
+    Item("table-3.4", "Which type is stable in six cases", "stable_summary:table_3_4", 12.0),
+    Item("3.6", "Loss of singular points, properly oversized", "lost_points:loss_3_6", 20.0),
+    Item("3.7", "Loss of singular points, improperly oversized", "lost_points:loss_3_7", 20.0),
+    Item("4.1", "Coarse stability map of the balanced state", "floquet_maps:coarse_map_4_1", 8.0),
+    Item("4.2", "Borders of the stable areas and the points", "floquet_maps:fine_map_4_2", 5.0),
+    Item("4.3", "Largest multipliers along the points' line", "floquet_maps:largest_multiplier_4_3", 5.0),
+    Item("4.4", "Three views of the multipliers", "floquet_maps:three_views_4_4", 5.0),
+    Item("4.5", "Borders over the suspension's damping", "floquet_maps:family_over_zeta_4_5", 40.0),
+    Item("4.6", "Borders over the pendulums' damping", "floquet_maps:family_over_c34_4_6", 30.0),
+    Item("4.10", "Point A, simulated and recorded", "points:point_a_4_10", 10.0, "points"),
+    Item("4.11", "Point B, simulated and recorded", "points:point_b_4_11", 10.0, "points"),
+    Item("4.12", "Point C, simulated and recorded", "points:point_c_4_12", 10.0, "points"),
+    Item("4.13", "Point D, simulated and recorded", "points:point_d_4_13", 10.0, "points"),
+    Item("4.14", "Point E, simulated and recorded", "points:point_e_4_14", 10.0, "points"),
+    Item("open-lost-points", "Open question: where nothing is stable", "open_lost_points:open_lost_points", 25.0),
+    Item("open-gravity", "Open question: gravity on a horizontal shaft", "open_questions:gravity", 6.0),
+    Item("open-damping", "Open question: the best damping of the pendulums", "open_questions:pendulum_damping", 15.0),
+    Item("open-type-iii", "Open question: Type III on anisotropic suspensions", "open_questions:type_three", 30.0),
+    Item("open-step", "Open question: a sudden change of the imbalance", "open_questions:imbalance_step", 5.0),
+    Item("script", "The run-up program, faulty and right", "run_up_script:run_up_script", 5.0),
 )
 
 

@@ -15,6 +15,7 @@ from reproduction.catalogue import ITEMS, Item
 from reproduction.files import Written, read_item, write_item
 from reproduction.workspace import Workspace
 
+_LOOK_S = 0.5  # how often what has ended is looked for
 Progress = Callable[[float, str], None]
 """Called with the share of the work done, 0 … 1, and what was done last."""
 
@@ -39,29 +40,53 @@ def reproduce(items: Sequence[Item], folder: Path, jobs: int = 1, progress: Prog
             done += item.seconds
             tell(done / total, item.id)
     else:
-        _beside(sorted(items, key=lambda item: -item.seconds), folder, jobs, tell)
+        _beside(items, folder, jobs, tell)
     return [read_item(item, folder / item.id) for item in items]
 
 
 def _beside(items: Sequence[Item], folder: Path, jobs: int, tell: Progress) -> None:
     total, done = sum(item.seconds for item in items), 0.0
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(items)), mp_context=context, initializer=keep_compiled_code) as pool:
-        running: dict[Future[Any], Item] = {pool.submit(_by_number, item.id, folder): item for item in items}
+    with (
+        context.Manager() as manager,
+        ProcessPoolExecutor(min(jobs, len(items)), mp_context=context, initializer=keep_compiled_code) as pool,
+    ):
+        ended = manager.Queue()
+        parts = _groups(items)
+        running: set[Future[None]] = {pool.submit(_one_by_one, part, folder, ended) for part in parts}
         try:
             while running:
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                over = wait(running, timeout=_LOOK_S, return_when=FIRST_COMPLETED).done
+                running -= over
+                while not ended.empty():
+                    seconds, number = ended.get()
+                    done += seconds
+                    tell(done / total, number)
+                for future in over:
                     future.result()
-                    item = running.pop(future)
-                    done += item.seconds
-                    tell(done / total, item.id)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _by_number(number: str, folder: Path) -> None:
-    _made(next(item for item in ITEMS if item.id == number), folder, lambda share: None)
+def _groups(items: Sequence[Item]) -> list[list[str]]:
+    """Numbers of the items that go together, the longest work first."""
+    groups: dict[str, list[Item]] = {}
+    for item in items:
+        groups.setdefault(item.group or item.id, []).append(item)
+    ordered = sorted(groups.values(), key=lambda group: -sum(item.seconds for item in group))
+    return [[item.id for item in group] for group in ordered]
+
+
+def _one_by_one(numbers: list[str], folder: Path, ended: Any) -> None:
+    for number in numbers:
+        item = next(each for each in ITEMS if each.id == number)
+        _made(item, folder, _tell_no_share)
+        ended.put((item.seconds, number))
+
+
+def _tell_no_share(share: float) -> None:
+    del share
 
 
 def _made(item: Item, folder: Path, tell: Callable[[float], None]) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from analysis.figures.style import MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
 from analysis.prediction import Prediction
@@ -57,7 +58,15 @@ def simulate_release(
 def draw_point(
     run: Run, measured: SteadyMeasurement, prediction: Prediction | None, simulated: Simulated | None, name: str
 ) -> str:
-    """SVG of x, y, θ3, θ4 from 3 s before release (left) and at the end (right)."""
+    """SVG of `point_figure`."""
+    figure = point_figure(run, measured, prediction, simulated)
+    return to_svg(figure, name, "Displacements and pendulum angles over time, measured and simulated")
+
+
+def point_figure(
+    run: Run, measured: SteadyMeasurement, prediction: Prediction | None, simulated: Simulated | None
+) -> Figure:
+    """x, y, θ3, θ4 from 3 s before release (left) and at the end (right)."""
     zero, end = measured.release_s, measured.to_s
     close = end - 2 * np.pi * _TURNS_SHOWN / measured.speed_rad_s.value
     with drawing(8.6, 4.7) as figure:
@@ -84,7 +93,7 @@ def draw_point(
             handles + [h for h, _ in extra], names + [n for _, n in extra], loc="upper right", ncols=4, fontsize=8.5
         )
         pin(figure, grid, 0.028, 0.05)
-        return to_svg(figure, name, "Displacements and pendulum angles over time, measured and simulated")
+    return figure
 
 
 def _displacements(

@@ -55,7 +55,7 @@ def test_slipping_is_told_with_its_rates(capsys: pytest.CaptureFixture[str]) -> 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--grid", "6x4"), "give one of --point, --speed-ratio, --speed-rpm"),
+        (("--grid", "6x4"), "give one of --point, --speed-rpm, --speed-ratio"),
         (("--point", "Q"), "no point 'Q'"),
         (("--point", "E", "--grid", "6"), "expected N3xN4"),
         (("--point", "E", "--grid", "0x5"), "expected N3xN4"),

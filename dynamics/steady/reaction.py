@@ -1,0 +1,118 @@
+# pyright: strict
+"""How the pendulums answer a sudden change of the rig at speed: an imbalance that jumps, a spring that is changed.
+
+The rotor turns on at its speed. The motion starts in the stable state of the rig as it was and is followed with the
+equations of the rig as it is. Source: docs/theory/steady_states.md, "Reaction to a sudden change".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.arguments import need_number
+from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.scene import Scene
+from dynamics.equations.speed_history import SpeedHistory
+from dynamics.errors import OutsideDomain
+from dynamics.motions.integrate import simulate
+from dynamics.steady.steady_motions import steady_states
+from dynamics.steady.steady_state import SteadyState
+
+Array = NDArray[np.float64]
+
+_PER_TURN = 32
+_CONSTANTS = 14.0  # time constants of the slowest motion that are followed
+_LEAST_TURNS, _LONGEST_S = 60, 600.0
+_NEAR_RAD = 1e-2
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """A motion after a sudden change.
+
+    Attributes:
+        before: stable state in which it starts.
+        after: stable state of the changed rig that it has reached; None where it has reached none by its end.
+        time_s: after the change, at the middle of each revolution, shape (n,).
+        amplitude_m: rms distance of the disk's centre from its mean over each revolution, shape (n,).
+        theta_rad: means of θ3, θ4 over each revolution, counted on, shape (n, 2).
+        peak_m: largest amplitude after the change.
+        reaction_s: time from which on the amplitude stays within the wanted share of its largest deviation from the
+            end; NaN where no state was reached.
+        time_constant_s: of the slowest deviation from the state reached, by its largest multiplier; NaN without.
+    """
+
+    before: SteadyState
+    after: SteadyState | None
+    time_s: Array
+    amplitude_m: Array
+    theta_rad: Array
+    peak_m: float
+    reaction_s: float
+    time_constant_s: float
+
+
+def reaction(
+    rig: RotorParameters | object,
+    changed: RotorParameters | object,
+    speed_rad_s: float,
+    share: float = 0.05,
+    seconds: float | None = None,
+) -> Reaction:
+    """Follow the motion from the stable state of one rig with the equations of another.
+
+    Args:
+        rig, changed: as they are before and after; RotorParameters, or anything whose `.physics` is.
+        speed_rad_s: rotor's speed, unchanged.
+        share: of the largest deviation of the amplitude, at which the reaction counts as over; above 0, below 1.
+        seconds: followed; None: fourteen time constants of the slowest stable state of the changed rig.
+    Raises:
+        OutsideDomain: the rig has no stable state to start from, or a share or a time outside.
+    """
+    need_number(speed_rad_s=speed_rad_s, share=share)
+    if not 0 < share < 1:
+        raise OutsideDomain(f"share must lie between 0 and 1, got {share!r}")
+    old, new = physics_of(rig), physics_of(changed)
+    stable = [state for state in steady_states(old, speed_rad_s, 1e-8) if state.stable]
+    if not stable:
+        raise OutsideDomain(f"at {speed_rad_s:.6g} rad/s the rig has no stable state from which a change could start")
+    ends = [state for state in steady_states(new, speed_rad_s, 1e-8) if state.stable]
+    constants = [_time_constant(state, speed_rad_s) for state in ends]
+    if seconds is None:
+        seconds = min(_LONGEST_S, _CONSTANTS * max(constants, default=5.0))
+    turn = 2 * math.pi / speed_rad_s
+    if not (math.isfinite(seconds) and seconds > 0):
+        raise OutsideDomain(f"seconds must be finite and above 0, got {seconds!r}")
+    turns = max(_LEAST_TURNS, math.ceil(seconds / turn))
+    time = np.arange(turns * _PER_TURN) * (turn / _PER_TURN)
+    scene = Scene(SpeedHistory.constant(speed_rad_s), (old.a.present, old.b.present), stable[0].start)
+    motion = simulate(new, scene, time, 1e-6)
+    centre = np.asarray(motion.displacement_m, np.float64).reshape(turns, _PER_TURN, 2)
+    amplitude = np.sqrt(np.mean(np.sum((centre - centre.mean(axis=1, keepdims=True)) ** 2, axis=2), axis=1))
+    theta = np.asarray(motion.angles_rad, np.float64).reshape(turns, _PER_TURN, 2).mean(axis=1)
+    reached = [i for i, end in enumerate(ends) if _apart(theta[-1], end.theta_rad) < _NEAR_RAD]
+    after = ends[reached[0]] if reached else None
+    took = math.nan
+    if after is not None:
+        off = np.abs(amplitude - after.amplitude_m)
+        outside = np.flatnonzero(off > share * np.max(off))
+        took = float((outside[-1] + 1) * turn) if len(outside) else 0.0
+    middles: Array = (np.arange(turns, dtype=np.float64) + 0.5) * turn
+    return Reaction(
+        stable[0], after, middles, amplitude, theta, float(np.max(amplitude)), took,
+        constants[reached[0]] if reached else math.nan,
+    )  # fmt: skip
+
+
+def _time_constant(state: SteadyState, speed_rad_s: float) -> float:
+    """Of the slowest deviation, s."""
+    return -2 * math.pi / speed_rad_s / math.log(state.multiplier_max)
+
+
+def _apart(theta: Array, other: tuple[float, float]) -> float:
+    gap = np.angle(np.exp(1j * (theta - np.array(other))))
+    return float(np.max(np.abs(gap)))
