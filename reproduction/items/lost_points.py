@@ -246,7 +246,8 @@ def _slip_claims(bench: Bench, at: Array, ends: Ends, number: str) -> tuple[Clai
             f"c34 = {LIGHT:g} N m s/rad: {ends_counted(ends, bare)}; {rates_said(ends, bare, at[:, 1])}",
         ),
         Claim.judged(
-            "3.1", f"Where a singular point is stable a release from 0° and 180° ends in it ({bench.case.region}).",
+            "3.1, open",
+            f"Where a singular point is stable a release from 0° and 180° ends in it ({bench.case.region}).",
             bool(np.all(reach[~bare])),
             f"of {int((~bare).sum())} releases {int(reach.sum())} do, {int((slips & ~bare).sum())} slip all the same"
             + (f": {rates_said(ends, ~bare, at[:, 1])}" if np.any(slips & ~bare) else ""),

@@ -81,7 +81,7 @@ def ends_counted(ends: Ends, bare: NDArray[np.bool_]) -> str:
     slip, turn, swing = (int(np.sum(bare & (ends.name == name))) for name in (SLIPPING, TURNING, SWINGING))
     said = f"{slip} of {int(bare.sum())} releases there come to a stable slipping motion"
     said += f", {turn} turn on without a regular slip" if turn else ""
-    return said + (f", {swing} still swing after {MOST_REVOLUTIONS} revolutions, without turning over" if swing else "")
+    return said + (f", {swing} go on swinging, for {MOST_REVOLUTIONS} revolutions at least" if swing else "")
 
 
 def draw_ends(axes: Axes, x: Array, y: Array, ends: Ends) -> None:
@@ -108,5 +108,6 @@ def rates_said(ends: Ends, among: NDArray[np.bool_], speed_ratio: Array) -> str:
     alone = int(np.sum(np.min(np.abs(ends.turns[own]), axis=1) < 1e-4))
     return (
         f"the faster pendulum makes {fastest.min():.4f} … {fastest.max():.3f} turns per revolution against the rotor "
-        f"(in space it turns at {space.min():.2f} … {space.max():.2f} ω_n); at {alone} only one slips"
+        f"(in space it turns at {space.min():.2f} … {space.max():.2f} ω_n)"
+        + (f"; at {alone} only one slips" if alone else "")
     )

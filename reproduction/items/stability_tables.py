@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,7 +13,10 @@ from numpy.typing import NDArray
 from analysis.figures.balancing_plane import draw_regions
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import GOOD, GREY, MODEL, label
+from dynamics import Scene, SpeedHistory, simulate
 from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, PROPERLY_OVERSIZED, UNDERSIZED
+from dynamics.steady.point_eigenvalues import point_eigenvalues
+from dynamics.steady.whirl import circular_whirl
 from reproduction.items.point_sweeps import (
     ABSENT,
     C34,
@@ -25,6 +30,7 @@ from reproduction.items.point_sweeps import (
     ZETAS,
     Bench,
     Swept,
+    points_of,
     real_parts,
     swept,
 )
@@ -57,7 +63,30 @@ def table_3_1(work: Workspace) -> Reproduced:
         "Table 3.1", "Outside ABCD Type I does not exist.", met == 0,
         f"{sum(one.stable[0].size for one in outside)} places of undersized and improperly oversized sets: {met}",
     )  # fmt: skip
-    return Reproduced(made.panels, made.tables, made.parameters, made.assumed, (*made.claims, claim))
+    grown = _grown(Bench.of(work, CASES[0]))
+    return Reproduced(made.panels, made.tables, made.parameters, made.assumed, (*made.claims, claim, grown))
+
+
+def _grown(bench: Bench) -> Claim:
+    """An unstable Type I above resonance, integrated from beside it: does it grow as its eigenvalue says?"""
+    ratio = 1.1
+    p = bench.damped(SHOWN_ZETA, SHOWN_C34)
+    point, speed = points_of(p, ratio, "I")[0], p.speed_rad_s(ratio)
+    largest = point_eigenvalues(p, speed, [point])[0, 0]
+    period, late, windows = 2 * math.pi / abs(float(largest.imag)), 10.0, 6
+    start = circular_whirl(speed, point)[0] + np.array([0, 0, 1e-5, 0, 0, 0, 0, 0])
+    times: NDArray[np.float64] = np.linspace(0.0, late + (windows + 1) * period, 6001)
+    state = simulate(p, Scene(SpeedHistory.constant(speed), (True, True), start), times, 1e-7).state
+    away = np.max(np.abs(state[:, 2:4] - np.array(point.theta_rad)), axis=1)
+    first, last = (float(np.max(away[(times >= begin) & (times <= begin + period)]))
+                   for begin in (late, late + windows * period))  # fmt: skip
+    rate = math.log(last / first) / (windows * period)
+    return Claim.judged(
+        "(3-26) to (3-32)", "Eigenvalues of the linearised equations tell how a deviation grows.",
+        abs(rate / largest.real - 1) < 0.02,
+        f"Type I at Ω = {ratio:g}, ζ = {SHOWN_ZETA:g}, c34 = {SHOWN_C34:g} N m s/rad: Re λ = {largest.real:+.4f} 1/s "
+        f"(unstable above resonance); integrated from 1e-5 rad beside it {rate:+.4f} 1/s",
+    )  # fmt: skip
 
 
 def table_3_2(work: Workspace) -> Reproduced:
