@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 RATIO = 2.5
 GRID = 12  # sets along each axis of the plane
-_STEP = 0.15  # of S_P, between them; the first half a step from 0, so that none lies on a border
+STEP = 0.15  # of S_P, between them; the first half a step from 0, so that none lies on a border
 _BESIDE = 0.03  # of S_P: how near the borders sets are released on both sides
 _SECONDS = 250.0
 _ZERO_M = 1e-6
@@ -42,7 +42,7 @@ def _expected(a: float, b: float, s: float) -> str:
 
 def _sets() -> Array:
     """Pairs S_A/S_P, S_B/S_P: a grid, and pairs on both sides of each border, shape (n, 2)."""
-    along = _STEP * (np.arange(GRID, dtype=np.float64) + 0.5)
+    along = STEP * (np.arange(GRID, dtype=np.float64) + 0.5)
     grid = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
     share = np.array([0.3, 0.5, 0.7])
     border = np.array([(f * s, (1 - f) * s) for f in share for s in (1 - _BESIDE, 1 + _BESIDE)])
@@ -57,7 +57,7 @@ def regions_3_2(work: Workspace) -> Reproduced:
     rigs = [with_moments(p, float(a) * s, float(b) * s) for a, b in pairs]
     ends = _released(work, rigs)
     expected = np.array([_expected(float(a), float(b), 1.0) for a, b in pairs])
-    upto = _STEP * GRID * s
+    upto = STEP * GRID * s
     with sheet(WIDTH_IN, 6.4, "3.2: what a pendulum set can balance, and where releases end") as figure:
         axes: Axes = figure.subplots()
         draw_regions(axes, s, upto)
