@@ -150,7 +150,7 @@ def _claims(
     p: RotorParameters, grid: NDArray[np.str_], three: NDArray[np.bool_], at: Array, ends: Ends, here: list[str]
 ) -> tuple[Claim, ...]:
     bare_map, bare = grid == "none", np.array([name == "none" for name in here])
-    rows = {f"{ZETAS[i]:.2g}": _bands(bare_map[i]) for i in (0, 7, 12, len(ZETAS) - 1)}
+    rows = {f"{ZETAS[i]:.2g}": _bands(bare_map[i]) for i in sorted({k * (len(ZETAS) - 1) // 3 for k in range(4)})}
     unbalanced = np.array([not name.startswith("I,") and name != "I" for name in here])
     replaced = np.array(["III" in name or "II" in name for name in here])
     slips = turning(ends)

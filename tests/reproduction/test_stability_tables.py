@@ -47,9 +47,11 @@ def test_types_two_and_three(number: str, part: list[str], tmp_path: Path) -> No
 
 
 def test_a_wrong_cell_does_not_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    wrong = dict.fromkeys(stability_tables._TABLE_3_3, (True, False))
-    monkeypatch.setattr(stability_tables, "_TABLE_3_3", wrong)
-    assert set(verdicts(made("table-3.3", tmp_path)).values()) == {"does not hold"}
+    wrong = {cell: (not first, not second) for cell, (first, second) in stability_tables._TABLE_3_1.items()}
+    monkeypatch.setattr(stability_tables, "_TABLE_3_1", wrong)
+    judged = verdicts(made("table-3.1", tmp_path))
+    assert judged["Type I, subcritical, properly oversized: it is stable."] == "does not hold"
+    assert judged["Type I, supercritical, properly oversized: it is unstable."] == "does not hold"
 
 
 def test_the_summary_contradicts_the_tables(tmp_path: Path) -> None:
