@@ -12,6 +12,7 @@ from cyclopts import Parameter
 from cli.console import print_json, say, wait_for_compilation
 from cli.numbers import Positive, PositiveRpm
 from cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from cli.rest_points import say_balancing, say_lost
 from cli.share_progress import share_progress
 from cli.slow_roll_page import forced_region, shown_json, shown_line
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
@@ -43,6 +44,12 @@ def predict(
     accuracy: AccuracyOrNone = None,
     at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None,
     release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True,
+    balancing: Annotated[
+        bool, Parameter(negative="", help="what the pendulums can balance: region, margins of S_P, centre of gravity")
+    ] = False,
+    lost: Annotated[
+        bool, Parameter(negative="", help="speeds at which singular points of Types II, III are lost")
+    ] = False,
     parameters: ParametersPath = None,
     settings: Settings = None,
     plot: Plot = None,
@@ -50,12 +57,16 @@ def predict(
 ) -> int:
     """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
 
-    With --parameters what was found beside the values acts in all of it (a bow, drag, a suspension that depends on the
-    motion), and run-out is in what the sensors show.
+    --balancing and --lost need no speed. With --parameters what was found beside the values acts in all of it (a bow,
+    drag, a suspension that depends on the motion), and run-out is in what the sensors show.
     """
     need_place("rig predict: --plot", plot)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     loaded = load_rig(rig, known, settings or [])
+    if balancing or lost:
+        if (balancing and lost) or (point, speed_rpm, speed_ratio) != (None, None, None):
+            raise RigFileError("rig predict: give --balancing or --lost alone, without a point or a speed")
+        return (say_balancing if balancing else say_lost)(loaded, known, settings or [], plot, json)
     speed = _speed(loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("dynamics"):
         from dynamics import choose_model, steady_states  # noqa: PLC0415

@@ -50,6 +50,42 @@ def balancing_region(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> str
     return IMPROPERLY_OVERSIZED if min(slack.a, slack.b) < 0 else PROPERLY_OVERSIZED
 
 
+@dataclass(frozen=True)
+class BalancingMargins:
+    """How far an imbalance is from the borders of a pendulum set's region.
+
+    Attributes:
+        region: as balancing_region gives it.
+        least_kg_m, most_kg_m: |S_A − S_B| and S_A + S_B: imbalances between them can be balanced, borders included.
+        may_grow_kg_m, may_shrink_kg_m: by how much S_P may change before the region does; None where no change in
+            this direction leaves the region.
+    """
+
+    region: str
+    least_kg_m: float
+    most_kg_m: float
+    may_grow_kg_m: float | None
+    may_shrink_kg_m: float | None
+
+
+def balancing_margins(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> BalancingMargins:
+    """A pendulum set's region and how much the imbalance may grow or shrink within it.
+
+    Args:
+        a_kg_m, b_kg_m, imbalance_kg_m: as for balancing_region.
+    """
+    region, slack = balancing_region(a_kg_m, b_kg_m, imbalance_kg_m), _slacks(a_kg_m, b_kg_m, imbalance_kg_m)
+    least, grow, shrink = abs(a_kg_m - b_kg_m), None, None
+    if region == UNDERSIZED:
+        shrink = -slack.p
+    elif region == IMPROPERLY_OVERSIZED:
+        grow = -min(slack.a, slack.b)
+    else:
+        grow = slack.p
+        shrink = min(slack.a, slack.b) if least > 0 else None
+    return BalancingMargins(region, least, a_kg_m + b_kg_m, grow, shrink)
+
+
 def _half_angle(numerator: tuple[float, float], denominator: tuple[float, float]) -> float:
     """2 atan sqrt(numerator/denominator) of two products, whose roots neither under- nor overflow."""
     root = [math.sqrt(first) * math.sqrt(second) for first, second in (numerator, denominator)]

@@ -1,0 +1,82 @@
+# pyright: strict
+"""How well a rig's first mass moments are known, and with them the distance to the borders of its balancing region."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, BalancingMargins, balancing_margins
+from rig_configs import IdentifiedParameters, Rig
+
+
+@dataclass(frozen=True)
+class MomentMargins:
+    """A rig in its balancing region, with standard uncertainties.
+
+    Attributes:
+        moments_kg_m: S_A, S_B, S_P.
+        std_kg_m: their standard uncertainties; 0 where the files have none.
+        margins: region, and by how much S_P may grow or shrink.
+        grow_std_kg_m, shrink_std_kg_m: standard uncertainties of these distances, what the moments share included.
+    """
+
+    moments_kg_m: tuple[float, float, float]
+    std_kg_m: tuple[float, float, float]
+    margins: BalancingMargins
+    grow_std_kg_m: float
+    shrink_std_kg_m: float
+
+
+def moment_margins(rig: Rig, known: IdentifiedParameters) -> MomentMargins:
+    """Region and margins of a rig's imbalance.
+
+    S_A and S_B have the rig file's uncertainties of masses and lengths, with an instrument's share in all that it
+    measured; S_P has the identification's where the parameters hold it, else the rig file's.
+
+    Args:
+        rig: with the parameters laid over it.
+        known: identified parameters; empty without.
+    """
+    p = rig.physics
+    moments = (p.a.first_moment_kg_m, p.b.first_moment_kg_m, p.imbalance_moment_kg_m)
+    changes = [_change(rig, effects, "SP_kg_m" in known.values) for effects in _sources(rig)]
+    alone = known.std["SP_kg_m"] if "SP_kg_m" in known.values else p.imbalance_mass_kg * rig.imbalance.radius_std_m
+    changes.append(np.array([0.0, 0.0, alone]))
+    each = np.array(changes)
+    margins = balancing_margins(*moments)
+    heavier = 1.0 if moments[0] >= moments[1] else -1.0
+    to_most = float(np.linalg.norm(each @ np.array([1.0, 1.0, -1.0])))
+    to_least = float(np.linalg.norm(each @ np.array([heavier, -heavier, -1.0])))
+    improper = margins.region == IMPROPERLY_OVERSIZED
+    proper = margins.may_grow_kg_m is not None and not improper
+    std = np.linalg.norm(each, axis=0).tolist()
+    return MomentMargins(
+        moments, (std[0], std[1], std[2]), margins,
+        grow_std_kg_m=to_least if improper else to_most, shrink_std_kg_m=to_least if proper else to_most,
+    )  # fmt: skip
+
+
+def _sources(rig: Rig) -> list[dict[str, float]]:
+    return [dict(source.effects) for source in rig.known.sources]
+
+
+def _change(rig: Rig, effects: dict[str, float], found: bool) -> np.ndarray:
+    """What one standard deviation of a source does to S_A, S_B and, unless it was found, S_P, kg m."""
+    p = rig.physics
+    pendulums = [
+        q.length_m * effects.get(f"pendulums.{name}.mass_kg", 0.0)
+        + q.mass_kg * effects.get(f"pendulums.{name}.length_m", 0.0)
+        for name, q in (("a", p.a), ("b", p.b))
+    ]
+    own = 0.0 if found else p.imbalance_radius_m * effects.get("imbalance.mass_kg", 0.0)
+    return np.array([*pendulums, own])
+
+
+def probability_of_region(margin_kg_m: float | None, std_kg_m: float) -> float:
+    """Probability that a border is not passed, from the normal law; 1 without a border or without uncertainty."""
+    if margin_kg_m is None or std_kg_m == 0:
+        return 1.0
+    return 0.5 * math.erfc(-margin_kg_m / std_kg_m / math.sqrt(2))

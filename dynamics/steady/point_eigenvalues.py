@@ -1,0 +1,62 @@
+# pyright: strict
+"""Eigenvalues of small motions about a singular point: how each grows or dies away, seen on the rotor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.arguments import need_number
+from dynamics.equations.linearised import rotating_frame
+from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.errors import OutsideDomain
+from dynamics.steady.singular_points import SingularPoint
+from dynamics.steady.whirl import circular_whirl
+
+_ROUNDING = 1e-13  # of the matrix's norm
+
+
+def point_eigenvalues(
+    rig: RotorParameters | object, speed_rad_s: float, points: Sequence[SingularPoint]
+) -> NDArray[np.complex128]:
+    """Eigenvalues λ of δẏ = A δy about singular points of an isotropic rig, in the frame that turns with the rotor.
+
+    The multipliers over one revolution are e^{2πλ/ω}; the eigenvalues keep what those lose where λ is large.
+
+    Args:
+        rig: RotorParameters, or anything whose `.physics` is; isotropic, both pendulums there, no gravity.
+        speed_rad_s: running speed, rad/s, above 0.
+        points: as dynamics.steady.singular_points.singular_points gives them for this rig and speed.
+    Returns:
+        Shape (points, 8), 1/s, the largest real part first.
+    Raises:
+        OutsideDomain: another suspension, gravity, a pendulum that is not there, or a speed not above 0.
+    Source: the source's (3-26) to (3-32), with the matrix derived from its energies (dynamics.equations.linearised).
+    """
+    p = physics_of(rig)
+    need_number(speed_rad_s=speed_rad_s)
+    if not 0 < speed_rad_s < math.inf:
+        raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+    if not (p.a.present and p.b.present):
+        raise OutsideDomain("eigenvalues of singular points: expected both pendulums, got one with mass 0")
+    found = np.empty((len(points), 8), np.complex128)
+    for own, point in zip(found, points, strict=True):
+        matrix = rotating_frame(p, circular_whirl(speed_rad_s, point)[0], speed_rad_s)
+        values: NDArray[np.complex128] = np.asarray(np.linalg.eigvals(np.asarray(matrix.at(0.0))), np.complex128)
+        own[:] = values[np.argsort(-values.real)]
+    return found
+
+
+def stability_of(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
+    """1 where all eigenvalues of a point have a negative real part, −1 where one has a positive one, 0 within rounding.
+
+    Args:
+        eigenvalues: shape (…, 8), 1/s.
+    Returns:
+        Shape (…).
+    """
+    largest, rounding = eigenvalues.real.max(axis=-1), _ROUNDING * np.abs(eigenvalues).max(axis=-1)
+    return np.where(largest < -rounding, 1, np.where(largest > rounding, -1, 0))

@@ -1,0 +1,113 @@
+# pyright: strict, reportUnknownMemberType=false
+"""Where releases end, many at once, and how fast pendulums that lock nowhere turn against the rotor."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from dynamics import ReleaseOutcome, release_outcome, steady_states
+from dynamics.equations.parameters import RotorParameters
+from reproduction.items.pendulum_sets import FROM_RAD
+from reproduction.results import Verdict
+
+Array = NDArray[np.float64]
+
+SLIPPING, TURNING, SWINGING = "slipping", "turning, no regular slip", "swinging"
+MOST_REVOLUTIONS = 8000
+_TURNED = 6.0  # turns against the rotor, from which on pendulums that settle nowhere count as turning
+MARKS = {
+    "I": ("o", "#00604a", 4.0), "II": ("^", "#8a3b00", 4.0), "III": ("s", "#003d66", 4.0),
+    SLIPPING: ("*", "white", 9.0), TURNING: ("P", "#ffd54d", 6.5), SWINGING: ("D", "#ffd54d", 5.0),
+    "not settled": ("X", "#e05050", 6.0),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Ends of releases.
+
+    Attributes:
+        name: type reached, SLIPPING (a stable slipping motion), TURNING (turns on and is nothing of these) or
+            SWINGING (with no stable state to go to) or "not settled"; shape (n,).
+        turns: of A and B against the rotor, per revolution, shape (n, 2).
+    """
+
+    name: NDArray[np.str_]
+    turns: Array
+
+
+def released(rigs: Sequence[RotorParameters], speeds_rad_s: Sequence[float], progress: Callable[[float], None]) -> Ends:
+    """Releases from 0° and 180° within the play, followed until they reach something or for MOST_REVOLUTIONS."""
+
+    def one(i: int) -> tuple[ReleaseOutcome, bool]:
+        states = steady_states(rigs[i], speeds_rad_s[i], 1e-6)
+        end = release_outcome(rigs[i], speeds_rad_s[i], FROM_RAD, states=states, most_revolutions=MOST_REVOLUTIONS)
+        return end, any(state.stable for state in states)
+
+    found, names = list[ReleaseOutcome](), list[str]()
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        for outcome, somewhere in pool.map(one, range(len(rigs))):
+            found.append(outcome)
+            names.append(_name(outcome, somewhere))
+            progress(len(found) / len(rigs))
+    turns = np.array([o.slipping.turns_per_revolution if o.slipping else np.array(o.slip_turns) / o.revolutions
+                      for o in found], np.float64)  # fmt: skip
+    return Ends(np.array(names), turns)
+
+
+def _name(outcome: ReleaseOutcome, somewhere: bool) -> str:
+    if outcome.state != "not settled":
+        return outcome.state
+    if max(abs(turns) for turns in outcome.slip_turns) > _TURNED:
+        return TURNING
+    return outcome.state if somewhere else SWINGING
+
+
+def slip_verdict(ends: Ends, bare: NDArray[np.bool_]) -> Verdict:
+    """Whether all releases without a stable state slip: in part where the others swing."""
+    rest = bare & ~turning(ends)
+    return "holds" if not rest.any() else "holds in part" if np.all(ends.name[rest] == SWINGING) else "does not hold"
+
+
+def ends_counted(ends: Ends, bare: NDArray[np.bool_]) -> str:
+    """How releases without a stable state go on, in words."""
+    slip, turn, swing = (int(np.sum(bare & (ends.name == name))) for name in (SLIPPING, TURNING, SWINGING))
+    said = f"{slip} of {int(bare.sum())} releases there come to a stable slipping motion"
+    said += f", {turn} turn on without a regular slip" if turn else ""
+    return said + (f", {swing} go on swinging, for {MOST_REVOLUTIONS} revolutions at least" if swing else "")
+
+
+def draw_ends(axes: Axes, x: Array, y: Array, ends: Ends) -> None:
+    """A mark for each release."""
+    for name, (marker, colour, size) in MARKS.items():
+        own = ends.name == name
+        if own.any():
+            axes.plot(x[own], y[own], marker, color=colour, mec="black", mew=0.5, ms=size, ls="",
+                      label=f"release: {name if len(name) > 3 else 'ends in ' + name}")  # fmt: skip
+
+
+def turning(ends: Ends) -> NDArray[np.bool_]:
+    """Which releases lock nowhere."""
+    return (ends.name == SLIPPING) | (ends.name == TURNING)
+
+
+def rates_said(ends: Ends, among: NDArray[np.bool_], speed_ratio: Array) -> str:
+    """Slip rates of some releases in words."""
+    own = among & turning(ends)
+    if not own.any():
+        return "none slips"
+    fastest = np.max(np.abs(ends.turns[own]), axis=1)
+    space = (speed_ratio[own][:, None] * (1 + ends.turns[own])).min(axis=1)
+    alone = int(np.sum(np.min(np.abs(ends.turns[own]), axis=1) < 1e-4))
+    return (
+        f"the faster pendulum makes {fastest.min():.4f} … {fastest.max():.3f} turns per revolution against the rotor "
+        f"(in space it turns at {space.min():.2f} … {space.max():.2f} ω_n)"
+        + (f"; at {alone} only one slips" if alone else "")
+    )
