@@ -41,6 +41,22 @@ class Item:
 ITEMS: tuple[Item, ...] = (
     Item("2.2", "Amplification and phase lag of the rotor alone", "rotor_alone:frequency_response_2_2"),
     Item("2.3", "Forces on a light pendulum below, at and above resonance", "rotor_alone:forces_2_3"),
+    Item(
+        "3.11",
+        "Amplitude over the imbalance, below resonance",
+        "nonidentical_pendulums:amplitude_below_3_11",
+        45.0,
+        "below",
+    ),
+    Item("3.12", "Pendulum positions, below resonance", "nonidentical_pendulums:positions_below_3_12", 3.0, "below"),
+    Item(
+        "3.13",
+        "Amplitude over the imbalance, above resonance",
+        "nonidentical_pendulums:amplitude_above_3_13",
+        45.0,
+        "above",
+    ),
+    Item("3.14", "Pendulum positions, above resonance", "nonidentical_pendulums:positions_above_3_14", 3.0, "above"),
     Item("4.1", "Coarse stability map of the balanced state", "floquet_maps:coarse_map_4_1", 8.0),
     Item("4.2", "Borders of the stable areas and the points", "floquet_maps:fine_map_4_2", 5.0),
     Item("4.3", "Largest multipliers along the points' line", "floquet_maps:largest_multiplier_4_3", 5.0),

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,6 +107,6 @@ def _most_apart(p: RotorParameters, speed: float, e: float, values: Array, apart
         gaps = [abs(math.remainder(q.theta_rad[0] - q.theta_rad[1], 2 * math.pi)) for q in points if q.type == "I"]
         return -max(gaps, default=0.0)
 
-    search: Callable[..., Any] = minimize_scalar
+    search = cast("Callable[..., Any]", minimize_scalar)
     best = search(together, bounds=(low, high), method="bounded", options={"xatol": 1e-7})
     return float(best.x)
