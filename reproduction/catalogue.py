@@ -57,6 +57,8 @@ ITEMS: tuple[Item, ...] = (
         "above",
     ),
     Item("3.14", "Pendulum positions, above resonance", "nonidentical_pendulums:positions_above_3_14", 3.0, "above"),
+    Item("3.16", "Amplitude with equal pendulums", "identical_pendulums:amplitude_3_16", 110.0, "equal"),
+    Item("3.17", "Positions of equal pendulums", "identical_pendulums:positions_3_17", 25.0, "equal"),
     Item("4.1", "Coarse stability map of the balanced state", "floquet_maps:coarse_map_4_1", 8.0),
     Item("4.2", "Borders of the stable areas and the points", "floquet_maps:fine_map_4_2", 5.0),
     Item("4.3", "Largest multipliers along the points' line", "floquet_maps:largest_multiplier_4_3", 5.0),

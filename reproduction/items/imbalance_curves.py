@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.special import gammaincc  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
+from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR, draw_amplitudes, draw_angles, mark_borders
 from analysis.figures.sheet import WIDTH_IN, sheet
@@ -60,6 +60,14 @@ class Series:
         values = np.linspace(0.0, self.up_to_kg_m, 121)
         return steady_branches(lambda s: (p.with_values(SP_kg_m=s), p.speed_rad_s(self.speed_ratio)), values)
 
+    def as_turned(self, rows: Sequence[Compared]) -> Series:
+        """The same at the speed that the recordings had, a little below the one asked for."""
+        ratios = [
+            row.recorded.measured.speed_rad_s.value / row.recorded.rig.physics.natural_frequencies_rad_s[0]
+            for row in rows
+        ]
+        return replace(self, speed_ratio=float(np.mean(ratios)))
+
     def recordings(self, work: Workspace) -> list[tuple[float, Recorded]]:
         """(S_P in kg m, start-up), each S_P by a rig with its own draw of sensors and clocks."""
         found = list[tuple[float, Recorded]]()
@@ -82,7 +90,6 @@ class Compared:
         moment_kg_m: S_P.
         recorded: what was measured.
         state: the stable state nearest to the measured angles.
-        mirrored: whether that is the mirror image in which A stands above 180°.
     """
 
     moment_kg_m: float
@@ -171,7 +178,7 @@ def amplitude_figure(
         draw_amplitudes(axes, found, 1e3, unstable=False)
         points_of_amplitude(axes, rows)
         mark_borders([axes], found, 1e3)
-        axes.set_xlim(0, 1e3 * float(found.values[-1]))
+        axes.set_xlim(-0.1, 1e3 * float(found.values[-1]))
         label(axes, MOMENT, "amplitude, mm")
     return figure
 
@@ -214,7 +221,7 @@ def amplitude_claim(place: str, rows: Sequence[Compared]) -> Claim:
     whirling = [row for row in rows if row.state.amplitude_m >= 1e-9]
     resting = [row for row in rows if row.state.amplitude_m < 1e-9]
     chi2 = sum(row.amplitude_z**2 for row in whirling)
-    p = float(gammaincc(0.5 * len(whirling), 0.5 * chi2))  # pyright: ignore[reportUnknownArgumentType]
+    p = float(gammaincc(0.5 * len(whirling), 0.5 * chi2))
     largest = max((row.amplitude_z for row in resting), default=0.0)
     said = f"{len(whirling)} whirling: χ² {chi2:.1f} on {len(whirling)}, p = {p:.2f}"
     if resting:
@@ -229,7 +236,7 @@ def angle_claim(place: str, rows: Sequence[Compared]) -> Claim:
     """Recorded angles against the model: χ² of both pendulums."""
     z = np.array([row.angle_z for row in rows])
     chi2, count = float(np.sum(z**2)), z.size
-    p = float(gammaincc(0.5 * count, 0.5 * chi2))  # pyright: ignore[reportUnknownArgumentType]
+    p = float(gammaincc(0.5 * count, 0.5 * chi2))
     return Claim.judged(
         place, "Measured pendulum positions lie on the computed curves.", p > LEAST_P and _same(rows),
         f"{len(rows)} start-ups, two angles each: χ² {chi2:.1f} on {count}, p = {p:.2f}, largest "
