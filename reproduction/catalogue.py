@@ -57,8 +57,16 @@ ITEMS: tuple[Item, ...] = (
         "above",
     ),
     Item("3.14", "Pendulum positions, above resonance", "nonidentical_pendulums:positions_above_3_14", 3.0, "above"),
+    Item("3.15", "Release of different pendulums", "release_transients:release_of_different_3_15", 15.0),
     Item("3.16", "Amplitude with equal pendulums", "identical_pendulums:amplitude_3_16", 110.0, "equal"),
     Item("3.17", "Positions of equal pendulums", "identical_pendulums:positions_3_17", 25.0, "equal"),
+    Item("3.18", "Release of equal pendulums", "release_transients:release_of_equal_3_18", 15.0),
+    Item("3.21", "Vibration over the pivot's shift, computed", "shifted_pivots:vibration_3_21", 6.0),
+    Item("3.22", "Positions over the pivot's shift, computed", "shifted_pivots:positions_3_22", 4.0),
+    Item(
+        "3.23", "Vibration over the pivot's shift, recorded", "shifted_pivots:recorded_vibration_3_23", 100.0, "shift"
+    ),
+    Item("3.24", "Positions over the pivot's shift, recorded", "shifted_pivots:recorded_positions_3_24", 15.0, "shift"),
     Item("4.1", "Coarse stability map of the balanced state", "floquet_maps:coarse_map_4_1", 8.0),
     Item("4.2", "Borders of the stable areas and the points", "floquet_maps:fine_map_4_2", 5.0),
     Item("4.3", "Largest multipliers along the points' line", "floquet_maps:largest_multiplier_4_3", 5.0),
