@@ -64,9 +64,19 @@ ITEMS: tuple[Item, ...] = (
     Item("3.21", "Vibration over the pivot's shift, computed", "shifted_pivots:vibration_3_21", 6.0),
     Item("3.22", "Positions over the pivot's shift, computed", "shifted_pivots:positions_3_22", 4.0),
     Item(
-        "3.23", "Vibration over the pivot's shift, recorded", "shifted_pivots:recorded_vibration_3_23", 100.0, "shift"
+        "3.23",
+        "Vibration over the pivot's shift, recorded",
+        "recorded_shifts:vibration_3_23",
+        100.0,
+        "shift",
     ),
-    Item("3.24", "Positions over the pivot's shift, recorded", "shifted_pivots:recorded_positions_3_24", 15.0, "shift"),
+    Item(
+        "3.24",
+        "Positions over the pivot's shift, recorded",
+        "recorded_shifts:positions_3_24",
+        15.0,
+        "shift",
+    ),
     Item("4.1", "Coarse stability map of the balanced state", "floquet_maps:coarse_map_4_1", 8.0),
     Item("4.2", "Borders of the stable areas and the points", "floquet_maps:fine_map_4_2", 5.0),
     Item("4.3", "Largest multipliers along the points' line", "floquet_maps:largest_multiplier_4_3", 5.0),
