@@ -26,7 +26,7 @@ from reproduction.items.imbalance_curves import (
     curve_table,
     table_of,
 )
-from reproduction.items.switching import imperfect_curves, positions_claim, positions_figure, positions_table
+from reproduction.items.switching import imperfect_curves, positions_claim, positions_figure, positions_table, rows_of
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
 
@@ -60,7 +60,7 @@ def amplitude_3_16(work: Workspace) -> Reproduced:
     """Figure 3.16: amplitude, and what imperfect balancers leave in either position."""
     p, rows = SERIES.physics(work), compared(SERIES.recordings(work))
     found = SERIES.as_turned(rows).curves(work)
-    imperfect = imperfect_curves(p, SERIES.speed_ratio)
+    imperfect, imperfections = imperfect_curves(p, SERIES.speed_ratio), rows_of(p, SERIES.speed_ratio)
     total = p.a.first_moment_kg_m + p.b.first_moment_kg_m
     types = [one.after for one in found.break_points]
     border = found.break_points[-1].value
@@ -74,7 +74,7 @@ def amplitude_3_16(work: Workspace) -> Reproduced:
             Panel("positions", "What either position leaves of the vibration, for four imperfections.",
                   positions_figure(imperfect, "3.16: what an imperfect balancer leaves in its two positions")),
         ),
-        (table_of(rows), curve_table(found), positions_table(p, SERIES.speed_ratio), *(one.table for one in imperfect)),
+        (table_of(rows), curve_table(found), positions_table(imperfections), *(one.table for one in imperfect)),
         numbers_of(p) | {"speed_ratio": SERIES.as_turned(rows).speed_ratio},
         (*_CHOSEN, "Sizes of imperfections: 0.5 % of mass, 25 µm, 10 µN m, 5° of oblique: of a workshop's order."),
         (
@@ -85,7 +85,7 @@ def amplitude_3_16(work: Workspace) -> Reproduced:
                 f"{1e3 * total:.5f} g m",
             ),
             amplitude_claim("Figure 3.16", rows),
-            positions_claim(p, SERIES.speed_ratio, by_side),
+            positions_claim(imperfections, by_side),
         ),
     )  # fmt: skip
 

@@ -44,8 +44,8 @@ _FRICTION_STARTS, _END_S = 12, 60.0
 _ALPHA_FOOT = "Error bars: ± 2 standard deviations. Grey: not settled within 90 s."
 _ANGLE_FOOT = (
     "Where the release fell to the mirror image, both angles are mirrored at 180°. Error bars: ± 2 standard "
-    "deviations; where a recording did not settle, its range in the last 30 s. Dots: releases from random angles, integrated with "
-    f"dry friction of a {1e6 * _ARM_M:g} µm arm."
+    "deviations; where a recording did not settle, its range in the last 30 s. Dots: releases from random angles, "
+    f"integrated with dry friction of a {1e6 * _ARM_M:g} µm arm."
 )
 
 

@@ -85,7 +85,7 @@ def _release(work: Workspace, number: str, mass_b: float) -> Reproduced:
         (
             "Ω = 2.5, ζ = 0.05, S_P = 2.54 g m: the source's text gives none of them.",
             "The model has the rig's own parameters, the speed by the tachometer and the start angles by the encoders; "
-            "fitted is each laser's delay against the encoder's clock, one number, on the locked orbit; nothing else is. "
+            "fitted is each laser's delay against the encoder's clock, one number, on the locked orbit, no more.",
             "The lasers stand along the model's axes.",
         ),
         (*_before(recorded, p), _alike(pair), _after(recorded)),

@@ -74,7 +74,7 @@ _CURVES: tuple[tuple[str, Imperfections], ...] = (
 
 def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[Curve]:
     """Radii left in both positions over S_P, for four imperfections."""
-    moments = np.linspace(0.0002, 0.0081, 159)
+    moments = np.linspace(0.0002, 0.00805, 158)
     found = list[Curve]()
     for name, each in _CURVES:
         radii = np.full((len(moments), 2), np.nan)
@@ -83,6 +83,8 @@ def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[Curve]:
             try:
                 pair = mirrored_positions(own, own.speed_rad_s(speed_ratio), each)
             except DynamicsError:  # too large an imperfection so near a border: no such position
+                if np.isfinite(radii[:i]).any():
+                    break
                 continue
             radii[i] = [abs(position.z_m) for position in pair]
         found.append(Curve(name, moments, radii[:, 0], radii[:, 1]))
@@ -190,9 +192,8 @@ def _friction(p: RotorParameters, speed: float) -> Row:
     return _row(name, means[0], means[1], 3 * math.hypot(*errors))
 
 
-def positions_table(p: RotorParameters, speed_ratio: float) -> Table:
+def positions_table(rows: Sequence[Row]) -> Table:
     """All imperfections as a table."""
-    rows = rows_of(p, speed_ratio)
     return Table("imperfections", "What is left with A below and above 180°, S_P = 3 g m", {
         "imperfection": [row.name for row in rows], "A_below_180": [row.first for row in rows],
         "A_above_180": [row.second for row in rows], "unit": [row.unit for row in rows],
@@ -200,9 +201,8 @@ def positions_table(p: RotorParameters, speed_ratio: float) -> Table:
     }, shown=True)  # fmt: skip
 
 
-def positions_claim(p: RotorParameters, speed_ratio: float, recorded_m: Sequence[Sequence[float]]) -> Claim:
+def positions_claim(rows: Sequence[Row], recorded_m: Sequence[Sequence[float]]) -> Claim:
     """Which imperfections make the two positions differ."""
-    rows = rows_of(p, speed_ratio)
     mass = rows[0]
     different = [row for row in rows if row.differs]
     alike = [row for row in rows if not row.differs]
