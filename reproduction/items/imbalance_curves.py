@@ -221,7 +221,7 @@ def amplitude_claim(place: str, rows: Sequence[Compared]) -> Claim:
     whirling = [row for row in rows if row.state.amplitude_m >= 1e-9]
     resting = [row for row in rows if row.state.amplitude_m < 1e-9]
     chi2 = sum(row.amplitude_z**2 for row in whirling)
-    p = float(gammaincc(0.5 * len(whirling), 0.5 * chi2))
+    p = float(gammaincc(0.5 * len(whirling), 0.5 * chi2)) if whirling else 1.0
     largest = max((row.amplitude_z for row in resting), default=0.0)
     said = f"{len(whirling)} whirling: χ² {chi2:.1f} on {len(whirling)}, p = {p:.2f}"
     if resting:
