@@ -14,7 +14,7 @@ _T = TypeVar("_T")
 _EXAMPLE = "for example speed_ratio=0.3:7:400 or pendulums.a.damping_Nms_per_rad=1e-4:1e-2:100:log"
 
 
-def read_axis(option: str, text: str) -> MapAxis:
+def read_axis(option: str, text: str, command: str = "rig map") -> MapAxis:
     """KEY=A:B:N or KEY=A:B:N:log; several keys that change alike are joined by +.
 
     Raises:
@@ -26,9 +26,9 @@ def read_axis(option: str, text: str) -> MapAxis:
         parts = values.split(":")
         logarithmic = len(parts) == 4 and parts[-1] == "log"
         low, high, count = parts[:-1] if logarithmic else parts
-        return _made(option, lambda: MapAxis(keys, float(low), float(high), int(count), logarithmic))
+        return _made(option, lambda: MapAxis(keys, float(low), float(high), int(count), logarithmic), command)
 
-    return _read(option, text, wanted, read)
+    return _read(option, text, wanted, read, command)
 
 
 def read_family(option: str, text: str) -> Family:
@@ -66,9 +66,11 @@ def read_range(option: str, text: str) -> SearchRange:
     return _read(option, text, wanted, read)
 
 
-def _read(option: str, text: str, wanted: str, read: Callable[[tuple[str, ...], str], _T]) -> _T:
+def _read(
+    option: str, text: str, wanted: str, read: Callable[[tuple[str, ...], str], _T], command: str = "rig map"
+) -> _T:
     keys, equals, values = text.partition("=")
-    fault = RigFileError(f"rig map: {option} expected {wanted}; got {text!r}")
+    fault = RigFileError(f"{command}: {option} expected {wanted}; got {text!r}")
     if not equals:
         raise fault
     try:
@@ -79,9 +81,9 @@ def _read(option: str, text: str, wanted: str, read: Callable[[tuple[str, ...], 
         raise fault from None
 
 
-def _made(option: str, make: Callable[[], _T]) -> _T:
+def _made(option: str, make: Callable[[], _T], command: str = "rig map") -> _T:
     """Under the option's name."""
     try:
         return make()
     except RigFileError as error:
-        raise RigFileError(f"rig map: {option} {error}") from error
+        raise RigFileError(f"{command}: {option} {error}") from error

@@ -23,6 +23,14 @@ if TYPE_CHECKING:
     from dynamics.steady.steady_state import SteadyState, SteadyStates
 
 Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
+Sweep = Annotated[
+    str | None,
+    Parameter(
+        name="--sweep",
+        help="KEY=A:B:N or KEY=A:B:N:log: follow the states along a number of the rig file or speed_ratio, find where "
+        "another type becomes the stable one, as imbalance.radius_m=0:0.1:200",
+    ),
+]
 Accuracy = Annotated[
     Positive, Parameter(help="wanted error of the largest multiplier, of angles (rad), of amplitudes (relative)")
 ]
@@ -52,6 +60,7 @@ def predict(
     ] = False,
     parameters: ParametersPath = None,
     settings: Settings = None,
+    sweep: Sweep = None,
     plot: Plot = None,
     json: Json = False,
 ) -> int:
@@ -62,6 +71,13 @@ def predict(
     """
     need_place("rig predict: --plot", plot)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
+    if sweep is not None:
+        from cli.predict_sweep import predict_sweep  # noqa: PLC0415
+
+        if at_least is not None:
+            raise RigFileError("rig predict: --model goes with one point or speed, not with --sweep")
+        places = (point, speed_rpm, speed_ratio)
+        return predict_sweep(rig, sweep, known, settings or [], places, accuracy or 1e-8, plot, json=json)
     loaded = load_rig(rig, known, settings or [])
     if balancing or lost:
         if (balancing and lost) or (point, speed_rpm, speed_ratio) != (None, None, None):

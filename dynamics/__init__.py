@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from dynamics.motions.batch import BatchMotion, simulate_batch
     from dynamics.motions.integrate import Motion, locked_orbit, simulate
     from dynamics.stability.stability_map import StabilityMap, stability_map
+    from dynamics.steady.branches import SteadyBranches, steady_branches
     from dynamics.steady.outcome import ReleaseOutcome, release_outcome
     from dynamics.steady.steady_motions import multipliers, steady_states
     from dynamics.steady.steady_state import SteadyState
@@ -29,6 +30,7 @@ _HOME = {  # loaded when first used: a rig file can be read without waiting for 
     "Scene": "dynamics.equations.scene",
     "SpeedHistory": "dynamics.equations.speed_history",
     "StabilityMap": "dynamics.stability.stability_map",
+    "SteadyBranches": "dynamics.steady.branches",
     "SteadyState": "dynamics.steady.steady_state",
     "balanced_angles": "dynamics.equations.balancing",
     "balancing_region": "dynamics.equations.balancing",
@@ -40,6 +42,7 @@ _HOME = {  # loaded when first used: a rig file can be read without waiting for 
     "simulate": "dynamics.motions.integrate",
     "simulate_batch": "dynamics.motions.batch",
     "stability_map": "dynamics.stability.stability_map",
+    "steady_branches": "dynamics.steady.branches",
     "steady_states": "dynamics.steady.steady_motions",
 }
 
@@ -54,6 +57,7 @@ __all__ = [
     "Scene",
     "SpeedHistory",
     "StabilityMap",
+    "SteadyBranches",
     "SteadyState",
     "balanced_angles",
     "balancing_region",
@@ -65,6 +69,7 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "stability_map",
+    "steady_branches",
     "steady_states",
 ]
 

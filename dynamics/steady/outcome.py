@@ -116,7 +116,7 @@ def release_outcome(
     if not (p.a.present or p.b.present):
         raise OutsideDomain("a release needs a pendulum: both masses are 0")
     known = steady_states(p, speed_rad_s, 1e-6) if states is None else states
-    stable = [s for s in known if _draws(s)]
+    stable = [s for s in known if s.draws]
     first = _Release(p, speed_rad_s, from_rad, accuracy).follow(stable, most_revolutions, progress)
     if first.reached is None or first.revolutions > _LONG_TRANSIENT or p.has_friction:
         return first
@@ -156,7 +156,7 @@ def releases_within_play(
     found = [first]
     if first.reached is None or first.revolutions > _LONG_TRANSIENT:
         return found
-    stable = [s for s in known if _draws(s)]
+    stable = [s for s in known if s.draws]
     for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         start = (a * play_rad, math.pi + b * play_rad)
         try:
@@ -310,11 +310,6 @@ def _time_constant(s: SteadyState) -> float:
     """Revolutions in which a deviation from a stable state falls to 1/e."""
     modulus = float(np.abs(s.multipliers[1 if s.any_angle else 0]))
     return -1.0 / math.log(modulus) if modulus > 0 else 0.0
-
-
-def _draws(s: SteadyState) -> bool:
-    """Whether a state is stable, or one of a circle of states that is, along which nothing moves."""
-    return s.stable or (s.any_angle and float(np.abs(s.multipliers[1])) + s.error_estimate < 1.0)
 
 
 def _near_since(since: int | None, distance: NDArray[np.float64], first: int) -> int | None:

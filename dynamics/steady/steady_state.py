@@ -66,6 +66,11 @@ class SteadyState:
         """Whether every multiplier lies inside the unit circle by more than the error estimate."""
         return self.stability == "stable"
 
+    @property
+    def draws(self) -> bool:
+        """Whether it is stable, or one of a circle of states that is, along which nothing moves."""
+        return self.stable or (self.any_angle and float(np.abs(self.multipliers[1])) + self.error_estimate < 1.0)
+
 
 class SteadyStates(list[SteadyState]):
     """Steady motions found at one speed, stable ones first.

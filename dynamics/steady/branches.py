@@ -1,0 +1,271 @@
+# pyright: strict
+"""Steady states along one number of a rig: branches, and the values at which another type becomes the stable one.
+
+Each value is solved by itself, by `steady_states`; a branch joins the states of one type whose angles lie nearest. A
+break point is a value at which the set of stable types changes. It is bracketed between two values and halved: what
+changes may be a multiplier that passes 1, or a motion that ceases to exist, which leaves no number to have a root of.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
+
+from dynamics.equations.parameters import RotorParameters
+from dynamics.errors import NotConverged, OutsideDomain
+from dynamics.motions.integrate import locked_orbit
+from dynamics.steady.steady_motions import steady_states
+from dynamics.steady.steady_state import SteadyState
+
+Array: TypeAlias = NDArray[np.float64]
+RigAt: TypeAlias = Callable[[float], tuple[RotorParameters, float]]
+"""Value ↦ the rig and its speed in rad/s."""
+
+UNRESOLVED = "?"
+"""In place of the stable types at a value whose states could not be judged."""
+_WIDTH = 1e-6  # of a break point's value: how well it is known
+_SPAN_SHARE = 1e-9  # of the whole range: no break point near 0 is known better
+_CLOSER = (0.004, 0.02, 0.08, 0.25)  # of the distance of the values
+_CLOSE = 5.0
+_MOST_BREAKS = 20  # between two values
+
+
+@dataclass(frozen=True)
+class Branch:
+    """States of one type, followed from value to value.
+
+    Attributes:
+        type: "I", "II", "III" or "one".
+        values: where it exists, rising, shape (n,).
+        theta_rad: θ3, θ4, without jumps, shape (n, 2).
+        amplitude_m: as SteadyState.amplitude_m, shape (n,).
+        multiplier_max: largest modulus over one revolution, shape (n,).
+        stable: shape (n,).
+    """
+
+    type: str
+    values: Array
+    theta_rad: Array
+    amplitude_m: Array
+    multiplier_max: Array
+    stable: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class BreakPoint:
+    """A value at which the set of stable types changes.
+
+    Attributes:
+        value: known to `error`.
+        error: half the width of the last bracket.
+        before, after: stable types below and above it; ("?",) where they could not be judged.
+    """
+
+    value: float
+    error: float
+    before: tuple[str, ...]
+    after: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SteadyBranches:
+    """Steady states along one number.
+
+    Attributes:
+        values: those asked for and more beside each break point, rising, shape (n,).
+        branches: by type and by the value they begin at.
+        break_points: rising.
+        locked_amplitude_m: rms radius with the pendulums locked at 0° and 180°, shape (n,); nan where there is none.
+        unresolved: value and what could not be judged there.
+    """
+
+    values: Array
+    branches: tuple[Branch, ...]
+    break_points: tuple[BreakPoint, ...]
+    locked_amplitude_m: Array
+    unresolved: tuple[tuple[float, str], ...]
+
+    def stable_branches(self) -> list[Branch]:
+        """The stable parts of all branches, each without a gap."""
+        found = list[Branch]()
+        for b in self.branches:
+            edges = np.flatnonzero(np.diff(b.stable.astype(int))) + 1
+            for part in np.split(np.arange(len(b.values)), edges):
+                if b.stable[part[0]]:
+                    found.append(_part(b, part))
+        return found
+
+
+def steady_branches(
+    at: RigAt, values: ArrayLike, accuracy: float = 1e-9, tell: Callable[[float], None] | None = None
+) -> SteadyBranches:
+    """Steady states at each value, joined to branches, with break points to a millionth of their value.
+
+    Args:
+        at: value ↦ (rig, speed in rad/s).
+        values: strictly rising, shape (n,), n ≥ 2, in the number's own unit. Two break points between neighbours that
+            cancel each other are not seen.
+        accuracy: of the multipliers, as `steady_states` takes it; a state within it of 1 is not stable.
+        tell: told the share done, 0 … 1.
+    Raises:
+        OutsideDomain: values that do not rise, or a rig, speed or accuracy outside the domain.
+    Source: docs/theory/steady_states.md.
+    """
+    asked = np.asarray(values, np.float64)
+    if asked.ndim != 1 or len(asked) < 2 or not np.all(np.isfinite(asked)) or not np.all(np.diff(asked) > 0):
+        raise OutsideDomain(f"values: expected at least two, rising and finite, got {values!r:.80}")
+    look = _Look(at, accuracy)
+    for i, value in enumerate(asked.tolist()):
+        look.types(value)
+        if tell is not None:
+            tell(0.8 * (i + 1) / len(asked))
+    least = _SPAN_SHARE * float(asked[-1] - asked[0])
+    breaks = list[BreakPoint]()
+    for low, high in zip(asked[:-1].tolist(), asked[1:].tolist(), strict=True):
+        breaks += _breaks_between(look, low, high, least)
+    breaks = _merged(breaks)
+    every = np.unique([*asked.tolist(), *_beside(asked, breaks)])
+    found = [look.states(value) for value in every.tolist()]
+    if tell is not None:
+        tell(1.0)
+    return SteadyBranches(
+        every, tuple(_joined(every, found)), tuple(breaks),
+        np.array([_locked_radius(*at(value)) for value in every.tolist()]), tuple(look.unresolved),
+    )  # fmt: skip
+
+
+def _beside(asked: Array, breaks: Sequence[BreakPoint]) -> list[float]:
+    """Further values on both sides of break points, closer and closer: branches run into them like square roots."""
+    found = list[float]()
+    for one in breaks:
+        at = int(np.clip(np.searchsorted(asked, one.value), 1, len(asked) - 1))
+        cell = float(asked[at] - asked[at - 1])
+        steps = [2 * one.error, *(share * cell for share in _CLOSER)]
+        found += [one.value + side * step for step in steps for side in (-1, 1)]
+    apart = [min((abs(value - b.value) / b.error for b in breaks if b.error > 0), default=2.0) for value in found]
+    return [v for v, off in zip(found, apart, strict=True) if asked[0] < v < asked[-1] and off > 1.0]
+
+
+class _Look:
+    """What is at a value, found once."""
+
+    def __init__(self, at: RigAt, accuracy: float) -> None:
+        self.unresolved: list[tuple[float, str]] = []
+        self._at, self._accuracy = at, accuracy
+        self._found: dict[float, Sequence[SteadyState] | None] = {}
+
+    def states(self, value: float) -> Sequence[SteadyState]:
+        """All steady states; none where they could not be judged."""
+        if value not in self._found:
+            rig, speed = self._at(value)
+            try:
+                found = steady_states(rig, speed, self._accuracy)
+            except NotConverged as error:
+                self._found[value] = None
+                self.unresolved.append((value, str(error)))
+            else:
+                self._found[value] = found
+                self.unresolved += [(value, line) for line in found.unresolved]
+        return self._found[value] or ()
+
+    def types(self, value: float) -> tuple[str, ...]:
+        """Types of the stable ones."""
+        states = self.states(value)
+        if self._found[value] is None:
+            return (UNRESOLVED,)
+        return tuple(sorted({s.type for s in states if s.draws}))
+
+
+def _breaks_between(look: _Look, low: float, high: float, least: float) -> list[BreakPoint]:
+    """Break points between two values, the first of them first; several as far as halving meets them."""
+    found = list[BreakPoint]()
+    while look.types(low) != look.types(high) and len(found) < _MOST_BREAKS:
+        left, right = low, high
+        width = max(_WIDTH * max(abs(low), abs(high)), least)
+        while right - left > width:
+            middle = 0.5 * (left + right)
+            if not left < middle < right:
+                break
+            left, right = (middle, right) if look.types(middle) == look.types(low) else (left, middle)
+        one = BreakPoint(0.5 * (left + right), 0.5 * (right - left), look.types(left), look.types(right))
+        found.append(one)
+        low = right
+    return found
+
+
+def _merged(breaks: Sequence[BreakPoint]) -> list[BreakPoint]:
+    """Break points so close that between them a multiplier is 1 within its error, as one."""
+    found = list[BreakPoint]()
+    for one in breaks:
+        last = found[-1] if found else None
+        if last is not None and one.value - last.value < _CLOSE * (one.error + last.error):
+            found.pop()
+            middle, half = 0.5 * (last.value + one.value), 0.5 * (one.value - last.value) + one.error
+            one = BreakPoint(middle, half, last.before, one.after)  # noqa: PLW2901
+        found.append(one)
+    return [one for one in found if one.before != one.after]
+
+
+def _joined(values: Array, found: Sequence[Sequence[SteadyState]]) -> list[Branch]:
+    """Branches through the states at all values."""
+    open_ones: dict[str, list[list[tuple[int, SteadyState]]]] = {}
+    done = list[list[tuple[int, SteadyState]]]()
+    for i, states in enumerate(found):
+        kinds = {*open_ones} | {s.type for s in states}
+        for kind in sorted(kinds):
+            own = [s for s in states if s.type == kind]
+            old = open_ones.get(kind, [])
+            far = np.array([[_apart(branch[-1][1], s) for s in own] for branch in old]).reshape(len(old), len(own))
+            rows, columns = _nearest(far)
+            for row, column in zip(rows, columns, strict=True):
+                old[row].append((i, own[column]))
+            done += [branch for row, branch in enumerate(old) if row not in rows]
+            kept = [branch for row, branch in enumerate(old) if row in rows]
+            open_ones[kind] = kept + [[(i, s)] for column, s in enumerate(own) if column not in columns]
+    done += [branch for kind in open_ones.values() for branch in kind]
+    return sorted((_branch(values, each) for each in done), key=lambda b: (b.type, b.values[0]))
+
+
+def _nearest(far: Array) -> tuple[list[int], list[int]]:
+    """Rows and columns that belong together: the least sum of distances."""
+    rows, columns = cast("tuple[Array, Array]", linear_sum_assignment(far))
+    return rows.astype(int).tolist(), columns.astype(int).tolist()
+
+
+def _branch(values: Array, members: Sequence[tuple[int, SteadyState]]) -> Branch:
+    states = [s for _, s in members]
+    return Branch(
+        states[0].type,
+        values[[i for i, _ in members]],
+        np.unwrap(np.array([s.theta_rad for s in states]), axis=0),
+        np.array([s.amplitude_m for s in states]),
+        np.array([s.multiplier_max for s in states]),
+        np.array([s.draws for s in states]),
+    )
+
+
+def _part(b: Branch, at: NDArray[np.int_]) -> Branch:
+    theta = b.theta_rad[at]
+    theta = theta - 2 * np.pi * np.floor(theta[0] / (2 * np.pi))
+    return Branch(b.type, b.values[at], theta, b.amplitude_m[at], b.multiplier_max[at], b.stable[at])
+
+
+def _apart(one: SteadyState, other: SteadyState) -> float:
+    """Distance of the angles of two states."""
+    off = np.exp(1j * np.array(one.theta_rad)) - np.exp(1j * np.array(other.theta_rad))
+    return float(np.max(np.abs(off)))
+
+
+def _locked_radius(rig: RotorParameters, speed: float) -> float:
+    """Rms radius of the orbit with locked pendulums, m; nan where there is none."""
+    try:
+        x, y = locked_orbit(rig, speed, 0.0, math.pi)
+    except (OutsideDomain, NotConverged):
+        return math.nan
+    return math.sqrt(0.5 * (abs(x) ** 2 + abs(y) ** 2))

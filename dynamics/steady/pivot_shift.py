@@ -1,0 +1,112 @@
+# pyright: strict
+"""A balancer whose pivot stands beside the rotor's axis: what is left of the vibration, over the shift.
+
+With a compensated shift R_C the pendulums bring their pivot to rest as long as they can: z = −R_C, so that the radius
+that is left is the shift itself. They need S_A e^{iθ3} + S_B e^{iθ4} = M_S R_C − S_P − (k + iωc) R_C/ω². The modulus
+of the right side is least near R_C = e = S_P/M_S, where equal pendulums stand opposed, and reaches S_A + S_B near
+R_C = (S_P + S_A + S_B)/M_S, where they come together and nothing is left to balance with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
+
+from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.errors import OutsideDomain
+from dynamics.steady.branches import SteadyBranches, steady_branches
+from dynamics.steady.singular_points import singular_points
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ShiftedPivot:
+    """Steady states over the relative shift ρ_C = R_C/e.
+
+    Attributes:
+        eccentricity_m: e.
+        found: branches over ρ_C, break points and locked amplitudes with them.
+        ratio: shift and α = released over locked amplitude of the stable state, (n,) each; one of two mirror images.
+        theta_rad: θ3, θ4 of it, (n, 2).
+        apart_rad: the smaller angle between the pendulums, 0 … π, (n,).
+        most_apart: ρ_C at which that is largest.
+        together: ρ_C from which the stable state is Type III; nan where there is none in the range.
+    """
+
+    eccentricity_m: float
+    found: SteadyBranches
+    ratio: tuple[Array, Array]
+    theta_rad: Array
+    apart_rad: Array
+    most_apart: float
+    together: float
+
+
+def shifted_pivot(
+    rig: RotorParameters | object, speed_rad_s: float, relative_shift: ArrayLike, eccentricity_m: float | None = None,
+    tell: Callable[[float], None] | None = None,
+) -> ShiftedPivot:  # fmt: skip
+    """Released over locked amplitude and pendulum angles over the pivot's shift.
+
+    Args:
+        rig: RotorParameters, or anything whose `.physics` is; its own shift is replaced.
+        speed_rad_s: rad/s.
+        relative_shift: ρ_C = R_C/e, rising, not negative, shape (n,), n ≥ 2.
+        eccentricity_m: e; None: S_P/M_S.
+        tell: told the share done.
+    Raises:
+        OutsideDomain: no imbalance, or shifts that do not rise from 0.
+        NotConverged: as steady_states.
+    Source: docs/theory/steady_states.md.
+    """
+    p = physics_of(rig)
+    e = p.imbalance_moment_kg_m / p.total_mass_kg if eccentricity_m is None else eccentricity_m
+    shifts = np.asarray(relative_shift, np.float64)
+    if not 0 < e < math.inf:
+        raise OutsideDomain(f"shifted pivot: expected an eccentricity above 0 m, got {e!r}")
+    if shifts.ndim != 1 or np.any(shifts < 0):
+        raise OutsideDomain(f"shifted pivot: expected relative shifts of 0 or more, got {relative_shift!r:.80}")
+    found = steady_branches(lambda rho: (replace(p, pivot_shift_m=rho * e), speed_rad_s), shifts, tell=tell)
+    values, amplitude, theta = _stable(found)
+    locked = np.interp(values, found.values, found.locked_amplitude_m)
+    apart = np.abs(np.angle(np.exp(1j * (theta[:, 0] - theta[:, 1]))))
+    ends = [one.value for one in found.break_points if "III" in one.after]
+    return ShiftedPivot(
+        e, found, (values, amplitude / locked), theta, apart, _most_apart(p, speed_rad_s, e, values, apart),
+        ends[-1] if ends else math.nan,
+    )  # fmt: skip
+
+
+def _stable(found: SteadyBranches) -> tuple[Array, Array, Array]:
+    """Values, amplitudes and angles of the stable states, of mirror images the first."""
+    taken: dict[float, tuple[float, Array]] = {}
+    for b in found.stable_branches():
+        for i, value in enumerate(b.values.tolist()):
+            taken.setdefault(value, (float(b.amplitude_m[i]), b.theta_rad[i]))
+    values = sorted(taken)
+    amplitude = np.array([taken[value][0] for value in values])
+    return np.array(values), amplitude, np.array([taken[value][1] for value in values]).reshape(-1, 2)
+
+
+def _most_apart(p: RotorParameters, speed: float, e: float, values: Array, apart: Array) -> float:
+    """The shift at which the pendulums of the balancing state stand farthest apart, between the values beside it."""
+    if len(values) < 3:
+        return math.nan
+    at = int(np.argmax(apart))
+    low, high = float(values[max(at - 1, 0)]), float(values[min(at + 1, len(values) - 1)])
+
+    def together(rho: float) -> float:
+        points = singular_points(replace(p, pivot_shift_m=float(rho) * e), speed)
+        gaps = [abs(math.remainder(q.theta_rad[0] - q.theta_rad[1], 2 * math.pi)) for q in points if q.type == "I"]
+        return -max(gaps, default=0.0)
+
+    search = cast("Callable[..., Any]", minimize_scalar)
+    best = search(together, bounds=(low, high), method="bounded", options={"xatol": 1e-7})
+    return float(best.x)
