@@ -21,6 +21,7 @@ from rig_configs import Rig
 
 AVERAGE_S = 6.0  # the last seconds that are averaged
 _LOCKED_S = 2.0  # before the release
+_STOOD_S = 0.9  # without a mark: below 67 rpm
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
 # The bound on what is to come is noisy, and a test ends where it is low. One that was low enough a moment ago holds for
@@ -58,7 +59,8 @@ class SteadyMeasurement:
         own: joint covariance of (θ3, θ4, x amplitude, y amplitude, rms amplitude) from statistics, quantisation and
             what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
         creeps: whether it is compared although it was not settled: dry friction lets it creep.
-        release_s, from_s, to_s: last release, start and end of the last seconds' mean, s since the run's start.
+        release_s, from_s, to_s: last release (of pendulums let go at rest: when the speed was reached), start and end
+            of the last seconds' mean, s since the run's start.
         remarks: what lasers and rotor phase show beside the rotor's motion, sentences; of a pendulum that slips the
             rotor's motion has lines of its own, and the lasers have no say.
     """
@@ -94,7 +96,8 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
     """The steady state at the end of a point's run.
 
     Args:
-        run: a test "point-NAME"; what follows the plateau (the stop) is cut off by the marks' spacing.
+        run: a test "point-NAME" or "start-ups"; what follows the plateau (the stop) is cut off by the marks' spacing.
+            Where the pendulums were let go at rest, what comes before the plateau is cut off, too.
         rig: for the first mass moments, the lasers' gain and the encoders' zero uncertainty.
         bow_m: of the shaft in the rotor's frame: the pendulums balance it as well.
         creep_rad: within which dry friction makes of an approach a creep that ends late. Where no more than that is
@@ -103,12 +106,11 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
     Raises:
         NotEnoughData: no release, too short a record after it, or a signal that is missing there.
     """
-    release, end = _span(run)
+    release, end, free = _span(run)
     remarks = laser_remarks(run, release, end)
     run = remarks.without_lines(run)
-    angles = _between(run.angle_time_s, run.angle_rad, release - 3.0, end)
-    locked, locked_rad = _locked(run, angles)
-    settling, start = _settling(run, release, end), end - AVERAGE_S
+    locked, locked_rad = _locked(run)
+    settling, start = _settling(run, release, end, free), end - AVERAGE_S
     speed = _speed(run, start, end)
     theta, theta_std = _angles(run, start, end)
     x, x_std = _orders(run, run.x_time_s, run.x_m, start, end, "x")
@@ -198,19 +200,34 @@ def plateau_end(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: flo
     return float(times[max(on[-1] - 1, 1)])  # a revolution's margin: the stop may have begun within the last one
 
 
-def _span(run: Run) -> tuple[float, float]:
-    """Last release and end of the plateau."""
+def plateau_start(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: float, end_s: float) -> float:
+    """Time of the first mark since which the speed is that of the plateau before `end_s`, s."""
+    inside = (mark_time_s >= from_s) & (mark_time_s <= end_s)
+    times, phases = mark_time_s[inside], mark_phase_rad[inside]
+    if len(times) < 3:
+        raise NotEnoughData(f"only {len(times)} tachometer marks between {from_s:.1f} and {end_s:.1f} s")
+    speeds = np.diff(phases) / np.diff(times)
+    off = np.abs(speeds / np.median(speeds[-max(1, len(speeds) // 4) :]) - 1)
+    ramp = np.flatnonzero(off > max(2 * _LEAST_SPEED_TOLERANCE, 8 * float(np.median(off))))
+    return float(times[min(ramp[-1] + 2, len(times) - 1)] if len(ramp) else times[0])
+
+
+def _span(run: Run) -> tuple[float, float, bool]:
+    """Last release and end of the plateau; whether the rotor stood at the release: its begin then takes its place."""
     if not run.releases:
         raise NotEnoughData("the log holds no release of a pendulum")
     if {r.pendulum for r in run.releases} != {0, 1}:
         raise NotEnoughData("only one of the two pendulums was released")
     release = max(r.time_s for r in run.releases)
     end = plateau_end(run.mark_time_s, run.mark_phase_rad, release)
+    stood = not np.any((run.mark_time_s > release - _STOOD_S) & (run.mark_time_s < release))
+    if stood and np.any(run.mark_time_s > release):
+        release = plateau_start(run.mark_time_s, run.mark_phase_rad, release, end)
     if end - release < _LEAST_AFTER_RELEASE_S:
         raise NotEnoughData(
             f"{end - release:.1f} s at speed after release, at least {_LEAST_AFTER_RELEASE_S:g} s needed"
         )
-    return release, end
+    return release, end, stood
 
 
 def _between(time: np.ndarray, values: np.ndarray, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
@@ -220,10 +237,10 @@ def _between(time: np.ndarray, values: np.ndarray, start: float, end: float) -> 
     return time[inside], values[inside]
 
 
-def _locked(run: Run, angles: tuple[np.ndarray, np.ndarray]) -> tuple[bool, np.ndarray]:
+def _locked(run: Run) -> tuple[bool, np.ndarray]:
     """Whether both stood at their locks in the seconds before the first release, and where."""
     first = min(r.time_s for r in run.releases)
-    before = angles[1][angles[0] < first - 0.02]
+    _, before = _between(run.angle_time_s, run.angle_rad, first - 3.0, first - 0.02)
     if len(before) < 20:
         raise NotEnoughData("no pendulum angles before the release")
     mean = before.mean(axis=0)
@@ -232,8 +249,8 @@ def _locked(run: Run, angles: tuple[np.ndarray, np.ndarray]) -> tuple[bool, np.n
     return bool(np.all(off < LOCK_TOLERANCE_RAD) and np.all(moved < LOCK_TOLERANCE_RAD)), mean
 
 
-def _settling(run: Run, release: float, end: float) -> Settling:
-    """How the end of the run is judged."""
+def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
+    """How the end of the run is judged; of pendulums that were free before, `release` is no place they may stand at."""
     late = end - 40.0  # enough for any window; the locked part is needed to see whether the gap has changed
     angles = run.angle_time_s >= min(release - 1.0, late)
     x, y = run.x_time_s >= late, run.y_time_s >= late
@@ -242,7 +259,7 @@ def _settling(run: Run, release: float, end: float) -> Settling:
         marks = (run.mark_time_s >= release) & (run.mark_time_s <= at)
         return settled(
             run.angle_time_s[angles], run.angle_rad[angles], run.mark_time_s[marks], run.mark_phase_rad[marks],
-            run.x_time_s[x], run.x_m[x], run.y_time_s[y], run.y_m[y], release_time_s=release,
+            run.x_time_s[x], run.x_m[x], run.y_time_s[y], run.y_m[y], release_time_s=None if free else release,
             angle_step_rad=run.angle_step_rad, average_s=AVERAGE_S, slack=slack,
         )  # fmt: skip
 

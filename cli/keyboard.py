@@ -183,6 +183,10 @@ class TerminalOperator:
         """See daq.guided_tests.hands.Operator."""
         self._ask("flick both pendulums, slower than two turns a second")
 
+    def scatter(self) -> None:
+        """See daq.guided_tests.hands.Operator."""
+        self._ask("leave both pendulums or balls anywhere, elsewhere each time, and take your hands off")
+
     def lock(self, seen: bool) -> None:
         """See daq.guided_tests.hands.Operator."""
         self._ask("the rotor at rest: lock both pendulums, A at 0° and B at 180°")

@@ -15,6 +15,7 @@ from cli.options import Json, ParametersPath, Settings, need_place, what_if_word
 from cli.rest_points import say_balancing, say_lost
 from cli.share_progress import share_progress
 from cli.slow_roll_page import forced_region, shown_json, shown_line
+from cli.start_ups_page import start_ups_json, start_ups_lines
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -58,6 +59,10 @@ def predict(
     lost: Annotated[
         bool, Parameter(negative="", help="speeds at which singular points of Types II, III are lost")
     ] = False,
+    start_ups: Annotated[
+        int | None,
+        Parameter(help="follow so many start-ups from rest, pendulums or balls free; --plot then draws them"),
+    ] = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
     sweep: Sweep = None,
@@ -92,7 +97,8 @@ def predict(
         outcomes = _released(physics, speed, found) if release else []
     outcome = outcomes[0] if outcomes else None
     model = found[0].model if found else choose_model(physics, at_least=at_least)
-    if plot is not None:
+    started = None if start_ups is None else start_ups_json(loaded, physics, speed, start_ups, plot)
+    if plot is not None and started is None:
         from analysis.figures.steady_states import draw_steady_states  # noqa: PLC0415
         from analysis.figures.style import save  # noqa: PLC0415
 
@@ -112,6 +118,7 @@ def predict(
         "unresolved": list(found.unresolved),
         "release": None if outcome is None else _outcome_json(outcome, physics),
         "releases_within_play": [_outcome_json(o, physics) for o in outcomes],
+        "start_ups": started,
         "what_if": list(settings or []),
         "plot": None if plot is None else str(plot),
     }
@@ -119,6 +126,8 @@ def predict(
         print_json(result)
         return 0
     _print(result, found)
+    for line in start_ups_lines(started) if started else []:
+        print(line)
     for line in known.slow_roll.sentences if known.slow_roll else []:
         print(line)
     if settings:

@@ -75,6 +75,12 @@ ITEMS: tuple[Item, ...] = (
     Item("3.22", "Positions over the pivot's shift, computed", "shifted_pivots:positions_3_22", 4.0),
     Item("3.23", "Vibration over the pivot's shift, recorded", "recorded_shifts:vibration_3_23", 100.0, "shift"),
     Item("3.24", "Positions over the pivot's shift, recorded", "recorded_shifts:positions_3_24", 15.0, "shift"),
+    Item("3.27", "Final positions of balls and vibration, start-up by start-up", "start_ups:balls_3_27", 75.0),
+    Item(
+        "3.28", "Contact and friction arms of ball and pendulum, scatter over friction", "friction_arms:arms_3_28", 30.0
+    ),
+    Item("3.29", "Final positions of pendulums and vibration, start-up by start-up", "start_ups:pendulums_3_29", 45.0),
+    Item("3.30", "Final positions of pendulums, closer", "start_ups:zoomed_3_30", 45.0),
     Item("4.1", "Coarse stability map of the balanced state", "floquet_maps:coarse_map_4_1", 8.0),
     Item("4.2", "Borders of the stable areas and the points", "floquet_maps:fine_map_4_2", 5.0),
     Item("4.3", "Largest multipliers along the points' line", "floquet_maps:largest_multiplier_4_3", 5.0),

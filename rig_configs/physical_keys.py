@@ -11,10 +11,15 @@ from rig_configs.errors import RigFileError
 from rig_configs.schema import Imbalance, Pendulums, PendulumTable, Rotor, Suspension
 from rig_configs.table import Table
 
+_IN_THE_ARM = "rolling_resistance_m"  # only as a part of friction_arm_m does the physics have it
+
 
 def _numbers(table: type[Table]) -> list[str]:
     """Keys of a table's numbers, without their uncertainties."""
-    return [key for key, field in table.model_fields.items() if field.annotation is float and "_std_" not in key]
+    return [
+        key for key, field in table.model_fields.items()
+        if field.annotation is float and "_std_" not in key and key != _IN_THE_ARM
+    ]  # fmt: skip
 
 
 PHYSICAL_KEYS: tuple[str, ...] = (

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, cast
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, model_validator
 
-from dynamics.equations.parameters import Pendulum, RotorParameters
+from dynamics.equations.parameters import Pendulum, RotorParameters, rolling_arm
 from rig_configs.device import DeviceSettings
 from rig_configs.drivers import installed, settings_of
 from rig_configs.known import (
@@ -53,7 +53,9 @@ class PendulumTable(Table):
 
     drag_Nms2_per_rad2 is the air's torque over the square of the speed relative to the rotor, friction_arm_m the dry
     friction torque per contact force; ball_radius_m > 0 makes it a ball whose centre runs
-    at length_m, with ball_inertia_ratio = I/(m r²) (0.4 for a sphere).
+    at length_m, with ball_inertia_ratio = I/(m r²) (0.4 for a sphere). rolling_resistance_m is a ball's coefficient of
+    rolling resistance as a length: its torque per contact force on the ball; it adds itself times length_m over
+    ball_radius_m to the friction arm.
     """
 
     mass_kg: Annotated[float, Field(ge=0, le=100)]
@@ -63,13 +65,26 @@ class PendulumTable(Table):
     friction_arm_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     ball_radius_m: Annotated[float, Field(ge=0, le=1)] = 0.0
     ball_inertia_ratio: Annotated[float, Field(ge=0, le=1)] = 0.4
+    rolling_resistance_m: Annotated[float, Field(ge=0, le=0.01)] = 0.0
     mass_std_kg: NotNegative = 0.0
     length_std_m: NotNegative = 0.0
+
+    @model_validator(mode="after")
+    def _only_balls_roll(self) -> PendulumTable:
+        if self.rolling_resistance_m and not self.ball_radius_m:
+            raise ValueError(
+                f"rolling_resistance_m = {self.rolling_resistance_m:g} is a ball's: expected ball_radius_m above 0 "
+                "beside it, or friction_arm_m for a pendulum"
+            )
+        return self
 
     @property
     def physics(self) -> Pendulum:
         """As dynamics takes it."""
-        return Pendulum(**self.model_dump(exclude={"mass_std_kg", "length_std_m"}))
+        own = self.model_dump(exclude={"mass_std_kg", "length_std_m", "rolling_resistance_m"})
+        if self.rolling_resistance_m:
+            own["friction_arm_m"] += rolling_arm(self.rolling_resistance_m, self.length_m, self.ball_radius_m)
+        return Pendulum(**own)
 
 
 class Pendulums(Table):
@@ -172,6 +187,7 @@ class TruthPendulum(Table):
     mass_kg: Positive | None = None
     length_m: Positive | None = None
     damping_Nms_per_rad: NotNegative | None = None
+    friction_arm_m: NotNegative | None = None
 
 
 class TruthPendulums(Table):

@@ -75,6 +75,7 @@ _PENDULUM = {
     "damping_Nms_per_rad": Usual(1e-7, 0.1, "N m s/rad", _TORQUE, "none"),
     "friction_arm_m": Usual(1e-7, 0.02, "m", _LENGTH, "none"),
     "ball_radius_m": Usual(5e-4, 0.1, "m", _LENGTH, "a pendulum"),
+    "rolling_resistance_m": Usual(1e-8, 1e-3, "m", _LENGTH, "none"),
 }
 _DEVICE = {  # of sensors and nodes, whatever their driver, that have one of these names
     "rate_Hz": Usual(20, 2e5, "Hz", _FREQUENCY),

@@ -30,8 +30,12 @@ def framed(asked: Asked, *states: State, releases: bool = False) -> Table:
     return Table((*beginning, *states), (FINISH, STOP, LOCK_AGAIN) if releases else (FINISH, STOP))
 
 
-def spin_up(asked: Asked, rpm: float) -> tuple[State, ...]:
-    """Bring the rotor to a speed by the ramp it has for that, before the log begins."""
+def spin_up(asked: Asked, rpm: float, free: bool = False) -> tuple[State, ...]:
+    """Bring the rotor to a speed by the ramp it has for that, before the log begins.
+
+    Args:
+        free: whether the pendulums are free meanwhile, as a start-up from rest has them.
+    """
     role = asked.rig.roles.speed
     ramp = HAND_RAMP_RPM_S if role is None else role.ramp_rpm_per_s
 
@@ -45,7 +49,8 @@ def spin_up(asked: Asked, rpm: float) -> tuple[State, ...]:
         "make ready", does="make ready to turn the rotor", enter=Orders.make_ready, actor="rotor", usual_s=0.2
     )
     up = State(
-        "spin up", does=f"ramp the rotor to {rpm:.0f} rpm", enter=lambda orders: orders.turn(rpm, ramp), actor="rotor",
+        "spin up", does=f"ramp the rotor to {rpm:.0f} rpm", enter=lambda orders: orders.turn(rpm, ramp, free),
+        actor="rotor",
         asks=f"turn the rotor to {rpm:.0f} rpm, by about {ramp:.0f} rpm a second, and hold it there",
         waits_for=f"{rpm:.0f} rpm, to 1 % and 2 rpm", look=at_speed, rpm=rpm, usual_s=rpm / ramp + 1.0,
         limit_s=1.5 * rpm / ramp + (_SPIN_UP_S if role else _BY_HAND_S), wall=role is None,

@@ -56,6 +56,10 @@ class Operator(Protocol):
         """Set both pendulums spinning by hand, slower than two turns a second."""
         ...
 
+    def scatter(self) -> None:
+        """Leave both free pendulums (or balls) anywhere, elsewhere each time; the rotor stands."""
+        ...
+
     def lock(self, seen: bool) -> None:
         """Hold both pendulums at their places: A at 0°, B at 180°.
 

@@ -108,17 +108,21 @@ class Measures:
         _, _, marks, phase, tx, x, ty, y = self.signals(self.since(15.0))
         return locked_settled(marks, phase, tx, x, ty, y)
 
-    def steady(self, released_ns: int, step_rad: float, tolerances: Mapping[str, float]) -> Settling:
+    def steady(
+        self, released_ns: int, step_rad: float, tolerances: Mapping[str, float], free: bool = False
+    ) -> Settling:
         """Whether pendulums and orbit are steady after a release.
 
         Args:
-            released_ns: when, ns since 1970.
+            released_ns: when, ns since 1970; with `free` when the speed was reached.
             step_rad: of the encoders' code.
             tolerances: other than the usual ones, see `settled`.
+            free: whether the pendulums were free before: where they stood then is no place of release.
         """
-        since = released_ns - 1_500_000_000  # some of the time before, to know how the pendulums stood
+        since = released_ns - (0 if free else 1_500_000_000)  # to know how the pendulums stood
         signals = self.signals(since, max(since, self.since(15.0)))
-        return settled(*signals, release_time_s=(released_ns - since) * 1e-9, angle_step_rad=step_rad, **tolerances)
+        release = None if free else (released_ns - since) * 1e-9
+        return settled(*signals, release_time_s=release, angle_step_rad=step_rad, **tolerances)
 
     def mean_angles_rad(self, seconds: float = 2.0) -> tuple[float, float]:
         """Mean pendulum angles over the newest stretch, rad."""

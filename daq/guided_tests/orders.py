@@ -249,13 +249,16 @@ class Orders:
         """Make ready to turn the rotor, at rest."""
         self.warn(self.rotor.begin())
 
-    def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
+    def turn(self, rpm: float, ramp_rpm_per_s: float, free: bool = False) -> None:
         """Ramp the rotor to a speed; returns at once.
 
+        Args:
+            free: whether the pendulums are meant to be free from the start.
+
         Raises:
-            ProcedureError: the pendulums are not held, and it stands.
+            ProcedureError: the pendulums are not held although they should be, and it stands.
         """
-        if not self._held and not self._turned:
+        if not self._held and not self._turned and not free:
             raise ProcedureError(f"{self.asked.test}: the pendulums are not locked, so the rotor is not turned")
         self._turned = True
         self.rotor.go(rpm, ramp_rpm_per_s)

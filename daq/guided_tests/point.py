@@ -32,27 +32,12 @@ def point_states(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool
         rpm: the speed.
         ends: whether an answer that is not "settled" ends the wait, too.
     """
-    angles = asked.rig.roles.angles
-    step_rad = math.nan if angles is None else angles.step_rad
     waiting = near_resonance(asked.rig, rpm)
 
     def orbit_steady(view: View) -> Look:
         found = view.measures.locked_steady()
         facts = {"steady_before_release": found.settled}
         return Look(found.settled, f"waiting for a steady orbit, {found.why}", facts=facts)
-
-    def all_steady(view: View) -> Look:
-        released_ns = int(view.memory["released_ns"])
-        since = (view.now_ns - released_ns) * 1e-9
-        steady_ns = view.memory.get("steady_ns")
-        if since < _AFTER_RELEASE_S or (steady_ns and view.now_ns < steady_ns + _AFTER_STEADY_S * 1e9):
-            return Look(False, f"{since:.0f} s after release")
-        again = steady_ns is not None
-        last = view.measures.steady(released_ns, step_rad, {} if again else _STEADY)
-        over = (again and last.settled) or (not last.settled and ends(view, last))
-        seen: dict[str, Any] = {"last": last, "steady_ns": view.now_ns if last.settled and not again else None}
-        facts = {"settled": over and last.settled, "why": last.why}
-        return Look(over, f"{since:.0f} s after release, {last.why}", remember=seen, facts=facts)
 
     return (
         *spin_up(asked, rpm),
@@ -70,11 +55,33 @@ def point_states(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool
             "release", does="let both pendulums go", enter=lambda orders: orders.let_go(turning=True), actor="locks",
             asks="release both pendulums, both at once", rpm=rpm, usual_s=0.3, no_pause=MOTION,
         ),
-        State(
-            "settle", waits_for="pendulums and orbit to be steady, and a second look", look=all_steady, rpm=rpm,
-            usual_s=30.0, limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S, missed=lambda view: _not_steady(asked, view),
-            no_pause=MOTION,
-        ),
+        settle_state(asked, rpm, ends),
+    )  # fmt: skip
+
+
+def settle_state(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool], free: bool = False) -> State:
+    """The state that waits for the steady state after a release, or with `free` after the speed was reached."""
+    angles = asked.rig.roles.angles
+    step_rad = math.nan if angles is None else angles.step_rad
+    begun = "at speed" if free else "after release"
+
+    def all_steady(view: View) -> Look:
+        since_ns = view.entered_ns if free else int(view.memory["released_ns"])
+        since = (view.now_ns - since_ns) * 1e-9
+        steady_ns = view.memory.get("steady_ns")
+        if since < _AFTER_RELEASE_S or (steady_ns and view.now_ns < steady_ns + _AFTER_STEADY_S * 1e9):
+            return Look(False, f"{since:.0f} s {begun}")
+        again = steady_ns is not None
+        last = view.measures.steady(since_ns, step_rad, {} if again else _STEADY, free)
+        over = (again and last.settled) or (not last.settled and ends(view, last))
+        seen: dict[str, Any] = {"last": last, "steady_ns": view.now_ns if last.settled and not again else None}
+        facts = {"settled": over and last.settled, "why": last.why}
+        return Look(over, f"{since:.0f} s {begun}, {last.why}", remember=seen, facts=facts)
+
+    return State(
+        "settle", waits_for="pendulums and orbit to be steady, and a second look", look=all_steady, rpm=rpm,
+        usual_s=30.0, limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S, missed=lambda view: _not_steady(asked, view),
+        no_pause=MOTION,
     )  # fmt: skip
 
 

@@ -1,5 +1,9 @@
 # pyright: strict
-"""Start-ups: the same spin-up and release again and again, each into its own log, each steady state classed."""
+"""Start-ups: the same spin-up and release again and again, each into its own log, each steady state classed.
+
+With `from_rest` the pendulums (or balls, which have no locks) are let go before the rotor turns, as in a machine in
+use, and begin elsewhere each time.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +13,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from daq.guided_tests.frame import framed
+from daq.guided_tests.frame import framed, spin_up
 from daq.guided_tests.kinds import Asked, Number, TestKind
 from daq.guided_tests.orders import Orders
-from daq.guided_tests.point import SPEED, point_states, refusal
-from daq.guided_tests.table import State, Table, View, not_missed
+from daq.guided_tests.point import SPEED, point_states, refusal, settle_state
+from daq.guided_tests.table import MOTION, State, Table, View, after, not_missed
 from daq.signals.settling import Settling
 from daq.signals.state_type import state_type
 
 _SLIPS_S = 30.0  # a pendulum that slips so long after the release is taken to go on
 _CLASSES = {"I": "balanced"}
+_BEFORE_S = 1.0  # of pendulums at their locks, to begin the log with
+_SCATTERED_S = 2.0
 
 
 def _slips(view: View, last: Settling) -> bool:
     return last.slipping and view.now_ns - int(view.memory["released_ns"]) > _SLIPS_S * 1e9
+
+
+def _slips_at_speed(view: View, last: Settling) -> bool:
+    return last.slipping and view.in_state_s > _SLIPS_S
 
 
 def _class(orders: Orders) -> None:
@@ -41,8 +51,30 @@ def _class(orders: Orders) -> None:
     orders.facts |= {"class": kind, "state": state, **facts}
 
 
+def _from_rest(asked: Asked, rpm: float) -> tuple[State, ...]:
+    """The states from the release at rest to the steady state."""
+    return (
+        State(
+            "begin", does="begin the log", enter=Orders.begin, waits_for=f"{_BEFORE_S:g} s at the locks",
+            look=after(_BEFORE_S, "the pendulums at their locks"), period_s=0.1, usual_s=_BEFORE_S, limit_s=60.0,
+        ),
+        State(
+            "release", does="let both pendulums go, rotor at rest", enter=lambda orders: orders.let_go(turning=False),
+            actor="locks", asks="release both pendulums", usual_s=0.5,
+        ),
+        State(
+            "scatter", does="ask for both to be left anywhere", enter=lambda orders: orders.operator.scatter(),
+            actor="operator", asks="leave both pendulums or balls anywhere, elsewhere each time",
+            waits_for=f"{_SCATTERED_S:g} s", look=after(_SCATTERED_S), period_s=0.1, usual_s=_SCATTERED_S, limit_s=60.0,
+        ),
+        *(replace(state, no_pause=state.no_pause or MOTION) for state in spin_up(asked, rpm, free=True)),
+        settle_state(asked, rpm, _slips_at_speed, free=True),
+    )  # fmt: skip
+
+
 def _table(asked: Asked) -> Table:
-    states = point_states(asked, asked.numbers["speed_rpm"], _slips)
+    rpm = asked.numbers["speed_rpm"]
+    states = _from_rest(asked, rpm) if asked.numbers["from_rest"] else point_states(asked, rpm, _slips)
     classed = State("class", does="class the steady state: balanced, slipping or other", enter=_class)
     *before, settle = states
     settle = replace(settle, missed=not_missed, late=classed.name)
@@ -86,8 +118,12 @@ def _direction(degrees: Sequence[float]) -> float:
 
 
 KIND = TestKind(
-    "start-ups", "spin up and release again and again, class every steady state", ("x", "y", "angles", "phase"),
+    "start-ups", "spin up and release again and again, or release and spin up; class every steady state",
+    ("x", "y", "angles", "phase"),
     turns=True, table=_table, point="optional",
-    numbers={**SPEED, "count": Number("how many start-ups", 20, 1, 10_000, whole=True)}, refusal=refusal,
-    summed=summed,
+    numbers={
+        **SPEED, "count": Number("how many start-ups", 20, 1, 10_000, whole=True),
+        "from_rest": Number("1: pendulums free before the rotor turns, 0: released at speed", 0, 0, 1, whole=True),
+    },
+    refusal=refusal, summed=summed,
 )  # fmt: skip

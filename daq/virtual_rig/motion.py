@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from daq.errors import ProcedureError
 from dynamics.equations.kernels import rk4_step
 from dynamics.equations.parameters import RotorParameters
+from dynamics.motions.friction_steps import friction_step
 from dynamics.motions.integrate import fastest_rate
 
 GRID_S = 250e-6
@@ -38,31 +38,27 @@ def _turn(rotor, h, target, ramp, slip, lag, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _advance(y, rotor, phase, target, ramp, slip, lag, n, substeps, p, free, held, held_at, angles, drift, out):
-    """n grid steps; out[i] = state (8), ψ, ω after step i."""
+def _advance(y, rotor, phase, target, ramp, slip, lag, n, substeps, p, rough, free, held, held_at, angles, drift, out):
+    """n grid steps, with dry friction where it is rough; out[i] = state (8), ψ, ω after step i."""
     h = 250e-6 / substeps
     scratch = np.empty((5, 8))
+    modes, signed = np.empty(2), p.copy()
     ph = np.empty((3, 3))
     ph[0] = phase
     for i in range(n):
         for _ in range(substeps):
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[1])
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[2])
-            rk4_step(
-                y,
-                h,
-                ph[0],
-                ph[1],
-                ph[2],
-                p,
-                free[0],
-                free[1],
-                scratch[0],
-                scratch[1],
-                scratch[2],
-                scratch[3],
-                scratch[4],
-            )
+            if rough:
+                friction_step(
+                    y, h, ph[0], ph[1], ph[2], p, free, modes, signed,
+                    scratch[0], scratch[1], scratch[2], scratch[3], scratch[4],
+                )  # fmt: skip
+            else:
+                rk4_step(
+                    y, h, ph[0], ph[1], ph[2], p, free[0], free[1],
+                    scratch[0], scratch[1], scratch[2], scratch[3], scratch[4],
+                )  # fmt: skip
             ph[0] = ph[2]
         for j in range(2):
             if free[j] == 0.0:  # the lock carries the pendulum towards its position
@@ -118,8 +114,6 @@ class Motion:
     """
 
     def __init__(self, physics: RotorParameters, slip: float, lag_s: float) -> None:
-        if physics.a.friction_arm_m or physics.b.friction_arm_m:
-            raise ProcedureError("the virtual rig's fixed steps can't follow dry friction: set friction_arm_m to 0")
         self.physics = physics
         self.time_s = 0.0
         self.target_rad_s = 0.0
@@ -198,7 +192,8 @@ class Motion:
         substeps = max(1, math.ceil(rate * GRID_S / 0.5))
         _advance(
             self._state, self._rotor, self._phase, self.target_rad_s, self.ramp_rad_s2, self._slip, lag, n,
-            substeps, self.physics.packed(), self._free, self._held, self._held_at, self._angles, 2 * math.pi,
+            substeps, self.physics.packed(), self.physics.has_friction,
+            self._free, self._held, self._held_at, self._angles, 2 * math.pi,
             rows[1:],
         )  # fmt: skip
         times = (self._steps + np.arange(n + 1)) * GRID_S

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+_PUSH_RAD_S = 25.0
+_GOLDEN, _SILVER = (5**0.5 - 1) / 2, 2**0.5 - 1  # multiples of these fill (0, 1) evenly, together its square
+
 
 class Asked(Protocol):
     """A simulated rig, however far away."""
@@ -19,6 +22,7 @@ class SimulatedOperator:
 
     def __init__(self, line: Asked) -> None:
         self._line = line
+        self._scattered = 0
 
     def pluck(self, axis: str, mm: float | None = None) -> None:
         """Displace mostly along the axis, as well as a hand can, and let go.
@@ -35,6 +39,13 @@ class SimulatedOperator:
         """Set the pendulums spinning, one each way."""
         self._line.ask("flick", pendulum=0, speed_rad_s=11.5)
         self._line.ask("flick", pendulum=1, speed_rad_s=-10.8)
+
+    def scatter(self) -> None:
+        """Push both pendulums, each differently each time, so that they come to rest elsewhere."""
+        self._scattered += 1
+        for pendulum, step in ((0, _GOLDEN), (1, _SILVER)):
+            share = 2 * ((self._scattered * step) % 1.0) - 1
+            self._line.ask("flick", pendulum=pendulum, speed_rad_s=_PUSH_RAD_S * share)
 
     def lock(self, seen: bool) -> None:
         """Put both pendulums at their places and hold them."""

@@ -68,6 +68,20 @@ class Pendulum:
         return self.mass_kg * self.length_m * (self.length_m - self.ball_inertia_ratio * self.ball_radius_m)
 
 
+def rolling_arm(resistance_m: float, circle_m: float, ball_radius_m: float) -> float:
+    """Friction arm of a ball that rolls in a channel, m: torque about the rotor axis per contact force.
+
+    The rolling moment b N acts on the ball, which turns R/r times as fast as it runs around: b R/r by virtual work.
+
+    Args:
+        resistance_m: coefficient of rolling resistance b, m.
+        circle_m: radius R of the circle of the ball's centre, m.
+        ball_radius_m: r, m.
+    Source: docs/theory/start_ups.md.
+    """
+    return resistance_m * circle_m / ball_radius_m
+
+
 @dataclass(frozen=True)
 class RotorParameters:
     """All numbers the equations of motion need (SI).

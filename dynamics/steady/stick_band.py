@@ -41,6 +41,22 @@ def stick_half_width(p: RotorParameters, speed: float, theta: tuple[float, float
     return min(float(reach[0]), math.pi), min(float(reach[1]), math.pi)
 
 
+def held_share(p: RotorParameters, speed: float, theta: tuple[float, float]) -> tuple[float, float]:
+    """Mean torque on pendulums at rest on the rotor over the friction that can hold them, not linearised.
+
+    Args:
+        theta: θ3, θ4 where they rest, rad.
+    Returns:
+        Of A and B; above 1 friction does not hold it there, inf without friction and with a torque.
+    """
+    arms = (p.a.friction_arm_m * p.a.first_moment_kg_m, p.b.friction_arm_m * p.b.first_moment_kg_m)
+    shares = [
+        0.0 if torque == 0.0 else abs(float(torque)) / (arm * speed**2) if arm else math.inf
+        for torque, arm in zip(_mean_torque(p, speed, theta).tolist(), arms, strict=True)
+    ]
+    return shares[0], shares[1]
+
+
 def _mean_torque(p: RotorParameters, speed: float, theta: tuple[float, float]) -> NDArray[np.floating]:
     """Torque on pendulums at rest on the rotor, mean over a revolution, N m, shape (2,)."""
     x, y = locked_orbit(p, speed, *theta)

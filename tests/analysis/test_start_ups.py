@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from analysis_runs import Drawn, draw, point_run
 
-from analysis import Validation, validate
+from analysis import Validation, measure, validate
 from analysis.start_ups import START_UPS, StartUps
+from daq.lockstep.rehearsal import Rehearsal
 from daq.signals.run import Run
 from rig_configs import Rig, load_rig
+from studies.runs import load_runs
 
 COUNT = 5
 
@@ -109,3 +113,18 @@ def test_a_cut_log_that_states_no_speed_is_counted_and_ends_nothing(
     assert series.counts == {"not enough data": 1, "pass": 1}
     assert "a speed that no log states" in series.sentences[0]
     assert json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_a_start_up_from_rest_is_measured_from_where_its_speed_is_reached(tmp_path: Path) -> None:
+    settings = ["virtual.seed=5", "limits.speed_rpm=700"]
+    with Rehearsal("isotropic", tmp_path, settings) as far:
+        done = far.record("start-ups", speed_rpm=600.0, count=1, from_rest=1)
+        (one,) = load_runs([run.log for run in done.runs])
+        found = measure(one, far.rig)
+    assert done.summary["classes"]["balanced"] == 1
+    assert (found.state, found.locked) == ("I", True)
+    assert max(r.time_s for r in one.releases) + 4.5 < found.release_s < found.from_s < found.to_s
+    assert found.speed_rad_s.value == pytest.approx(600 * math.pi / 30, rel=5e-3)
+    ramp = one.mark_time_s < found.release_s - 0.5
+    rpm = np.diff(one.mark_phase_rad) / np.diff(one.mark_time_s)
+    assert rpm[ramp[:-1]].max() < 0.999 * found.speed_rad_s.value, "before it the rotor speeds up"

@@ -122,7 +122,7 @@ class Bench:
         return ""
 
     def go(self, rpm: float, ramp_rpm_per_s: float) -> None:
-        if rpm and not self.locked and not self.turning:
+        if rpm and not self.locked and not self.turning and "scatter" not in self.orders:
             self.wrong.append("spun up with pendulums that are not locked")
         self.turning = self.turning or rpm > 0
         self._order(f"turn at {rpm:.0f} rpm")
@@ -155,6 +155,9 @@ class Bench:
 
     def flick(self) -> None:
         self._order("flick")
+
+    def scatter(self) -> None:
+        self._order("scatter")
 
 
 def runner_of(bench: Bench, controls: Controls, folder: Path) -> Runner:

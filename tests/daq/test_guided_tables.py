@@ -30,6 +30,8 @@ ASKED = {
     name: asked(RIG, "point-B" if name == "point" else name, {"speed_rpm": 288.0} if name == "start-ups" else {})
     for name in KINDS
 }
+FROM_REST = "start-ups from rest"
+ASKED[FROM_REST] = asked(RIG, "start-ups", {"speed_rpm": 288.0, "from_rest": 1})
 STEPS = ("wait", "done", "done", "done", "abort", "abort and done", "pause", "note", "fault")
 
 
@@ -37,7 +39,7 @@ def table_of(name: str) -> Table:
     return ASKED[name].kind.table(ASKED[name])
 
 
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", list(ASKED))
 def test_every_outcome_leads_forward_and_every_wait_has_a_limit(name: str) -> None:
     table = table_of(name)
     place = {row.name: number for number, row in enumerate(table.rows)} | {END: 99, FAULT: 99}
@@ -46,7 +48,7 @@ def test_every_outcome_leads_forward_and_every_wait_has_a_limit(name: str) -> No
     assert [row.name for row in table.rows if row.waits_for and row.limit_s <= 0] == []
 
 
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", list(ASKED))
 def test_an_abort_leads_to_the_ending_from_every_state(name: str) -> None:
     table = table_of(name)
     for row in table.states:
@@ -61,7 +63,7 @@ def test_a_speed_that_nothing_shows_yet_is_said_so() -> None:
     assert (look.done, look.words) == (False, "spinning up to 149 rpm: nothing shows the speed yet")
 
 
-@pytest.mark.parametrize("name", [name for name in KINDS if KINDS[name].turns])
+@pytest.mark.parametrize("name", [name for name in ASKED if ASKED[name].kind.turns])
 def test_no_test_waits_while_the_rotor_passes_through_resonances_or_comes_to_rest(name: str) -> None:
     table = table_of(name)
     for row in table.rows:
@@ -77,7 +79,7 @@ def test_a_point_in_a_resonance_is_not_paused_there() -> None:
 
 
 @given(
-    name=st.sampled_from(sorted(KINDS)),
+    name=st.sampled_from(sorted(ASKED)),
     script=st.lists(st.sampled_from(STEPS), max_size=25),
     fails_at=st.none() | st.integers(1, 14),
     aborted_at=st.none() | st.integers(1, 14),
@@ -106,7 +108,7 @@ def test_whatever_happens_a_test_ends_at_rest_with_its_log_ended_and_no_wrong_or
 
 
 @pytest.mark.parametrize("during", ["orders", "looks"])
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", list(ASKED))
 def test_an_abort_at_any_instant_skips_neither_the_logs_end_nor_the_rest(
     name: str, during: str, tmp_path: Path
 ) -> None:
@@ -120,7 +122,7 @@ def test_an_abort_at_any_instant_skips_neither_the_logs_end_nor_the_rest(
         assert not bench.recording
 
 
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", list(ASKED))
 def test_a_test_that_goes_well_reaches_its_end(name: str, tmp_path: Path) -> None:
     controls, bench = Controls(), Bench(RIG)
     table = scripted(table_of(name), plays(["done"] * 30, controls, bench))
@@ -310,6 +312,15 @@ def test_the_operators_orders_are_the_same_where_no_device_turns_the_rotor() -> 
         assert all(
             row.asks for row in hands if row.actor in ("rotor", "locks") and row.name not in ("begin", "make ready")
         ), name
+
+
+def test_a_start_up_from_rest_lets_go_before_the_rotor_turns(tmp_path: Path) -> None:
+    controls, bench = Controls(), Bench(RIG)
+    table = scripted(table_of(FROM_REST), lambda state, view: Look(True))
+    finished(bench, ASKED[FROM_REST], table, controls, tmp_path)
+    assert bench.wrong == []
+    order = [text for text in bench.orders if text in ("begin the log", "release", "scatter", "turn at 288 rpm")]
+    assert order == ["begin the log", "release", "scatter", "turn at 288 rpm"]
 
 
 @pytest.mark.parametrize(("state", "runs"), [("settle", 2), ("spin up", 1)])

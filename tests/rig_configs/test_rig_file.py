@@ -213,3 +213,20 @@ def test_a_fault_of_the_whole_rig_is_told_in_its_own_words() -> None:
     with pytest.raises(RigFileError) as refused:
         load_rig("virtual", settings=["suspension.k1_N_per_m=1e-300"])
     assert str(refused.value) == "virtual.toml: k1_N_per_m must lie in 1e-15 … 1e+15, got 1e-300"
+
+
+def test_rolling_resistance_is_a_balls_and_goes_into_its_friction_arm() -> None:
+    balls = load_rig("ball_balancer")
+    assert balls.physics.a.friction_arm_m == pytest.approx(1e-5 * 0.114 / 0.0075)
+    both = load_rig("ball_balancer", settings=["pendulums.a.friction_arm_m=8e-5"])
+    assert both.physics.a.friction_arm_m == pytest.approx(8e-5 + 1.52e-4)
+    s = balls.physics.imbalance_moment_kg_m
+    assert s == pytest.approx(2 * balls.physics.a.first_moment_kg_m * np.cos(np.pi / 6), rel=1e-4)
+    with pytest.raises(RigFileError, match=r"is a ball's: expected ball_radius_m above 0"):
+        load_rig("isotropic", settings=["pendulums.a.rolling_resistance_m=1e-5"])
+
+
+def test_true_friction_may_differ_from_the_files() -> None:
+    rig = load_rig("ball_balancer", settings=["virtual.truth.pendulums.a.friction_arm_m=1e-6"])
+    assert rig.true_physics.a.friction_arm_m == 1e-6
+    assert rig.true_physics.b.friction_arm_m == pytest.approx(1.52e-4)
