@@ -73,7 +73,8 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "predict": "Steady states, stability and amplitudes at a point or a speed, and where a release ends.",
     },
     "cli.react": {
-        "react": "How the pendulums answer a sudden change at speed: peak, and the time until it is balanced again.",
+        "react": "How the pendulums answer a sudden change at speed: vibration, peak, and the time until it is "
+        "balanced again.",
     },
     "cli.basins": {"basins": "Where releases end, over the angles at which the locks hold the pendulums."},
     "cli.maps": {"map": "Where the balanced state is stable, over any two numbers of the rig file."},
@@ -85,7 +86,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "completion": "Print the script with which a shell completes commands and options of rig.",
     },
     "cli.reproduce": {
-        "reproduce": "Make the source's figures and tables anew and judge its claims: a book of them.",
+        "reproduce": "Make figures and tables of the source anew and judge its claims.",
     },
     "cli.bench": {"bench": "Time against true error for every method on offer, with peers in the same run."},
 }

@@ -30,7 +30,7 @@ def bash(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("rig", "rep"), {"report", "replay"}),
+        (("rig", "rep"), {"report", "replay", "reproduce"}),
         (("rig", "parameters", "h"), {"history"}),
         (("rig", "report", "--si"), {"--since"}),
         (("rig", "record", "--dur"), {"--duration"}),
