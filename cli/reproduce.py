@@ -28,7 +28,7 @@ def reproduce(
         "out/reproduction"
     ),
     jobs: Annotated[WholeCount | None, Parameter(help="processes; left out: one a processor")] = None,
-    docs: Annotated[Path | None, Parameter(help="write the verdicts as Markdown too")] = None,
+    docs: Annotated[Path | None, Parameter(help="write the verdicts as Markdown too, figures beside it")] = None,
     json: Json = False,
 ) -> int:
     """Make figures and tables of the source anew and judge its claims.
@@ -38,7 +38,7 @@ def reproduce(
     holds all of them.
     """
     with wait_for_compilation("reproduction"):
-        from reproduction.book import counts_of, docs_page, write_book  # noqa: PLC0415 (loads figures and the compiler)
+        from reproduction.book import counts_of, write_book, write_docs  # noqa: PLC0415 (loads figures and the compiler)
         from reproduction.catalogue import ITEMS, chosen  # noqa: PLC0415
         from reproduction.running import reproduce as make  # noqa: PLC0415
 
@@ -57,7 +57,7 @@ def reproduce(
         made = make(items, out, min(jobs or os.cpu_count() or 1, len(items)), lambda share, what: told(share))
     book = write_book(out / "book.html", made)
     if docs is not None:
-        docs.write_text(docs_page(made), encoding="utf-8")
+        write_docs(docs, made)
     if json:
         print_json({
             "book": str(book),

@@ -1,4 +1,4 @@
-# pyright: strict
+# pyright: strict, reportUnknownVariableType=false, reportUnknownMemberType=false
 """All items in one HTML file that needs nothing beside it, and the same verdicts as a page of the docs."""
 
 from __future__ import annotations
@@ -9,13 +9,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
+from matplotlib.image import imread, imsave, thumbnail
 
 from daq.version import software_version
 from reproduction.files import Written
 
 _TEMPLATE = "book.html.j2"
+_SMALL, _TONES = 0.5, 15  # of a figure's pixels and of each colour, for the docs
 _CLASSES = {"holds": "good", "holds in part": "open", "does not hold": "bad"}
 
 
@@ -72,8 +75,33 @@ def _cell(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def docs_page(made: Sequence[Written]) -> str:
-    """Markdown: every claim with its verdict and the numbers that decide."""
+def write_docs(page: Path, made: Sequence[Written]) -> None:
+    """The verdicts as Markdown, and small copies of the figures in a folder of the page's name beside it."""
+    figures = page.with_suffix("")
+    figures.mkdir(parents=True, exist_ok=True)
+    for one in made:
+        for panel in one.record["panels"]:
+            _small_copy(one.folder / f"{panel['name']}.png", figures / _figure_name(one, panel))
+    page.write_text(docs_page(made, figures.name), encoding="utf-8")
+
+
+def _small_copy(figure: Path, copy: Path) -> None:
+    thumbnail(str(figure), str(copy), scale=_SMALL)
+    pixels = np.round(imread(copy)[..., :3] * _TONES) / _TONES  # fewer tones: a third of the bytes
+    imsave(copy, pixels, pil_kwargs={"optimize": True})
+
+
+def _figure_name(one: Written, panel: Mapping[str, str]) -> str:
+    return f"{one.item.id}-{panel['name']}.png"
+
+
+def docs_page(made: Sequence[Written], figures: str) -> str:
+    """Markdown: every figure, every claim with its verdict and the numbers that decide.
+
+    Args:
+        figures: folder of the figures, seen from the page.
+    """
+    counts = counts_of(made)
     lines = [
         "# The source, reproduced",
         "",
@@ -84,7 +112,7 @@ def docs_page(made: Sequence[Written]) -> str:
         "are worded by us.",
         "Wrong equations are in [misprints.md](theory/misprints.md).",
         "",
-        ", ".join(f"{count} claims: {verdict}" for verdict, count in counts_of(made).items()) + ".",
+        f"{sum(counts.values())} claims: {', '.join(f'{verdict} {count}' for verdict, count in counts.items())}.",
         "",
         "## Claims that do not hold, or hold in part",
         "",
@@ -98,6 +126,8 @@ def docs_page(made: Sequence[Written]) -> str:
         if one.failed:
             lines += [f"Not made: {one.failed}"]
             continue
+        for panel in one.record["panels"]:
+            lines += [f"![{panel['description']}]({figures}/{_figure_name(one, panel)})", "", panel["description"], ""]
         lines += [f"- Assumed: {text}" for text in one.record["assumed"]] + ["" for _ in one.record["assumed"][:1]]
         lines += ["| where | claimed | | computed |", "|---|---|---|---|"]
         lines += [f"| {_row(claim)}" for claim in one.claims]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 from cli.main import run
-from reproduction.book import docs_page, write_book
+from reproduction.book import write_book, write_docs
 from reproduction.catalogue import ITEMS, chosen
 from reproduction.errors import UnknownItem
 from reproduction.items import rotor_alone
@@ -36,9 +37,13 @@ def test_the_book_has_figures_claims_and_what_does_not_hold(tmp_path: Path) -> N
     assert text.index("Claims that do not hold") < text.index("2.2 · ")
     assert "above resonance the printed form is 180° off" in text
     assert "http" not in text.replace("http://www.w3.org", ""), "nothing is fetched"
-    page = docs_page(made)
+    write_docs(tmp_path / "docs.md", made)
+    page = (tmp_path / "docs.md").read_text(encoding="utf-8")
+    assert "(docs/2.2-response.png)" in page
+    small, whole = (tmp_path / name for name in ("docs/2.2-response.png", "2.2/response.png"))
+    assert 3000 < small.stat().st_size < whole.stat().st_size
     assert "| 2.2 | (2-9) |" in page
-    assert "6 claims: holds, 1 claims: does not hold." in page
+    assert "7 claims: holds 6, does not hold 1." in page
 
 
 def test_the_command_writes_the_same_from_two_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -70,6 +75,10 @@ def test_the_page_of_the_docs_has_every_item() -> None:
     headings = [line[3:] for line in page.splitlines() if line.startswith("## ")][1:]
     assert headings == [f"{item.id}: {item.title}" for item in ITEMS], "rig reproduce --all --docs docs/reproduction.md"
     assert "Not made" not in page
+    folder = Path(__file__).parents[2] / "docs"
+    shown = re.findall(r"\]\((reproduction/[^)]+)\)", page)
+    assert len(shown) >= len(ITEMS)
+    assert all((folder / name).is_file() for name in shown)
 
 
 def test_the_command_refuses_and_lists(capsys: pytest.CaptureFixture[str]) -> None:
