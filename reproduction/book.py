@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
-from matplotlib.image import imread, imsave, thumbnail
+from matplotlib.image import imread, imsave
 
 from daq.version import software_version
 from reproduction.files import Written
 
 _TEMPLATE = "book.html.j2"
-_SMALL, _TONES = 0.5, 15  # of a figure's pixels and of each colour, for the docs
+_TONES = 15  # of each colour, in the small copies of the figures for the docs
 _CLASSES = {"holds": "good", "holds in part": "open", "does not hold": "bad"}
 
 
@@ -86,9 +86,11 @@ def write_docs(page: Path, made: Sequence[Written]) -> None:
 
 
 def _small_copy(figure: Path, copy: Path) -> None:
-    thumbnail(str(figure), str(copy), scale=_SMALL)
-    pixels = np.round(imread(copy)[..., :3] * _TONES) / _TONES  # fewer tones: a third of the bytes
-    imsave(copy, pixels, pil_kwargs={"optimize": True})
+    """Half as wide and high, in fewer tones: a tenth of the bytes."""
+    pixels = np.asarray(imread(figure), np.float64)[..., :3]
+    rows, columns = (size // 2 for size in pixels.shape[:2])
+    halved = pixels[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, 3).mean(axis=(1, 3))
+    imsave(copy, np.round(halved * _TONES) / _TONES, pil_kwargs={"optimize": True})
 
 
 def _figure_name(one: Written, panel: Mapping[str, str]) -> str:
