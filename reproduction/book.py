@@ -1,4 +1,4 @@
-# pyright: strict, reportUnknownVariableType=false, reportUnknownMemberType=false
+# pyright: strict, reportUnknownVariableType=false, reportUnknownMemberType=false, reportUnknownArgumentType=false
 """All items in one HTML file that needs nothing beside it, and the same verdicts as a page of the docs."""
 
 from __future__ import annotations
