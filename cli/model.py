@@ -15,6 +15,7 @@ from cli.options import Json, ParametersPath, Settings, need_place, what_if_word
 from cli.rest_points import say_balancing, say_lost
 from cli.share_progress import share_progress
 from cli.slow_roll_page import forced_region, shown_json, shown_line
+from cli.speed import asked_speed
 from cli.start_ups_page import start_ups_json, start_ups_lines
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
@@ -88,7 +89,7 @@ def predict(
         if (balancing and lost) or (point, speed_rpm, speed_ratio) != (None, None, None):
             raise RigFileError("rig predict: give --balancing or --lost alone, without a point or a speed")
         return (say_balancing if balancing else say_lost)(loaded, known, settings or [], plot, json)
-    speed = _speed(loaded, point, speed_rpm, speed_ratio)
+    speed = asked_speed("rig predict", loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("dynamics"):
         from dynamics import choose_model, steady_states  # noqa: PLC0415
 
@@ -144,20 +145,6 @@ def _shown(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> dict[st
 def _accuracy_of(physics: RotorParameters) -> float:
     """What is asked for where nobody says: |v| v has kinks, which leave multipliers good to some 1e-7."""
     return 1e-6 if any(physics.damping_growth_s_per_m) else 1e-8
-
-
-def _speed(rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None) -> float:
-    """The speed asked for, rad/s."""
-    if sum(x is not None for x in (point, speed_rpm, speed_ratio)) != 1:
-        raise RigFileError("rig predict: give one of --point, --speed-rpm, --speed-ratio")
-    if point is not None:
-        if point not in rig.points:
-            raise RigFileError(f"rig predict: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
-        return rig.physics.speed_rad_s(rig.points[point].speed_ratio)
-    speed = speed_rpm * math.pi / 30 if speed_rpm is not None else rig.physics.speed_rad_s(speed_ratio or 0.0)
-    if not 0 < speed < math.inf:
-        raise RigFileError(f"rig predict: expected a speed above 0, got {speed:g} rad/s")
-    return speed
 
 
 def _released(physics: RotorParameters, speed: float, found: SteadyStates) -> list[ReleaseOutcome]:
