@@ -21,7 +21,7 @@ from rig_configs import Rig
 
 AVERAGE_S = 6.0  # the last seconds that are averaged
 _LOCKED_S = 2.0  # before the release
-_STOOD_S = 0.9  # without a mark: below 67 rpm
+_STOOD_S = 2.5  # without a mark before a release: below 24 rpm; a radio that loses marks does not make a rotor stand
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 _LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
 # The bound on what is to come is noisy, and a test ends where it is low. One that was low enough a moment ago holds for

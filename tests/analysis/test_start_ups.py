@@ -128,3 +128,12 @@ def test_a_start_up_from_rest_is_measured_from_where_its_speed_is_reached(tmp_pa
     ramp = one.mark_time_s < found.release_s - 0.5
     rpm = np.diff(one.mark_phase_rad) / np.diff(one.mark_time_s)
     assert rpm[ramp[:-1]].max() < 0.999 * found.speed_rad_s.value, "before it the rotor speeds up"
+
+
+def test_marks_lost_before_a_release_at_speed_do_not_make_a_start_from_rest(rig: Rig, runs: list[Run]) -> None:
+    whole = runs[0]
+    release = max(r.time_s for r in whole.releases)
+    kept = (whole.mark_time_s < release - 2.0) | (whole.mark_time_s > release)
+    assert not np.all(kept)
+    lossy = dataclasses.replace(whole, mark_time_s=whole.mark_time_s[kept], mark_phase_rad=whole.mark_phase_rad[kept])
+    assert measure(lossy, rig).release_s == measure(whole, rig).release_s == release
