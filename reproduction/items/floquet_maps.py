@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Chapter 4: stability maps of the balanced state, its multipliers along the line of points, families over damping."""
+"""Figures 4.1 and 4.2: where the balanced state is stable over speed ratio and stiffness ratio."""
 
 from __future__ import annotations
 
@@ -10,15 +10,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.axes3d import Axes3D  # pyright: ignore[reportMissingTypeStubs]
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from analysis.figures.sheet import WIDTH_IN, sheet
-from analysis.figures.stability_map import MapFrame, MapPoint, draw_borders, set_plane
-from analysis.figures.style import GREY, MEASURED, MODEL, label
-from analysis.maps.families import SearchRange, best_value
+from analysis.figures.stability_map import draw_borders, set_plane
+from analysis.figures.style import MEASURED, MODEL
 from dynamics import balanced_angles, stability_map
 from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters
@@ -26,35 +23,17 @@ from dynamics.equations.periodic_matrix import (
     PeriodicMatrix,
     evaluate,  # pyright: ignore[reportUnknownVariableType]
 )
-from dynamics.stability.borders import Borders, stability_borders
 from dynamics.stability.floquet import piecewise, single_pass
 from dynamics.stability.floquet.methods import per_radian
-from dynamics.stability.map_plane import SpeedStiffnessPlane
+from reproduction.items.stability_plane import ON_LINE, X_RANGE, Y_RANGE, borders_of_plane, frame_of_rig
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_configs import load_rig
 
 Array = NDArray[np.float64]
 
-X_RANGE, Y_RANGE = (0.3, 7.0), (1.0, 16.0)
-ON_LINE = 14.9
 _COARSE = (42, 25)
-_FAMILY_ZETA = (0.005, 0.02, 0.05, 0.1, 0.2)
-_FAMILY_C34 = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
-_WIDE_C34 = (1e-5, 1.0, 11)
-_SHADES = ("#440154", "#3b528b", "#21918c", "#5ec962", "#b8a000")
-_DASHES = ("-", (0, (7, 2)), (0, (4, 2)), (0, (6, 2, 1, 2)), (0, (1, 1.3)))
 _PLANE = "The range Ω = 0.3 … 7, K = 1 … 16, and ζ = 0.02, c34 = 0.001 N m s/rad: the source gives neither in its text."
-
-
-def _frame(p: RotorParameters) -> MapFrame:
-    rig = load_rig(VIRTUAL)
-    points = [MapPoint(name, point.speed_ratio, point.expected) for name, point in rig.points.items()]
-    return MapFrame(points=points, own=p.k2_N_per_m / p.k1_N_per_m)
-
-
-def _borders(p: RotorParameters) -> Borders:
-    return stability_borders(SpeedStiffnessPlane(p, balanced_angles(p)[0]), X_RANGE, Y_RANGE, spacing=1 / 800)
 
 
 def _stable_spans(p: RotorParameters, stiffness_ratio: float, top: float = X_RANGE[1]) -> list[tuple[float, float]]:
@@ -92,7 +71,7 @@ def coarse_map_4_1(work: Workspace) -> Reproduced:
         stable = ours < 1
         axes.plot(grid_x[stable], grid_y[stable], ".", color=MEASURED, ms=4, label="stable")
         axes.plot(grid_x[~stable], grid_y[~stable], "x", color=MODEL, ms=4, mew=0.9, label="unstable")
-        set_plane(axes, (x, y), replace(_frame(p), points=()))
+        set_plane(axes, (x, y), replace(frame_of_rig(p), points=()))
     differ = int(np.count_nonzero((by_pieces < 1) != stable)), int(np.count_nonzero((by_pass < 1) != stable))
     spans = _stable_spans(p, ON_LINE)
     kept: dict[str, Array] = {
@@ -148,8 +127,8 @@ def _less_work(p: RotorParameters, error: float) -> Claim:
 def fine_map_4_2(work: Workspace) -> Reproduced:
     """Figure 4.2: borders of the stable areas, both resonances, the points A to E."""
     p = work.physics()
-    found = _borders(p)
-    frame = _frame(p)
+    found = borders_of_plane(p)
+    frame = frame_of_rig(p)
     with sheet(WIDTH_IN, 4.8, "4.2: borders of the stable areas and the points of validation") as figure:
         axes: Axes = figure.subplots()
         axes.grid(False)
@@ -195,243 +174,3 @@ def _shade(axes: Axes, p: RotorParameters) -> None:
     x, y = np.linspace(*X_RANGE, 700), np.linspace(*Y_RANGE, 400)
     stable = stability_map(p, x, y, 1e-6).multiplier_max < 1
     axes.contourf(x, y, stable, levels=[0.5, 1.5], colors=["#d7def1"])
-
-
-def _spectra(p: RotorParameters, ratios: Array) -> NDArray[np.complex128]:
-    """All multipliers over a revolution along the speed, each followed from one speed to the next; shape (n, 8)."""
-    angles = balanced_angles(p)[0]
-    rows = list[NDArray[np.complex128]]()
-    for ratio in ratios.tolist():
-        half = piecewise.monodromy(type_one(p, *angles, p.speed_rad_s(ratio)), 400)
-        values = np.linalg.eigvals(half).astype(np.complex128) ** 2
-        if rows:
-            order, left = list[int](), list(range(len(values)))
-            for before in rows[-1]:
-                nearest = min(left, key=lambda i: abs(values[i] - before))
-                left.remove(nearest)
-                order.append(nearest)
-            values = values[order]
-        rows.append(values)
-    return np.array(rows)
-
-
-_RATIOS = np.linspace(0.5, 6.5, 1201)
-
-
-def largest_multiplier_4_3(work: Workspace) -> Reproduced:
-    """Figure 4.3: the pair of multipliers of largest modulus along the points' line, with the unit cylinder."""
-    p = work.physics()
-    spectra = _spectra(p, _RATIOS)
-    largest = spectra[np.arange(len(spectra)), np.argmax(np.abs(spectra), axis=1)]
-    points = {point.name: point.speed_ratio for point in _frame(p).points}
-    with sheet(WIDTH_IN, 5.0, "4.3: the largest multipliers over a revolution along K = 14.9") as figure:
-        _cylinder(figure, largest, points)
-    moduli = np.abs(largest)
-    crossings = _RATIOS[1:][np.diff((moduli < 1).astype(int)) != 0]
-    at = {name: complex(largest[int(np.argmin(np.abs(_RATIOS - ratio)))]) for name, ratio in points.items()}
-    pairs = [name for name, value in at.items() if abs(value.imag) > 1e-6]
-    inside = [name for name, value in at.items() if abs(value) < 1]
-    return Reproduced(
-        (Panel("cylinder", "Multipliers of largest modulus over the speed ratio, with the unit cylinder.", figure),),
-        (Table("largest", "The multiplier of largest modulus over one revolution along K = 14.9",
-               {"speed_ratio": _RATIOS, "real": largest.real, "imaginary": largest.imag}),),
-        numbers_of(p),
-        ("Ω = 0.5 … 6.5.",),
-        (
-            Claim.judged("4.1.4", "Along the line the largest multiplier is outside, inside, outside and again inside "
-                         "the unit cylinder.", inside == ["B", "C", "E"] and len(crossings) == 3,
-                         f"inside at {', '.join(inside)}; it crosses at Ω = "
-                         + ", ".join(f"{ratio:.3f}" for ratio in crossings.tolist())),
-            Claim.judged("4.1.4", "The largest multipliers are a complex conjugate pair.", len(pairs) == len(at),
-                         f"a pair at {', '.join(pairs) or 'none'}; real at "
-                         f"{', '.join(name for name in at if name not in pairs)}: "
-                         + ", ".join(f"{name} {value.real:.4f}{value.imag:+.4f}i" for name, value in at.items())),
-        ),
-    )  # fmt: skip
-
-
-def _cylinder(figure: Figure, largest: NDArray[np.complex128], points: dict[str, float]) -> None:
-    axes = figure.add_subplot(projection="3d")
-    assert isinstance(axes, Axes3D)
-    turn = np.linspace(0, 2 * math.pi, 61)
-    for ratio in np.linspace(0.5, 6.5, 13):
-        axes.plot(np.full_like(turn, ratio), np.cos(turn), np.sin(turn), color=GREY, lw=0.5)
-    for side in (1, -1):
-        pair = largest.real, side * np.abs(largest.imag)
-        inside = np.abs(largest) < 1
-        for part, colour in ((inside, MEASURED), (~inside, MODEL)):
-            shown = [np.where(part, values, np.nan) for values in pair]
-            axes.plot(_RATIOS, *shown, color=colour, lw=1.6)
-    for name, ratio in points.items():
-        i = int(np.argmin(np.abs(_RATIOS - ratio)))
-        axes.plot([ratio], [largest[i].real], [abs(largest[i].imag)], "o", color="black", ms=4)
-        axes.text(ratio, float(largest[i].real), float(abs(largest[i].imag)) + 0.18, name)
-    axes.plot([], [], [], color=MEASURED, label="stable")
-    axes.plot([], [], [], color=MODEL, label="unstable")
-    axes.set(xlabel="speed ratio Ω", ylabel="real part", zlabel="imaginary part")
-    axes.set_box_aspect((2.4, 1, 1))
-    axes.view_init(elev=22, azim=-62)
-
-
-def three_views_4_4(work: Workspace) -> Reproduced:
-    """Figure 4.4: all multipliers along the points' line, seen from three sides."""
-    p = work.physics()
-    spectra = _spectra(p, _RATIOS)
-    with sheet(WIDTH_IN, 5.6, "4.4: three views of the multipliers along K = 14.9") as figure:
-        grid = figure.add_gridspec(2, 2, width_ratios=(1.7, 1))
-        top, below, plane = (
-            figure.add_subplot(grid[0, 0]),
-            figure.add_subplot(grid[1, 0]),
-            figure.add_subplot(grid[:, 1]),
-        )
-        largest = np.argmax(np.abs(spectra), axis=1)
-        rows = np.arange(len(spectra))
-        for axes, values, name in ((top, spectra.real, "real part"), (below, spectra.imag, "imaginary part")):
-            axes.plot(_RATIOS, values, ".", color=GREY, ms=1.0)
-            axes.plot(_RATIOS, values[rows, largest], ".", color=MODEL, ms=2.2)
-            axes.axhline(1, color="black", lw=0.8)
-            axes.axhline(-1, color="black", lw=0.8)
-            axes.set(ylim=(-1.6, 2.2))
-            label(axes, "speed ratio Ω" if name == "imaginary part" else None, name)
-        turn = np.linspace(0, 2 * math.pi, 181)
-        plane.plot(np.cos(turn), np.sin(turn), color="black", lw=0.8)
-        plane.plot(spectra.real, spectra.imag, ".", color=GREY, ms=1.0)
-        plane.plot(spectra[rows, largest].real, spectra[rows, largest].imag, ".", color=MODEL, ms=2.2)
-        plane.plot([], [], "o", color=MODEL, ms=4, label="largest modulus")
-        plane.plot([], [], "o", color=GREY, ms=3, label="the other seven")
-        plane.set(aspect="equal", xlim=(-1.6, 2.2), ylim=(-1.6, 1.6))
-        label(plane, "real part", "imaginary part")
-    product = np.abs(np.prod(spectra, axis=1))
-    period = 2 * math.pi / (p.speed_rad_s(1.0) * _RATIOS)
-    liouville = _trace_rate(p)
-    off = float(np.max(np.abs(np.log(product) / period / liouville - 1)))
-    columns: dict[str, Array] = {"speed_ratio": _RATIOS}
-    for i in range(8):
-        columns |= {f"real_{i + 1}": spectra[:, i].real, f"imaginary_{i + 1}": spectra[:, i].imag}
-    return Reproduced(
-        (Panel("views", "All eight multipliers from above, from the side, and along the cylinder's axis.", figure),),
-        (Table("multipliers", "All multipliers over one revolution along K = 14.9", columns),),
-        numbers_of(p),
-        ("Ω = 0.5 … 6.5.",),
-        (
-            Claim.judged("Figure 4.4", "The product of all multipliers follows from the damping alone (Liouville's "
-                         "theorem: a check of our figure).", off < 1e-6,
-                         f"log of the product over a period against the trace, {liouville:.4f} /s: within {off:.1e}"),
-        ),
-    )  # fmt: skip
-
-
-def _trace_rate(p: RotorParameters) -> float:
-    """Mean trace of the linearised equations, 1/s."""
-    matrix = type_one(p, *balanced_angles(p)[0], p.speed_rad_s(2.0))
-    return float(np.trace(matrix.harmonics[0]).real)
-
-
-def _family(work: Workspace, settings: Sequence[Sequence[str]]) -> list[Borders]:
-    found = list[Borders]()
-    for each in settings:
-        found.append(_borders(work.physics(VIRTUAL, each)))
-        work.tell(0.7 * len(found) / len(settings))
-    return found
-
-
-def _draw_family(members: Sequence[Borders], names: Sequence[str], title: str, p: RotorParameters) -> Figure:
-    with sheet(WIDTH_IN, 4.8, title) as figure:
-        axes: Axes = figure.subplots()
-        axes.grid(False)
-        for borders, name, shade, dashes in zip(members, names, _SHADES, _DASHES, strict=True):
-            for branch in borders.branches:
-                axes.plot(
-                    branch.x,
-                    branch.y,
-                    color=shade,
-                    ls=dashes,
-                    lw=1.6,
-                    label=f"{name}: {100 * borders.stable_share:.1f} %",
-                )
-        set_plane(axes, (np.array(X_RANGE), np.array(Y_RANGE)), replace(_frame(p), points=()))
-    return figure
-
-
-def _family_table(members: Sequence[Borders], values: Sequence[float], key: str) -> Table:
-    parts = [(value, branch) for value, borders in zip(values, members, strict=True) for branch in borders.branches]
-    return Table("borders", f"Borders for each {key}", {
-        key: np.concatenate([np.full(len(branch.x), value) for value, branch in parts]),
-        "speed_ratio": np.concatenate([branch.x for _, branch in parts]),
-        "stiffness_ratio": np.concatenate([branch.y for _, branch in parts]),
-    })  # fmt: skip
-
-
-def _zeta(value: float) -> list[str]:
-    return [f"suspension.zeta1={value!r}", f"suspension.zeta2={value!r}"]
-
-
-def _c34(value: float) -> list[str]:
-    return [f"pendulums.{name}.damping_Nms_per_rad={value!r}" for name in ("a", "b")]
-
-
-def family_over_zeta_4_5(work: Workspace) -> Reproduced:
-    """Figure 4.5: borders for five damping ratios of the suspension, and the ratio with the greatest stable area."""
-    members = _family(work, [_zeta(value) for value in _FAMILY_ZETA])
-    p = work.physics()
-    names = [f"ζ = {value:g}" for value in _FAMILY_ZETA]
-    figure = _draw_family(
-        members, names, "4.5: borders for several damping ratios of the suspension, with stable shares", p
-    )
-
-    def share(value: float) -> tuple[float, float]:
-        return _borders(work.physics(VIRTUAL, _zeta(value))).stable_share, 0.0
-
-    best = best_value(share, lambda value: 1e-4, SearchRange(("suspension.zeta1",), 0.005, 2.0, True),
-                      lambda done: work.tell(0.7 + 0.3 * done))  # fmt: skip
-    shares = ", ".join(
-        f"{100 * borders.stable_share:.1f} % at {value:g}" for value, borders in zip(_FAMILY_ZETA, members, strict=True)
-    )
-    ends = float(best.shares[0]), float(best.shares[-1])
-    return Reproduced(
-        (Panel("family", "Borders of the stable areas for five damping ratios; the share of the range that is stable "
-               "stands with each.", figure),),
-        (_family_table(members, _FAMILY_ZETA, "zeta"),
-         Table("share", "Stable share of the range over ζ", {"zeta": best.values, "stable_share": best.shares},
-               shown=True)),
-        numbers_of(p) | {"zeta1": "0.005 … 0.2", "zeta2": "0.005 … 0.2"},
-        ("The five damping ratios, within appendix A's 0.001 … 0.2; c34 = 0.001 N m s/rad is the source's.",
-         "The stable area is that of Ω = 0.3 … 7, K = 1 … 16."),
-        (
-            Claim("4.1.5", "There is a damping ratio of the suspension at which the stable area is greatest.",
-                  ("holds" if best.value <= 0.2 else "holds in part")
-                  if not best.at_end and best.share > max(ends) + 0.01 else "does not hold",
-                  f"{100 * best.share:.2f} % at ζ = {best.value:.4f} ({best.interval[0]:.3f} … {best.interval[1]:.3f})"
-                  f", {100 * ends[0]:.1f} % at 0.005 and {100 * ends[1]:.1f} % at 2; within the facility's range "
-                  f"(appendix A: up to 0.2) the area only grows: {shares}"),
-        ),
-    )  # fmt: skip
-
-
-def family_over_c34_4_6(work: Workspace) -> Reproduced:
-    """Figure 4.6: borders for five dampings of the pendulums."""
-    members = _family(work, [_c34(value) for value in _FAMILY_C34])
-    p = work.physics()
-    names = [f"c34 = {value:g} N m s/rad" for value in _FAMILY_C34]
-    figure = _draw_family(members, names, "4.6: borders for several dampings of the pendulums, with stable shares", p)
-    wide = np.geomspace(*_WIDE_C34)
-    shares = np.array([_borders(work.physics(VIRTUAL, _c34(float(value)))).stable_share for value in wide])
-    own = [borders.stable_share for borders in members]
-    grows = bool(np.all(np.diff(own) > 0))
-    falls = [float(wide[i + 1]) for i in np.flatnonzero(np.diff(shares) < -1e-4)]
-    return Reproduced(
-        (Panel("family", "Borders of the stable areas for five dampings of the pendulums; the share of the range that "
-               "is stable stands with each.", figure),),
-        (_family_table(members, _FAMILY_C34, "c34_Nms_per_rad"),
-         Table("share", "Stable share of the range over c34", {"c34_Nms_per_rad": wide, "stable_share": shares},
-               shown=True)),
-        numbers_of(p) | {"c3_Nms_per_rad": "3e-4 … 0.03", "c4_Nms_per_rad": "3e-4 … 0.03"},
-        ("The five dampings around the source's 0.001 N m s/rad; ζ = 0.02.",),
-        (
-            Claim("4.1.5", "More damping of the pendulums makes the stable area larger.",
-                  ("holds" if not falls else "holds in part") if grows else "does not hold",
-                  "; ".join(f"{100 * share:.1f} % at {value:g}" for value, share in zip(_FAMILY_C34, own, strict=True))
-                  + (f"; over 1e-5 … 1 N m s/rad it falls again from {falls[0]:.2g} on" if falls
-                     else "; it never falls over 1e-5 … 1 N m s/rad")),
-        ),
-    )  # fmt: skip

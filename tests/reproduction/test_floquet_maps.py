@@ -11,7 +11,7 @@ from dynamics import balanced_angles
 from dynamics.equations.parameters import RotorParameters
 from dynamics.stability.borders import Borders, stability_borders
 from dynamics.stability.map_plane import SpeedStiffnessPlane
-from reproduction.items import floquet_maps
+from reproduction.items import damping_families, floquet_maps
 from tests.reproduction.judged import column, made, verdicts
 
 
@@ -52,8 +52,8 @@ def test_families(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         plane = SpeedStiffnessPlane(p, balanced_angles(p)[0])
         return stability_borders(plane, (0.3, 7.0), (1.0, 16.0), first=(24, 18), levels=0, spacing=1 / 50)
 
-    monkeypatch.setattr(floquet_maps, "_borders", coarse)
-    monkeypatch.setattr(floquet_maps, "_WIDE_C34", (1e-5, 1.0, 5))
+    monkeypatch.setattr(damping_families, "borders_of_plane", coarse)
+    monkeypatch.setattr(damping_families, "_WIDE_C34", (1e-5, 1.0, 5))
     zeta = made("4.5", tmp_path)
     assert set(verdicts(zeta).values()) == {"holds in part"}, "the best damping is beyond the facility's range"
     shares = column(zeta, "share", "stable_share")
