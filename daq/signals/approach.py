@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 SLOWEST_PER_S = 0.08  # slower than this a radian would not shrink to the tolerance in a minute and a half
 _ENDLESS_PER_S = 0.01  # so slow that over the windows it is a straight line
+_SHOWS = 4.0  # widths: means that move less say nothing of a rate
+_SLOWER_BY = 3.0  # exponent: twice that, and the slowest rate that counts falls from SLOWEST_PER_S to _ENDLESS_PER_S
 _FAST_PER_S = 0.5  # an approach this fast hides a slow one beside it until it is over
 _STEP = 1.06  # from one rate that is tried to the next
 _BETWEEN = 1.15  # on the bound of a drift: for the rates between those that are tried
@@ -159,13 +161,19 @@ def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> A
     if not fits.any():
         return None
     if np.any(fits & ending):  # growth is found where nothing that ends fits as well
-        fits &= ending if spread <= 4 * width else rates >= _ENDLESS_PER_S
+        fits &= rates >= _slowest(spread / width)
     elif np.any(fits & (rates <= _ENDLESS_PER_S)):
         return Approach(math.inf, math.inf, 0.0, seen)
     left = np.where(fits, np.maximum(np.abs(low), np.abs(high)), 0.0) * (_BETWEEN if moves else 1.0)
     worst = int(np.argmax(left))
     found = Approach(float(left[worst]), float(np.max(left * _of_mean(rates, average_s))), float(rates[worst]), seen)
     return _with_slow(found, float(rates[fits].min()), edges_s, means, width, average_s)
+
+
+def _slowest(widths: float) -> float:
+    """Slowest decay that counts where the means move by so many widths, 1/s: a noisy mean more or less is no jump."""
+    slower = (max(widths, _SHOWS) / _SHOWS) ** _SLOWER_BY
+    return max(_ENDLESS_PER_S, SLOWEST_PER_S / slower)
 
 
 def _with_slow(

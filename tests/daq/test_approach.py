@@ -109,3 +109,13 @@ def test_half_width_holds_the_mean_of_a_noisy_code(noise: float, offset: float, 
 def test_half_width_holds_the_mean_of_a_wobbling_code(ripple: float, offset: float) -> None:
     codes = np.round(offset + ripple * np.cos(2 * np.pi * np.arange(20_000) / 20_000))
     assert abs(float(codes.mean()) - offset) <= half_width(1.0, 0.0, ripple) + 1e-3
+
+
+@pytest.mark.parametrize("rate", [0.2, 0.37])
+def test_a_little_more_noise_makes_no_jump(rate: float) -> None:
+    """The end of an overshoot, whose range is about four widths: near there the bound changes gradually."""
+    edges = windows(13)
+    ending = means(lambda t: np.exp(-rate * t), edges)
+    shape = ending / float(np.ptp(ending))
+    found = [bound(edges, shape * widths_, 1.0, 6.0).remaining for widths_ in np.linspace(3.9, 4.2, 31)]
+    assert max(later / earlier for earlier, later in pairwise(found)) < 1.15
