@@ -12,8 +12,15 @@ from daq import open_log
 from daq.log.verdicts import verdict_of
 from daq.replay import check
 
-WORST = {"k1_N_per_m": 5e-4, "k2_N_per_m": 5e-4, "zeta1": 1e-2, "zeta2": 1e-2, "c3_Nms_per_rad": 1e-2,
-         "c4_Nms_per_rad": 1e-2, "SP_kg_m": 1e-2}  # fmt: skip
+WORST = {
+    "k1_N_per_m": 5e-4,
+    "k2_N_per_m": 5e-4,
+    "zeta1": 1e-2,
+    "zeta2": 1e-2,
+    "c3_Nms_per_rad": 1e-2,
+    "c4_Nms_per_rad": 1e-2,
+    "SP_kg_m": 1e-2,
+}
 
 
 RAREST = 1e-5

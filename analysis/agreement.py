@@ -106,11 +106,14 @@ class Agreement:
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         return {
-            "passed": self.passed, "why": self.why, **self.together.to_json(),
+            "passed": self.passed,
+            "why": self.why,
+            **self.together.to_json(),
             "points": {name: found.to_json() for name, found in self.points.items()},
             "point_limit_p": self.point_limit,
-            "cause_z": dict(self.cause_z), "cause_limits_z": dict(self.cause_limits),
-        }  # fmt: skip
+            "cause_z": dict(self.cause_z),
+            "cause_limits_z": dict(self.cause_limits),
+        }
 
 
 def agreement(differences: Differences, causes: Sequence[Cause]) -> Agreement:

@@ -107,10 +107,16 @@ class PredictedBudgets:
 
 
 def predicted_budgets(
-    predictions: Mapping[str, Prediction], names: Sequence[str], parameters: Budgets, rig: Rig,
-    axis_angle_deg: tuple[float, float], *, axis_identified: bool = True, slow_roll: SlowRoll | None = None,
+    predictions: Mapping[str, Prediction],
+    names: Sequence[str],
+    parameters: Budgets,
+    rig: Rig,
+    axis_angle_deg: tuple[float, float],
+    *,
+    axis_identified: bool = True,
+    slow_roll: SlowRoll | None = None,
     terms: SuspensionTerms | None = None,
-) -> PredictedBudgets:  # fmt: skip
+) -> PredictedBudgets:
     """Budgets of angles and amplitudes at the points.
 
     An amplitude that is 0 whatever the parameters are (the balanced state) has no budget and is left out.

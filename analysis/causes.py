@@ -25,36 +25,58 @@ Array = NDArray[np.float64]
 
 NOMINAL_SHARE = 1e-3  # standard uncertainty of a number of which none is given: what such numbers are usually worth
 _PARAMETER_WORDS = {
-    "k1_N_per_m": "k1", "k2_N_per_m": "k2", "zeta1": "ζ1", "zeta2": "ζ2", "c3_Nms_per_rad": "c3",
-    "c4_Nms_per_rad": "c4", "SP_kg_m": "S_P",
-}  # fmt: skip
+    "k1_N_per_m": "k1",
+    "k2_N_per_m": "k2",
+    "zeta1": "ζ1",
+    "zeta2": "ζ2",
+    "c3_Nms_per_rad": "c3",
+    "c4_Nms_per_rad": "c4",
+    "SP_kg_m": "S_P",
+}
 _NUMBER_WORDS = {
-    "rotor.mass_kg": "the rotor's mass", "imbalance.mass_kg": "the imbalance's mass",
-    "pendulums.a.mass_kg": "the mass of pendulum A", "pendulums.b.mass_kg": "the mass of pendulum B",
-    "pendulums.a.length_m": "the length of pendulum A", "pendulums.b.length_m": "the length of pendulum B",
-    "pendulums.pivot_shift_m": "the pivot shift", ZERO_A: "the zero of encoder A", ZERO_B: "the zero of encoder B",
+    "rotor.mass_kg": "the rotor's mass",
+    "imbalance.mass_kg": "the imbalance's mass",
+    "pendulums.a.mass_kg": "the mass of pendulum A",
+    "pendulums.b.mass_kg": "the mass of pendulum B",
+    "pendulums.a.length_m": "the length of pendulum A",
+    "pendulums.b.length_m": "the length of pendulum B",
+    "pendulums.pivot_shift_m": "the pivot shift",
+    ZERO_A: "the zero of encoder A",
+    ZERO_B: "the zero of encoder B",
     INDEX: "the index angle",
-}  # fmt: skip
+}
 SLOW_ROLL_STD_M = 2e-5
 """Standard uncertainty of run-out and bow that no test has shown: what targets and shafts are usually worth."""
 _SLOW_ROLL_WORDS = {
-    "run-out along": "run-out along the imbalance", "run-out across": "run-out across the imbalance",
-    "bow along": "a bow along the imbalance", "bow across": "a bow across the imbalance",
-}  # fmt: skip
+    "run-out along": "run-out along the imbalance",
+    "run-out across": "run-out across the imbalance",
+    "bow along": "a bow along the imbalance",
+    "bow across": "a bow across the imbalance",
+}
 _SETTLES = {
-    "run-out": "a slow roll, or another run-up", "bow": "another run-up",
-    "k": "another ring-down along this direction", "zeta": "another ring-down along this direction",
-    "c": "another spin-down", "SP": "another run-up", "rotor": "weigh the rotor", "imbalance": "weigh the imbalance",
-    "pendulums": "weigh and measure the pendulum", "encoders": "set the zero again at the lock",
-    "phase": "set the index angle again by a slow roll", "gain": "calibrate the laser and its lever",
-    AXIS_ANGLE: "another ring-down in both directions", "friction": "another spin-down, and clean bearings",
+    "run-out": "a slow roll, or another run-up",
+    "bow": "another run-up",
+    "k": "another ring-down along this direction",
+    "zeta": "another ring-down along this direction",
+    "c": "another spin-down",
+    "SP": "another run-up",
+    "rotor": "weigh the rotor",
+    "imbalance": "weigh the imbalance",
+    "pendulums": "weigh and measure the pendulum",
+    "encoders": "set the zero again at the lock",
+    "phase": "set the index angle again by a slow roll",
+    "gain": "calibrate the laser and its lever",
+    AXIS_ANGLE: "another ring-down in both directions",
+    "friction": "another spin-down, and clean bearings",
     "drag": "another spin-down from a faster flick",
-}  # fmt: skip
+}
 
 
 BOTH: Mapping[tuple[str, str], str] = {
-    FRICTION: "friction.both_Nm", CONTACT_FRICTION: "friction.both_kg_m2", DRAG: "drag.both_Nms2_per_rad2",
-}  # fmt: skip
+    FRICTION: "friction.both_Nm",
+    CONTACT_FRICTION: "friction.both_kg_m2",
+    DRAG: "drag.both_Nms2_per_rad2",
+}
 _USUAL_SPEED2 = 1e4  # (rad/s)²
 _FLICK_RAD_S, _USUAL_SHARE = 12.0, 1e-2
 """Speed of a flicked pendulum: friction is shown as a share of the largest viscous torque, and is usually so much."""
@@ -147,17 +169,22 @@ def _torques(differences: Differences, identified: IdentifiedParameters) -> list
     for names, unit, factor, words, std in (
         (FRICTION, f"% of c3 · {_FLICK_RAD_S:g} rad/s", 100 / viscous[0], "dry friction of", usual),
         (CONTACT_FRICTION, "g mm²", 1e9, "dry friction with the contact force of", usual / _USUAL_SPEED2),
-        (DRAG, f"% of the viscous torque at {_FLICK_RAD_S:g} rad/s", 100 * _FLICK_RAD_S**2 / viscous[0],
-         "the air's drag on", usual / _FLICK_RAD_S**2),
-    ):  # fmt: skip
+        (
+            DRAG,
+            f"% of the viscous torque at {_FLICK_RAD_S:g} rad/s",
+            100 * _FLICK_RAD_S**2 / viscous[0],
+            "the air's drag on",
+            usual / _FLICK_RAD_S**2,
+        ),
+    ):
         if not all(name in by for name in names):
             continue
         whose = {names[0]: "pendulum A", names[1]: "pendulum B", BOTH[names]: "both pendulums alike"}
         for name, of in whose.items():
             direction = -(by[name] if name in by else by[names[0]] + by[names[1]])
-            found.append(Cause(
-                name, f"{words} {of}", 0.0, std, direction, unit, factor, _settles(name), one_sided=True
-            ))  # fmt: skip
+            found.append(
+                Cause(name, f"{words} {of}", 0.0, std, direction, unit, factor, _settles(name), one_sided=True)
+            )
     return found
 
 

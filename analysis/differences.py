@@ -177,17 +177,26 @@ class Differences:
         """
         at = list(at)
         return Differences(
-            tuple(self.rows[i] for i in at), self.values[at], self.own[np.ix_(at, at)], self.by_parameter[at],
-            self.parameters, self.parameter_covariance, self.uncertain[at],
-            {n: v[at] for n, v in self.by_number.items()}, {label: v[at] for label, v in self.shared.items()},
+            tuple(self.rows[i] for i in at),
+            self.values[at],
+            self.own[np.ix_(at, at)],
+            self.by_parameter[at],
+            self.parameters,
+            self.parameter_covariance,
+            self.uncertain[at],
+            {n: v[at] for n, v in self.by_number.items()},
+            {label: v[at] for label, v in self.shared.items()},
             {n: v[at] for n, v in self.by_slow_roll.items()},
-        )  # fmt: skip
+        )
 
 
 def differences(
-    compared: Sequence[Compared], rig: Rig, identified: IdentifiedParameters, releases: Sequence[Rows] = (),
+    compared: Sequence[Compared],
+    rig: Rig,
+    identified: IdentifiedParameters,
+    releases: Sequence[Rows] = (),
     changed: Mapping[str, float] | None = None,
-) -> Differences:  # fmt: skip
+) -> Differences:
     """The rows of all points.
 
     Args:
@@ -259,9 +268,16 @@ class _Part:
         columns = [by.get(name, np.zeros(len(values))) for name in parameters]
         by_parameter = np.stack(columns, axis=1) if columns else np.zeros((len(values), 0))
         return cls(
-            release.rows, values, release.own, by_parameter, release.by_number, release.shared, release.used_for, False,
+            release.rows,
+            values,
+            release.own,
+            by_parameter,
+            release.by_number,
+            release.shared,
+            release.used_for,
+            False,
             release.by_slow_roll,
-        )  # fmt: skip
+        )
 
     @classmethod
     def of(cls, compared: Compared, rig: Rig) -> _Part:
@@ -277,10 +293,14 @@ class _Part:
         if not predicted.at_rest:
             pick = np.eye(5)[:4]
             return cls(
-                _ROWS, pick @ off, pick @ own @ pick.T, -pick @ predicted.by_parameter,
-                {n: -pick @ v for n, v in predicted.by_number.items()}, {n: pick @ v for n, v in shared.items()},
+                _ROWS,
+                pick @ off,
+                pick @ own @ pick.T,
+                -pick @ predicted.by_parameter,
+                {n: -pick @ v for n, v in predicted.by_number.items()},
+                {n: pick @ v for n, v in shared.items()},
                 by_slow_roll=by_slow_roll(measured, predicted),
-            )  # fmt: skip
+            )
         pick = np.zeros((6, 5))
         pick[0, 0] = pick[1, 1] = 1.0  # amplitudes beside zero depend on nothing but noise
         x, y = measured.x_m, measured.y_m
@@ -288,11 +308,14 @@ class _Part:
         own = measured.to_come.covariance + pick @ predicted.own @ pick.T
         own[2:, 2:] += np.diag(np.repeat(held_variance(predicted), 2))
         return cls(
-            _NOISE_ROWS, values, own, -pick @ predicted.by_parameter,
+            _NOISE_ROWS,
+            values,
+            own,
+            -pick @ predicted.by_parameter,
             {n: -pick @ v for n, v in predicted.by_number.items()},
             {n: pick @ v for n, v in shared.items()},
             by_slow_roll=by_slow_roll(measured, predicted),
-        )  # fmt: skip
+        )
 
 
 def held_variance(predicted: Prediction) -> Array:

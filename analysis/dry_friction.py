@@ -112,9 +112,13 @@ Sensors = tuple[float, tuple[complex, complex]]
 
 
 def left_open(
-    friction: DryFriction | None, physics: RotorParameters, speed: float, state: SteadyState, motion: Motion,
+    friction: DryFriction | None,
+    physics: RotorParameters,
+    speed: float,
+    state: SteadyState,
+    motion: Motion,
     sensors: Sensors,
-) -> LeftOpen:  # fmt: skip
+) -> LeftOpen:
     """What dry friction leaves open of a steady state.
 
     Args:

@@ -71,13 +71,19 @@ class Explanation:
         return {
             "causes": [
                 {
-                    "name": cause.name, "size": size * cause.factor, "std": std * cause.factor, "unit": cause.unit,
-                    "own_std": cause.std * cause.factor, "settles": cause.settles,
+                    "name": cause.name,
+                    "size": size * cause.factor,
+                    "std": std * cause.factor,
+                    "unit": cause.unit,
+                    "own_std": cause.std * cause.factor,
+                    "settles": cause.settles,
                 }
                 for cause, size, std in zip(self.causes, self.sizes, self.stds, strict=True)
             ],
-            "chi2": self.chi2, "score": self.score, "explained": self.explained,
-        }  # fmt: skip
+            "chi2": self.chi2,
+            "score": self.score,
+            "explained": self.explained,
+        }
 
 
 @dataclass(frozen=True)
@@ -121,10 +127,12 @@ class Explanations:
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         return {
-            "chi2": self.chi2, "dof": self.dof,
+            "chi2": self.chi2,
+            "dof": self.dof,
             "singles": [e.to_json() for e in self.singles[:_SHOWN]],
-            "pairs": [e.to_json() for e in self.pairs[:_SHOWN]], "sentences": self.sentences,
-        }  # fmt: skip
+            "pairs": [e.to_json() for e in self.pairs[:_SHOWN]],
+            "sentences": self.sentences,
+        }
 
 
 def explanations(

@@ -80,9 +80,14 @@ def with_arm(p: RotorParameters, arm_m: float) -> RotorParameters:
 
 
 def scatter_over_friction(
-    p: RotorParameters, arm_m: Sequence[float], speed: float, ramp_s: float, start_rad: Array, settle_s: float = 30.0,
+    p: RotorParameters,
+    arm_m: Sequence[float],
+    speed: float,
+    ramp_s: float,
+    start_rad: Array,
+    settle_s: float = 30.0,
     progress: Callable[[int, int], None] | None = None,
-) -> FrictionSweep:  # fmt: skip
+) -> FrictionSweep:
     """Start-ups from rest at each of several friction arms.
 
     Args:

@@ -43,8 +43,10 @@ class LaserRemarks:
         """The run with the lines taken out of its lasers."""
         if not any(self.lines):
             return run
-        x, y = (sum((line.at(time) for line in lines), np.zeros(len(time)))
-                for time, lines in zip((run.x_time_s, run.y_time_s), self.lines, strict=True))  # fmt: skip
+        x, y = (
+            sum((line.at(time) for line in lines), np.zeros(len(time)))
+            for time, lines in zip((run.x_time_s, run.y_time_s), self.lines, strict=True)
+        )
         return replace(run, x_m=run.x_m - x, y_m=run.y_m - y)
 
 

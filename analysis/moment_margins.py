@@ -54,9 +54,12 @@ def moment_margins(rig: Rig, known: IdentifiedParameters) -> MomentMargins:
     proper = margins.may_grow_kg_m is not None and not improper
     std = np.linalg.norm(each, axis=0).tolist()
     return MomentMargins(
-        moments, (std[0], std[1], std[2]), margins,
-        grow_std_kg_m=to_least if improper else to_most, shrink_std_kg_m=to_least if proper else to_most,
-    )  # fmt: skip
+        moments,
+        (std[0], std[1], std[2]),
+        margins,
+        grow_std_kg_m=to_least if improper else to_most,
+        shrink_std_kg_m=to_least if proper else to_most,
+    )
 
 
 def _sources(rig: Rig) -> list[dict[str, float]]:

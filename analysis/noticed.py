@@ -47,9 +47,12 @@ class Noticed:
         sizes = {n: v * self.cause.factor if math.isfinite(v) else None for n, v in self.sizes.items()}
         together = self.together * self.cause.factor
         return {
-            "cause": self.cause.name, "words": self.cause.words, "unit": self.cause.unit, "points": sizes,
+            "cause": self.cause.name,
+            "words": self.cause.words,
+            "unit": self.cause.unit,
+            "points": sizes,
             "together": together if math.isfinite(together) else None,
-        }  # fmt: skip
+        }
 
 
 def noticed(differences: Differences, causes: Sequence[Cause]) -> tuple[Noticed, ...]:

@@ -45,9 +45,12 @@ class Overall:
 
 
 def overall(
-    compared: Sequence[Compared], rig: Rig, identified: IdentifiedParameters,
-    axis_angle_deg: tuple[float, float] | None = None, releases: Sequence[Rows] = (),
-) -> Overall | None:  # fmt: skip
+    compared: Sequence[Compared],
+    rig: Rig,
+    identified: IdentifiedParameters,
+    axis_angle_deg: tuple[float, float] | None = None,
+    releases: Sequence[Rows] = (),
+) -> Overall | None:
     """What all points say together; None without any.
 
     Args:

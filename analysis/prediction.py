@@ -140,9 +140,13 @@ def predict_point(
     by_run_out_and_bow = np.hstack([by_shown_run_out(shown), bow[:5]])
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
     friction = left_open(
-        DryFriction.of(identified), physics, speed_rad_s, state,
-        lambda start, times: _motion(physics, speed_rad_s, start, times), (beta, run_out),
-    )  # fmt: skip
+        DryFriction.of(identified),
+        physics,
+        speed_rad_s,
+        state,
+        lambda start, times: _motion(physics, speed_rad_s, start, times),
+        (beta, run_out),
+    )
     values = values + friction.shift
     own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + friction.of_values
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
@@ -154,9 +158,21 @@ def predict_point(
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
     return Prediction(
-        state, speed_rad_s, values, covariance, by_parameter, slopes, own, shared, numerical,
-        (bow[:5], bow[5:]), (complex(*shown[5:7]), complex(*shown[7:])), by_run_out_and_bow, friction, by_term,
-    )  # fmt: skip
+        state,
+        speed_rad_s,
+        values,
+        covariance,
+        by_parameter,
+        slopes,
+        own,
+        shared,
+        numerical,
+        (bow[:5], bow[5:]),
+        (complex(*shown[5:7]), complex(*shown[7:])),
+        by_run_out_and_bow,
+        friction,
+        by_term,
+    )
 
 
 def _shared(
@@ -276,9 +292,13 @@ def _slopes(
 
 
 def _along(
-    pair: Sequence[RotorParameters], speeds: tuple[float, float], sensors: tuple[Sensors, Sensors],
-    start: np.ndarray, inverse: np.ndarray, h: float,
-) -> np.ndarray:  # fmt: skip
+    pair: Sequence[RotorParameters],
+    speeds: tuple[float, float],
+    sensors: tuple[Sensors, Sensors],
+    start: np.ndarray,
+    inverse: np.ndarray,
+    h: float,
+) -> np.ndarray:
     """Derivative of what is observed when a number moves by ±h and the steady state with it, shape (9,)."""
     up, down = (half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
     moved = inverse @ (up - down) / 2  # of the state, for +h

@@ -74,25 +74,30 @@ class Score:
         """Plain values in the unit of a key (name with unit, factor); what is not known is None."""
         unit, factor = key[0].rpartition("_")[2], key[1]
         numbers = {
-            f"measured_{unit}": self.measured * factor, f"measured_std_{unit}": self.measured_std * factor,
-            f"predicted_{unit}": self.predicted * factor, f"predicted_std_{unit}": self.predicted_std * factor,
-        }  # fmt: skip
+            f"measured_{unit}": self.measured * factor,
+            f"measured_std_{unit}": self.measured_std * factor,
+            f"predicted_{unit}": self.predicted * factor,
+            f"predicted_std_{unit}": self.predicted_std * factor,
+        }
         if not self.noise and math.isfinite(self.u_validation):
             reach = _NORMAL_95 * self.u_validation
             error = self.error
             numbers |= {
-                f"error_{unit}": error * factor, f"u_numerical_{unit}": self.u_numerical * factor,
+                f"error_{unit}": error * factor,
+                f"u_numerical_{unit}": self.u_numerical * factor,
                 f"u_validation_{unit}": self.u_validation * factor,
                 f"model_error_low_{unit}": (error - reach) * factor,
                 f"model_error_high_{unit}": (error + reach) * factor,
-            }  # fmt: skip
+            }
         found: dict[str, Any] = {"statistic": "noise" if self.noise else "difference"}
         found |= {name: finite(value) for name, value in numbers.items()}
         if self.noise:
             found |= {
                 f"noise_{unit}": [finite(s * factor) for s in self.noise],
-                "chi2": finite(self.chi2), "dof": 2 * len(self.noise), "p": self.p,
-            }  # fmt: skip
+                "chi2": finite(self.chi2),
+                "dof": 2 * len(self.noise),
+                "p": self.p,
+            }
         return found | {"z": finite(self.z)}
 
 

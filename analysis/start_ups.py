@@ -92,16 +92,24 @@ class Ending:
             key, factor = JSON_KEYS[name]
             unit = key.rpartition("_")[2]
             shown[name] = {
-                f"mean_difference_{unit}": one.mean * factor, f"scatter_{unit}": one.found * factor,
-                f"explained_{unit}": one.explained * factor, "p": one.p,
-            }  # fmt: skip
+                f"mean_difference_{unit}": one.mean * factor,
+                f"scatter_{unit}": one.found * factor,
+                f"explained_{unit}": one.explained * factor,
+                "p": one.p,
+            }
         return {
-            "state": self.state, "predicted_theta_deg": self.theta_deg.tolist(), "count": self.count, "scatter": shown,
+            "state": self.state,
+            "predicted_theta_deg": self.theta_deg.tolist(),
+            "count": self.count,
+            "scatter": shown,
             "vibration_um": {
-                "mean": 1e6 * float(np.mean(self.vibration_m)), "largest": 1e6 * float(np.max(self.vibration_m)),
-                "predicted": 1e6 * self.predicted_m, "noise": 1e6 * self.noise_m, "locked": finite(1e6 * self.locked_m),
+                "mean": 1e6 * float(np.mean(self.vibration_m)),
+                "largest": 1e6 * float(np.max(self.vibration_m)),
+                "predicted": 1e6 * self.predicted_m,
+                "noise": 1e6 * self.noise_m,
+                "locked": finite(1e6 * self.locked_m),
             },
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)
@@ -143,10 +151,13 @@ class StartUps:
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         return {
-            "speed_rpm": self.speed_rpm, "passed": self.passed, "counts": self.counts, "sentences": self.sentences,
+            "speed_rpm": self.speed_rpm,
+            "passed": self.passed,
+            "counts": self.counts,
+            "sentences": self.sentences,
             "endings": [ending.to_json() for ending in self.endings],
             "logs": [{"log": e.source, **e.to_json()} for e in self.results],
-        }  # fmt: skip
+        }
 
 
 def start_ups(speed_rpm: float, results: Sequence[PointResult], locked_m: Sequence[float]) -> StartUps:
@@ -205,9 +216,15 @@ def _ending(group: Sequence[PointResult], locked_m: Sequence[float]) -> Ending:
         scatter = {n: _scatter(table[:, QUANTITIES.index(n)], variance[:, QUANTITIES.index(n)]) for n in shown}
     known = [value for value in locked_m if math.isfinite(value)]
     return Ending(
-        group[0].state, np.degrees(prediction.values[:2]) % 360, len(group), scatter, np.array(radius),
-        float(np.mean(predicted)), float(np.mean(noise)), float(np.mean(known)) if known else math.nan,
-    )  # fmt: skip
+        group[0].state,
+        np.degrees(prediction.values[:2]) % 360,
+        len(group),
+        scatter,
+        np.array(radius),
+        float(np.mean(predicted)),
+        float(np.mean(noise)),
+        float(np.mean(known)) if known else math.nan,
+    )
 
 
 def _moves(name: str, size: Array, own: Sequence[Array]) -> bool:

@@ -258,10 +258,19 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
     def judged(at: float = end, slack: float = 1.0) -> Settling:
         marks = (run.mark_time_s >= release) & (run.mark_time_s <= at)
         return settled(
-            run.angle_time_s[angles], run.angle_rad[angles], run.mark_time_s[marks], run.mark_phase_rad[marks],
-            run.x_time_s[x], run.x_m[x], run.y_time_s[y], run.y_m[y], release_time_s=None if free else release,
-            angle_step_rad=run.angle_step_rad, average_s=AVERAGE_S, slack=slack,
-        )  # fmt: skip
+            run.angle_time_s[angles],
+            run.angle_rad[angles],
+            run.mark_time_s[marks],
+            run.mark_phase_rad[marks],
+            run.x_time_s[x],
+            run.x_m[x],
+            run.y_time_s[y],
+            run.y_m[y],
+            release_time_s=None if free else release,
+            angle_step_rad=run.angle_step_rad,
+            average_s=AVERAGE_S,
+            slack=slack,
+        )
 
     def was_settled() -> bool:
         return judged(slack=_SLACK).settled and any(judged(at=end - since).settled for since in _LATELY_S)

@@ -118,9 +118,7 @@ def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | No
     edges = whole_revolutions(time, phase, _WINDOW_S, _MOST_WINDOWS)
     if len(edges) <= LEAST_WINDOWS:
         return None
-    angles = angle_means(
-        run.angle_time_s, run.angle_rad, time, phase, edges, run.angle_step_rad, LEAST_WINDOWS
-    )  # fmt: skip
+    angles = angle_means(run.angle_time_s, run.angle_rad, time, phase, edges, run.angle_step_rad, LEAST_WINDOWS)
     orbit = orbit_means(run.x_time_s, run.x_m, run.y_time_s, run.y_m, time, phase, edges, LEAST_WINDOWS)
     if angles is None or orbit is None:
         return None
@@ -141,9 +139,11 @@ def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | No
     if found is None:
         return None
     return replace(
-        found, values=back @ (held * found.values), covariance=back @ found.covariance @ back.T,
+        found,
+        values=back @ (held * found.values),
+        covariance=back @ found.covariance @ back.T,
         to_come=back @ (held * found.to_come),
-    )  # fmt: skip
+    )
 
 
 def _radius_and_arc(vectors: Array, noise: Array, mean: Array, turn_std: Array) -> tuple[Array, Array, Array] | None:

@@ -145,8 +145,11 @@ def validate(
     }
     found = overall(
         [Compared(n, p.measurement, p.prediction) for n, p in settled.items() if p.measurement and p.prediction],
-        rig, identified, axis_angle_deg, [each for each in releases if each.point in results or _is_test(each)],
-    )  # fmt: skip
+        rig,
+        identified,
+        axis_angle_deg,
+        [each for each in releases if each.point in results or _is_test(each)],
+    )
     repeated = _start_ups(runs, rig, identified, axis_angle_deg)
     changed = _suspension(results, identified)
     if found is None:

@@ -168,12 +168,19 @@ def row(case: Case, cells: int, seed: int, by_scipy: bool) -> dict[str, Any]:
     found, p, wall, processor = timed(case)
     verdicts = held_against(found, p, cells, seed, by_scipy)
     return {
-        "case": case.name, "wall_s": wall, "processor_s": processor, "releases": found.end.size,
-        "ends": [{"end": e.words, "share": s, "multiplier": e.multiplier}
-                 for e, s in zip(found.ends, found.shares.tolist(), strict=False)],
-        "not_settled_share": float(found.shares[-1]), "at_a_boundary_share": 1 - float(found.sure.mean()),
-        "held_against_cells": sum(verdicts.values()), "verdicts": dict(verdicts),
-    }  # fmt: skip
+        "case": case.name,
+        "wall_s": wall,
+        "processor_s": processor,
+        "releases": found.end.size,
+        "ends": [
+            {"end": e.words, "share": s, "multiplier": e.multiplier}
+            for e, s in zip(found.ends, found.shares.tolist(), strict=False)
+        ],
+        "not_settled_share": float(found.shares[-1]),
+        "at_a_boundary_share": 1 - float(found.sure.mean()),
+        "held_against_cells": sum(verdicts.values()),
+        "verdicts": dict(verdicts),
+    }
 
 
 def _print(one: dict[str, Any]) -> None:

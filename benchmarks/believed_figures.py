@@ -73,8 +73,10 @@ def _line(name: str, z: Sequence[float], relative: float | None = None) -> str:
     inside = int(np.sum(np.abs(z) < _LIMIT))
     low, high = binomial_interval(inside, len(z))
     end = "" if relative is None else f"{relative:11.1e}"
-    return (f"{name:22}{len(z):5}{inside / len(z):7.3f}{f'{low:.3f}…{high:.3f}':>15}{np.mean(z):8.2f}{np.std(z):7.2f}"
-            f"{np.max(np.abs(z)):9.2f}{end}")  # fmt: skip
+    return (
+        f"{name:22}{len(z):5}{inside / len(z):7.3f}{f'{low:.3f}…{high:.3f}':>15}{np.mean(z):8.2f}{np.std(z):7.2f}"
+        f"{np.max(np.abs(z)):9.2f}{end}"
+    )
 
 
 def _verdicts(rows: Sequence[dict[str, Any]]) -> list[str]:
@@ -144,8 +146,15 @@ def run(seeds: Sequence[int], plan: Plan, jobs: int, out: Path | None, resume: b
     if out:
         out.parent.mkdir(parents=True, exist_ok=True)
     left = sorted(wanted - {row["seed"] for row in rows})
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                   TimeRemainingColumn(), TextColumn("{task.fields[rate]}"), console=Console(stderr=True))  # fmt: skip
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[rate]}"),
+        console=Console(stderr=True),
+    )
     with bar:
         task = bar.add_task("campaigns", total=len(seeds), completed=len(rows), rate="")
         for row in campaigns(left, plan, jobs):

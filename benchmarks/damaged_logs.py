@@ -237,9 +237,21 @@ def bomb(data: bytearray, rng: Generator) -> None:
 
 
 DAMAGES: tuple[Damager, ...] = (
-    flip_one, flip_many, flip_heads, cut, cut_and_flip, remove, insert, swap, copy, zero, double_chunk, hostile_length,
-    hostile_summary, bomb,
-)  # fmt: skip
+    flip_one,
+    flip_many,
+    flip_heads,
+    cut,
+    cut_and_flip,
+    remove,
+    insert,
+    swap,
+    copy,
+    zero,
+    double_chunk,
+    hostile_length,
+    hostile_summary,
+    bomb,
+)
 
 
 # ---------------------------------------------------------------------------------------------------------- checks

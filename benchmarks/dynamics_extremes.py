@@ -75,9 +75,18 @@ def draw(rng: np.random.Generator) -> tuple[RotorParameters, float, dict[str, An
     k1 = (8.0 + mass_a + mass_b) * (6 * math.pi) ** 2
     speed_ratio = log(1e-3, 100.0)
     told = dict(  # noqa: C408
-        mass_a=mass_a, mass_b=mass_b, c3=damping_a, c4=damping_b, ball_radius=ball, sp=places[place], place=place,
-        zeta1=zeta1, zeta2=zeta2, K=ratio, speed_ratio=speed_ratio,
-    )  # fmt: skip
+        mass_a=mass_a,
+        mass_b=mass_b,
+        c3=damping_a,
+        c4=damping_b,
+        ball_radius=ball,
+        sp=places[place],
+        place=place,
+        zeta1=zeta1,
+        zeta2=zeta2,
+        K=ratio,
+        speed_ratio=speed_ratio,
+    )
     return RotorParameters(7.0, 1.0, places[place], a, b, k1, ratio * k1, zeta1, zeta2), speed_ratio, told
 
 
@@ -116,9 +125,10 @@ def judge_multipliers(
             except (NotConverged, FloatingPointError):
                 continue
             return row | {
-                "reference": "second method", "uncertainty": second.error_estimate,
+                "reference": "second method",
+                "uncertainty": second.error_estimate,
                 "error": abs(largest - second.largest),
-            }  # fmt: skip
+            }
     return row
 
 
@@ -132,10 +142,16 @@ def _symbolic(steady: bool) -> Any:
         )
 
     symbols = SimpleNamespace(
-        total_mass_kg=par[0], k1_N_per_m=par[1], k2_N_per_m=par[2], damping_Ns_per_m=(par[3], par[4]),
-        a=body(5, 8, 13, 10), b=body(6, 9, 14, 11),
-        forcing_moment_kg_m=par[7], pivot_shift_m=par[12], gravity_m_per_s2=par[17],
-    )  # fmt: skip
+        total_mass_kg=par[0],
+        k1_N_per_m=par[1],
+        k2_N_per_m=par[2],
+        damping_Ns_per_m=(par[3], par[4]),
+        a=body(5, 8, 13, 10),
+        b=body(6, 9, 14, 11),
+        forcing_moment_kg_m=par[7],
+        pivot_shift_m=par[12],
+        gravity_m_per_s2=par[17],
+    )
     return heyoka_peer.equations(symbols, par[18], 0.0 if steady else par[19])  # pyright: ignore[reportArgumentType]
 
 
@@ -211,8 +227,10 @@ def judge_motion(p: RotorParameters, ratio: float, told: dict[str, Any], options
     except DynamicsError:
         return row
     return row | {
-        "reference": "second method", "uncertainty": second.error_estimate, "error": apart(motion.state, second.state),
-    }  # fmt: skip
+        "reference": "second method",
+        "uncertainty": second.error_estimate,
+        "error": apart(motion.state, second.state),
+    }
 
 
 def _orbit_through(
@@ -275,8 +293,10 @@ def judge_states(p: RotorParameters, ratio: float, told: dict[str, Any], options
 
 
 JUDGES: dict[str, Callable[..., dict[str, Any]]] = {
-    "multipliers": judge_multipliers, "motion": judge_motion, "states": judge_states,
-}  # fmt: skip
+    "multipliers": judge_multipliers,
+    "motion": judge_motion,
+    "states": judge_states,
+}
 
 
 def judged(number: int, options: argparse.Namespace) -> Row:
@@ -304,18 +324,23 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     wrong = [r for r in known if r["error"] > r["allowed"] + r["uncertainty"]]
     beyond = [r for r in sharp if r["error"] > r["estimate"] + r["uncertainty"]]
     return {
-        "draws": len(rows), "answered": len(answered),
+        "draws": len(rows),
+        "answered": len(answered),
         "refused": dict(Counter(r["refused"] for r in rows if "refused" in r).most_common()),
         "crashed": dict(Counter(r["crashed"] for r in rows if "crashed" in r).most_common()),
         "judged_by": dict(Counter(r["reference"] for r in known)),
         "not_finite": sum(not math.isfinite(r.get("largest", 0.0) + r["estimate"]) for r in answered),
-        "beyond_target": len(wrong), "judged_on_estimate": len(sharp), "beyond_estimate": len(beyond),
+        "beyond_target": len(wrong),
+        "judged_on_estimate": len(sharp),
+        "beyond_estimate": len(beyond),
         "worst_by_target": sorted(known, key=lambda r: -r["error"] / r["allowed"])[:5],
         "worst_by_estimate": sorted(sharp, key=lambda r: -r["error"] / max(r["estimate"], 1e-300))[:5],
         "angle_error_max": max((r.get("angle_error", 0.0) for r in known), default=0.0),
-        "seconds_median": float(np.median(seconds)), "seconds_95": float(np.quantile(seconds, 0.95)),
-        "seconds_max": float(seconds.max()), "methods": dict(Counter(r["method"] for r in answered)),
-    }  # fmt: skip
+        "seconds_median": float(np.median(seconds)),
+        "seconds_95": float(np.quantile(seconds, 0.95)),
+        "seconds_max": float(seconds.max()),
+        "methods": dict(Counter(r["method"] for r in answered)),
+    }
 
 
 def _print(found: dict[str, Any]) -> None:

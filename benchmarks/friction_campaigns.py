@@ -52,9 +52,11 @@ class Drawn:
         self.c = 1e-3 * 10 ** draw(-0.5, 0.5, 2)
         self.moment = 0.120 * 0.02117 * (1 + 0.03 * draw(-1, 1))
         self.encoders = Encoders(
-            2 * np.pi / 2 ** self.rng.integers(8, 17), float(self.rng.choice([500, 1000, 2000])),
-            float(self.rng.choice([0.0, 0.3, 1.0])), 0.05 * draw() ** 2,
-        )  # fmt: skip
+            2 * np.pi / 2 ** self.rng.integers(8, 17),
+            float(self.rng.choice([500, 1000, 2000])),
+            float(self.rng.choice([0.0, 0.3, 1.0])),
+            0.05 * draw() ** 2,
+        )
         torque = 10 ** draw(-6, -3) * (1 + 0.2 * draw(-1, 1, 2))
         contact = 10 ** draw(-9, -5 if self.limit is None else np.log10(self.limit)) * (1 + 0.2 * draw(-1, 1, 2))
         if self.limit is not None:
@@ -91,8 +93,19 @@ class Drawn:
         angle[after] = swings(np.r_[0, 0, lock, 0, 0, flick], t[after], p, self.dry)[:, 2:4]
         none = np.empty(0)
         read = self._read(t, angle)
-        return Run("spin-down", "spin-down.mcap", 0.0, none, none, none, none, *read, none, none,
-                   angle_step_rad=self.encoders.step_rad)  # fmt: skip
+        return Run(
+            "spin-down",
+            "spin-down.mcap",
+            0.0,
+            none,
+            none,
+            none,
+            none,
+            *read,
+            none,
+            none,
+            angle_step_rad=self.encoders.step_rad,
+        )
 
     def release(self, speed_Hz: float) -> Run:
         speed, psi0, lock = 2 * np.pi * speed_Hz, self.rng.uniform(-np.pi, np.pi), self._locks()
@@ -109,9 +122,20 @@ class Drawn:
         turns = 2 * np.pi * np.arange(np.ceil(psi0 / (2 * np.pi)), (psi0 + speed * t[-1]) // (2 * np.pi))
         marks = (turns - psi0) / speed + 1e-6 * self.rng.standard_normal(len(turns))
         said, none = go + 5e-4 * self.rng.standard_normal(), np.empty(0)
-        return Run(f"point-{speed_Hz:g}Hz", f"point-{speed_Hz:g}Hz.mcap", 0.0, none, none, none, none,
-                   *self._read(t, angle), marks, turns, (Release(0, said), Release(1, said)),
-                   self.encoders.step_rad)  # fmt: skip
+        return Run(
+            f"point-{speed_Hz:g}Hz",
+            f"point-{speed_Hz:g}Hz.mcap",
+            0.0,
+            none,
+            none,
+            none,
+            none,
+            *self._read(t, angle),
+            marks,
+            turns,
+            (Release(0, said), Release(1, said)),
+            self.encoders.step_rad,
+        )
 
     def known(self) -> tuple[Estimate, Run]:
         """Suspension and imbalance as other tests have found them, and a run that stands for those."""
@@ -188,11 +212,13 @@ def campaign(drawn: Drawn, guess, tables: dict[str, Tally], label: str, quick: b
     knowledge = Knowledge.nominal(guess.physics).with_found(found, estimate.std)
     tally(tables["spin-down"], drawn.truth, lambda: _one_fit(fit_spin_down_run(runs[0], knowledge)), f"{label} spin")
     for run in [] if quick else runs[1:]:
-        tally(tables["release"], drawn.truth, lambda run=run: _one_fit(fit_release(run, knowledge, ZERO_STD)),
-              f"{label} {run.test}")  # fmt: skip
-    earlier = Identification(
-        IdentifiedParameters(found, estimate.covariance), 0.0, 1.0, [estimate], [], [], []
-    )  # fmt: skip
+        tally(
+            tables["release"],
+            drawn.truth,
+            lambda run=run: _one_fit(fit_release(run, knowledge, ZERO_STD)),
+            f"{label} {run.test}",
+        )
+    earlier = Identification(IdentifiedParameters(found, estimate.covariance), 0.0, 1.0, [estimate], [], [], [])
 
     def all_of(chosen: list[Run], show: bool):
         def ask():
@@ -233,13 +259,18 @@ def main() -> None:
         for number in range(given.first, given.first + given.draws):
             rng = np.random.default_rng([given.seed, number, len(kind)])
             drawn = Drawn(rng, kind, given.limit)
-            wrong = {f"pendulums.{n}.damping_Nms_per_rad": float(drawn.c[i] * 2 ** rng.uniform(-1, 1)) for i, n in
-                     enumerate("ab")}  # fmt: skip
+            wrong = {
+                f"pendulums.{n}.damping_Nms_per_rad": float(drawn.c[i] * 2 ** rng.uniform(-1, 1))
+                for i, n in enumerate("ab")
+            }
             guess = load_rig("virtual", settings=wrong)
             bits = round(np.log2(2 * np.pi / drawn.encoders.step_rad))
-            print(f"  {kind} {number}: M {drawn.dry.torque_Nm[0]:.1e}, F {drawn.dry.contact_kg_m2[0]:.1e}, "
-                  f"{bits} bits, {drawn.encoders.rate_Hz:.0f} Hz, jitter {drawn.encoders.jitter:g}, c {drawn.c[0]:.1e} "
-                  f"{drawn.c[1]:.1e}", flush=True)  # fmt: skip
+            print(
+                f"  {kind} {number}: M {drawn.dry.torque_Nm[0]:.1e}, F {drawn.dry.contact_kg_m2[0]:.1e}, "
+                f"{bits} bits, {drawn.encoders.rate_Hz:.0f} Hz, jitter {drawn.encoders.jitter:g}, c {drawn.c[0]:.1e} "
+                f"{drawn.c[1]:.1e}",
+                flush=True,
+            )
             campaign(drawn, guess, tables[kind], f"{kind} {number}", given.quick)
         print(head)
         for name, table in tables[kind].items():

@@ -55,9 +55,14 @@ class Recorder:
     def drawn(cls, rng: np.random.Generator) -> Recorder:
         """Any laboratory's."""
         return cls(
-            float(rng.choice([500, 1000, 2000, 5000])), 1e-6 * 30 ** rng.random(), int(rng.choice([1024, 4096, 16384])),
-            0.05 * rng.random() ** 2, 0.01 * rng.random() ** 2, rng.uniform(25, 100), rng.uniform(0.5e-3, 3e-3),
-        )  # fmt: skip
+            float(rng.choice([500, 1000, 2000, 5000])),
+            1e-6 * 30 ** rng.random(),
+            int(rng.choice([1024, 4096, 16384])),
+            0.05 * rng.random() ** 2,
+            0.01 * rng.random() ** 2,
+            rng.uniform(25, 100),
+            rng.uniform(0.5e-3, 3e-3),
+        )
 
 
 @dataclass
@@ -201,8 +206,16 @@ class Rig:
         turning = {"phase": "psi_rad:rad"} if test in ("run-up", "point") else {}
         if test == "point" and self.recorder.speed_noise_rpm:  # an encoder for the run-up, a tachometer for the point
             turning = {"speed": "speed_rpm:rpm"}
-        recipe = make_recipe(test="point-E" if test == "point" else test, time="t_s:s", x="x_mm:mm", y="y_mm:mm",
-                             theta3="theta3_deg:deg", theta4="theta4_deg:deg", **turning, **options)  # fmt: skip
+        recipe = make_recipe(
+            test="point-E" if test == "point" else test,
+            time="t_s:s",
+            x="x_mm:mm",
+            y="y_mm:mm",
+            theta3="theta3_deg:deg",
+            theta4="theta4_deg:deg",
+            **turning,
+            **options,
+        )
         log = path.with_suffix(".mcap")
         import_recording(path, log, self.guess(), recipe)
         return log
@@ -226,9 +239,12 @@ def main() -> None:
     parser.add_argument("--wide", action="store_true", help="extreme rigs and recorders")
     parser.add_argument("--tests", default=",".join(TESTS))
     parser.add_argument(
-        "--change", action="append", default=[], metavar="NAME=VALUE",
+        "--change",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
         help="phase_step_deg, speed_noise_rpm, torque_Nm, contact_kg_m2, light_A, rate_Hz …",
-    )  # fmt: skip
+    )
     arguments = parser.parse_args()
     changes = {name: float(value) for name, value in (text.split("=") for text in arguments.change)}
     z: dict[str, list[float]] = {}
@@ -264,8 +280,10 @@ def main() -> None:
     for name, values in z.items():
         a = np.abs(values)
         share = np.mean(a < 1.96)
-        print(f"{name:36}{len(a):5}{np.mean(values):8.2f}{np.std(values):8.2f}{share:10.3f}{a.max():7.2f}"
-              f"{np.median(relative[name]):11.2e}")  # fmt: skip
+        print(
+            f"{name:36}{len(a):5}{np.mean(values):8.2f}{np.std(values):8.2f}{share:10.3f}{a.max():7.2f}"
+            f"{np.median(relative[name]):11.2e}"
+        )
     pooled = np.abs([v for name, values in z.items() if not name.startswith(" ") for v in values])
     print(f"pooled over {len(pooled)} values: within 1.96 {np.mean(pooled < 1.96):.3f}, largest {pooled.max():.2f}")
 

@@ -50,9 +50,12 @@ class LinearRotor:
         inertia = np.array([a.mass_kg * a.length_m**2, b.mass_kg * b.length_m**2])
         loss = np.array([a.damping_Nms_per_rad, b.damping_Nms_per_rad])
         return cls(
-            k / (mass * omega[:, None] ** 2), c / (mass * omega[:, None]), arms**2 / (inertia * mass),
-            loss / (inertia * omega[:, None]), _balanced(arms, rig.imbalance_mass_kg * rig.imbalance_radius_m),
-        )  # fmt: skip
+            k / (mass * omega[:, None] ** 2),
+            c / (mass * omega[:, None]),
+            arms**2 / (inertia * mass),
+            loss / (inertia * omega[:, None]),
+            _balanced(arms, rig.imbalance_mass_kg * rig.imbalance_radius_m),
+        )
 
     def rates(self, phase: float) -> Array:
         """A(ψ) of the state (x, y, l1 θ3, l2 θ4, and their rates), l_i = S_i/M_S, shape (points, 8, 8)."""

@@ -44,9 +44,14 @@ def mechanics_of(physics: RotorParameters) -> Mechanics:
 
 
 def release_run(
-    physics: RotorParameters, speed_Hz: float, rng: np.random.Generator, encoders: Encoders, zeros_rad: np.ndarray,
-    record_s: float = 5.0, laser_noise_m: float = 10e-6,
-) -> Run:  # fmt: skip
+    physics: RotorParameters,
+    speed_Hz: float,
+    rng: np.random.Generator,
+    encoders: Encoders,
+    zeros_rad: np.ndarray,
+    record_s: float = 5.0,
+    laser_noise_m: float = 10e-6,
+) -> Run:
     """Three seconds locked, then both pendulums let go; speed constant; lasers at 1 kHz, encoders, index marks."""
     speed, psi0 = 2 * np.pi * speed_Hz, rng.uniform(-np.pi, np.pi)
     go = 3.0 + rng.uniform(0, 0.2)
@@ -70,6 +75,17 @@ def release_run(
     told = go + 5e-4 * rng.standard_normal()
     lasers = state[:2] + laser_noise_m * rng.standard_normal((2, len(time)))
     return Run(
-        "point-C", "independent release", 0.0, time, lasers[0], time, lasers[1], time[keep], angle, marks, turns,
-        (Release(0, told), Release(1, told)), encoders.step_rad,
-    )  # fmt: skip
+        "point-C",
+        "independent release",
+        0.0,
+        time,
+        lasers[0],
+        time,
+        lasers[1],
+        time[keep],
+        angle,
+        marks,
+        turns,
+        (Release(0, told), Release(1, told)),
+        encoders.step_rad,
+    )

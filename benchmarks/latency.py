@@ -72,8 +72,12 @@ def _serve(rig: Rig, told: Connection, path: Path) -> None:
     virtual.run()
     virtual.close()
     for name, sent in virtual.out.items():
-        np.savez(path / name, ns=[ns for ns, _ in sent], size=[len(data) for _, data in sent],
-                 data=np.frombuffer(b"".join(data for _, data in sent), np.uint8))  # fmt: skip
+        np.savez(
+            path / name,
+            ns=[ns for ns, _ in sent],
+            size=[len(data) for _, data in sent],
+            data=np.frombuffer(b"".join(data for _, data in sent), np.uint8),
+        )
 
 
 def receive_ms(log: Path, folder: Path, utc_ns: int) -> dict[str, np.ndarray]:

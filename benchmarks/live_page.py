@@ -195,8 +195,16 @@ def _hour(rig_name: str, minutes: int = 60) -> None:
             rate = {"tacho": 10, "motor": 100, "pendulums": 1000}.get(topic, 4000)
             at = second * 10**9 + np.arange(rate, dtype=np.int64) * (10**9 // rate)
             count = second * rate + np.arange(rate)
-            columns = {name: (count if name == "revolutions" else np.zeros(rate, np.int64) if name == "flags"
-                              else np.sin(62.8 * at * 1e-9) + 600.0 * ("rpm" in name)) for name in fields}  # fmt: skip
+            columns = {
+                name: (
+                    count
+                    if name == "revolutions"
+                    else np.zeros(rate, np.int64)
+                    if name == "flags"
+                    else np.sin(62.8 * at * 1e-9) + 600.0 * ("rpm" in name)
+                )
+                for name in fields
+            }
             rows.append((topic, at, dict(columns)))
         event = {"time_ns": second * 10**9, "kind": "gap", "device": "encoder", "text": "an event a second"}
         watched._take({"heard_ns": (second + 1) * 10**9, "rows": rows, "events": [event], "facts": {}})

@@ -39,8 +39,12 @@ rng = np.random.default_rng(4)
 def laser(k: np.ndarray) -> dict[str, np.ndarray]:
     """A laser at rest with 4 µm of noise, on its 16 bit code."""
     code = np.round(32768 + rng.normal(0, 4e-6, len(k)) / 25e-3 * 65520 + 500 * np.sin(0.003 * k)).astype(np.uint32)
-    return {"displacement_m": code * (25e-3 / 65520), "code": code, "counter": k % 2**18,
-            "device_ticks": 25 * k.astype(np.uint64)}  # fmt: skip
+    return {
+        "displacement_m": code * (25e-3 / 65520),
+        "code": code,
+        "counter": k % 2**18,
+        "device_ticks": 25 * k.astype(np.uint64),
+    }
 
 
 def laser_times(k: np.ndarray) -> np.ndarray:
@@ -93,8 +97,15 @@ def add_flush(writer: BlockWriter, ids: dict[str, int], number: int) -> None:
     for channel in (ch.LASER_X, ch.LASER_Y):
         writer.add_block(ids[channel.topic], now, laser_times(k), k, channel.pack(laser(k)))
     counts = np.round(2048 + 900 * np.sin(0.004 * j)).astype(np.int32)
-    angles = {"theta3_rad": counts * (2 * np.pi / 4096), "theta4_rad": -counts * (2 * np.pi / 4096), "count_a": counts,
-              "count_b": -counts, "index": j, "node_time_us": 1000 * j.astype(np.uint64), "flags": 96}  # fmt: skip
+    angles = {
+        "theta3_rad": counts * (2 * np.pi / 4096),
+        "theta4_rad": -counts * (2 * np.pi / 4096),
+        "count_a": counts,
+        "count_b": -counts,
+        "index": j,
+        "node_time_us": 1000 * j.astype(np.uint64),
+        "flags": 96,
+    }
     times = T0 + j * 1_000_000
     writer.add_block(ids["pendulums"], now, times, j, ch.PENDULUMS.pack(angles))
     motor = {"speed_rpm": 600 + rng.normal(0, 0.1, 50), "target_rpm": 600.0, "statusword": 0x237}
@@ -168,8 +179,10 @@ def peer_samples(path: Path) -> None:
 
 def peak_MiB(task: str) -> float:
     """Peak memory of a fresh process that does `task`, above that of one that reads a tiny log; Linux only."""
-    code = ("import benchmarks.log_reading as b\nfrom pathlib import Path\n{}\n"
-            "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])")  # fmt: skip
+    code = (
+        "import benchmarks.log_reading as b\nfrom pathlib import Path\n{}\n"
+        "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"
+    )
     peaks = [
         int(subprocess.run([sys.executable, "-c", code.format(do)], capture_output=True, text=True, check=True).stdout)
         for do in (task, "b.open_log(b.FEW)['laser/x']")
@@ -191,13 +204,17 @@ def main() -> None:
             part = path.with_suffix(".part")
             make(part)
             part.replace(path)
-    print(f"files: {LASERS.stat().st_size / 1e6:.0f} MB of {SAMPLES / 1e6:.0f} M samples, "
-          f"{HOUR.stat().st_size / 1e6:.0f} MB of one hour")  # fmt: skip
+    print(
+        f"files: {LASERS.stat().st_size / 1e6:.0f} MB of {SAMPLES / 1e6:.0f} M samples, "
+        f"{HOUR.stat().st_size / 1e6:.0f} MB of one hour"
+    )
     read_samples(LASERS)
     ours, cold = median_s(lambda: read_samples(LASERS), 7), median_s(lambda: read_samples(LASERS), 3, cold=True)
     peer = median_s(lambda: peer_samples(FEW), 3) * SAMPLES / PEER_SAMPLES
-    print(f"2 M samples into arrays: {ours:.3f} s warm, {cold:.3f} s cold; mcap library {peer:.1f} s (scaled from "
-          f"a file of {PEER_SAMPLES}), {peer / ours:.0f} ×")  # fmt: skip
+    print(
+        f"2 M samples into arrays: {ours:.3f} s warm, {cold:.3f} s cold; mcap library {peer:.1f} s (scaled from "
+        f"a file of {PEER_SAMPLES}), {peer / ours:.0f} ×"
+    )
     opening = median_s(lambda: open_log(HOUR).close(), 21), median_s(lambda: open_log(HOUR).close(), 5, cold=True)
     print(f"1 h log opened: {opening[0] * 1e3:.1f} ms warm, {opening[1] * 1e3:.1f} ms cold")
     starts = (T0 + rng.integers(1, 3598, 40) * 10**9).tolist()
@@ -205,8 +222,10 @@ def main() -> None:
     cold = median_s(each(starts, read_window), 9, cold=True)
     assert peer_window(HOUR, starts[0]) == read_window(HOUR, starts[0])
     peer = median_s(each(starts, peer_window), 3)
-    print(f"1 s window, opened anew: {warm * 1e3:.1f} ms warm, {cold * 1e3:.1f} ms cold; mcap library "
-          f"{peer * 1e3:.0f} ms, {peer / warm:.0f} ×")  # fmt: skip
+    print(
+        f"1 s window, opened anew: {warm * 1e3:.1f} ms warm, {cold * 1e3:.1f} ms cold; mcap library "
+        f"{peer * 1e3:.0f} ms, {peer / warm:.0f} ×"
+    )
     if sys.platform == "linux":
         for what, task in (
             ("a 1 s window", "b.read_window(b.HOUR, b.T0 + 10**12)"),

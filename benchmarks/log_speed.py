@@ -135,8 +135,9 @@ def read_library(path: Path, count: int) -> None:
     """The same arrays through the mcap library, in file order (its default order is slower still)."""
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
-        found = [(m.log_time, m.publish_time, m.sequence, m.data) for _, _, m in reader.iter_messages(
-            log_time_order=False)]  # fmt: skip
+        found = [
+            (m.log_time, m.publish_time, m.sequence, m.data) for _, _, m in reader.iter_messages(log_time_order=False)
+        ]
     times = np.array([row[:3] for row in found], np.int64)
     columns = LASER.unpack(b"".join(row[3] for row in found))
     assert len(times) == len(columns["displacement_m"]) == count
@@ -146,28 +147,47 @@ def sample_cases(folder: Path, quick: bool) -> list[Case]:
     """Writing and reading laser samples."""
     samples = laser_samples(100_000 if quick else 400_000)
     few = samples[: 20_000 if quick else 40_000]
-    rows = list(zip(few.log_time_ns.tolist(), [m.tobytes() for m in few.messages()], few.time_ns.tolist(),
-                    few.sequence.tolist(), strict=True))  # fmt: skip
+    rows = list(
+        zip(
+            few.log_time_ns.tolist(),
+            [m.tobytes() for m in few.messages()],
+            few.time_ns.tolist(),
+            few.sequence.tolist(),
+            strict=True,
+        )
+    )
     several = rows * 5
     cases: list[Case] = []
     for compression in ("zstd", "none"):
         for size in (40, 400, 4000):
             blocks = list(samples.blocks(size))
             cases.append(
-                Case("write samples", f"ours, {compression}, blocks of {size}", len(samples),
-                     lambda path, b=blocks, c=compression: write_ours(path, b, c))
-            )  # fmt: skip
+                Case(
+                    "write samples",
+                    f"ours, {compression}, blocks of {size}",
+                    len(samples),
+                    lambda path, b=blocks, c=compression: write_ours(path, b, c),
+                )
+            )
     for theirs in (CompressionType.ZSTD, CompressionType.NONE):
         cases.append(
-            Case("write samples", f"mcap library, {theirs.name.lower()}", len(rows),
-                 lambda path, c=theirs: write_library(path, rows, c))
-        )  # fmt: skip
+            Case(
+                "write samples",
+                f"mcap library, {theirs.name.lower()}",
+                len(rows),
+                lambda path, c=theirs: write_library(path, rows, c),
+            )
+        )
     for name, kind in (("zstd", MCAPCompression.Zstd), ("none", None)):
         for direct in (False, True):
             cases.append(
-                Case("write samples", f"foxglove-sdk, {name}, {'BaseChannel.log' if direct else 'Channel.log'}",
-                     len(several), lambda path, k=kind, d=direct: write_foxglove(path, several, k, d))
-            )  # fmt: skip
+                Case(
+                    "write samples",
+                    f"foxglove-sdk, {name}, {'BaseChannel.log' if direct else 'Channel.log'}",
+                    len(several),
+                    lambda path, k=kind, d=direct: write_foxglove(path, several, k, d),
+                )
+            )
     return cases + reading_cases(folder, samples, 5, len(few))
 
 
@@ -196,10 +216,14 @@ def frame_cases(quick: bool) -> list[Case]:
         for name, function in can_frames.OURS.items()
     ]
     cases += [
-        Case("write frames", f"python-can {name}", count,
-             lambda path, m=make: can_frames.write_python_can(path, m, messages))
+        Case(
+            "write frames",
+            f"python-can {name}",
+            count,
+            lambda path, m=make: can_frames.write_python_can(path, m, messages),
+        )
         for name, make in can_frames.PYTHON_CAN.items()
-    ]  # fmt: skip
+    ]
     return cases
 
 

@@ -22,9 +22,15 @@ from analysis.quantities.order_maps import resampled_order_track
 from analysis.quantities.order_tracking import OrderTrack
 
 CELLS = (
-    ("motion", 3.0, 0.02, 1e-6), ("motion", 3.0, 0.02, 1e-5), ("motion", 3.0, 0.02, 5e-5), ("motion", 11.6, 0.02, 1e-5),
-    ("motion", 6.0, 0.1, 5e-5), ("steady", 3.0, 0.02, 1e-5), ("steady", 3.0, 0.05, 5e-5), ("steady", 11.6, 0.02, 5e-5),
-)  # fmt: skip
+    ("motion", 3.0, 0.02, 1e-6),
+    ("motion", 3.0, 0.02, 1e-5),
+    ("motion", 3.0, 0.02, 5e-5),
+    ("motion", 11.6, 0.02, 1e-5),
+    ("motion", 6.0, 0.1, 5e-5),
+    ("steady", 3.0, 0.02, 1e-5),
+    ("steady", 3.0, 0.05, 5e-5),
+    ("steady", 11.6, 0.02, 5e-5),
+)
 QUICKENS = 10 * np.pi / 30
 
 
@@ -68,9 +74,11 @@ def judged(track: OrderTrack, t: np.ndarray, vector: np.ndarray) -> tuple[float,
     z = np.stack([off.real, off.imag]) / track.std_m[:, 0]
     large = np.abs(truth) > 0.3 * np.abs(truth).max()
     ratio = (track.amplitude_m[:, 0] / truth)[large]
-    return float(np.mean(np.abs(z) < 1.96)), float(np.abs(np.abs(ratio) - 1).max()), float(
-        np.abs(np.degrees(np.angle(ratio))).max()
-    )  # fmt: skip
+    return (
+        float(np.mean(np.abs(z) < 1.96)),
+        float(np.abs(np.abs(ratio) - 1).max()),
+        float(np.abs(np.degrees(np.angle(ratio))).max()),
+    )
 
 
 def main() -> None:
@@ -91,8 +99,10 @@ def main() -> None:
                 spent.append(1e3 * (time.perf_counter() - began))
                 rows.append(judged(track, t, vector))
             covered, size, angle = np.mean([r[0] for r in rows]), max(r[1] for r in rows), max(r[2] for r in rows)
-            print(f"{kind:8}{f_Hz:6.1f}{zeta:6.2f}{1e6 * noise:5.0f}µm  {name:12}{100 * covered:8.1f} %"
-                  f"{100 * size:9.3f}{angle:10.3f}{np.median(spent):6.0f}")  # fmt: skip
+            print(
+                f"{kind:8}{f_Hz:6.1f}{zeta:6.2f}{1e6 * noise:5.0f}µm  {name:12}{100 * covered:8.1f} %"
+                f"{100 * size:9.3f}{angle:10.3f}{np.median(spent):6.0f}"
+            )
 
 
 if __name__ == "__main__":

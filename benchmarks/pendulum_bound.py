@@ -95,8 +95,10 @@ def spin_downs(runs: int, setting: Setting, only: int | None) -> None:
     print(
         f"\nSpin-down, {setting}: rms and std relative to c; bound over five time constants; found = friction reported"
     )
-    print(f"{'c':>7}{'jitter':>7}{'share':>8}{'rms':>9}{'/bound':>7}{'/std':>7}{'cover':>8}{'found':>8}{'cov Mc':>8}"
-          f"{'fail':>6}{'ms':>8}")  # fmt: skip
+    print(
+        f"{'c':>7}{'jitter':>7}{'share':>8}{'rms':>9}{'/bound':>7}{'/std':>7}{'cover':>8}{'found':>8}{'cov Mc':>8}"
+        f"{'fail':>6}{'ms':>8}"
+    )
     cells = [(c, j, s) for c in DAMPINGS for j in JITTERS for s in (0.0, 1e-3)]
     for number, (damping, jitter, share) in enumerate(cells):
         if only is not None and number != only:
@@ -135,8 +137,10 @@ def release_case(
     run = release_run(truth, 8.0, rng, Encoders(jitter=jitter), zero_std * rng.normal(size=2))
     log_std = np.array([1e-3, 1e-3, 1e-2, 1e-2, imbalance_std])
     true = truth.identified()
-    known = {n: true[n] * np.exp(s * rng.normal()) for n, s in
-             zip(("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m"), log_std, strict=True)}  # fmt: skip
+    known = {
+        n: true[n] * np.exp(s * rng.normal())
+        for n, s in zip(("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m"), log_std, strict=True)
+    }
     known |= {n: true[n] * wrong ** float(rng.choice([-1, 1])) for n in NAMES}
     return truth, run, Knowledge(truth.with_values(**known), log_std)
 
@@ -165,8 +169,11 @@ def releases(runs: int, setting: Setting, only: int | None) -> None:
                 cell.claimed.append(fit.std[n] / true[n])
                 cell.covered.append(fit.intervals[n][0] < true[n] < fit.intervals[n][1])
         line = cell.line()
-        print(f"{damping:7.0e}{jitter:7.1f}{line[:9]}{'':7}{line[16:31]}{converged / runs:16.3f}{line[47:]}"
-              f"   seeds (0…{runs - 1}, {100 + number})", flush=True)  # fmt: skip
+        print(
+            f"{damping:7.0e}{jitter:7.1f}{line[:9]}{'':7}{line[16:31]}{converged / runs:16.3f}{line[47:]}"
+            f"   seeds (0…{runs - 1}, {100 + number})",
+            flush=True,
+        )
 
 
 def trackings(runs: int, only: int | None) -> None:
@@ -187,8 +194,11 @@ def trackings(runs: int, only: int | None) -> None:
             for n in NAMES:
                 errors.append(abs(last.values[n] / true[n] - 1))
                 covered.append(last.intervals[n][0] < true[n] < last.intervals[n][1])
-        print(f"{damping:7.0e}{wrong:7.1f}{np.median(errors):14.3f}{np.mean(covered):8.3f}{np.mean(trusted):9.3f}"
-              f"{np.median(seconds):8.2f}   seeds (0…{runs - 1}, {200 + number})", flush=True)  # fmt: skip
+        print(
+            f"{damping:7.0e}{wrong:7.1f}{np.median(errors):14.3f}{np.mean(covered):8.3f}{np.mean(trusted):9.3f}"
+            f"{np.median(seconds):8.2f}   seeds (0…{runs - 1}, {200 + number})",
+            flush=True,
+        )
 
 
 def main() -> None:

@@ -44,8 +44,14 @@ class World:
     axis: int
 
 
-def pluck(rng: np.random.Generator, axis: int, rate_Hz: float = 1000.0, record_s: float = 12.0, held: bool = True,
-          stiffness: tuple[float, float] = (2583.0, 38488.0)) -> World:  # fmt: skip
+def pluck(
+    rng: np.random.Generator,
+    axis: int,
+    rate_Hz: float = 1000.0,
+    record_s: float = 12.0,
+    held: bool = True,
+    stiffness: tuple[float, float] = (2583.0, 38488.0),
+) -> World:
     """A rest, a pull and a hold, then free; with held=False the record begins at the release."""
     k = np.array(stiffness) * (1 + 0.1 * rng.uniform(-1, 1, 2))
     omega, zeta = np.sqrt(k / MASS_KG), 0.003 * 10 ** rng.uniform(0, 1, 2)
@@ -58,9 +64,11 @@ def pluck(rng: np.random.Generator, axis: int, rate_Hz: float = 1000.0, record_s
     for i in range(2):
         wave = omega[i] * np.sqrt(1 - zeta[i] ** 2)
         s = t[free] - release
-        motion[free, i] = start[i] * np.exp(-zeta[i] * omega[i] * s) * (
-            np.cos(wave * s) + zeta[i] * omega[i] / wave * np.sin(wave * s)
-        )  # fmt: skip
+        motion[free, i] = (
+            start[i]
+            * np.exp(-zeta[i] * omega[i] * s)
+            * (np.cos(wave * s) + zeta[i] * omega[i] / wave * np.sin(wave * s))
+        )
     beta = np.radians(rng.uniform(-3, 3))
     turn = np.array([[np.cos(beta), np.sin(beta)], [-np.sin(beta), np.cos(beta)]])
     f = omega / (2 * np.pi)
@@ -169,7 +177,7 @@ CASES: dict[str, tuple[Case, dict]] = {
     "building bands 3 um": (_coloured(building, 3e-6), {}),
     "building bands 15 um": (_coloured(building, 15e-6), {}),
     "floor rings on": (_floor_rings, {}),
-}  # fmt: skip
+}
 
 
 def drawn(name: str, seed: int, number: int) -> tuple[World, Run, list[float]]:
@@ -180,8 +188,19 @@ def drawn(name: str, seed: int, number: int) -> tuple[World, Run, list[float]]:
     extra, lines = case(world, rng)
     signal = world.motion_m + extra + 4e-6 * rng.normal(size=world.motion_m.shape)
     t = world.time_s
-    run = Run(f"ring-down-{'xy'[world.axis]}", f"draw {number}", 0.0, t, signal[:, 0], t, signal[:, 1],
-              NONE, NONE.reshape(0, 2), NONE, NONE)  # fmt: skip
+    run = Run(
+        f"ring-down-{'xy'[world.axis]}",
+        f"draw {number}",
+        0.0,
+        t,
+        signal[:, 0],
+        t,
+        signal[:, 1],
+        NONE,
+        NONE.reshape(0, 2),
+        NONE,
+        NONE,
+    )
     return world, run, lines
 
 

@@ -113,8 +113,9 @@ def pluck(rng: np.random.Generator, axis: int, case: Case, rate_Hz: float = 2000
     signal = 4e-7 * np.round(signal / 4e-7)
     f = omega / (2 * np.pi)
     true = {"f1_Hz": f[0], "zeta1": zeta[0], "f2_Hz": f[1], "zeta2": zeta[1]}
-    run = Run(f"ring-down-{'xy'[axis]}", "draw", 0.0, t, signal[:, 0], t, signal[:, 1],
-              NONE, NONE.reshape(0, 2), NONE, NONE)  # fmt: skip
+    run = Run(
+        f"ring-down-{'xy'[axis]}", "draw", 0.0, t, signal[:, 0], t, signal[:, 1], NONE, NONE.reshape(0, 2), NONE, NONE
+    )
     return World(run, true, axis, cubic, (float(slope[0]), float(slope[1])))
 
 

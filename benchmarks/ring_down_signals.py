@@ -63,7 +63,7 @@ def bound(
 
     Args:
         known: place in q → standard deviation of prior knowledge.
-    """  # fmt: skip
+    """
     steps = 1e-6 * np.maximum(np.abs(q), 1e-4)
     # the derivative by f grows with time: a step small against 1/T and by ζ likewise
     jacobian = np.column_stack(
@@ -108,9 +108,21 @@ def pair(f: float, zeta: float, split: float, sigma: float, record_s: float, oth
         t = np.arange(round(record_s * 1000)) / 1000
         half = zeta * f * split * (-1 if split < 2 and rng.random() < 0.5 else 1)
         q = np.array(
-            [f, zeta, f + half, zeta * other_zeta, np.radians(rng.uniform(-20, 20)), 0.0, 1e-3, rng.uniform(0, 6.28),
-             1e-3 * rng.uniform(0.4, 1), rng.uniform(0, 6.28), 1e-4, -2e-4]
-        )  # fmt: skip
+            [
+                f,
+                zeta,
+                f + half,
+                zeta * other_zeta,
+                np.radians(rng.uniform(-20, 20)),
+                0.0,
+                1e-3,
+                rng.uniform(0, 6.28),
+                1e-3 * rng.uniform(0.4, 1),
+                rng.uniform(0, 6.28),
+                1e-4,
+                -2e-4,
+            ]
+        )
         floor = bound(two_axes, t, q, sigma, {5: RATIO_STD, 4: np.radians(30)})
         signal = two_axes(t, q) + sigma * rng.normal(size=(len(t), 2))
         unit = np.array([1, 1, 1, 1, np.degrees(1)])
@@ -196,7 +208,16 @@ def damaged(kind: str, zeta: float, sigma: float = 1e-5, rail: float = 5e-3) -> 
 
 DAMAGE = [
     (kind, zeta)
-    for kind in ("outliers", "bursts to the rail", "bursts to zero", "bursts, last value held", "NaN", "clip",
-                 "clip, noise after it", "wander 20 µm at 0.11 Hz", "1 µm steps")
+    for kind in (
+        "outliers",
+        "bursts to the rail",
+        "bursts to zero",
+        "bursts, last value held",
+        "NaN",
+        "clip",
+        "clip, noise after it",
+        "wander 20 µm at 0.11 Hz",
+        "1 µm steps",
+    )
     for zeta in ((1e-4, 0.01, 0.2) if not kind.startswith("clip") else (0.001, 0.01, 0.2))
-]  # fmt: skip
+]

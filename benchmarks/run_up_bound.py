@@ -227,8 +227,10 @@ def one_cell(cell: Cell, runs: int, seed: int, setting: str) -> None:
         _collect(fit, truth, errors, scaled, inside)
         wrong += any((f"f{i}_Hz" in fit.values) != (i in cell.passed) for i in (1, 2))
         naive.append([*fit.half_power["x"], *fit.vold_kalman["x"]])
-    print(f"\n{cell.name}: {runs - len(failed)}/{runs} converged, {wrong} with a wrong set of values, "
-          f"{1e3 * np.median(seconds or [np.nan]):.0f} ms of processor time")  # fmt: skip
+    print(
+        f"\n{cell.name}: {runs - len(failed)}/{runs} converged, {wrong} with a wrong set of values, "
+        f"{1e3 * np.median(seconds or [np.nan]):.0f} ms of processor time"
+    )
     for text in failed[:3]:
         print(f"  {text}")
     for i, name in enumerate(NAMES):
@@ -244,8 +246,11 @@ def one_cell(cell: Cell, runs: int, seed: int, setting: str) -> None:
         )
     peers = np.nanmedian(np.array(naive), axis=0) if naive else np.full(4, np.nan)
     f, z = cell.f_Hz[0], cell.zeta
-    print(f"  half-power: f {peers[0] / f - 1:+.2%}, ζ {peers[1] / z - 1:+.0%};  "
-          f"Vold–Kalman: f {peers[2] / f - 1:+.2%}, ζ {peers[3] / z - 1:+.0%}", flush=True)  # fmt: skip
+    print(
+        f"  half-power: f {peers[0] / f - 1:+.2%}, ζ {peers[1] / z - 1:+.0%};  "
+        f"Vold–Kalman: f {peers[2] / f - 1:+.2%}, ζ {peers[3] / z - 1:+.0%}",
+        flush=True,
+    )
 
 
 def _collect(fit: RunUpFit, truth: dict, errors: dict, scaled: dict, inside: dict) -> None:
@@ -283,13 +288,17 @@ def plain_least_squares(cell: Cell, seed: int) -> None:
         start[5:7] = [(draw.amplitude / cell.eccentricity_m).real, (draw.amplitude / cell.eccentricity_m).imag]
         began = time.process_time()
         found = least_squares(residual, start, x_scale="jac", max_nfev=30)
-        print(f"  scipy least_squares from {off:.1%} off in f: {time.process_time() - began:.2f} s, "
-              f"f1 {found.x[0] / cell.f_Hz[0] - 1:+.1e}, ζ1 {found.x[1] / cell.zeta - 1:+.1e}")  # fmt: skip
+        print(
+            f"  scipy least_squares from {off:.1%} off in f: {time.process_time() - began:.2f} s, "
+            f"f1 {found.x[0] / cell.f_Hz[0] - 1:+.1e}, ζ1 {found.x[1] / cell.zeta - 1:+.1e}"
+        )
     began = time.process_time()
     fit = fit_run_up(t, signal, phase)
-    print(f"  ours, no start value: {time.process_time() - began:.2f} s, "
-          f"f1 {fit.values['f1_Hz'] / cell.f_Hz[0] - 1:+.1e}, "
-          f"ζ1 {fit.values['zeta1'] / cell.zeta - 1:+.1e}")  # fmt: skip
+    print(
+        f"  ours, no start value: {time.process_time() - began:.2f} s, "
+        f"f1 {fit.values['f1_Hz'] / cell.f_Hz[0] - 1:+.1e}, "
+        f"ζ1 {fit.values['zeta1'] / cell.zeta - 1:+.1e}"
+    )
 
 
 def speed(seed: int) -> None:

@@ -129,8 +129,11 @@ def _octave_rows(points: dict[str, Rig], repeats: int) -> list[Row]:
             csv.writer(out).writerows(_numbers(*rig) for rig in points.values())
         done = subprocess.run(
             [octave, "--norc", "--quiet", str(_SCHEMES), str(table), str(repeats)],
-            capture_output=True, text=True, check=True, timeout=3600,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=3600,
+        )
     measured: dict[str, list[tuple[int, float, float, float]]] = {}
     for point, scheme, parts, value, wall, processor in csv.reader(done.stdout.splitlines()):
         name = f"Octave, {scheme}" + (f", N = {parts}" if int(parts) else "")
@@ -147,10 +150,19 @@ def _numbers(parameters: RotorParameters, speed_rad_s: float) -> list[str]:
     """A point as stability_schemes.m reads it."""
     a, b = parameters.a, parameters.b
     numbers = [
-        parameters.total_mass_kg, parameters.k1_N_per_m, parameters.k2_N_per_m, *parameters.damping_Ns_per_m,
-        a.first_moment_kg_m, b.first_moment_kg_m, a.inertia_kg_m2, b.inertia_kg_m2,
-        a.damping_Nms_per_rad, b.damping_Nms_per_rad, *balanced_angles(parameters)[0], speed_rad_s,
-    ]  # fmt: skip
+        parameters.total_mass_kg,
+        parameters.k1_N_per_m,
+        parameters.k2_N_per_m,
+        *parameters.damping_Ns_per_m,
+        a.first_moment_kg_m,
+        b.first_moment_kg_m,
+        a.inertia_kg_m2,
+        b.inertia_kg_m2,
+        a.damping_Nms_per_rad,
+        b.damping_Nms_per_rad,
+        *balanced_angles(parameters)[0],
+        speed_rad_s,
+    ]
     return [repr(float(number)) for number in numbers]
 
 

@@ -47,10 +47,23 @@ def _own(readings: np.ndarray) -> tuple[float, np.ndarray]:
     mean, cov, tally, z = _START.copy(), np.diag(_SPREAD), np.zeros(TALLY), np.empty(4 * n)
     began = time.perf_counter()
     filter_readings(
-        mean, cov, times, np.zeros(4 * n), np.tile(np.arange(4), n), readings.ravel(),
-        np.tile(np.r_[1e-10, 1e-10, 1e-6, 1e-6], n), phases, np.ones((4 * n, 2)), packed, _NOISE,
-        1.0, 8.0, -1.0, tally, z,
-    )  # fmt: skip
+        mean,
+        cov,
+        times,
+        np.zeros(4 * n),
+        np.tile(np.arange(4), n),
+        readings.ravel(),
+        np.tile(np.r_[1e-10, 1e-10, 1e-6, 1e-6], n),
+        phases,
+        np.ones((4 * n, 2)),
+        packed,
+        _NOISE,
+        1.0,
+        8.0,
+        -1.0,
+        tally,
+        z,
+    )
     return n / (time.perf_counter() - began), mean
 
 

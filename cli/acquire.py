@@ -64,9 +64,18 @@ def check(
             }
             for name, checks in devices.items()
         }
-        print_json({"rig": loaded.name, "verdict": "pass" if good else "fail", "seconds": look.seconds,
-                    "devices": verdicts, "identities": session.identities, "rates_Hz": rates,
-                    "losses": look.losses, "warnings": warnings})  # fmt: skip
+        print_json(
+            {
+                "rig": loaded.name,
+                "verdict": "pass" if good else "fail",
+                "seconds": look.seconds,
+                "devices": verdicts,
+                "identities": session.identities,
+                "rates_Hz": rates,
+                "losses": look.losses,
+                "warnings": warnings,
+            }
+        )
     else:
         print_checks(devices, session.identities, look.seconds)
     return 3 if session.left else 0 if good else 1

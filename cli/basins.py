@@ -134,14 +134,22 @@ def _chances(
             physics, speed, known, draws, seconds=seconds, play_rad=math.radians(play_deg), progress=progress
         )
     return {
-        "draws": found.draws, "level": found.level, "play_deg": play_deg, "at_a_boundary": found.unsure,
+        "draws": found.draws,
+        "level": found.level,
+        "play_deg": play_deg,
+        "at_a_boundary": found.unsure,
         "refused": sorted(set(found.releases.refused.values())),
         "ends": [
-            {"type": e.name, "mirror_image": e.mirror, "count": e.count, "probability": e.probability,
-             "interval": list(e.interval)}
+            {
+                "type": e.name,
+                "mirror_image": e.mirror,
+                "count": e.count,
+                "probability": e.probability,
+                "interval": list(e.interval),
+            }
             for e in found.ends
         ],
-    }  # fmt: skip
+    }
 
 
 def _grid(text: str) -> tuple[int, int]:
@@ -161,12 +169,21 @@ def _grid(text: str) -> tuple[int, int]:
 def _arrays(found: BasinMap) -> dict[str, Any]:
     """What is kept: the grid, each release's answer, and the ends by number."""
     return {
-        "theta3_deg": np.degrees(found.theta3_rad), "theta4_deg": np.degrees(found.theta4_rad),
-        "end": found.end, "sure": found.sure, "caught_s": found.caught_s, "settled_s": found.settled_s,
-        "amplitude_mm": 1e3 * found.amplitude_m, "apart_rad": found.apart_rad, "turns": found.turns,
-        "ends": np.array([end.words for end in found.ends]), "end_types": np.array([end.name for end in found.ends]),
-        "seconds": found.seconds, "speed_rad_s": found.speed_rad_s, "stated_error_rad": found.stated_error_rad,
-    }  # fmt: skip
+        "theta3_deg": np.degrees(found.theta3_rad),
+        "theta4_deg": np.degrees(found.theta4_rad),
+        "end": found.end,
+        "sure": found.sure,
+        "caught_s": found.caught_s,
+        "settled_s": found.settled_s,
+        "amplitude_mm": 1e3 * found.amplitude_m,
+        "apart_rad": found.apart_rad,
+        "turns": found.turns,
+        "ends": np.array([end.words for end in found.ends]),
+        "end_types": np.array([end.name for end in found.ends]),
+        "seconds": found.seconds,
+        "speed_rad_s": found.speed_rad_s,
+        "stated_error_rad": found.stated_error_rad,
+    }
 
 
 def _draw(path: Path, rig: Rig, speed: float, found: BasinMap, settings: list[str] | None) -> None:
@@ -180,18 +197,23 @@ def _draw(path: Path, rig: Rig, speed: float, found: BasinMap, settings: list[st
 
 def _end_json(end: End, share: float, settled: np.ndarray) -> dict[str, Any]:
     out: dict[str, Any] = {
-        "type": end.name, "mirror_image": end.mirror, "share": share, "amplitude_mm": 1e3 * end.amplitude_m,
+        "type": end.name,
+        "mirror_image": end.mirror,
+        "share": share,
+        "amplitude_mm": 1e3 * end.amplitude_m,
         "multiplier_max": end.multiplier,
         "settled_s": {"median": float(np.median(settled)), "largest": float(np.max(settled))} if len(settled) else None,
-    }  # fmt: skip
+    }
     if end.theta_rad is not None:
         out["theta3_deg"], out["theta4_deg"] = (math.degrees(angle) for angle in end.theta_rad)
     if end.slipping is not None:
         orbit = end.slipping
         out |= {
-            "turns_per_revolution": list(orbit.turns_per_revolution), "winding": list(orbit.winding),
-            "residual": orbit.residual, "multipliers": orbit.multipliers.tolist(),
-        }  # fmt: skip
+            "turns_per_revolution": list(orbit.turns_per_revolution),
+            "winding": list(orbit.winding),
+            "residual": orbit.residual,
+            "multipliers": orbit.multipliers.tolist(),
+        }
     return out
 
 

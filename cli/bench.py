@@ -30,9 +30,14 @@ _RIG = "virtual"
 _WIDTH = 118  # of a table that goes into a file
 _DYNAMICS_S = {"multipliers": 40, "motion": 45, "map": 12, "batch": 10, "steady states": 5, "processes": 75}
 _IDENTIFICATION_S = {
-    "ring-down": 120, "damaged ring-down": 90, "two axes": 100, "run-up": 60, "spin-down": 5, "release": 60,
+    "ring-down": 120,
+    "damaged ring-down": 90,
+    "two axes": 100,
+    "run-up": 60,
+    "spin-down": 5,
+    "release": 60,
     "tracking": 20,
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -132,12 +137,19 @@ def _identification(quick: bool) -> _Run:
 
         marks = [
             Mark(
-                f"{r.service}: {r.case}", r.method, r.setting, max(r.rms.values()), r.seconds, peer=r.peer,
-                fails=r.gross > 0, front=r.front, front_of_all=r.front_of_all,
+                f"{r.service}: {r.case}",
+                r.method,
+                r.setting,
+                max(r.rms.values()),
+                r.seconds,
+                peer=r.peer,
+                fails=r.gross > 0,
+                front=r.front,
+                front_of_all=r.front_of_all,
             )
             for r in rows
             if r.rms
-        ]  # fmt: skip
+        ]
         return draw_identification_precision(marks, trials.AT_THE_BOUND, machine_line(where))
 
     return _Run([r.as_json() for r in rows], page, figure, "identification_precision")

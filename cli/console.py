@@ -78,9 +78,14 @@ class StepProgress:
         self._live = STDERR.is_terminal
         self._started = time.monotonic()
         self._bar = Progress(
-            SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=24),
-            TimeElapsedColumn(), console=STDERR, disable=not self._live, transient=True,
-        )  # fmt: skip
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=24),
+            TimeElapsedColumn(),
+            console=STDERR,
+            disable=not self._live,
+            transient=True,
+        )
         self._task = self._bar.add_task("starting", total=self._total)
 
     def __enter__(self) -> StepProgress:

@@ -53,14 +53,29 @@ def export(
 
     with share_progress(f"exporting {log.name}") as tell:
         done = export_log(
-            log, output, format=format, channels=channels or (), from_s=from_s, to_s=to_s, signals=signals,
-            force=force, progress=tell,
-        )  # fmt: skip
+            log,
+            output,
+            format=format,
+            channels=channels or (),
+            from_s=from_s,
+            to_s=to_s,
+            signals=signals,
+            force=force,
+            progress=tell,
+        )
     for missing in done.missing:
         say(f"warning: missing from the log: {missing}")
     if json:
-        print_json({"log": str(log), "format": done.format, "files": [str(file) for file in done.files],
-                    "rows": done.rows, "missing": done.missing, "losses": done.losses})  # fmt: skip
+        print_json(
+            {
+                "log": str(log),
+                "format": done.format,
+                "files": [str(file) for file in done.files],
+                "rows": done.rows,
+                "missing": done.missing,
+                "losses": done.losses,
+            }
+        )
         return 0
     for name, count in done.rows.items():
         show(f"{name:10} {count:9d} samples")
@@ -154,19 +169,41 @@ def import_(
     from rig_configs import load_rig  # noqa: PLC0415
 
     recipe = make_recipe(
-        test=test, point=point, note=note, time=time, rate_Hz=rate_Hz, x=x, y=y, theta3=theta3, theta4=theta4,
-        phase=phase, marks=marks, speed=speed, start=start, counts_per_revolution=counts_per_revolution,
+        test=test,
+        point=point,
+        note=note,
+        time=time,
+        rate_Hz=rate_Hz,
+        x=x,
+        y=y,
+        theta3=theta3,
+        theta4=theta4,
+        phase=phase,
+        marks=marks,
+        speed=speed,
+        start=start,
+        counts_per_revolution=counts_per_revolution,
         release_s=parse_numbers(release, "--release") if release else (),
         invalid=parse_numbers(invalid, "--invalid") if invalid else (),
-        clock_tolerance_ppm=clock_tolerance_ppm, recorder=recorder,
-    )  # fmt: skip
+        clock_tolerance_ppm=clock_tolerance_ppm,
+        recorder=recorder,
+    )
     with share_progress(f"importing {file.name}") as tell:
         done = import_recording(file, output, load_rig(rig, settings=settings or []), recipe, tell)
     for warning in done.warnings:
         say(f"warning: {warning}")
     if json:
-        print_json({"log": str(done.path), "samples": done.samples, "invalid": done.invalid, "gaps": done.gaps,
-                    "start_ns": done.start_ns, "end_ns": done.end_ns, "warnings": done.warnings})  # fmt: skip
+        print_json(
+            {
+                "log": str(done.path),
+                "samples": done.samples,
+                "invalid": done.invalid,
+                "gaps": done.gaps,
+                "start_ns": done.start_ns,
+                "end_ns": done.end_ns,
+                "warnings": done.warnings,
+            }
+        )
         return 0
     for topic, count in done.samples.items():
         show(f"{topic:10} {count:9d} samples")

@@ -38,15 +38,22 @@ class Foxglove:
 
     wanted: Annotated[
         bool,
-        Parameter(name="--foxglove", negative="", help="give it to Foxglove and Lichtblick too, read-only, on this "
-                  "machine alone; they send no token, so anyone on this machine can read it"),
-    ] = False  # fmt: skip
+        Parameter(
+            name="--foxglove",
+            negative="",
+            help="give it to Foxglove and Lichtblick too, read-only, on this "
+            "machine alone; they send no token, so anyone on this machine can read it",
+        ),
+    ] = False
     port: Annotated[int, Parameter(name="--foxglove-port", help="of that connection; 0 for any free one")] = 8765
     origins: Annotated[
         list[str],
-        Parameter(name="--foxglove-origin", negative="", help="a page in a browser that may connect, e.g. "
-                  "https://app.foxglove.dev; the desktop programs need none"),
-    ] = field(default_factory=list[str])  # fmt: skip
+        Parameter(
+            name="--foxglove-origin",
+            negative="",
+            help="a page in a browser that may connect, e.g. https://app.foxglove.dev; the desktop programs need none",
+        ),
+    ] = field(default_factory=list[str])
 
 
 def foxglove_beside(
@@ -103,9 +110,7 @@ def foxglove_of_log(
 
     played = Played(log)
     metadata = {**facts_of(rig), "log": log.path.name}
-    server = FoxgloveServer(
-        log.path.name, played.offered, metadata, _checked(asked.origins), asked.port, Refusals(say)
-    )  # fmt: skip
+    server = FoxgloveServer(log.path.name, played.offered, metadata, _checked(asked.origins), asked.port, Refusals(say))
     with server, Giving(played, transport, origin_ns, server):
         _announce(server.url, as_json, say)
         yield
@@ -125,8 +130,10 @@ def _checked(origins: list[str]) -> tuple[str, ...]:
 def _announce(url: str, as_json: bool, told: Callable[[str], None]) -> None:
     if as_json:
         answer.announce({"foxglove": url})
-    told(f"for Foxglove and Lichtblick (open a connection, Foxglove WebSocket): {url}; read-only; it asks for no "
-         "token: anyone on this machine can read it")  # fmt: skip
+    told(
+        f"for Foxglove and Lichtblick (open a connection, Foxglove WebSocket): {url}; read-only; it asks for no "
+        "token: anyone on this machine can read it"
+    )
 
 
 def _say_left_out(left_out: int, told: Callable[[str], None]) -> None:

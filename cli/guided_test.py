@@ -125,10 +125,16 @@ def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None
 
 
 def _run(
-    wanted: Asked, out: Path, note: str, label: str, time_scale: float, track: Any,
-    beside: AbstractContextManager[LivePage | None], given: AbstractContextManager[FoxgloveBeside | None],
+    wanted: Asked,
+    out: Path,
+    note: str,
+    label: str,
+    time_scale: float,
+    track: Any,
+    beside: AbstractContextManager[LivePage | None],
+    given: AbstractContextManager[FoxgloveBeside | None],
     as_json: bool,
-) -> int:  # fmt: skip
+) -> int:
     controls = Controls()
     keys = Keys(controls)
     early: NotReached | None = None

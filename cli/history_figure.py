@@ -24,11 +24,17 @@ def history_figure(found: History, level: float) -> Figure:
             for n, v in instant.parameters.values.items()
         ]
         single += [
-            Value(n, t.recorded or instant.time, t.estimate.value(n), t.estimate.std[n], t.estimate.test,
-                  left_out=bool(t.left_out))
+            Value(
+                n,
+                t.recorded or instant.time,
+                t.estimate.value(n),
+                t.estimate.std[n],
+                t.estimate.test,
+                left_out=bool(t.left_out),
+            )
             for t in instant.tests
             for n in t.estimate.names
-        ]  # fmt: skip
+        ]
         marks += [
             Value(c.name, instant.time, c.new, c.std, f"{100 * c.relative:+.3g} %")
             for c in (step.significant(level) if step else [])

@@ -60,9 +60,15 @@ def live(
 
 
 def _log(
-    path: Path, host: str, port: int, speed: float, parameters: Path | None, foxglove: Foxglove | None,
-    settings: list[str], as_json: bool,
-) -> int:  # fmt: skip
+    path: Path,
+    host: str,
+    port: int,
+    speed: float,
+    parameters: Path | None,
+    foxglove: Foxglove | None,
+    settings: list[str],
+    as_json: bool,
+) -> int:
     from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
     from daq.log.snapshot import rig_of  # noqa: PLC0415
     from live.model import Model  # noqa: PLC0415
@@ -88,9 +94,15 @@ def _log(
 
 
 def _rig(
-    name: str, host: str, port: int, parameters: Path | None, foxglove: Foxglove | None, time_scale: float,
-    settings: list[str], as_json: bool,
-) -> int:  # fmt: skip
+    name: str,
+    host: str,
+    port: int,
+    parameters: Path | None,
+    foxglove: Foxglove | None,
+    time_scale: float,
+    settings: list[str],
+    as_json: bool,
+) -> int:
     from daq.acquisition.session import Session  # noqa: PLC0415
     from daq.transports import HostClock  # noqa: PLC0415
 
@@ -114,9 +126,16 @@ def _rig(
 
 
 def page_beside(
-    wanted: bool, rig: Rig, parameters: Path | None, settings: list[str], rate: float, host: str, port: int,
-    as_json: bool, told: Callable[[str], None] = say,
-) -> AbstractContextManager[LivePage | None]:  # fmt: skip
+    wanted: bool,
+    rig: Rig,
+    parameters: Path | None,
+    settings: list[str],
+    rate: float,
+    host: str,
+    port: int,
+    as_json: bool,
+    told: Callable[[str], None] = say,
+) -> AbstractContextManager[LivePage | None]:
     """The page of a session that is opened inside this context; nothing where it is not wanted.
 
     Args:
@@ -139,9 +158,13 @@ def page_beside(
 
 
 def follow(
-    page: LivePage | None, session: Session, stop: Callable[[str], None] | None, facts: Mapping[str, Any],
-    controls: Controls | None = None, confirmed: Callable[[], None] | None = None,
-) -> Callable[[str], None]:  # fmt: skip
+    page: LivePage | None,
+    session: Session,
+    stop: Callable[[str], None] | None,
+    facts: Mapping[str, Any],
+    controls: Controls | None = None,
+    confirmed: Callable[[], None] | None = None,
+) -> Callable[[str], None]:
     """Have the page, where there is one, show an open session; see live.beside.
 
     Returns:
@@ -171,5 +194,7 @@ def _announce(url: str, token: str, host: str, as_json: bool, told: Callable[[st
         answer.announce(address)
     told(f"the live page: {url}")
     if host:
-        told(f"warning: --host {host}: everybody who reaches this machine and has that address sees the page and may "
-             "press its stop; it is not encrypted, so the network sees the token too")  # fmt: skip
+        told(
+            f"warning: --host {host}: everybody who reaches this machine and has that address sees the page and may "
+            "press its stop; it is not encrypted, so the network sees the token too"
+        )

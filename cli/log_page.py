@@ -98,8 +98,7 @@ def _loss_lines(losses: Mapping[str, Any] | None) -> Iterable[tuple[str, str, st
     if losses is None:
         yield "losses", "unknown: it counts none", "yellow"
         return
-    source = {"summary": "", "health": " (up to its last health report)", "events": " (by its events)",
-              "none": ""}  # fmt: skip
+    source = {"summary": "", "health": " (up to its last health report)", "events": " (by its events)", "none": ""}
     counts = [
         f"{device} {n} {kind.replace('_', ' ')}"
         for device, kinds in losses["by_device"].items()

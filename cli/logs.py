@@ -74,9 +74,19 @@ def logs(
         say(f"rig logs: --since, --until: {fault}")
         return 2
     query = Query(
-        words, rig, test, point, note, parameters, verdict, *span,
-        lost=True if lost else None, complete=complete if complete or incomplete else None, sort=sort, reverse=reverse,
-    )  # fmt: skip
+        words,
+        rig,
+        test,
+        point,
+        note,
+        parameters,
+        verdict,
+        *span,
+        lost=True if lost else None,
+        complete=complete if complete or incomplete else None,
+        sort=sort,
+        reverse=reverse,
+    )
     catalogue = Catalogue(folder)
     with ExitStack() as stack:
         entries = catalogue.entries(_shown_when_needed(stack, "reading new logs"))
@@ -86,8 +96,14 @@ def logs(
     for trouble in catalogue.unread_folders:
         say(f"rig logs: {trouble}")
     if json:
-        print_json({"folder": str(folder), "files": len(entries), "logs": [entry.model_dump() for entry in found],
-                    "unread_folders": catalogue.unread_folders})  # fmt: skip
+        print_json(
+            {
+                "folder": str(folder),
+                "files": len(entries),
+                "logs": [entry.model_dump() for entry in found],
+                "unread_folders": catalogue.unread_folders,
+            }
+        )
     else:
         print_logs(found, len(entries), folder)
     return 0

@@ -148,9 +148,12 @@ def _carried_out(arguments: list[str]) -> int:
     try:
         with wait_for_compilation("log") if set(arguments[:1]) & _USE_COMPILED else nullcontext():
             result = commands(arguments)(
-                arguments, exit_on_error=False, print_error=True, error_formatter=error_panel,
+                arguments,
+                exit_on_error=False,
+                print_error=True,
+                error_formatter=error_panel,
                 result_action="return_value",
-            )  # fmt: skip
+            )
         return result if isinstance(result, int) else 0
     except CycloptsError as error:
         answer.give_error(" ".join(error_words(error).split()), 2)  # on standard error cyclopts has said the same

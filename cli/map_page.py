@@ -62,39 +62,57 @@ def map_json(found: MapAnswer) -> dict[str, Any]:
 
 def _family_json(found: MapAnswer) -> dict[str, Any] | None:
     family = found.question.family
-    return None if family is None else {
-        "key": family.key,
-        "members": [
-            {"value": one.value, "stable_share": one.borders.stable_share, "unresolved_share": one.unresolved,
-             "borders": borders_json(one.borders)}
-            for one in found.family
-        ],
-    }  # fmt: skip
+    return (
+        None
+        if family is None
+        else {
+            "key": family.key,
+            "members": [
+                {
+                    "value": one.value,
+                    "stable_share": one.borders.stable_share,
+                    "unresolved_share": one.unresolved,
+                    "borders": borders_json(one.borders),
+                }
+                for one in found.family
+            ],
+        }
+    )
 
 
 def _best_json(found: MapAnswer) -> dict[str, Any] | None:
     best, within = found.best, found.question.best
-    return None if best is None or within is None else {
-        "key": within.key,
-        "value": best.value,
-        "interval": list(best.interval),
-        "stable_share": best.share,
-        "stable_share_error": best.share_error,
-        "at_end": best.at_end,
-        "stable_share_at_ends": [float(best.shares[0]), float(best.shares[-1])],
-        "values": best.values.tolist(),
-        "stable_shares": best.shares.tolist(),
-        "unresolved_shares": best.unresolved.tolist(),
-    }  # fmt: skip
+    return (
+        None
+        if best is None or within is None
+        else {
+            "key": within.key,
+            "value": best.value,
+            "interval": list(best.interval),
+            "stable_share": best.share,
+            "stable_share_error": best.share_error,
+            "at_end": best.at_end,
+            "stable_share_at_ends": [float(best.shares[0]), float(best.shares[-1])],
+            "values": best.values.tolist(),
+            "stable_shares": best.shares.tolist(),
+            "unresolved_shares": best.unresolved.tolist(),
+        }
+    )
 
 
 def borders_json(lines: Borders) -> list[dict[str, Any]]:
     """Each branch: its length, whether it is closed, how stability is lost on it, where it begins and ends."""
     return [
-        {"points": len(b.x), "closed": b.closed, "kinds": dict(Counter(b.kind)), "off_share_of_range": b.off,
-         "from": [float(b.x[0]), float(b.y[0])], "to": [float(b.x[-1]), float(b.y[-1])]}
+        {
+            "points": len(b.x),
+            "closed": b.closed,
+            "kinds": dict(Counter(b.kind)),
+            "off_share_of_range": b.off,
+            "from": [float(b.x[0]), float(b.y[0])],
+            "to": [float(b.x[-1]), float(b.y[-1])],
+        }
         for b in lines.branches
-    ]  # fmt: skip
+    ]
 
 
 def print_map(result: Mapping[str, Any], settings: Sequence[str]) -> None:

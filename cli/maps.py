@@ -88,12 +88,20 @@ def map(
         _need_places(output, plot)
         usual = (_X_OF_MOTIONS, _Y_OF_MOTIONS) if quantity in NONLINEAR else (_X, _Y)
         question = MapQuestion(
-            rig_source(rig), read_axis("--x", x or usual[0]), read_axis("--y", y or usual[1]),
-            parameters_source(parameters), tuple(settings or ()), None, quantity, accuracy, borders, refine,
+            rig_source(rig),
+            read_axis("--x", x or usual[0]),
+            read_axis("--y", y or usual[1]),
+            parameters_source(parameters),
+            tuple(settings or ()),
+            None,
+            quantity,
+            accuracy,
+            borders,
+            refine,
             None if family is None else read_family("--family", family),
             None if best is None else read_range("--best", best),
             seconds,
-        )  # fmt: skip
+        )
         question = replace(question, speed_rad_s=speed_of(question.loaded(), point, speed_ratio, speed_rpm))
         if not question.is_nonlinear:
             say_what_is_left_out(question)

@@ -132,13 +132,26 @@ def validate(
         identified = IdentificationResult(known, warnings=warnings)
         title = f"{'What if: validation' if what_if else 'Validation'} of {loaded.name}"
         campaign = Campaign(
-            title, loaded, runs, identified, found, axis_angle_deg=given, what_if=what_if,
+            title,
+            loaded,
+            runs,
+            identified,
+            found,
+            axis_angle_deg=given,
+            what_if=what_if,
             budgets=all_budgets(loaded, known),
-        )  # fmt: skip
+        )
         write_report(report, campaign)
     if json:
-        print_json({**found.to_json(), "passed": found.passed, "what_if": what_if, "warnings": warnings,
-                    "report": str(report) if report else None})  # fmt: skip
+        print_json(
+            {
+                **found.to_json(),
+                "passed": found.passed,
+                "what_if": what_if,
+                "warnings": warnings,
+                "report": str(report) if report else None,
+            }
+        )
     else:
         if what_if:
             print(f"{what_if_words(what_if)}: not the rig's verdict, none is kept")

@@ -183,9 +183,18 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
     return {
         "changes": {
             c.name: {
-                "old": c.old, "new": c.new, "change": c.change, "std": c.std, "relative_change": c.relative,
-                "relative_std": c.relative_std, "z": c.z, "p": c.p, "p_all_looks_counted": c.p_holm,
-                "significant_at": c.level, "share_of_chi2": c.share, "unit": PARAMETER_UNITS[c.name],
+                "old": c.old,
+                "new": c.new,
+                "change": c.change,
+                "std": c.std,
+                "relative_change": c.relative,
+                "relative_std": c.relative_std,
+                "z": c.z,
+                "p": c.p,
+                "p_all_looks_counted": c.p_holm,
+                "significant_at": c.level,
+                "share_of_chi2": c.share,
+                "unit": PARAMETER_UNITS[c.name],
             }
             for c in found.changes
         },
@@ -194,7 +203,7 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
         "only_old": found.only_old,
         "only_new": found.only_new,
         "notes": found.notes,
-    }  # fmt: skip
+    }
 
 
 def _history_json(found: History, overall: str | None, plot: Path | None) -> dict[str, Any]:

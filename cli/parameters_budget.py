@@ -97,7 +97,7 @@ def budget(
     seed: Annotated[int, Parameter(validator=between(0, 2**31, low_too=True))] = 1,
     settings: Settings = None,
     json: Json = False,
-) -> int:  # fmt: skip
+) -> int:
     """Say how sure each parameter is, with --rig each predicted quantity of the points too, and what makes it unsure.
 
     Args:
@@ -197,9 +197,15 @@ def _predicted(
     angle = known_axis_angle(identified, rig)
     there = identified.axis_angle_deg is not None
     budgets = predicted_budgets(
-        found, list(identified.values), of_parameters.budgets, rig, angle, axis_identified=there,
-        slow_roll=identified.slow_roll, terms=identified.terms,
-    )  # fmt: skip
+        found,
+        list(identified.values),
+        of_parameters.budgets,
+        rig,
+        angle,
+        axis_identified=there,
+        slow_roll=identified.slow_roll,
+        terms=identified.terms,
+    )
     for name in (n for point in found for n in quantity_names(point) if asked.shows(n)):
         if name not in budgets.budgets.names:
             skipped[name] = "it is 0 whatever the parameters are"
@@ -240,10 +246,14 @@ def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, se
         values, slopes = parameters.values[at], parameters.sensitivities[at]
         sampled.append(
             monte_carlo(
-                lambda errors: values + errors @ slopes.T, parameters.sources, seed=seed, level=level,
-                trials=max(trials or 0, _LINEAR_TRIALS), names=answer.asked.parameters,
+                lambda errors: values + errors @ slopes.T,
+                parameters.sources,
+                seed=seed,
+                level=level,
+                trials=max(trials or 0, _LINEAR_TRIALS),
+                names=answer.asked.parameters,
             )
-        )  # fmt: skip
+        )
     if answer.predicted is not None and rig is not None:
         from analysis.budget_monte_carlo import NonlinearModel  # noqa: PLC0415
 
@@ -265,9 +275,7 @@ def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, se
     return replace(answer, sampled=tuple(sampled), checks=checks)
 
 
-def _json(
-    file: Path, rig: Rig | None, answer: Answer, level: float, settings: Sequence[str]
-) -> dict[str, Any]:  # fmt: skip
+def _json(file: Path, rig: Rig | None, answer: Answer, level: float, settings: Sequence[str]) -> dict[str, Any]:
     from uncertainty.rows import budget_json  # noqa: PLC0415
 
     together = answer.together
@@ -276,9 +284,11 @@ def _json(
         spread = next(r[name] for r in answer.sampled if name in [q.name for q in r.quantities])
         trials = next(r.trials for r in answer.sampled if name in [q.name for q in r.quantities])
         shown[name]["monte_carlo"] = {
-            **spread.to_json(), "trials": trials, "verdict": by_kind[_KINDS[0]].verdict,
+            **spread.to_json(),
+            "trials": trials,
+            "verdict": by_kind[_KINDS[0]].verdict,
             "checks": {kind: check.to_json() for kind, check in by_kind.items()},
-        }  # fmt: skip
+        }
     parameters = set(answer.asked.parameters)
     std = {each.name: each.std for each in together.budgets}
     return {
@@ -290,8 +300,11 @@ def _json(
         "stretch": answer.of_parameters.stretch,
         "taken_as_exact": {
             number: {
-                name: {"change": change, "percent": _percent(change, together[name].value),
-                       "standard_uncertainties": change / std[name] if std[name] > 0 else None}
+                name: {
+                    "change": change,
+                    "percent": _percent(change, together[name].value),
+                    "standard_uncertainties": change / std[name] if std[name] > 0 else None,
+                }
                 for name, change in changes.items()
             }
             for number, changes in answer.exact.items()
@@ -299,7 +312,7 @@ def _json(
         "without_budget": dict(answer.skipped),
         "notes": list(answer.of_parameters.notes),
         "what_if": list(settings),
-    }  # fmt: skip
+    }
 
 
 def _percent(change: float, value: float) -> float | None:

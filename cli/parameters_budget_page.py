@@ -48,17 +48,25 @@ def print_budget(file: str, rig: Rig | None, answer: Answer, level: float) -> No
 
 def _summary(together: Budgets, level: float) -> Table:
     share = f"{100 * level:g} %"
-    table = _table(("quantity", "value", "± u", "unit", "ν_eff", "k", f"U ({share})", f"interval ({share})", "mainly"),
-                   right=(1, 2, 4, 5, 6))  # fmt: skip
+    table = _table(
+        ("quantity", "value", "± u", "unit", "ν_eff", "k", f"U ({share})", f"interval ({share})", "mainly"),
+        right=(1, 2, 4, 5, 6),
+    )
     for each in together.budgets:
         low, high = each.interval(level)
         value, u = rounded(each.value, each.std)
         main = [f"{row.source} {_share(row.share)}" for row in budget_rows(each)[:1]]
         table.add_row(
-            Text(each.name, "bold"), value, u, _unit(each.unit), _degrees(each.degrees_of_freedom),
-            f"{each.coverage_factor(level):.3f}", rounded(each.expanded(level), each.std)[0],
-            f"{rounded(low, each.std)[0]} … {rounded(high, each.std)[0]}", Text(printable(", ".join(main))),
-        )  # fmt: skip
+            Text(each.name, "bold"),
+            value,
+            u,
+            _unit(each.unit),
+            _degrees(each.degrees_of_freedom),
+            f"{each.coverage_factor(level):.3f}",
+            rounded(each.expanded(level), each.std)[0],
+            f"{rounded(low, each.std)[0]} … {rounded(high, each.std)[0]}",
+            Text(printable(", ".join(main))),
+        )
     return table
 
 
@@ -73,23 +81,41 @@ def _print_one(console: Console, budget: Budget, level: float) -> None:
     )
     rows = budget_rows(budget)
     shown = [row for row in rows if row.share >= _LEAST_SHARE]
-    table = _table(("source", "type", "distribution", "ν", "u", "unit", "sensitivity", "contribution", "share"),
-                   right=(3, 4, 6, 7, 8))  # fmt: skip
+    table = _table(
+        ("source", "type", "distribution", "ν", "u", "unit", "sensitivity", "contribution", "share"),
+        right=(3, 4, 6, 7, 8),
+    )
     for row in shown:
         table.add_row(*_cells(row))
     if len(rows) > len(shown):
         rest = rows[len(shown) :]
         sum_of = math.hypot(*(row.contribution for row in rest))
-        table.add_row(Text(f"{len(rest)} more", "dim"), "", "", "", "", "", "", f"{sum_of:.3g}",
-                      _share(sum(row.share for row in rest)))  # fmt: skip
+        table.add_row(
+            Text(f"{len(rest)} more", "dim"),
+            "",
+            "",
+            "",
+            "",
+            "",
+            "",
+            f"{sum_of:.3g}",
+            _share(sum(row.share for row in rest)),
+        )
     console.print(table)
 
 
 def _cells(row: BudgetRow) -> list[str | Text]:
     return [
-        Text(printable(row.source)), row.kind, row.distribution, _degrees(row.degrees_of_freedom), f"{row.u:.4g}",
-        _unit(row.unit), f"{row.sensitivity:.5g}", f"{row.contribution:+.4g}", _share(row.share),
-    ]  # fmt: skip
+        Text(printable(row.source)),
+        row.kind,
+        row.distribution,
+        _degrees(row.degrees_of_freedom),
+        f"{row.u:.4g}",
+        _unit(row.unit),
+        f"{row.sensitivity:.5g}",
+        f"{row.contribution:+.4g}",
+        _share(row.share),
+    ]
 
 
 def _print_correlation(console: Console, together: Budgets) -> None:
@@ -145,10 +171,16 @@ def _print_monte_carlo(console: Console, answer: Answer) -> None:
         style = {"agree": "green", "differ": "bold yellow", "undecided": "dim"}[check.verdict]
         low, high = check.sampled
         table.add_row(
-            Text(name, "bold"), rounded(spread.mean, spread.std)[0], rounded(spread.mean, spread.std)[1],
-            f"{rounded(low, spread.std)[0]} … {rounded(high, spread.std)[0]}", f"{check.low:.2g}", f"{check.high:.2g}",
-            f"{check.tolerance:.2g}", f"{check.numerical_error:.1g}", Text(check.verdict, style),
-        )  # fmt: skip
+            Text(name, "bold"),
+            rounded(spread.mean, spread.std)[0],
+            rounded(spread.mean, spread.std)[1],
+            f"{rounded(low, spread.std)[0]} … {rounded(high, spread.std)[0]}",
+            f"{check.low:.2g}",
+            f"{check.high:.2g}",
+            f"{check.tolerance:.2g}",
+            f"{check.numerical_error:.1g}",
+            Text(check.verdict, style),
+        )
     console.print(table)
     if any(by_kind[kind].verdict == "undecided" for by_kind in answer.checks.values()):
         console.print(Text("undecided: the draws are too few to see δ; give more --trials", "dim"))

@@ -32,16 +32,18 @@ def print_parameters(facts: Mapping[str, Any]) -> None:
         limited = told["limited_by"]
         where = Text("not known", "dim") if limited is None else Text(shares_in_words(limited["shares"]))
         unit = "" if told["unit"] == "1" else told["unit"]
-        table.add_row(Text(short(name), "bold"), value, std, percent(told["relative_std"]), unit, where,
-                      _counted(told["tests"]))  # fmt: skip
+        table.add_row(
+            Text(short(name), "bold"), value, std, percent(told["relative_std"]), unit, where, _counted(told["tests"])
+        )
     console.print(table)
     for pair in sorted(facts["correlated"], key=lambda p: -abs(p["correlation"])):
         names = " and ".join(short(n) for n in pair["between"])
         console.print(Text.assemble(("correlated   ", "dim"), f"{names} {pair['correlation']:+.2f}"))
     for test in facts["tests"]:
         if test.get("left_out"):
-            console.print(Text(f"left out     {test['test']} ({test['log']}) {test['left_out']}", "bold red"),
-                          soft_wrap=True)  # fmt: skip
+            console.print(
+                Text(f"left out     {test['test']} ({test['log']}) {test['left_out']}", "bold red"), soft_wrap=True
+            )
     for name, told in facts["parameters"].items():
         if told["limited_by"] is not None and told["limited_by"]["main"] != "noise":
             console.print(
@@ -77,15 +79,25 @@ def print_comparison(found: Comparison, words: str, level: float) -> None:
         new, _ = rounded(c.new, c.std)
         style = "bold yellow" if c.p_holm < level else ""
         table.add_row(
-            Text(short(c.name), "bold"), PARAMETER_UNITS[c.name], old, new, f"{100 * c.relative:+.4g} %",
-            percent(c.relative_std), f"{c.z:+.2f}", _chance(c.p), Text(_significance(c), style),
-        )  # fmt: skip
+            Text(short(c.name), "bold"),
+            PARAMETER_UNITS[c.name],
+            old,
+            new,
+            f"{100 * c.relative:+.4g} %",
+            percent(c.relative_std),
+            f"{c.z:+.2f}",
+            _chance(c.p),
+            Text(_significance(c), style),
+        )
     console.print(table)
     direction = [f"{short(c.name)} {100 * c.share:.0f} %" for c in _leading(found)]
     console.print(
-        Text(f"all together: χ² {found.chi2:.4g} for {found.dof}, p {_chance(found.p)}"
-             + (f"; of it {', '.join(direction)}" if found.p < level and direction else "")), soft_wrap=True
-    )  # fmt: skip
+        Text(
+            f"all together: χ² {found.chi2:.4g} for {found.dof}, p {_chance(found.p)}"
+            + (f"; of it {', '.join(direction)}" if found.p < level and direction else "")
+        ),
+        soft_wrap=True,
+    )
     console.print(
         Text(f"± is one standard deviation; significance counts all {len(found.changes)} looks (Holm)", "dim")
     )

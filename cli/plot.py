@@ -20,9 +20,21 @@ if TYPE_CHECKING:
     from cli.plotted import Wanted
 
 Kind = Literal[
-    "time", "orbit", "dial", "bode", "polar", "waterfall", "spectrum", "orders", "slip", "multipliers", "map",
-    "residuals", "history", "health",
-]  # fmt: skip
+    "time",
+    "orbit",
+    "dial",
+    "bode",
+    "polar",
+    "waterfall",
+    "spectrum",
+    "orders",
+    "slip",
+    "multipliers",
+    "map",
+    "residuals",
+    "history",
+    "health",
+]
 
 
 def plot(
@@ -64,11 +76,16 @@ def plot(
     places = _places(kind, wanted.names, output, force)
     drawn, left = _draw_all(kind, wanted, places, force)
     if json:
-        print_json({
-            "kind": kind, "figures": drawn, "over": None if over is None else str(over),
-            "model": None if model is None else str(model), "what_if": list(settings or []),
-            "not_drawn": [{"log": str(each.log), "reason": each.reason} for each in left],
-        })  # fmt: skip
+        print_json(
+            {
+                "kind": kind,
+                "figures": drawn,
+                "over": None if over is None else str(over),
+                "model": None if model is None else str(model),
+                "what_if": list(settings or []),
+                "not_drawn": [{"log": str(each.log), "reason": each.reason} for each in left],
+            }
+        )
     else:
         if settings:
             print(what_if_words(settings))

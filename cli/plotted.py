@@ -83,9 +83,13 @@ class _Model:
 
 
 def figures_of(
-    kind: str, logs: Sequence[Path], over: Path | None, model: Path | None, known: IdentifiedParameters | None,
+    kind: str,
+    logs: Sequence[Path],
+    over: Path | None,
+    model: Path | None,
+    known: IdentifiedParameters | None,
     settings: Sequence[str],
-) -> Wanted:  # fmt: skip
+) -> Wanted:
     """What is to be drawn of the logs.
 
     Args:
@@ -104,8 +108,12 @@ def figures_of(
     source = _Model(model, known, settings)
     if found.of == "all":
         draw = {
-            "map": _map, "residuals": _residuals, "history": _history, "slip": _slip, "multipliers": _multipliers,
-        }[kind]  # fmt: skip
+            "map": _map,
+            "residuals": _residuals,
+            "history": _history,
+            "slip": _slip,
+            "multipliers": _multipliers,
+        }[kind]
         return Wanted((_stem(logs[0]) if len(logs) == 1 else kind,), (partial(draw, logs, source),))
     if found.of == "log":
         return Wanted(tuple(map(_stem, logs)), tuple(partial(_health, log) for log in logs), tuple(logs))
@@ -128,9 +136,12 @@ def _run(kind: FigureKind, log: Path, over: Path | None, source: _Model) -> Draw
 def _facts(kind: str, logs: Sequence[Path], model: str, run: Run | None = None) -> dict[str, Any]:
     title = f"{kind}: {', '.join(log.name for log in logs)}"
     return {
-        "title": title, "logs": [str(log) for log in logs], "test": None if run is None else run.test, "beside": model,
+        "title": title,
+        "logs": [str(log) for log in logs],
+        "test": None if run is None else run.test,
+        "beside": model,
         "warnings": [] if run is None else list(run.metadata.get("missing", [])),
-    }  # fmt: skip
+    }
 
 
 def _health(log: Path) -> Drawn:

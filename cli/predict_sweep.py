@@ -18,9 +18,16 @@ if TYPE_CHECKING:
 
 
 def predict_sweep(
-    rig: str, text: str, known: IdentifiedParameters, settings: Sequence[str], speeds: tuple[str | None, float | None,
-    float | None], accuracy: float, plot: Path | None, *, json: bool,
-) -> int:  # fmt: skip
+    rig: str,
+    text: str,
+    known: IdentifiedParameters,
+    settings: Sequence[str],
+    speeds: tuple[str | None, float | None, float | None],
+    accuracy: float,
+    plot: Path | None,
+    *,
+    json: bool,
+) -> int:
     """Branches over the number, its break points, the figure.
 
     Args:
@@ -74,8 +81,10 @@ def lines(found: SteadyBranches, key: str) -> list[str]:
     said = list[str]()
     for branch in found.stable_branches():
         ends = [_at(branch, i) for i in (0, -1)]
-        said.append(f"{branch.type:4} stable from {key} = {branch.values[0]:.7g} to {branch.values[-1]:.7g}: "
-                    f"{ends[0]} … {ends[1]}")  # fmt: skip
+        said.append(
+            f"{branch.type:4} stable from {key} = {branch.values[0]:.7g} to {branch.values[-1]:.7g}: "
+            f"{ends[0]} … {ends[1]}"
+        )
     if not said:
         said.append("no stable steady state at any value")
     for one in found.break_points:

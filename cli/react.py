@@ -58,8 +58,10 @@ def react(
 
         write_figure(plot, draw_reaction(found, title, share), title)
     result = _json(found, speed, share) | {
-        "change": list(change), "what_if": list(settings or []), "plot": None if plot is None else str(plot),
-    }  # fmt: skip
+        "change": list(change),
+        "what_if": list(settings or []),
+        "plot": None if plot is None else str(plot),
+    }
     if json:
         print_json(result)
         return 0

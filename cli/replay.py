@@ -123,8 +123,10 @@ def _check_json(found: Check) -> dict[str, Any]:
 
 
 def _fields_json(row: ChannelCheck) -> dict[str, Any]:
-    return {name: {"samples": apart.samples, "largest": apart.largest, "rms": apart.rms}
-            for name, apart in row.fields.items()}  # fmt: skip
+    return {
+        name: {"samples": apart.samples, "largest": apart.largest, "rms": apart.rms}
+        for name, apart in row.fields.items()
+    }
 
 
 def _print_check(found: Check) -> None:
@@ -159,8 +161,15 @@ def _anew(path: Path, output: Path, calibration: Path | None, json: bool) -> int
         made = decode_anew(path, output, loaded, progress)
     if json:
         rows = {row.topic: {"origin": row.live, "anew": row.again, "moved": _fields_json(row)} for row in made.moved}
-        print_json({"log": str(made.path), "origin": str(path), "channels": rows, "losses": made.losses,
-                    "missing": list(made.missing)})  # fmt: skip
+        print_json(
+            {
+                "log": str(made.path),
+                "origin": str(path),
+                "channels": rows,
+                "losses": made.losses,
+                "missing": list(made.missing),
+            }
+        )
         return 0
     for line in _moved_lines(made):
         show(line)
@@ -202,8 +211,10 @@ def _watch(path: Path, speed: float, json: bool) -> int:
     if json:
         print_json(result)
     else:
-        say(f"{path}: {result['span_s']:.1f} s of the log shown, ended by {ended}, at most "
-            f"{result['most_late_s'] * 1e3:.0f} ms late")  # fmt: skip
+        say(
+            f"{path}: {result['span_s']:.1f} s of the log shown, ended by {ended}, at most "
+            f"{result['most_late_s'] * 1e3:.0f} ms late"
+        )
     return 0
 
 
@@ -227,13 +238,23 @@ def _play(path: Path, to: str, speed: float, linger: float | None, json: bool) -
     for line in _lost_lines(state):
         say(line)
     if json:
-        print_json({"ended": ended, "configured": playback.configured, "played_s": played_s,
-                    "delivered_bytes": state.delivered, "undelivered_bytes": state.undelivered,
-                    "withheld_bytes": state.withheld, "unfollowed_commands": state.unfollowed,
-                    "most_late_s": state.most_late_s})  # fmt: skip
+        print_json(
+            {
+                "ended": ended,
+                "configured": playback.configured,
+                "played_s": played_s,
+                "delivered_bytes": state.delivered,
+                "undelivered_bytes": state.undelivered,
+                "withheld_bytes": state.withheld,
+                "unfollowed_commands": state.unfollowed,
+                "most_late_s": state.most_late_s,
+            }
+        )
     else:
-        say(f"{path}: {sum(state.delivered.values())} bytes played, {span}, ended by {ended}, at most "
-            f"{state.most_late_s * 1e3:.0f} ms late")  # fmt: skip
+        say(
+            f"{path}: {sum(state.delivered.values())} bytes played, {span}, ended by {ended}, at most "
+            f"{state.most_late_s * 1e3:.0f} ms late"
+        )
     left_early = state.cut_short or any(state.undelivered.values())
     return 3 if left_early and not state.stopped else 0
 
@@ -258,8 +279,10 @@ def _carry_out(playback: Playback, log: Log, speed: float, linger: float | None)
         playback.wait_for_readers(ports)
         playback.wait_for_setup(setup)
         if playback.configured and math.isinf(speed):
-            say("warning: what comes before the host begins to record is past then, and at --speed max that is most; "
-                "--speed 1 plays at the log's own pace")  # fmt: skip
+            say(
+                "warning: what comes before the host begins to record is past then, and at --speed max that is most; "
+                "--speed 1 plays at the log's own pace"
+            )
         say("playing")
         state = playback.play(log.raw_in_order(), _PlayedLines(log).tell)
         if state.cut_short:
@@ -295,8 +318,14 @@ class _PlayedLines:
 def _lost_lines(state: Played) -> list[str]:
     undelivered = {} if state.stopped else state.undelivered
     return [
-        *(f"{device}: {count} bytes were not played, nobody read them any more"
-          for device, count in undelivered.items() if count),
-        *(f"{device}: {count} commands were not followed, a log cannot: it did what it did"
-          for device, count in state.unfollowed.items() if count),
-    ]  # fmt: skip
+        *(
+            f"{device}: {count} bytes were not played, nobody read them any more"
+            for device, count in undelivered.items()
+            if count
+        ),
+        *(
+            f"{device}: {count} commands were not followed, a log cannot: it did what it did"
+            for device, count in state.unfollowed.items()
+            if count
+        ),
+    ]

@@ -63,8 +63,10 @@ def _facts(path: Path, found: InterlockReplay, settings: Sequence[str]) -> dict[
 
 def _trip_facts(trip: WouldTrip, start_ns: int) -> dict[str, Any]:
     return {
-        "time_s": _s(trip.time_ns, start_ns), "until_s": _s(trip.last_ns, start_ns), **asdict(trip),
-    }  # fmt: skip
+        "time_s": _s(trip.time_ns, start_ns),
+        "until_s": _s(trip.last_ns, start_ns),
+        **asdict(trip),
+    }
 
 
 def _print(path: Path, found: InterlockReplay, settings: Sequence[str]) -> None:
@@ -112,8 +114,9 @@ def _trip_lines(trip: WouldTrip, start_ns: int) -> Iterable[str]:
     speed = "speed unknown" if trip.speed_rpm is None else f"{trip.speed_rpm:.0f} rpm"
     values = [
         f"{topic} " + ", ".join(f"{name} {value:.6g}" for name, value in newest.items())
-        for topic, newest in trip.newest.items() if newest
-    ]  # fmt: skip
+        for topic, newest in trip.newest.items()
+        if newest
+    ]
     yield f"           rotor {speed}, {told}; newest: {'; '.join(values)}"
 
 

@@ -23,11 +23,17 @@ if TYPE_CHECKING:
 
 
 def reported(
-    path: Path, rig: Rig, runs: Sequence[Run], before: IdentifiedParameters,
+    path: Path,
+    rig: Rig,
+    runs: Sequence[Run],
+    before: IdentifiedParameters,
     joint: Identification | None,
-    validation: Validation | None, *,
-    title: str = "", since: tuple[str, IdentifiedParameters] | None = None, facts: Mapping[str, Any] | None = None,
-) -> Path:  # fmt: skip
+    validation: Validation | None,
+    *,
+    title: str = "",
+    since: tuple[str, IdentifiedParameters] | None = None,
+    facts: Mapping[str, Any] | None = None,
+) -> Path:
     """Write the report of a campaign.
 
     Args:

@@ -59,12 +59,16 @@ def reproduce(
     if docs is not None:
         write_docs(docs, made)
     if json:
-        print_json({
-            "book": str(book),
-            "verdicts": counts_of(made),
-            "items": [{"id": one.item.id, "folder": str(one.folder), "failed": one.failed or None, "claims": one.claims}
-                      for one in made],
-        })  # fmt: skip
+        print_json(
+            {
+                "book": str(book),
+                "verdicts": counts_of(made),
+                "items": [
+                    {"id": one.item.id, "folder": str(one.folder), "failed": one.failed or None, "claims": one.claims}
+                    for one in made
+                ],
+            }
+        )
         return _exit_code(made)
     for one in made:
         print(f"{one.item.id}: {one.item.title}")

@@ -33,8 +33,9 @@ def say_balancing(rig: Rig, known: IdentifiedParameters, settings: Sequence[str]
         title = f"{rig.name}: {found.margins.region}{what_if_words(settings, '; ')}"
         write_figure(plot, draw_balancing(physics, title, found.std_kg_m), title)
     result = _balancing_json(physics, found) | {
-        "what_if": list(settings), "plot": None if plot is None else str(plot),
-    }  # fmt: skip
+        "what_if": list(settings),
+        "plot": None if plot is None else str(plot),
+    }
     if json:
         print_json(result)
         return 0
@@ -50,8 +51,11 @@ def _balancing_json(physics: RotorParameters, found: MomentMargins) -> dict[str,
     from dynamics import balanced_angles, gravity_disk  # noqa: PLC0415
 
     disk, margins = gravity_disk(physics), found.margins
-    chance = (probability_of_region(margins.may_grow_kg_m, found.grow_std_kg_m)
-              + probability_of_region(margins.may_shrink_kg_m, found.shrink_std_kg_m) - 1.0)  # fmt: skip
+    chance = (
+        probability_of_region(margins.may_grow_kg_m, found.grow_std_kg_m)
+        + probability_of_region(margins.may_shrink_kg_m, found.shrink_std_kg_m)
+        - 1.0
+    )
     return {
         "balancing_region": margins.region,
         "SA_kg_m": found.moments_kg_m[0],
@@ -83,13 +87,16 @@ def _balancing_lines(result: dict[str, Any], found: MomentMargins) -> list[str]:
     lines.append(
         f"full balance exists for S_P from {_GRAMS * margins.least_kg_m:.4g} to {_GRAMS * margins.most_kg_m:.4g} g m"
     )
-    ways = (("grow", margins.may_grow_kg_m, found.grow_std_kg_m),
-            ("shrink", margins.may_shrink_kg_m, found.shrink_std_kg_m))  # fmt: skip
+    ways = (
+        ("grow", margins.may_grow_kg_m, found.grow_std_kg_m),
+        ("shrink", margins.may_shrink_kg_m, found.shrink_std_kg_m),
+    )
     for way, margin, std in ways:
         lines.append(
-            f"  S_P may {way} as it likes: the region stays" if margin is None
+            f"  S_P may {way} as it likes: the region stays"
+            if margin is None
             else f"  S_P may {way} by {_g_m(margin, std)} before the region changes"
-        )  # fmt: skip
+        )
     if any(found.std_kg_m):
         lines.append(f"  probability that it is {margins.region}: {result['probability_of_region']:.4g}")
     lines.append(
@@ -120,21 +127,36 @@ def say_lost(rig: Rig, known: IdentifiedParameters, settings: Sequence[str], plo
     rpm = physics.natural_frequencies_rad_s[0] * 30 / math.pi
     exact = physics.is_isotropic and physics.gravity_m_per_s2 == 0
     if json:
-        print_json({
-            "exact": exact,
-            "lost": [{"type": loss.type, "ST_kg_m": loss.moment_kg_m,
-                      "speed_ratio": [_finite(pair, 1.0) for pair in loss.speed_ratios],
-                      "speed_rpm": [_finite(pair, rpm) for pair in loss.speed_ratios]} for loss in losses],
-            "what_if": list(settings), "plot": None if plot is None else str(plot),
-        })  # fmt: skip
+        print_json(
+            {
+                "exact": exact,
+                "lost": [
+                    {
+                        "type": loss.type,
+                        "ST_kg_m": loss.moment_kg_m,
+                        "speed_ratio": [_finite(pair, 1.0) for pair in loss.speed_ratios],
+                        "speed_rpm": [_finite(pair, rpm) for pair in loss.speed_ratios],
+                    }
+                    for loss in losses
+                ],
+                "what_if": list(settings),
+                "plot": None if plot is None else str(plot),
+            }
+        )
         return 0
     for loss in losses:
-        bands = ", ".join(f"{low:.4g} … {high:.4g} ({low * rpm:.4g} … {high * rpm:.4g} rpm)"
-                          for low, high in loss.speed_ratios)  # fmt: skip
-        print(f"Type {loss.type:3} (S_T {_GRAMS * loss.moment_kg_m:.4g} g m): "
-              + (f"lost at speed ratio {bands}" if bands else "never lost"))  # fmt: skip
-    print("exact: isotropic suspension" if exact else
-          "by the mean torque of pendulums at rest on the rotor; orbits that wobble may differ a little")  # fmt: skip
+        bands = ", ".join(
+            f"{low:.4g} … {high:.4g} ({low * rpm:.4g} … {high * rpm:.4g} rpm)" for low, high in loss.speed_ratios
+        )
+        print(
+            f"Type {loss.type:3} (S_T {_GRAMS * loss.moment_kg_m:.4g} g m): "
+            + (f"lost at speed ratio {bands}" if bands else "never lost")
+        )
+    print(
+        "exact: isotropic suspension"
+        if exact
+        else "by the mean torque of pendulums at rest on the rotor; orbits that wobble may differ a little"
+    )
     print("what is stable, or slips, at each speed: rig map --quantity coexisting")
     if settings:
         print(what_if_words(settings))

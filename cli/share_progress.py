@@ -29,10 +29,16 @@ def share_progress(
     """
     live = console.STDERR.is_terminal
     bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=32),
-        TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn(), TextColumn("{task.fields[pace]}", markup=False),
-        console=console.STDERR, disable=not live, transient=True,
-    )  # fmt: skip
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=32),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[pace]}", markup=False),
+        console=console.STDERR,
+        disable=not live,
+        transient=True,
+    )
     began = last = time.monotonic()
     reached = 0.0
 

@@ -32,9 +32,11 @@ def shown_json(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> Ent
     whole = math.sqrt(max(state.amplitude_m**2 + more, 0.0))
     return {
         "amplitude_mm": 1e3 * whole,
-        "amplitude_x_mm": 1e3 * abs(shown[0]), "amplitude_y_mm": 1e3 * abs(shown[1]),
-        "of_motion_x_mm": 1e3 * abs(motion[0]), "of_motion_y_mm": 1e3 * abs(motion[1]),
-    }  # fmt: skip
+        "amplitude_x_mm": 1e3 * abs(shown[0]),
+        "amplitude_y_mm": 1e3 * abs(shown[1]),
+        "of_motion_x_mm": 1e3 * abs(motion[0]),
+        "of_motion_y_mm": 1e3 * abs(motion[1]),
+    }
 
 
 def shown_line(shown: Entries) -> str:

@@ -44,9 +44,12 @@ def start_ups_json(rig: Rig, physics: RotorParameters, speed: float, count: int,
     ramp_s = speed * 30 / math.pi / ramp
     with share_progress("starting up") as progress:
         ends = start_ups_from_rest(
-            [physics] * count, speed, ramp_s, random_starts(count, _SEED),
+            [physics] * count,
+            speed,
+            ramp_s,
+            random_starts(count, _SEED),
             progress=lambda done, whole: progress(done / whole),
-        )  # fmt: skip
+        )
     found = settled_scatter(ends.theta_rad, ends.amplitude_m[:, 0], balance_of(physics))
     locked = abs(locked_orbit(physics, speed)[0])
     if plot is not None:
@@ -65,7 +68,7 @@ def start_ups_json(rig: Rig, physics: RotorParameters, speed: float, count: int,
         "not_at_rest": moving,
         "not_followed": int((~ends.followed).sum()),
         "theta_deg": [[math.degrees(angle) for angle in pair] for pair in ends.theta_rad.tolist()],
-    }  # fmt: skip
+    }
 
 
 def start_ups_lines(result: dict[str, Any]) -> list[str]:

@@ -121,10 +121,15 @@ def _campaigns_json(found: CampaignResults) -> dict[str, Any]:
 
     def covered(rows: dict[str, NDArray[np.floating]]) -> dict[str, Any]:
         return {
-            name: {"n": len(z), "within_95": within(z), "mean": float(np.mean(z)), "std": float(np.std(z)),
-                   "largest": float(np.max(np.abs(z)))}
+            name: {
+                "n": len(z),
+                "within_95": within(z),
+                "mean": float(np.mean(z)),
+                "std": float(np.std(z)),
+                "largest": float(np.max(np.abs(z))),
+            }
             for name, z in rows.items()
-        }  # fmt: skip
+        }
 
     return {
         "campaigns": len(found.done),

@@ -76,8 +76,10 @@ def _places(logs: Sequence[Path], output: Path | None, force: bool) -> list[Plac
     names = [place.table or place.figure for place in found if place.table or place.figure]
     twice = {str(name) for name in names if names.count(name) > 1}
     if twice:
-        raise RigFileError(f"rig track: -o {output}: several logs would be written to {', '.join(sorted(twice))}; "
-                           "track them one by one")  # fmt: skip
+        raise RigFileError(
+            f"rig track: -o {output}: several logs would be written to {', '.join(sorted(twice))}; "
+            "track them one by one"
+        )
     return found
 
 
@@ -105,12 +107,14 @@ def _check_sensors(log: Path, own: Rig, given: Rig, name: str | None) -> None:
     a, b = own.roles, given.roles
     facts = {
         "encoders of so many counts per revolution": (
-            a.angles and a.angles.counts_per_revolution, b.angles and b.angles.counts_per_revolution
+            a.angles and a.angles.counts_per_revolution,
+            b.angles and b.angles.counts_per_revolution,
         ),
         "an index mark at the angle (index_angle_deg)": (
-            a.phase and a.phase.index_angle_deg, b.phase and b.phase.index_angle_deg
+            a.phase and a.phase.index_angle_deg,
+            b.phase and b.phase.index_angle_deg,
         ),
-    }  # fmt: skip
+    }
     for what, (expected, got) in facts.items():
         if expected != got:
             raise RigFileError(
@@ -124,9 +128,15 @@ def _or_none(value: object) -> str:
 
 
 def _tracked(
-    log: Path, rig: Rig, parameters: Path | None, setting: Literal["fast", "reference"], every_ms: float,
-    settings: Sequence[str], place: Places, force: bool,
-) -> Tracking:  # fmt: skip
+    log: Path,
+    rig: Rig,
+    parameters: Path | None,
+    setting: Literal["fast", "reference"],
+    every_ms: float,
+    settings: Sequence[str],
+    place: Places,
+    force: bool,
+) -> Tracking:
     """One log through the tracker, and into its files."""
     from cli.track_files import write_files  # noqa: PLC0415
     from cli.track_page import Tracking, trackable  # noqa: PLC0415
@@ -140,9 +150,13 @@ def _tracked(
     physics = rig.physics if against is None else against.with_effects(rig.physics)
     with share_progress(f"{setting} tracking of {log.name}") as tell:
         found = follow(
-            run, physics, imbalance_std=imbalance_std(parameters, settings), batch_s=1e-3 * every_ms,
-            setting=setting, tell=tell,
-        )  # fmt: skip
+            run,
+            physics,
+            imbalance_std=imbalance_std(parameters, settings),
+            batch_s=1e-3 * every_ms,
+            setting=setting,
+            tell=tell,
+        )
     result = Tracking(run, rig, found, setting, against, parameters, warnings)
     for text in result.warnings:
         say(f"warning: {text}")

@@ -70,9 +70,11 @@ def columns(found: TrackedRun) -> dict[str, NDArray[Any]]:
     `std_` is one standard deviation, `low_` and `high_` are 95 % intervals, `smoothed_` is the reference setting's.
     """
     table: dict[str, NDArray[Any]] = {
-        "time_s": found.time_s, "psi_rad": found.phase_rad, "speed_rad_per_s": found.speed_rad_s,
+        "time_s": found.time_s,
+        "psi_rad": found.phase_rad,
+        "speed_rad_per_s": found.speed_rad_s,
         **_estimates(found, ""),
-    }  # fmt: skip
+    }
     if found.smoothed is not None:
         table |= _estimates(found.smoothed, "smoothed_")
     table["trusted"] = found.trusted
@@ -118,9 +120,14 @@ def picture(result: Tracking) -> TrackedPicture:
     states: list[TrackedState] = []
     for j, name in enumerate(("θ3, °", "θ4, °")):
         states.append(
-            TrackedState(name, found.time_s, *_scaled(best, 2 + j, 180 / math.pi), run.angle_time_s,
-                         np.degrees(run.angle_rad[:, j]))
-        )  # fmt: skip
+            TrackedState(
+                name,
+                found.time_s,
+                *_scaled(best, 2 + j, 180 / math.pi),
+                run.angle_time_s,
+                np.degrees(run.angle_rad[:, j]),
+            )
+        )
     for j, (name, time, values) in enumerate((("x, mm", run.x_time_s, run.x_m), ("y, mm", run.y_time_s, run.y_m))):
         if len(time):
             value, std = _scaled(best, j, 1e3)

@@ -199,8 +199,10 @@ def _against(known: Known, found: TrackedRun, j: int) -> dict[str, float]:
 def print_tracking(result: Tracking) -> None:
     """The summary of one log."""
     facts, found = tracking_json(result), result.found
-    show(f"{result.run.source}: {result.run.test}, {facts['to_s'] - facts['from_s']:.1f} s, {facts['rows']} rows, "
-         f"{result.setting} setting")  # fmt: skip
+    show(
+        f"{result.run.source}: {result.run.test}, {facts['to_s'] - facts['from_s']:.1f} s, {facts['rows']} rows, "
+        f"{result.setting} setting"
+    )
     for j, (short, name) in enumerate(_NAMES.items()):
         value, (low, high) = facts["parameters"][name]["value"], facts["parameters"][name]["interval95"]
         line = f"{short} {value:.4g} N m s/rad, 95 % {low:.4g} to {high:.4g}"
@@ -211,12 +213,16 @@ def print_tracking(result: Tracking) -> None:
         show(line)
         if found.smoothed is not None:
             s = found.smoothed
-            show(f"   over the run, smoothed: {s.values[:, j].min():.4g} to {s.values[:, j].max():.4g}, at the start "
-                 f"{s.values[0, j]:.4g}, 95 % {s.low[0, j]:.4g} to {s.high[0, j]:.4g}")  # fmt: skip
+            show(
+                f"   over the run, smoothed: {s.values[:, j].min():.4g} to {s.values[:, j].max():.4g}, at the start "
+                f"{s.values[0, j]:.4g}, 95 % {s.low[0, j]:.4g} to {s.high[0, j]:.4g}"
+            )
     counts = facts["readings"]
     taken = counts["used"] + counts["refused"] + counts["late"]
-    show(f"readings: {taken}, used {counts['used']}, rejected {counts['refused']}, too late {counts['late']}; "
-         f"new starts {counts['restarts']}, repairs of the covariance {counts['repairs']}")  # fmt: skip
+    show(
+        f"readings: {taken}, used {counts['used']}, rejected {counts['refused']}, too late {counts['late']}; "
+        f"new starts {counts['restarts']}, repairs of the covariance {counts['repairs']}"
+    )
     lost = {name: count for name, count in result.run.losses.items() if count}
     show(f"lost on the way to the log: {', '.join(f'{name} {count}' for name, count in lost.items()) or 'nothing'}")
     show(_verdict(result))
@@ -225,8 +231,10 @@ def print_tracking(result: Tracking) -> None:
 def _verdict(result: Tracking) -> str:
     """Whether to trust the numbers, and what they are good for."""
     if result.trusted:
-        return ("trusted: the filter follows the readings and both dampings are learned from them. Intervals of a "
-                "filter are a guide; quote those of `rig identify`")  # fmt: skip
+        return (
+            "trusted: the filter follows the readings and both dampings are learned from them. Intervals of a "
+            "filter are a guide; quote those of `rig identify`"
+        )
     if not result.found.last.trusted:
         return "not trusted: the filter does not follow the readings"
     slow: Mapping[str, bool] = result.learned

@@ -53,9 +53,11 @@ class LiveTracking:
         roles = session.rig.roles
         self._session = session
         self._tracker = Tracker(
-            physics, Sensors(encoder_step_rad=roles.angles.step_rad) if roles.angles else Sensors(),
-            released=(False, False), imbalance_std=imbalance_std,
-        )  # fmt: skip
+            physics,
+            Sensors(encoder_step_rad=roles.angles.step_rad) if roles.angles else Sensors(),
+            released=(False, False),
+            imbalance_std=imbalance_std,
+        )
         self._index_rad = math.radians(roles.phase.index_angle_deg if roles.phase else 0.0)
         self._seen_ns = {"pendulums": 0, "tacho": 0}
         self._closed: list[bool | None] = [None, None]

@@ -51,9 +51,16 @@ def start(
     def ready(note: Path | None) -> None:
         if output is not None:
             write_plugged(rig, settings or [], virtual.ports(), output)
-        print_json({"ports": virtual.ports(), "control_port": virtual.control.port, "token": virtual.token,
-                    "time_scale": time_scale, "control": str(note) if note else None,
-                    "rig_file": str(output) if output else None})  # fmt: skip
+        print_json(
+            {
+                "ports": virtual.ports(),
+                "control_port": virtual.control.port,
+                "token": virtual.token,
+                "time_scale": time_scale,
+                "control": str(note) if note else None,
+                "rig_file": str(output) if output else None,
+            }
+        )
         if not while_stdin_open and not json:
             _say_how(loaded.name, virtual.ports(), output, time_scale, note if control else None)
 
@@ -195,8 +202,10 @@ def fault(
 
 def _chosen(kind: str, device: str | None, kinds: Mapping[str, Mapping[str, Any]]) -> tuple[str, str]:
     """The fault by its own words, and the device."""
-    having = {name: next((own for own in known if own.replace(" ", "-") == kind.replace(" ", "-")), "")
-              for name, known in kinds.items()}  # fmt: skip
+    having = {
+        name: next((own for own in known if own.replace(" ", "-") == kind.replace(" ", "-")), "")
+        for name, known in kinds.items()
+    }
     able = [name for name, what in having.items() if what]
     if device is not None and device not in kinds:
         raise RigFileError(f"no device {device!r}; this rig has {', '.join(kinds)}")
@@ -224,8 +233,9 @@ def plug(device: str, *, control: Control = None, json: Json = False) -> None:
     """Plug a device in again; its port may have another name now."""
     with _operator(control) as line:
         port = str(line.ask("plug", device=device)["port"])
-    _done(json, f"{device}: plugged in at {port}; use it by --set devices.{device}.port={port}", device=device,
-          port=port)  # fmt: skip
+    _done(
+        json, f"{device}: plugged in at {port}; use it by --set devices.{device}.port={port}", device=device, port=port
+    )
 
 
 @app.command

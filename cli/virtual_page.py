@@ -35,18 +35,23 @@ def onlooker(state: Mapping[str, Any]) -> dict[str, Any]:
     """The state without what stands in it twice; lists of frames as their number."""
     own = {"time_s", "speed_rpm", "displacement_mm", "pendulums_deg", "pendulums_held"}
     devices = {
-        name: {**each, "facts": {key: len(fact) if key == "dropped" else fact for key, fact in each["facts"].items()},
-               "overrun_bytes": state["overrun_bytes"][name]}
+        name: {
+            **each,
+            "facts": {key: len(fact) if key == "dropped" else fact for key, fact in each["facts"].items()},
+            "overrun_bytes": state["overrun_bytes"][name],
+        }
         for name, each in state["devices"].items()
-    }  # fmt: skip
+    }
     return {**{key: state[key] for key in sorted(own)}, "devices": devices}
 
 
 def show_state(seen: Mapping[str, Any]) -> None:
     """The rig as an onlooker sees it."""
     x, y = seen["displacement_mm"]
-    a, b = (f"{'held' if held else 'free'} at {deg % 360:.1f}°"
-            for deg, held in zip(seen["pendulums_deg"], seen["pendulums_held"], strict=True))  # fmt: skip
+    a, b = (
+        f"{'held' if held else 'free'} at {deg % 360:.1f}°"
+        for deg, held in zip(seen["pendulums_deg"], seen["pendulums_held"], strict=True)
+    )
     show(f"{seen['time_s']:.1f} s, {seen['speed_rpm']:.1f} rpm, column at {x:+.2f} and {y:+.2f} mm")
     show(f"pendulum A {a}, B {b}")
     for name, device in seen["devices"].items():

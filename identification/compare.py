@@ -145,9 +145,15 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     if dof < len(names):
         notes.append(f"{len(names) - dof} of {len(names)} directions rest on the same logs both times: no change there")
     return Comparison(
-        changes, covariance, chi2, dof, float(chdtrc(dof, max(chi2, 0.0))) if dof else 1.0,
-        [n for n in old.values if n not in new.values], [n for n in new.values if n not in old.values], notes,
-    )  # fmt: skip
+        changes,
+        covariance,
+        chi2,
+        dof,
+        float(chdtrc(dof, max(chi2, 0.0))) if dof else 1.0,
+        [n for n in old.values if n not in new.values],
+        [n for n in new.values if n not in old.values],
+        notes,
+    )
 
 
 def _whitened(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur: float) -> tuple[np.ndarray, int]:

@@ -379,10 +379,20 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     warnings += told
     terms = work.suspension_terms(digests).terms
     found = Identification(
-        replace(parameters, provenance=facts, axis_angle_deg=_known(angle, std), slow_roll=slow_roll,
-                terms=terms if np.any(terms.covariance) else None), angle, std,
-        work.estimates, work.fits, rows, work.warnings + warnings,
-    )  # fmt: skip
+        replace(
+            parameters,
+            provenance=facts,
+            axis_angle_deg=_known(angle, std),
+            slow_roll=slow_roll,
+            terms=terms if np.any(terms.covariance) else None,
+        ),
+        angle,
+        std,
+        work.estimates,
+        work.fits,
+        rows,
+        work.warnings + warnings,
+    )
     return replace(found, parameters=with_tests(found, runs))
 
 

@@ -11,9 +11,18 @@ from collections.abc import Collection, Mapping
 from typing import Literal, get_args
 
 Rung = Literal[
-    "lines", "spectrum", "wander", "amplitude", "second-mode", "slow-roll", "ripple", "clocks", "friction", "drag",
+    "lines",
+    "spectrum",
+    "wander",
+    "amplitude",
+    "second-mode",
+    "slow-roll",
+    "ripple",
+    "clocks",
+    "friction",
+    "drag",
     "open-masses",
-]  # fmt: skip
+]
 
 RUNGS: Mapping[Rung, str] = {
     "lines": "steady lines, as of the mains, and what else rings, beside a ring-down",

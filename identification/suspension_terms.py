@@ -40,8 +40,9 @@ class ChosenTerms:
 
 def terms_of_all(
     ring_downs: Sequence[tuple[str, Sequence[DirectionTerms]]],
-    passages: Sequence[tuple[str, Sequence[DirectionTerms]]] = (), digests: Mapping[str, str] | None = None,
-) -> ChosenTerms:  # fmt: skip
+    passages: Sequence[tuple[str, Sequence[DirectionTerms]]] = (),
+    digests: Mapping[str, str] | None = None,
+) -> ChosenTerms:
     """Of each direction the terms that the ring-down found in which it moves most, or a passage that knows them better.
 
     Args:
@@ -88,9 +89,13 @@ def known_suspension(physics: RotorParameters, terms: SuspensionTerms, angle_deg
     p = physics
     moment = p.forcing_moment_kg_m + p.a.first_moment_kg_m - p.b.first_moment_kg_m  # locked at 0° and 180°
     return KnownSuspension(
-        terms.values, terms.std, p.natural_frequencies_rad_s, (p.zeta1, p.zeta2), math.radians(angle_deg),
+        terms.values,
+        terms.std,
+        p.natural_frequencies_rad_s,
+        (p.zeta1, p.zeta2),
+        math.radians(angle_deg),
         complex(moment / p.total_mass_kg),
-    )  # fmt: skip
+    )
 
 
 def sharing_terms(estimates: Sequence[Estimate], chosen: ChosenTerms) -> list[Estimate]:

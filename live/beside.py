@@ -52,8 +52,15 @@ class Asking:
             return {}
         status = self.controls.status
         prompt = self._prompt if self._at == self._state() else ""
-        return {"test": status.test, "numbers": dict(status.numbers), "step": status.state, "words": status.words,
-                "share": status.share, "answer": status.answer, "prompt": prompt}  # fmt: skip
+        return {
+            "test": status.test,
+            "numbers": dict(status.numbers),
+            "step": status.state,
+            "words": status.words,
+            "share": status.share,
+            "answer": status.answer,
+            "prompt": prompt,
+        }
 
     def can(self) -> list[str]:
         """Verbs that make sense."""
@@ -77,12 +84,16 @@ class LivePage(FedProcess):
     """
 
     def __init__(
-        self, rig: Rig, identified: IdentifiedParameters | None, source: str, rate: float, title: str,
-        host: str = "", port: int = 0,
-    ) -> None:  # fmt: skip
-        super().__init__(
-            "live page", "the live page", run_page, (rig, identified, source, rate, title, host, port)
-        )  # fmt: skip
+        self,
+        rig: Rig,
+        identified: IdentifiedParameters | None,
+        source: str,
+        rate: float,
+        title: str,
+        host: str = "",
+        port: int = 0,
+    ) -> None:
+        super().__init__("live page", "the live page", run_page, (rig, identified, source, rate, title, host, port))
         self._asking, self._facts, self._facts_s = Asking(), dict[str, Any](), -math.inf
         self._stop: Callable[[str], None] | None = None
         self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
@@ -137,12 +148,19 @@ class LivePage(FedProcess):
         can = [] if ended else [*tests, *(["stop"] if self._stop is not None else []), "note"]
         log = {} if session.log is None else {"log": str(session.log)}
         return {
-            **log, **self._facts, **self._asking.facts(), "stopping": stopping, "ended": ended,
-            "losses": session.losses(), "rates": session.rates.now(),
-            "disk": None if disk is None else disk.facts(), "feed_dropped": self._newest.left_out,
-            "trouble": str(session.trouble or session.left or ""), "can": can,
+            **log,
+            **self._facts,
+            **self._asking.facts(),
+            "stopping": stopping,
+            "ended": ended,
+            "losses": session.losses(),
+            "rates": session.rates.now(),
+            "disk": None if disk is None else disk.facts(),
+            "feed_dropped": self._newest.left_out,
+            "trouble": str(session.trouble or session.left or ""),
+            "can": can,
             "stop": "" if self._stop is not None else "whoever runs the rig stops it: this session only listens",
-        }  # fmt: skip
+        }
 
     def _heard(self, said: Mapping[str, Any]) -> None:
         """The page asks for something."""

@@ -33,10 +33,14 @@ _TURNING_RPM = 5.0
 _DISK_BYTES = 64e6
 _FRESH_S, _SAID_LATE_S = 2.0, 0.15  # an index mark's age; how late a drive's word of a speed may be
 _KINDS = {  # events that say that something is wrong, and whether it has recovered
-    "gone": ("lost device", False), "back": ("lost device", True), "silent": ("silent line", False),
-    "heard": ("silent line", True), "emergency": ("emergency", False), "fault": ("fault", False),
+    "gone": ("lost device", False),
+    "back": ("lost device", True),
+    "silent": ("silent line", False),
+    "heard": ("silent line", True),
+    "emergency": ("emergency", False),
+    "fault": ("fault", False),
     "restart": ("restart", False),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -190,8 +194,9 @@ class Lamps:
         self._newest = -1
         self.all = {
             row.name: Lamp(row.name, row.guards, row.threshold_of(self._limits), row.reaction)
-            for row in INTERLOCKS if row.has_role(self._roles)
-        }  # fmt: skip
+            for row in INTERLOCKS
+            if row.has_role(self._roles)
+        }
 
     def look(self, at_s: float, found: Iterable[Distance], events: list[Mapping[str, Any]]) -> list[Lamp]:
         """Take what is seen at an instant; one before the last begins anew.

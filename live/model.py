@@ -88,11 +88,13 @@ class Model:
             self._states.pop(next(iter(self._states)))
         self._states[key] = [
             Predicted(
-                s.type, (math.degrees(s.theta_rad[0]) % 360, math.degrees(s.theta_rad[1]) % 360),
-                self._shown(complex(s.x_m), complex(s.y_m)), 1e3 * s.amplitude_m,
+                s.type,
+                (math.degrees(s.theta_rad[0]) % 360, math.degrees(s.theta_rad[1]) % 360),
+                self._shown(complex(s.x_m), complex(s.y_m)),
+                1e3 * s.amplitude_m,
             )
             for s in found
-        ]  # fmt: skip
+        ]
 
     def _locked(self, rpm: float, theta_rad: tuple[float, float]) -> tuple[complex, complex]:
         try:

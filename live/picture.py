@@ -63,9 +63,10 @@ class View:
         if not (math.isfinite(window) and math.isfinite(pixels) and (end is None or math.isfinite(float(end)))):
             raise ValueError(f"expected finite numbers of a view, got {dict(asked)}")
         return cls(
-            min(max(window, _SHORTEST_S), _LONGEST_S), None if end is None else float(end),
+            min(max(window, _SHORTEST_S), _LONGEST_S),
+            None if end is None else float(end),
             int(min(max(pixels, _FEWEST_PIXELS), _MOST_PIXELS)),
-        )  # fmt: skip
+        )
 
 
 class Pictures:
@@ -112,11 +113,20 @@ class Pictures:
             columns["model.x"] = (shown.orbit_mm[0] * _ELLIPSE).real
             columns["model.y"] = (shown.orbit_mm[1] * _ELLIPSE).real
         header = {
-            "kind": "frame", "number": number, "now_s": now_s, "start_s": start_s, "end_s": end_s, "buckets": buckets,
-            "rpm": _number(rpm), "locked": locked, "theta": [_number(v) for v in theta],
-            "last": [_number(v) for v in values], "predicted": [_facts(p) for p in predicted], "why": why,
+            "kind": "frame",
+            "number": number,
+            "now_s": now_s,
+            "start_s": start_s,
+            "end_s": end_s,
+            "buckets": buckets,
+            "rpm": _number(rpm),
+            "locked": locked,
+            "theta": [_number(v) for v in theta],
+            "last": [_number(v) for v in values],
+            "predicted": [_facts(p) for p in predicted],
+            "why": why,
             "ages_s": self._ages(now_s),
-        }  # fmt: skip
+        }
         return encode(header, columns)
 
     def _orbit(self, end_s: float) -> dict[str, Array]:
@@ -185,16 +195,26 @@ class Pictures:
     def curves(self) -> bytes:
         """What does not change: the model's 1×, the limits."""
         rpm, x, y = self._model.bode()
-        columns = {"model.rpm": rpm, "model.x.re": x.real, "model.x.im": x.imag, "model.y.re": y.real,
-                   "model.y.im": y.imag}  # fmt: skip
+        columns = {
+            "model.rpm": rpm,
+            "model.x.re": x.real,
+            "model.x.im": x.imag,
+            "model.y.re": y.real,
+            "model.y.im": y.imag,
+        }
         limits, roles = self._signals.rig.limits, self._signals.rig.roles
         header = {
-            "kind": "curves", "model": self._model.source, "speed_rpm": limits.speed_rpm,
-            "amplitude_mm": limits.amplitude_m * 1e3, "stale_s": STALE_S, "rig": self._signals.rig.name,
+            "kind": "curves",
+            "model": self._model.source,
+            "speed_rpm": limits.speed_rpm,
+            "amplitude_mm": limits.amplitude_m * 1e3,
+            "stale_s": STALE_S,
+            "rig": self._signals.rig.name,
             "strips": [d.axis for d in roles.displacements]
-            + (["theta3", "theta4"] if roles.angles else []) + (["speed"] if roles.speed or roles.phase else []),
+            + (["theta3", "theta4"] if roles.angles else [])
+            + (["speed"] if roles.speed or roles.phase else []),
             "turn_deg": roles.turn_deg,
-        }  # fmt: skip
+        }
         return encode(header, columns)
 
     def state(self) -> Facts:
@@ -202,15 +222,19 @@ class Pictures:
         now_s, facts, events = self._source.now_s(), self._source.facts(), self._source.events()
         found = distances(self._signals, now_s, self._source.heard_s(), self._source.rate, facts.get("disk"))
         lamps = self._lamps.look(now_s, found, events)
-        plain = _plain({
-            **facts, "kind": "state", "now_s": now_s,
-            "limits": [{**asdict(each), "used": each.used} for each in found],
-            "lamps": [asdict(lamp) for lamp in lamps],
-            "events": [
-                {key: event.get(key) for key in ("at_s", "kind", "device", "text")}
-                for event in events[-_EVENTS_SHOWN:]
-            ],
-        })  # fmt: skip
+        plain = _plain(
+            {
+                **facts,
+                "kind": "state",
+                "now_s": now_s,
+                "limits": [{**asdict(each), "used": each.used} for each in found],
+                "lamps": [asdict(lamp) for lamp in lamps],
+                "events": [
+                    {key: event.get(key) for key in ("at_s", "kind", "device", "text")}
+                    for event in events[-_EVENTS_SHOWN:]
+                ],
+            }
+        )
         return cast("Facts", plain)
 
 

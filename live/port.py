@@ -27,8 +27,10 @@ def bound(host: str, port: int) -> socket.socket:
         raise PortTaken(f"port {port}: expected a port of 1 … 65535, or 0 for any free one")
     name = host or LOOPBACK[0]
     if _is_any(name):
-        raise PortTaken(f"--host {host}: expected the name or address by which others reach this machine, not all of "
-                        "them: the page checks by which name it was asked for")  # fmt: skip
+        raise PortTaken(
+            f"--host {host}: expected the name or address by which others reach this machine, not all of "
+            "them: the page checks by which name it was asked for"
+        )
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM)[0]
         made = socket.socket(family, kind, protocol)
@@ -40,8 +42,9 @@ def bound(host: str, port: int) -> socket.socket:
         made.listen(64)
     except OSError as fault:
         made.close()
-        raise PortTaken(f"{name}:{port}: the page cannot be served there ({fault.strerror}); give another --port or "
-                        "--host") from fault  # fmt: skip
+        raise PortTaken(
+            f"{name}:{port}: the page cannot be served there ({fault.strerror}); give another --port or --host"
+        ) from fault
     return made
 
 

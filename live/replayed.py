@@ -76,14 +76,32 @@ class Replayed:
         """See Source."""
         at_s, transport = self.transport.at(), self.transport
         return {
-            "mode": "replay", "title": self._path.name, "test": self._run.get("test", ""), "numbers": self._numbers,
-            "point": self._run.get("point", ""), "started": self._run.get("started", ""),
-            "note": self._run.get("note", ""), "step": "", "words": "", "prompt": "", "share": None,
-            "playing": transport.playing, "speed": transport.speed, "start_s": transport.start_s,
-            "end_s": transport.end_s, "losses": _newest(self._health, at_s) or {}, "disk": _newest(self._disks, at_s),
-            "losses_in_all": self._losses.words(), "can": ["play", "pause", "seek", "speed"],
-            "stop": "", "rates": "", "feed_dropped": 0, "trouble": "", "stopping": False, "ended": False,
-        }  # fmt: skip
+            "mode": "replay",
+            "title": self._path.name,
+            "test": self._run.get("test", ""),
+            "numbers": self._numbers,
+            "point": self._run.get("point", ""),
+            "started": self._run.get("started", ""),
+            "note": self._run.get("note", ""),
+            "step": "",
+            "words": "",
+            "prompt": "",
+            "share": None,
+            "playing": transport.playing,
+            "speed": transport.speed,
+            "start_s": transport.start_s,
+            "end_s": transport.end_s,
+            "losses": _newest(self._health, at_s) or {},
+            "disk": _newest(self._disks, at_s),
+            "losses_in_all": self._losses.words(),
+            "can": ["play", "pause", "seek", "speed"],
+            "stop": "",
+            "rates": "",
+            "feed_dropped": 0,
+            "trouble": "",
+            "stopping": False,
+            "ended": False,
+        }
 
     def events(self) -> list[Mapping[str, Any]]:
         """See Source."""

@@ -43,10 +43,17 @@ class Serving:
         self._followers = Followers(source.signals, model)
         self.page = Page(source, Pictures(source, model, self._followers), self.token)
         config = uvicorn.Config(
-            self.page.app(hosts_of(host, self._port)), log_config=None, log_level=logging.CRITICAL, access_log=False,
-            lifespan="off", ws="websockets-sansio", ws_max_size=_MOST_BYTES, ws_per_message_deflate=False,
-            server_header=False, timeout_graceful_shutdown=1,
-        )  # fmt: skip
+            self.page.app(hosts_of(host, self._port)),
+            log_config=None,
+            log_level=logging.CRITICAL,
+            access_log=False,
+            lifespan="off",
+            ws="websockets-sansio",
+            ws_max_size=_MOST_BYTES,
+            ws_per_message_deflate=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._serve, name="live page", daemon=True)
 

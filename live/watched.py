@@ -27,11 +27,28 @@ from rig_configs.schema import Rig
 _LAST_WORDS_S = 1.0
 _MOST_EVENTS = 2000
 _NOTHING: Facts = {
-    "mode": "live", "test": "", "numbers": {}, "point": "", "started": "", "note": "", "step": "",
-    "words": "opening the rig", "prompt": "", "share": None, "losses": {}, "disk": None, "can": [],
-    "stop": "", "rates": "", "feed_dropped": 0,
-    "trouble": "", "answer": "", "log": "", "stopping": False, "ended": False,
-}  # fmt: skip
+    "mode": "live",
+    "test": "",
+    "numbers": {},
+    "point": "",
+    "started": "",
+    "note": "",
+    "step": "",
+    "words": "opening the rig",
+    "prompt": "",
+    "share": None,
+    "losses": {},
+    "disk": None,
+    "can": [],
+    "stop": "",
+    "rates": "",
+    "feed_dropped": 0,
+    "trouble": "",
+    "answer": "",
+    "log": "",
+    "stopping": False,
+    "ended": False,
+}
 
 
 class Watched:
@@ -147,9 +164,15 @@ class Watched:
 
 
 def run_page(
-    pipe: Connection, rig: Rig, identified: IdentifiedParameters | None, source: str, rate: float, title: str,
-    host: str, port: int,
-) -> None:  # fmt: skip
+    pipe: Connection,
+    rig: Rig,
+    identified: IdentifiedParameters | None,
+    source: str,
+    rate: float,
+    title: str,
+    host: str,
+    port: int,
+) -> None:
     """The page's process: serve until the other side of the pipe is gone."""
     for name in ("SIGINT", "SIGHUP"):  # the terminal sends them to both; the session decides when it is over
         if hasattr(signal, name):

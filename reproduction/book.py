@@ -61,12 +61,13 @@ def _entry(one: Written) -> dict[str, Any]:
         "failed": one.failed,
         "panels": [{"svg": Markup(one.svg(p["name"])), "description": p["description"]} for p in record["panels"]],
         "claims": record["claims"],
-        "tables": [{**table, "rows": [[_cell(value) for value in row] for row in table["rows"]]}
-                   for table in record["tables"]],
+        "tables": [
+            {**table, "rows": [[_cell(value) for value in row] for row in table["rows"]]} for table in record["tables"]
+        ],
         "assumed": record["assumed"],
         "parameters": [(name, _cell(value)) for name, value in record["parameters"].items()],
         "files": [f"{one.folder.name}/{name}" for name in (*names, "item.json")],
-    }  # fmt: skip
+    }
 
 
 def _cell(value: Any) -> str:

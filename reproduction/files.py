@@ -80,9 +80,16 @@ def write_failure(item: Item, folder: Path, fault: Exception) -> None:
     """Leave a record of an item that could not be made."""
     folder.mkdir(parents=True, exist_ok=True)
     record: dict[str, Any] = {
-        "id": item.id, "title": item.title, "seconds": 0.0, "parameters": {}, "assumed": [], "claims": [], "panels": [],
-        "tables": [], "failed": f"{type(fault).__name__}: {fault}",
-    }  # fmt: skip
+        "id": item.id,
+        "title": item.title,
+        "seconds": 0.0,
+        "parameters": {},
+        "assumed": [],
+        "claims": [],
+        "panels": [],
+        "tables": [],
+        "failed": f"{type(fault).__name__}: {fault}",
+    }
     (folder / _RECORD).write_text(json.dumps(record, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
 
 

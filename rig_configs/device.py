@@ -58,8 +58,13 @@ class DisplacementSettings(DeviceSettings):
     """
 
     calibration: ClassVar[tuple[str, ...]] = (
-        "range_m", "lever_ratio", "gain_std", "clock_tolerance_ppm", "direction_deg", "direction_std_deg",
-    )  # fmt: skip
+        "range_m",
+        "lever_ratio",
+        "gain_std",
+        "clock_tolerance_ppm",
+        "direction_deg",
+        "direction_std_deg",
+    )
 
     names_its_channel: ClassVar[bool] = False
 
@@ -99,20 +104,31 @@ class DisplacementSettings(DeviceSettings):
         """See DeviceSettings."""
         return (
             Displacement(
-                device=device, topic=self.topic, axis=self.axis, rate_Hz=float(self.rate_Hz),
-                range_m=self.range_m, lever_ratio=self.lever_ratio, gain_std=self._total_gain_std,
-                clock_tolerance_ppm=self.clock_tolerance_ppm, witness=bool(self.witness),
-                direction_deg=self.direction_deg, direction_std_deg=self.direction_std_deg,
+                device=device,
+                topic=self.topic,
+                axis=self.axis,
+                rate_Hz=float(self.rate_Hz),
+                range_m=self.range_m,
+                lever_ratio=self.lever_ratio,
+                gain_std=self._total_gain_std,
+                clock_tolerance_ppm=self.clock_tolerance_ppm,
+                witness=bool(self.witness),
+                direction_deg=self.direction_deg,
+                direction_std_deg=self.direction_std_deg,
             ),
-        )  # fmt: skip
+        )
 
 
 class RotorNodeSettings(DeviceSettings):
     """A node on the rotor: both pendulum encoders, the index mark, and the locks unless a rig has none to command."""
 
     calibration: ClassVar[tuple[str, ...]] = (
-        "counts_per_revolution", "index_angle_deg", "index_angle_std_deg", "zero_std_deg", "clock_tolerance_ppm",
-    )  # fmt: skip
+        "counts_per_revolution",
+        "index_angle_deg",
+        "index_angle_std_deg",
+        "zero_std_deg",
+        "clock_tolerance_ppm",
+    )
 
     rate_Hz: Annotated[int, Field(ge=10, le=5000)] = 1000
     counts_per_revolution: Annotated[int, Field(ge=64)] = 4096
@@ -128,15 +144,22 @@ class RotorNodeSettings(DeviceSettings):
         tolerance = self.clock_tolerance_ppm
         return (
             PendulumAngles(
-                device=device, topic="pendulums", rate_Hz=float(self.rate_Hz), zero_std_deg=self.zero_std_deg,
-                counts_per_revolution=self.counts_per_revolution, clock_tolerance_ppm=tolerance,
+                device=device,
+                topic="pendulums",
+                rate_Hz=float(self.rate_Hz),
+                zero_std_deg=self.zero_std_deg,
+                counts_per_revolution=self.counts_per_revolution,
+                clock_tolerance_ppm=tolerance,
             ),
             RotorPhase(
-                device=device, topic="tacho", index_angle_deg=self.index_angle_deg, clock_tolerance_ppm=tolerance,
+                device=device,
+                topic="tacho",
+                index_angle_deg=self.index_angle_deg,
+                clock_tolerance_ppm=tolerance,
                 index_angle_std_deg=self.index_angle_std_deg,
             ),
             *([PendulumLocks(device=device)] if self.locks else []),
-        )  # fmt: skip
+        )
 
 
 def _read_roles(tables: object) -> object:

@@ -83,9 +83,10 @@ def overridden(known: IdentifiedParameters, settings: Sequence[str]) -> set[str]
     """Names of the identified values that settings replace: what was found about them holds no longer."""
     keys = [parse_setting(text)[0] for text in settings]
     return {
-        name for name in known.values
+        name
+        for name in known.values
         if any(place == key or place.startswith(f"{key}.") for place in _SETTINGS_OF[name] for key in keys)
-    }  # fmt: skip
+    }
 
 
 def with_truth(rig: Rig, key: str, value: Any) -> Rig:

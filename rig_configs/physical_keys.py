@@ -17,9 +17,10 @@ _IN_THE_ARM = "rolling_resistance_m"  # only as a part of friction_arm_m does th
 def _numbers(table: type[Table]) -> list[str]:
     """Keys of a table's numbers, without their uncertainties."""
     return [
-        key for key, field in table.model_fields.items()
+        key
+        for key, field in table.model_fields.items()
         if field.annotation is float and "_std_" not in key and key != _IN_THE_ARM
-    ]  # fmt: skip
+    ]
 
 
 PHYSICAL_KEYS: tuple[str, ...] = (

@@ -142,15 +142,19 @@ class SlowRoll:
         std = np.sqrt(np.diag(self.covariance)).reshape(3, 2)
         entries: dict[str, Any] = {
             name: {
-                "real_m": float(v[0]), "imaginary_m": float(v[1]),
-                "real_std_m": float(s[0]), "imaginary_std_m": float(s[1]),
+                "real_m": float(v[0]),
+                "imaginary_m": float(v[1]),
+                "real_std_m": float(s[0]),
+                "imaginary_std_m": float(s[1]),
             }
             for name, v, s in zip(ORDER, values, std, strict=True)
-        }  # fmt: skip
+        }
         return entries | {
-            "covariance": self.covariance.tolist(), "bow_shares": list(self.bow_shares),
-            "log": self.log, "digest": self.digest,
-        }  # fmt: skip
+            "covariance": self.covariance.tolist(),
+            "bow_shares": list(self.bow_shares),
+            "log": self.log,
+            "digest": self.digest,
+        }
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> SlowRoll:

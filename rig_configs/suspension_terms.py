@@ -112,8 +112,10 @@ class SuspensionTerms:
             for name, value, std in zip(TERMS, self.values.tolist(), self.std.tolist(), strict=True)
         }
         return entries | {
-            "covariance": self.covariance.tolist(), "logs": list(self.logs), "digests": list(self.digests),
-        }  # fmt: skip
+            "covariance": self.covariance.tolist(),
+            "logs": list(self.logs),
+            "digests": list(self.digests),
+        }
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> SuspensionTerms:

@@ -235,8 +235,14 @@ class Bench:
         """All since the recording began."""
         times = [part for part, _ in self._stretches] or [np.zeros(0)]
         rows = [part for _, part in self._stretches] or [np.zeros((0, 10))]
-        return Tape(self.identity, list(self.reads), list(self.items), dict(self.pipeline.losses),
-                    np.concatenate(times), np.concatenate(rows))  # fmt: skip
+        return Tape(
+            self.identity,
+            list(self.reads),
+            list(self.items),
+            dict(self.pipeline.losses),
+            np.concatenate(times),
+            np.concatenate(rows),
+        )
 
 
 class PlayedTalk:

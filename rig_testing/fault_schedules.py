@@ -317,8 +317,10 @@ def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: Truth) -> Iter
     virtual = rig.virtual
     assert virtual is not None
     world, zero_ns = World(virtual, Motion(rig.true_physics, 0.0, 0.1)), truth.zero_ns
-    fields = {sensor.topic: [("displacement_m", "xy".index(sensor.axis), 8 * virtual.sensors.laser_noise_m + 8e-6)]
-              for sensor in rig.roles.displacements}  # fmt: skip
+    fields = {
+        sensor.topic: [("displacement_m", "xy".index(sensor.axis), 8 * virtual.sensors.laser_noise_m + 8e-6)]
+        for sensor in rig.roles.displacements
+    }
     if rig.roles.angles is not None:
         step = 4 * rig.roles.angles.step_rad
         fields[rig.roles.angles.topic] = [("theta3_rad", 2, step), ("theta4_rad", 3, step)]

@@ -35,6 +35,9 @@ def size_of(thing: object) -> int:
             waiting += getattr(each, "__dict__", {}).values()
             for kind in type(each).__mro__:
                 slots = getattr(kind, "__slots__", ())
-                waiting += [getattr(each, name) for name in ([slots] if isinstance(slots, str) else slots)
-                            if hasattr(each, name)]  # fmt: skip
+                waiting += [
+                    getattr(each, name)
+                    for name in ([slots] if isinstance(slots, str) else slots)
+                    if hasattr(each, name)
+                ]
     return total

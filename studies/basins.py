@@ -89,9 +89,13 @@ class BasinQuestion:
         known = table["parameters"]
         across, up = table["releases"]
         return cls(
-            SourceText.of_json(table["rig"]), None if known is None else SourceText.of_json(known),
-            tuple(table["settings"]), float(table["speed_rad_per_s"]), (int(across), int(up)), float(table["seconds"]),
-        )  # fmt: skip
+            SourceText.of_json(table["rig"]),
+            None if known is None else SourceText.of_json(known),
+            tuple(table["settings"]),
+            float(table["speed_rad_per_s"]),
+            (int(across), int(up)),
+            float(table["seconds"]),
+        )
 
 
 def basin_study(question: BasinQuestion) -> Study:
@@ -155,10 +159,20 @@ def assembled(folder: TileFolder) -> BasinMap:
             grid = grids.setdefault(name, np.empty((len(four), len(three), *values.shape[2:]), values.dtype))
             grid[part] = values
     return BasinMap(
-        three, four, tuple(ends), grids["end"], grids["sure"], grids["caught_s"], grids["settled_s"],
-        grids["amplitude_m"], grids["apart_rad"], grids["turns"], question.seconds, STATED_ERROR_RAD,
+        three,
+        four,
+        tuple(ends),
+        grids["end"],
+        grids["sure"],
+        grids["caught_s"],
+        grids["settled_s"],
+        grids["amplitude_m"],
+        grids["apart_rad"],
+        grids["turns"],
+        question.seconds,
+        STATED_ERROR_RAD,
         question.speed_rad_s,
-    )  # fmt: skip
+    )
 
 
 def _packed(ends: Sequence[End]) -> Answer:
@@ -191,10 +205,21 @@ def _unpacked(answer: Answer) -> list[End]:
             continue
         turns, winding = answer["end_turns"][i].tolist(), answer["end_winding"][i].tolist()
         orbit = SlippingOrbit(
-            (turns[0], turns[1]), (winding[0], winding[1]), int(answer["end_period"][i]),
-            float(answer["end_rotation"][i]), float(answer["end_residual"][i]), answer["end_multipliers"][i],
-            multiplier, amplitude, start[None, :], np.zeros((0, 8, 8)), 0, 1, math.nan, np.zeros((0, 8)),
-        )  # fmt: skip
+            (turns[0], turns[1]),
+            (winding[0], winding[1]),
+            int(answer["end_period"][i]),
+            float(answer["end_rotation"][i]),
+            float(answer["end_residual"][i]),
+            answer["end_multipliers"][i],
+            multiplier,
+            amplitude,
+            start[None, :],
+            np.zeros((0, 8, 8)),
+            0,
+            1,
+            math.nan,
+            np.zeros((0, 8)),
+        )
         found.append(End(name, mirror, None, amplitude, multiplier, start, None, orbit))
     return found
 

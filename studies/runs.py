@@ -28,9 +28,13 @@ def _with_digest(run: Run, path: Path) -> Run:
 
 
 def validated(
-    runs: Sequence[Run], rig: Rig, known: IdentifiedParameters, tell: Callable[[str], None],
-    axis_angle_deg: tuple[float, float] | None = None, set_by_hand: Collection[str] = (),
-) -> Validation:  # fmt: skip
+    runs: Sequence[Run],
+    rig: Rig,
+    known: IdentifiedParameters,
+    tell: Callable[[str], None],
+    axis_angle_deg: tuple[float, float] | None = None,
+    set_by_hand: Collection[str] = (),
+) -> Validation:
     """Points against the model; releases and further run-ups too, where the rig file asks for them.
 
     Args:
@@ -70,9 +74,15 @@ def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> li
         if point.source not in digests:  # the point has no log: nothing to keep it beside
             continue
         verdict = Verdict(
-            verdict=point.verdict, state=point.state, why=point.why, point=name, parameters=parameters,
-            software=software_version(), judged_at=now, digest=digests[point.source],
-        )  # fmt: skip
+            verdict=point.verdict,
+            state=point.state,
+            why=point.why,
+            point=name,
+            parameters=parameters,
+            software=software_version(),
+            judged_at=now,
+            digest=digests[point.source],
+        )
         try:
             keep_verdict(point.source, verdict)
         except RecordingError as fault:

@@ -18,9 +18,15 @@ from rig_configs.drivers import installed
 
 ROOT = Path(__file__).parents[1]
 ROOMS = (
-    "identification", "analysis", "daq/signals", "daq/exchange", "daq/replay", "daq/log", "daq/acquisition",
+    "identification",
+    "analysis",
+    "daq/signals",
+    "daq/exchange",
+    "daq/replay",
+    "daq/log",
+    "daq/acquisition",
     "daq/guided_tests",
-)  # fmt: skip
+)
 SHIPPED = sorted(path.stem for path in (ROOT / "rig_configs").glob("*.toml"))
 MAKERS = sorted(installed())
 DEVICES = sorted({name for rig in SHIPPED for name in load_rig(rig).devices})
@@ -40,8 +46,15 @@ ALONE = {
 """Field words that also stand alone as a text, with what they mean there."""
 
 _FIELDS = (
-    "name", "id", "arg", "attr", "module", "asname", "rest", "names",
-)  # fmt: skip
+    "name",
+    "id",
+    "arg",
+    "attr",
+    "module",
+    "asname",
+    "rest",
+    "names",
+)
 
 
 def identifiers(tree: ast.AST) -> Iterator[tuple[int, str]]:

@@ -68,9 +68,14 @@ class Terminal:
         expanded = [name for word in words for name in (sorted(glob.glob(word, root_dir=folder)) or [word])]
         self.written = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 (closed with the terminal)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "cli.main", *expanded], cwd=folder, env=environment, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE if answers else self.written, stderr=subprocess.PIPE,
-        )  # fmt: skip
+            [sys.executable, "-m", "cli.main", *expanded],
+            cwd=folder,
+            env=environment,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE if answers else self.written,
+            stderr=subprocess.PIPE,
+        )
         self.watchdog = threading.Timer(PATIENCE_S, self.process.kill)
         self.watchdog.start()
         self.said: list[str] = []

@@ -37,10 +37,16 @@ class BudgetRow:
     def to_json(self) -> dict[str, object]:
         """Plain finite values; None stands for infinite degrees of freedom."""
         return {
-            "source": self.source, "type": self.kind, "distribution": self.distribution, "u": self.u,
-            "unit": self.unit, "sensitivity": self.sensitivity, "contribution": self.contribution,
-            "share": self.share, "nu": finite(self.degrees_of_freedom),
-        }  # fmt: skip
+            "source": self.source,
+            "type": self.kind,
+            "distribution": self.distribution,
+            "u": self.u,
+            "unit": self.unit,
+            "sensitivity": self.sensitivity,
+            "contribution": self.contribution,
+            "share": self.share,
+            "nu": finite(self.degrees_of_freedom),
+        }
 
 
 def budget_rows(budget: Budget, least_share: float = 0.0) -> list[BudgetRow]:
@@ -84,6 +90,13 @@ def _row(contribution: AnyContribution, unit: str, share: float) -> BudgetRow:
         parts = contribution.std, unit, 1.0, contribution.std
     u, own_unit, sensitivity, signed = parts
     return BudgetRow(
-        contribution.name, source.kind, source.distribution, u, own_unit, sensitivity, signed, share,
+        contribution.name,
+        source.kind,
+        source.distribution,
+        u,
+        own_unit,
+        sensitivity,
+        signed,
+        share,
         source.degrees_of_freedom,
-    )  # fmt: skip
+    )

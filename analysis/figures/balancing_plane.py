@@ -89,8 +89,17 @@ def draw_balancing(
         if std_kg_m[2] > 0:
             _draw_doubt(left, s, std_kg_m[2], upto)
         wide = [2 * _GRAMS * u for u in std_kg_m]
-        left.errorbar([_GRAMS * a], [_GRAMS * b], xerr=[wide[0]], yerr=[wide[1]], fmt="o", color="black", ms=5,
-                      capsize=2, label="this rig")  # fmt: skip
+        left.errorbar(
+            [_GRAMS * a],
+            [_GRAMS * b],
+            xerr=[wide[0]],
+            yerr=[wide[1]],
+            fmt="o",
+            color="black",
+            ms=5,
+            capsize=2,
+            label="this rig",
+        )
         _draw_own_ring(right, physics)
     return figure
 
@@ -113,13 +122,25 @@ def _draw_doubt(axes: Axes, s: float, std: float, upto: float) -> None:
 def _draw_own_ring(axes: Axes, physics: RotorParameters) -> None:
     """The ring in millimetres about the rotor axis; each pendulum's share of the centre of gravity head to tail."""
     per = 1e3 / physics.total_mass_kg
-    a, b, s = (per * m for m in (physics.a.first_moment_kg_m, physics.b.first_moment_kg_m,
-                                 physics.imbalance_moment_kg_m))  # fmt: skip
+    a, b, s = (
+        per * m for m in (physics.a.first_moment_kg_m, physics.b.first_moment_kg_m, physics.imbalance_moment_kg_m)
+    )
     poses = balanced_angles(physics)
     colour = GOOD if poses else MODEL
     if a + b > 0:
-        axes.add_patch(Wedge((s, 0), a + b, 0, 360, width=a + b - abs(a - b), fc=colour, ec=colour, alpha=0.35,
-                             label="centre of gravity can be here"))  # fmt: skip
+        axes.add_patch(
+            Wedge(
+                (s, 0),
+                a + b,
+                0,
+                360,
+                width=a + b - abs(a - b),
+                fc=colour,
+                ec=colour,
+                alpha=0.35,
+                label="centre of gravity can be here",
+            )
+        )
     axes.plot(0, 0, "+", color="black", ms=11, mew=1.8, label="rotor axis")
     axes.plot(s, 0, "s", color="black", ms=5, label="S_P/M_S, pendulums left out")
     if poses:

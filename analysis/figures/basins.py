@@ -57,15 +57,23 @@ def draw_basins(found: BasinMap, title: str, play_deg: float = 0.2) -> Figure:
         for axes in (left, right):
             _frame(axes, found)
         figure.legend(
-            handles=_legend(found), loc="lower left", bbox_to_anchor=(0.055, 0.045), ncol=2, fontsize=8.5,
-            handlelength=1.6, columnspacing=2.5,
-        )  # fmt: skip
+            handles=_legend(found),
+            loc="lower left",
+            bbox_to_anchor=(0.055, 0.045),
+            ncol=2,
+            fontsize=8.5,
+            handlelength=1.6,
+            columnspacing=2.5,
+        )
         figure.text(
-            0.065, 0.015,
+            0.065,
+            0.015,
             f"+ release of the real locks, A at {_LOCKS_DEG[0]:g}°, B at {_LOCKS_DEG[1]:g}° (± {play_deg:g}° of play); "
             f"each release followed for {found.seconds:g} s at {found.speed_rad_s * 30 / math.pi:.1f} rpm",
-            fontsize=8, color=GREY, parse_math=False,
-        )  # fmt: skip
+            fontsize=8,
+            color=GREY,
+            parse_math=False,
+        )
         figure.suptitle(title, x=0.02, y=0.965, ha="left", fontsize=11, parse_math=False)
         return figure
 
@@ -119,9 +127,13 @@ def _sides(middles: Array) -> list[float]:
 def _times(figure: Figure, axes: Axes, found: BasinMap) -> None:
     times = np.ma.masked_invalid(found.settled_s)
     mesh: QuadMesh = axes.pcolormesh(
-        _degrees(found.theta3_rad), _degrees(found.theta4_rad), times, cmap="viridis_r", shading="nearest",
+        _degrees(found.theta3_rad),
+        _degrees(found.theta4_rad),
+        times,
+        cmap="viridis_r",
+        shading="nearest",
         rasterized=True,
-    )  # fmt: skip
+    )
     axes.set_facecolor(_NOT_SETTLED)
     bar = figure.colorbar(mesh, ax=axes, pad=0.015)
     bar.set_label("s")

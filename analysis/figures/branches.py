@@ -64,10 +64,14 @@ def draw_angles(axes: Axes, found: SteadyBranches, scale: float) -> None:
         drawn += [b] if first else []
         for column, (colour, which) in enumerate(((A_COLOUR, "A"), (B_COLOUR, "B"))):
             axes.plot(
-                scale * b.values, wrapped_deg(b.theta_rad[:, column]), color=colour,
-                lw=(3.2 if column == 0 else 1.3) if first else 0.8, ls="-" if first else (0, (1, 2)),
-                alpha=0.6 if first and column == 0 else 1.0, label=f"{which}, model" if first else "mirror image",
-            )  # fmt: skip
+                scale * b.values,
+                wrapped_deg(b.theta_rad[:, column]),
+                color=colour,
+                lw=(3.2 if column == 0 else 1.3) if first else 0.8,
+                ls="-" if first else (0, (1, 2)),
+                alpha=0.6 if first and column == 0 else 1.0,
+                label=f"{which}, model" if first else "mirror image",
+            )
     axes.set(ylim=(0, 360), yticks=(0, 90, 180, 270, 360))
 
 
@@ -96,8 +100,16 @@ def mark_borders(rows: Sequence[Axes], found: SteadyBranches, scale: float) -> N
     for low, high, names in zip(edges[:-1], edges[1:], types, strict=True):
         text = " and ".join(names) or "no stable state"
         if high - low > (0.02 + 0.0085 * len(text)) * span:
-            rows[0].text(0.5 * scale * (low + high), 0.97, text, transform=rows[0].get_xaxis_transform(), ha="center",
-                         va="top", fontsize=8.5, color=GREY)  # fmt: skip
+            rows[0].text(
+                0.5 * scale * (low + high),
+                0.97,
+                text,
+                transform=rows[0].get_xaxis_transform(),
+                ha="center",
+                va="top",
+                fontsize=8.5,
+                color=GREY,
+            )
 
 
 def stable_line(found: SteadyBranches, type_: str) -> Branch | None:

@@ -19,9 +19,16 @@ from dynamics.stability.borders import Borders
 
 _HEIGHT_IN = 4.6
 _KNOWN = {
-    "I": "#56B4E9", "III": "#009E73", "slipping": "#D55E00", "I + slipping": "#E69F00", "III + slipping": "#999933",
-    "I + III": "#0072B2", "I + III + slipping": "#882255", "nothing stable found": "#d9d9d9", "no answer": "#ffffff",
-}  # fmt: skip
+    "I": "#56B4E9",
+    "III": "#009E73",
+    "slipping": "#D55E00",
+    "I + slipping": "#E69F00",
+    "III + slipping": "#999933",
+    "I + III": "#0072B2",
+    "I + III + slipping": "#882255",
+    "nothing stable found": "#d9d9d9",
+    "no answer": "#ffffff",
+}
 
 
 def draw_coexistence(found: CoexistenceMap, borders: Borders | None = None) -> tuple[Figure, Readout | None]:
@@ -79,6 +86,10 @@ def _readout(found: CoexistenceMap, axes: Axes) -> Readout:
     layers = {name: values for name, values in layers.items() if np.any(np.isfinite(values))}
     box = axes.get_position()
     return Readout(
-        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)), (question.x.name, question.y.name),
-        (question.x.logarithmic, question.y.logarithmic), found.x, found.y, layers,
-    )  # fmt: skip
+        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)),
+        (question.x.name, question.y.name),
+        (question.x.logarithmic, question.y.logarithmic),
+        found.x,
+        found.y,
+        layers,
+    )

@@ -124,17 +124,40 @@ def _rotor(axes: Axes) -> None:
 def _hands(axes: Axes, hands: _Hands, colour: str, text: str, kind: str) -> None:
     for theta, half, radius, marker in zip(hands.theta, hands.half_width, _RADII, _MARKERS, strict=True):
         if kind == "held":
-            axes.plot([theta], [radius], marker=marker, ms=9, mfc="none", mec=colour, mew=1.0, ls="",
-                      label=f"{'A' if marker == 'o' else 'B'} {text}")  # fmt: skip
+            axes.plot(
+                [theta],
+                [radius],
+                marker=marker,
+                ms=9,
+                mfc="none",
+                mec=colour,
+                mew=1.0,
+                ls="",
+                label=f"{'A' if marker == 'o' else 'B'} {text}",
+            )
             continue
         filled = kind != "model"
         axes.plot(
-            [theta, theta], [0, radius], color=colour, lw=3.0 if kind == "measured" else 1.3,
-            alpha=0.6 if kind == "measured" else 1.0, ls={"measured": "-", "model": "--", "other": "-."}[kind],
-            label=text if marker == "o" else None, zorder=3,
-        )  # fmt: skip
-        axes.plot([theta], [radius], marker=marker, ms=9 if filled else 13, mfc=colour if filled else "none",
-                  mec=colour, mew=1.6, ls="", zorder=5)  # fmt: skip
+            [theta, theta],
+            [0, radius],
+            color=colour,
+            lw=3.0 if kind == "measured" else 1.3,
+            alpha=0.6 if kind == "measured" else 1.0,
+            ls={"measured": "-", "model": "--", "other": "-."}[kind],
+            label=text if marker == "o" else None,
+            zorder=3,
+        )
+        axes.plot(
+            [theta],
+            [radius],
+            marker=marker,
+            ms=9 if filled else 13,
+            mfc=colour if filled else "none",
+            mec=colour,
+            mew=1.6,
+            ls="",
+            zorder=5,
+        )
         if math.isfinite(half):
             at = 1.06 if kind == "measured" else 1.09
             axes.plot(np.linspace(theta - half, theta + half, 40), np.full(40, at), color=colour, lw=2.2, zorder=4)
@@ -162,8 +185,15 @@ def _numbers(axes: Axes, own: _Hands, predicted: _Hands | None, other: _Hands | 
         axes.text(0.0, y, name, fontsize=8.5, transform=axes.transAxes)
         for left, cell in zip(lefts, cells, strict=True):
             axes.text(left, y, cell, fontsize=8.5, transform=axes.transAxes, parse_math=False)
-    axes.text(0.0, 0.78 - (len(rows) + 1.2) * step, "Δ: measured − predicted;\n± is 95 %", fontsize=8, color=GREY,
-              va="top", transform=axes.transAxes)  # fmt: skip
+    axes.text(
+        0.0,
+        0.78 - (len(rows) + 1.2) * step,
+        "Δ: measured − predicted;\n± is 95 %",
+        fontsize=8,
+        color=GREY,
+        va="top",
+        transform=axes.transAxes,
+    )
 
 
 def _with_width(theta: float, half: float) -> str:

@@ -30,10 +30,13 @@ Array = NDArray[np.float64]
 _MOST_BINS = 240
 _LEAST_BIN_S = 0.5
 _LOOKS: tuple[Look, ...] = (
-    {"color": "#0072B2", "ls": "-"}, {"color": "#D55E00", "ls": "--"}, {"color": "#009E73", "ls": "-."},
-    {"color": "#444444", "ls": ":"}, {"color": "#CC79A7", "ls": (0, (6, 1.5, 1, 1.5))},
+    {"color": "#0072B2", "ls": "-"},
+    {"color": "#D55E00", "ls": "--"},
+    {"color": "#009E73", "ls": "-."},
+    {"color": "#444444", "ls": ":"},
+    {"color": "#CC79A7", "ls": (0, (6, 1.5, 1, 1.5))},
     {"color": "#8C6D1F", "ls": (0, (1, 2.5))},
-)  # fmt: skip
+)
 _LEAST_COUNT = 20
 _GAPS = ("gap", "damage", "silence")
 _UNUSABLE = ("invalid", "suspect")
@@ -202,8 +205,16 @@ def _losses(axes: Axes, found: _Gathered, origin_ns: int) -> None:
     if not most:
         axes.set_yticks([0])
     if whole:
-        axes.text(0.006, 0.96, f"nothing lost: {', '.join(whole)}", transform=axes.transAxes, fontsize=8, va="top",
-                  color="#444444", parse_math=False)  # fmt: skip
+        axes.text(
+            0.006,
+            0.96,
+            f"nothing lost: {', '.join(whole)}",
+            transform=axes.transAxes,
+            fontsize=8,
+            va="top",
+            color="#444444",
+            parse_math=False,
+        )
     label(axes, y="lost, counts")
 
 
@@ -215,7 +226,14 @@ def _disk(axes: Axes, found: _Gathered, origin_ns: int) -> None:
         axes.plot(time, 1e-3 * waiting, color="#444444", lw=1.4)
         axes.set_ylim(0, 1.15e-3 * max(float(np.nanmax(waiting)), 1.0))
     else:
-        axes.text(0.5, 0.5, "no health reports in this log", transform=axes.transAxes, ha="center", va="center",
-                  color="#444444")  # fmt: skip
+        axes.text(
+            0.5,
+            0.5,
+            "no health reports in this log",
+            transform=axes.transAxes,
+            ha="center",
+            va="center",
+            color="#444444",
+        )
         axes.set_yticks([])
     label(axes, y="for disk, kB")

@@ -94,8 +94,17 @@ class Marks:
             left = max(free, min(share - width / 2, rightmost))
             if left > rightmost:
                 continue
-            grid[0].annotate(words, (left, 1.0), (0, 3), xycoords="axes fraction", textcoords="offset points",
-                             fontsize=_SIZE, color=colour, parse_math=False, annotation_clip=False)  # fmt: skip
+            grid[0].annotate(
+                words,
+                (left, 1.0),
+                (0, 3),
+                xycoords="axes fraction",
+                textcoords="offset points",
+                fontsize=_SIZE,
+                color=colour,
+                parse_math=False,
+                annotation_clip=False,
+            )
             free = left + width + 2 * _LETTER
 
 

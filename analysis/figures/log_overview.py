@@ -201,8 +201,14 @@ def _draw(
             if len(names) > 1:
                 axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.93), ncols=2, fontsize=8)
         if not rows:
-            grid[0].text(0.5, 0.5, "no samples of lasers, pendulums or speed in this log",
-                         transform=grid[0].transAxes, ha="center", color=GREY)  # fmt: skip
+            grid[0].text(
+                0.5,
+                0.5,
+                "no samples of lasers, pendulums or speed in this log",
+                transform=grid[0].transAxes,
+                ha="center",
+                color=GREY,
+            )
             grid[0].set_yticks([])
         grid[-1].set_xlim(*span)
         label(grid[-1], "time since the start of the log, s")
@@ -249,8 +255,9 @@ def _turning(colour: str, name: str) -> Callable[[Axes, Trace], None]:
             seen = (above >= -190.0) & (below <= 190.0)
             seen[1:] |= seen[:-1].copy()
             seen[:-1] |= seen[1:].copy()
-            axes.fill_between(time, below, above, where=seen.tolist(), color=colour, alpha=0.75, lw=0.9,
-                              label=name if first else None)  # fmt: skip
+            axes.fill_between(
+                time, below, above, where=seen.tolist(), color=colour, alpha=0.75, lw=0.9, label=name if first else None
+            )
             first = False
         axes.set_ylim(-190, 190)
         axes.set_yticks([-180, -90, 0, 90, 180])

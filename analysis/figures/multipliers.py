@@ -111,8 +111,9 @@ def _along(axes: Axes, swept: Sequence[SweptState], model: RigModel, top: float)
         for rank in range(2):
             values = np.full(len(speeds), np.nan)
             for i, speed in enumerate(speeds):
-                moduli = sorted({round(s.state.multiplier_max, 6) for s in swept
-                                 if s.speed_rad_s == speed and s.state.type == kind})  # fmt: skip
+                moduli = sorted(
+                    {round(s.state.multiplier_max, 6) for s in swept if s.speed_rad_s == speed and s.state.type == kind}
+                )
                 if rank < len(moduli):
                     values[i] = moduli[rank]
             if np.isfinite(values).any():

@@ -101,9 +101,13 @@ def _steady(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[Or
         other = _ellipse_of(vectors_at_end(over, steady_part(over)))
     last = part.last_turns(_RAW_TURNS)
     panel = OrbitPanel(
-        part.speed_rad_s, _raw(run, last.from_s, last.to_s), _ellipse_of(measured), _stds(measured),
-        _ellipse_of(beside) if beside else None, other,
-    )  # fmt: skip
+        part.speed_rad_s,
+        _raw(run, last.from_s, last.to_s),
+        _ellipse_of(measured),
+        _stds(measured),
+        _ellipse_of(beside) if beside else None,
+        other,
+    )
     return [panel], PassedVectors(measured, beside, {})
 
 

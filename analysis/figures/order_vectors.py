@@ -216,10 +216,14 @@ def compared_vectors(run: Run, simulated: SimulatedRun | None) -> PassedVectors 
             return PassedVectors(vectors_of(run), simulated_vectors(simulated), {})
         part = steady_part(run)
         beside = {
-            name: _mean("simulated run", *part.cut(simulated.time_s, values), part.cut(simulated.time_s,
-                        simulated.phase_rad)[1], part.speed_rad_s)
+            name: _mean(
+                "simulated run",
+                *part.cut(simulated.time_s, values),
+                part.cut(simulated.time_s, simulated.phase_rad)[1],
+                part.speed_rad_s,
+            )
             for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
-        }  # fmt: skip
+        }
         return PassedVectors(vectors_at_end(run, part), beside, {})
     except NotEnoughData:
         return None

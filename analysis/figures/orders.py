@@ -52,8 +52,9 @@ def draw_orders(run: Run, model: RigModel | None = None, over: Run | None = None
             for axes, passage, found in zip(row, columns, maps, strict=True):
                 level = _rising(passage.level(found.time_s))
                 shown = np.clip(1e3 * found.amplitude_m, norm.vmin, None)
-                picture = axes.pcolormesh(level, found.order, shown.T, norm=norm, cmap="cividis", shading="nearest",
-                                          rasterized=True)  # fmt: skip
+                picture = axes.pcolormesh(
+                    level, found.order, shown.T, norm=norm, cmap="cividis", shading="nearest", rasterized=True
+                )
                 _naturals(axes, passage, model, level)
                 axes.grid(False)
                 axes.set_ylim(0, _HIGHEST)

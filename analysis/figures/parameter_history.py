@@ -63,9 +63,13 @@ def draw_parameter_history(
     with drawing(10.4, 1.15 + 1.9 * rows) as figure:
         grid = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
         figure.subplots_adjust(
-            left=0.115, right=0.985, top=1 - 0.62 / (1.15 + 1.9 * rows), bottom=0.75 / (1.15 + 1.9 * rows),
-            hspace=0.35, wspace=0.28,
-        )  # fmt: skip
+            left=0.115,
+            right=0.985,
+            top=1 - 0.62 / (1.15 + 1.9 * rows),
+            bottom=0.75 / (1.15 + 1.9 * rows),
+            hspace=0.35,
+            wspace=0.28,
+        )
         panels = list(grid.flat)
         for axes, (name, unit) in zip(panels, units.items(), strict=False):
             _panel(axes, name, unit, joint, single, changes)
@@ -89,23 +93,45 @@ def _panel(
 ) -> None:
     own = [v for v in joint if v.name == name]
     axes.errorbar(
-        _days(own), [v.value for v in own], [_TIMES * v.std for v in own], fmt="o-", color=MEASURED,
-        ms=4.5, lw=0.9, capsize=2.5, label="joint estimate, 95 %", zorder=3,
-    )  # fmt: skip
+        _days(own),
+        [v.value for v in own],
+        [_TIMES * v.std for v in own],
+        fmt="o-",
+        color=MEASURED,
+        ms=4.5,
+        lw=0.9,
+        capsize=2.5,
+        label="joint estimate, 95 %",
+        zorder=3,
+    )
     for out, colour, text in ((False, GREY, "one log"), (True, _OUT, "left out")):
         shown = [v for v in single if v.name == name and v.left_out == out]
         if shown or not out:
             axes.errorbar(
-                _days(shown), [v.value for v in shown], [_TIMES * v.std for v in shown], fmt=".",
-                color=colour, ms=3.5, lw=0.6, alpha=0.55, label=text, zorder=2,
-            )  # fmt: skip
+                _days(shown),
+                [v.value for v in shown],
+                [_TIMES * v.std for v in shown],
+                fmt=".",
+                color=colour,
+                ms=3.5,
+                lw=0.6,
+                alpha=0.55,
+                label=text,
+                zorder=2,
+            )
     for change in (c for c in changes if c.name == name):
         at = _days([change])[0]
         axes.axvline(at, color=MODEL, lw=1.0, ls=":", zorder=1)
         axes.annotate(
-            change.text, (at, 1.0), (3, -9), xycoords=("data", "axes fraction"), textcoords="offset points",
-            fontsize=8, color=MODEL, parse_math=False,
-        )  # fmt: skip
+            change.text,
+            (at, 1.0),
+            (3, -9),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            fontsize=8,
+            color=MODEL,
+            parse_math=False,
+        )
     _limits(axes, own, [v for v in single if v.name == name])
     axes.ticklabel_format(axis="y", useOffset=False)
     short = name.partition("_")[0]
@@ -136,9 +162,16 @@ def _limits(axes: Axes, own: Sequence[Value], single: Sequence[Value]) -> None:
     for value in beyond:
         up = value.value > high
         axes.plot(
-            _days([value]), [top + 0.4 * margin if up else bottom - 0.4 * margin], marker="^" if up else "v", ms=5.5,
-            ls="", mfc="white", mec=_OUT if value.left_out else GREY, clip_on=False, zorder=4,
-        )  # fmt: skip
+            _days([value]),
+            [top + 0.4 * margin if up else bottom - 0.4 * margin],
+            marker="^" if up else "v",
+            ms=5.5,
+            ls="",
+            mfc="white",
+            mec=_OUT if value.left_out else GREY,
+            clip_on=False,
+            zorder=4,
+        )
     if beyond:
         axes.set_title(_beyond_words(beyond), loc="right", fontsize=LEAST_FONT_PT, color=GREY, parse_math=False)
 

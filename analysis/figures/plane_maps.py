@@ -101,10 +101,15 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
     right = (axes.transData + axes.transAxes.inverted()).transform((best.value, 0.0))[0] > 0.6
     end = " (end of the range)" if best.at_end else ""
     axes.annotate(
-        f"{symbol} = {best.value:.4g}{unit}{end}: {100 * best.share:.2f} %", (best.value, 100 * best.share),
-        xytext=(-7 if right else 7, 6), textcoords="offset points", ha="right" if right else "left", fontsize=9,
-        fontweight="bold", parse_math=False,
-    )  # fmt: skip
+        f"{symbol} = {best.value:.4g}{unit}{end}: {100 * best.share:.2f} %",
+        (best.value, 100 * best.share),
+        xytext=(-7 if right else 7, 6),
+        textcoords="offset points",
+        ha="right" if right else "left",
+        fontsize=9,
+        fontweight="bold",
+        parse_math=False,
+    )
     label(axes, name_of(within.keys), "stable share, %")
 
 
@@ -149,11 +154,13 @@ def _readout(found: MapAnswer, axes: Axes) -> Readout:
     place = np.ix_(rows, columns)
     x, y = found.question.axes
     own = " of the rig as it is" if found.family else ""
-    layers = {
-        f"|multiplier|{own}": grid.multiplier_max[place], f"decay rate{own}, 1/s": grid.decay_rate_per_s[place]
-    }  # fmt: skip
+    layers = {f"|multiplier|{own}": grid.multiplier_max[place], f"decay rate{own}, 1/s": grid.decay_rate_per_s[place]}
     box = axes.get_position()
     return Readout(
-        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)), (x.name, y.name), (x.logarithmic, y.logarithmic),
-        grid.x[columns], grid.y[rows], layers,
-    )  # fmt: skip
+        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)),
+        (x.name, y.name),
+        (x.logarithmic, y.logarithmic),
+        grid.x[columns],
+        grid.y[rows],
+        layers,
+    )

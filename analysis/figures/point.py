@@ -112,9 +112,14 @@ def _displacements(
 
 
 def _pair(
-    axes: Axes, time: np.ndarray, values: np.ndarray,
-    simulated: Simulated | None, model: np.ndarray | None, span: tuple[float, float], bins: int,
-) -> None:  # fmt: skip
+    axes: Axes,
+    time: np.ndarray,
+    values: np.ndarray,
+    simulated: Simulated | None,
+    model: np.ndarray | None,
+    span: tuple[float, float],
+    bins: int,
+) -> None:
     """Measured and simulated values in a span of times after release."""
     part = (time >= span[0]) & (time <= span[1])
     if part.sum() > 1:
@@ -128,9 +133,14 @@ def _pair(
 
 
 def _angle_row(
-    axes: np.ndarray, run: Run, measured: SteadyMeasurement, prediction: Prediction | None,
-    simulated: Simulated | None, j: int, times: tuple[float, float, float],
-) -> None:  # fmt: skip
+    axes: np.ndarray,
+    run: Run,
+    measured: SteadyMeasurement,
+    prediction: Prediction | None,
+    simulated: Simulated | None,
+    j: int,
+    times: tuple[float, float, float],
+) -> None:
     """One pendulum's angle, both columns; right with the predicted steady value and its ± 2 deviations."""
     zero, close, end = times
     settled = run.angle_rad[(run.angle_time_s >= measured.from_s) & (run.angle_time_s <= end), j]

@@ -28,8 +28,10 @@ def draw_point_loss(physics: RotorParameters, title: str) -> Figure:
     natural = physics.natural_frequencies_rad_s
     wide = natural[1] / natural[0]
     speeds = np.linspace(0.0, max(2.5, 1.6 * wide), 600)[1:]
-    foot = ("Coloured: no singular point of the type at all. Line: the rig as it is. Damping ratios along x and y are "
-            "multiplied by the same number.")  # fmt: skip
+    foot = (
+        "Coloured: no singular point of the type at all. Line: the rig as it is. Damping ratios along x and y are "
+        "multiplied by the same number."
+    )
     with sheet(8.6, 3.8, title, (foot,)) as figure:
         axes = figure.subplots()
         rows = [point_losses(replace(physics, zeta1=f * physics.zeta1, zeta2=f * physics.zeta2)) for f in _FACTORS]

@@ -138,8 +138,14 @@ def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
         written.append(out)
         axes.plot([np.angle(at)], [abs(at) * top], marker="o", ms=3.5, color="black", ls="", zorder=6)
         axes.text(
-            float(np.angle(out)), abs(out) * top, f"{rpm:.0f}", fontsize=LEAST_FONT_PT, ha="center", va="center",
-            bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}, zorder=7,
-        )  # fmt: skip
+            float(np.angle(out)),
+            abs(out) * top,
+            f"{rpm:.0f}",
+            fontsize=LEAST_FONT_PT,
+            ha="center",
+            va="center",
+            bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8},
+            zorder=7,
+        )
     curve = vectors[:: max(1, len(vectors) // _CURVE_POINTS)] * 1e3 / top
     return [*written, *(complex(at) for at in curve.tolist() if abs(at) > _APART)]

@@ -28,8 +28,13 @@ def draw_reaction(found: Reaction, title: str, share: float) -> Figure:
             )
         if np.isfinite(found.reaction_s):
             for axes in rows:
-                axes.axvline(found.reaction_s, color="black", lw=0.8, ls="--",
-                             label=f"within {100 * share:g} % after {found.reaction_s:.2f} s")  # fmt: skip
+                axes.axvline(
+                    found.reaction_s,
+                    color="black",
+                    lw=0.8,
+                    ls="--",
+                    label=f"within {100 * share:g} % after {found.reaction_s:.2f} s",
+                )
         for i, (name, colour) in enumerate((("θ3", MEASURED), ("θ4", MODEL))):
             rows[1].plot(found.time_s, np.degrees(found.theta_rad[:, i]), color=colour, label=name)
         label(rows[0], None, "rms vibration, mm")

@@ -38,8 +38,11 @@ class Readout:
             return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")
 
         held = {
-            "box": self.box, "names": self.names, "logarithmic": self.logarithmic,
-            "x": packed(self.x), "y": packed(self.y),
+            "box": self.box,
+            "names": self.names,
+            "logarithmic": self.logarithmic,
+            "x": packed(self.x),
+            "y": packed(self.y),
             "layers": [{"name": name, "values": packed(values)} for name, values in self.layers.items()],
-        }  # fmt: skip
+        }
         return json.dumps(held).replace("<", "\\u003c")  # nothing in it ends the script

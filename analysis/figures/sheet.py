@@ -64,13 +64,28 @@ def sheet(width_in: float, height_in: float, title: str, foot: Sequence[str] = (
         whole_in = height_in + head_in + foot_in
         figure.set_size_inches(width_in, whole_in)
         at = 1 - _MARGIN_IN / whole_in
-        figure.text(_MARGIN_IN / width_in, at, "\n".join(titles), fontsize=_TITLE_PT, va="top", linespacing=_LINE,
-                    parse_math=False)  # fmt: skip
+        figure.text(
+            _MARGIN_IN / width_in,
+            at,
+            "\n".join(titles),
+            fontsize=_TITLE_PT,
+            va="top",
+            linespacing=_LINE,
+            parse_math=False,
+        )
         if legend is not None:
             legend.set_bbox_to_anchor((_MARGIN_IN / width_in, at - (title_in + _GAP_IN) / whole_in))
         if notes:
-            figure.text(_MARGIN_IN / width_in, _MARGIN_IN / 2 / whole_in, "\n".join(notes), fontsize=_FOOT_PT,
-                        va="bottom", color=GREY, linespacing=_LINE, parse_math=False)  # fmt: skip
+            figure.text(
+                _MARGIN_IN / width_in,
+                _MARGIN_IN / 2 / whole_in,
+                "\n".join(notes),
+                fontsize=_FOOT_PT,
+                va="bottom",
+                color=GREY,
+                linespacing=_LINE,
+                parse_math=False,
+            )
         engine = figure.get_layout_engine()
         assert isinstance(engine, ConstrainedLayoutEngine)
         engine.set(rect=(0, foot_in / whole_in, 1, 1 - (foot_in + head_in) / whole_in))
@@ -88,9 +103,16 @@ def _legend(figure: Figure, room_in: float) -> Legend | None:
         return None
     for columns in range(len(shown), 0, -1):
         legend = figure.legend(
-            list(shown.values()), [drawable(text) for text in shown], loc="upper left", ncols=columns,
-            fontsize=_LEGEND_PT, borderaxespad=0.0, borderpad=0.0, handlelength=2.6, columnspacing=1.6,
-        )  # fmt: skip
+            list(shown.values()),
+            [drawable(text) for text in shown],
+            loc="upper left",
+            ncols=columns,
+            fontsize=_LEGEND_PT,
+            borderaxespad=0.0,
+            borderpad=0.0,
+            handlelength=2.6,
+            columnspacing=1.6,
+        )
         legend.set_in_layout(False)
         if legend.get_window_extent().width <= room_in * figure.dpi or columns == 1:
             return legend

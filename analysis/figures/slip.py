@@ -108,9 +108,12 @@ def _end(run: Run) -> _End:
     spread = np.minimum(0.5 * np.ptp(own, axis=0), math.pi)
     slip = np.mean(track.slip_order[late], axis=0)
     return _End(
-        run.test.removeprefix("point-"), part.speed_rad_s, (float(means[0]), float(means[1])),
-        (float(spread[0]), float(spread[1])), (float(slip[0]), float(slip[1])),
-    )  # fmt: skip
+        run.test.removeprefix("point-"),
+        part.speed_rad_s,
+        (float(means[0]), float(means[1])),
+        (float(spread[0]), float(spread[1])),
+        (float(slip[0]), float(slip[1])),
+    )
 
 
 def _branches(grid: Sequence[Axes], found: Sequence[SweptState], name: str) -> None:
@@ -119,10 +122,16 @@ def _branches(grid: Sequence[Axes], found: Sequence[SweptState], name: str) -> N
         for stable, text in ((True, f"stable, {name}"), (False, f"unstable, {name}")):
             chosen = [s for s in found if s.state.stable == stable]
             grid[j].plot(
-                [RPM * s.speed_rad_s for s in chosen], [math.degrees(s.state.theta_rad[j]) % 360.0 for s in chosen],
-                ls="", marker="o" if stable else "x", ms=3.2 if stable else 3.6,
-                color=MODEL_LOOK["color"] if stable else GREY, mew=0.7, label=text, alpha=1.0 if stable else 0.7,
-            )  # fmt: skip
+                [RPM * s.speed_rad_s for s in chosen],
+                [math.degrees(s.state.theta_rad[j]) % 360.0 for s in chosen],
+                ls="",
+                marker="o" if stable else "x",
+                ms=3.2 if stable else 3.6,
+                color=MODEL_LOOK["color"] if stable else GREY,
+                mew=0.7,
+                label=text,
+                alpha=1.0 if stable else 0.7,
+            )
     grid[2].axhline(0.0, label=f"every steady state, {name}: slip 0", **MODEL_LOOK)
 
 
@@ -140,8 +149,17 @@ def _point(grid: Sequence[Axes], end: _End) -> None:
     for j in range(2):
         theta = math.degrees(end.theta[j])
         grid[j].errorbar([speed], [theta], [math.degrees(end.spread[j])], capsize=3, zorder=5, **look)
-        grid[2].plot([speed], [end.slip[j]], marker="os"[j], ms=8 - 3 * j, mfc="none", mew=1.6,
-                     color=MEASURED if j == 0 else "black", ls="", label=("A", "B")[j] + " measured")  # fmt: skip
+        grid[2].plot(
+            [speed],
+            [end.slip[j]],
+            marker="os"[j],
+            ms=8 - 3 * j,
+            mfc="none",
+            mew=1.6,
+            color=MEASURED if j == 0 else "black",
+            ls="",
+            label=("A", "B")[j] + " measured",
+        )
 
 
 def _curve(grid: Sequence[Axes], run: Run) -> None:
@@ -151,10 +169,24 @@ def _curve(grid: Sequence[Axes], run: Run) -> None:
     for j in range(2):
         degrees = (np.degrees(track.angle_rad[:, j]) + 5.0) % 360.0 - 5.0
         degrees[1:][np.abs(np.diff(degrees)) > 180.0] = np.nan
-        grid[j].plot(speed, degrees, color=MEASURED if j == 0 else "black", lw=2.2 - j, alpha=0.6,
-                     ls="-" if j == 0 else "--", label="AB"[j] + " measured" + held)  # fmt: skip
-        grid[2].plot(speed, track.slip_order[:, j], color=MEASURED if j == 0 else "black", lw=2.2 - j, alpha=0.6,
-                     ls="-" if j == 0 else "--", label="AB"[j] + " measured" + held)  # fmt: skip
+        grid[j].plot(
+            speed,
+            degrees,
+            color=MEASURED if j == 0 else "black",
+            lw=2.2 - j,
+            alpha=0.6,
+            ls="-" if j == 0 else "--",
+            label="AB"[j] + " measured" + held,
+        )
+        grid[2].plot(
+            speed,
+            track.slip_order[:, j],
+            color=MEASURED if j == 0 else "black",
+            lw=2.2 - j,
+            alpha=0.6,
+            ls="-" if j == 0 else "--",
+            label="AB"[j] + " measured" + held,
+        )
 
 
 def _axes(grid: Sequence[Axes], ends: Sequence[_End], span: tuple[float, float], model: RigModel | None) -> None:

@@ -129,15 +129,24 @@ def _full(axes: Axes, part: _Part, around: float, colour: str, text: str) -> Non
     except ValueError as error:
         raise NotEnoughData(f"full spectrum of {part.words}: {error}") from error
     shown = np.abs(found.frequency_Hz) <= around
-    axes.plot(found.frequency_Hz[shown], 1e3 * found.values[shown], color=colour, lw=1.4, label=text,
-              ls="-" if colour == MEASURED else OVER_LOOK["ls"])  # fmt: skip
+    axes.plot(
+        found.frequency_Hz[shown],
+        1e3 * found.values[shown],
+        color=colour,
+        lw=1.4,
+        label=text,
+        ls="-" if colour == MEASURED else OVER_LOOK["ls"],
+    )
     axes.set_yscale("log")
     axes.set_xlim(-around, around)
 
 
 def _densities(axes: Axes, part: _Part, names: tuple[str, str], *, over: bool = False) -> None:
-    looks: tuple[Look, Look] = (({"color": OVER_LOOK["color"], "ls": "-."}, {"color": "#8C6D1F", "ls": ":"}) if over
-             else ({"color": MEASURED, "ls": "-"}, {"color": "#444444", "ls": "--"}))  # fmt: skip
+    looks: tuple[Look, Look] = (
+        ({"color": OVER_LOOK["color"], "ls": "-."}, {"color": "#8C6D1F", "ls": ":"})
+        if over
+        else ({"color": MEASURED, "ls": "-"}, {"color": "#444444", "ls": "--"})
+    )
     for (time, values), name, look in zip((part.x, part.y), names, looks, strict=True):
         found = power_density(time, values, window_s=_window_s(part))
         axes.plot(*_by_octaves(found), lw=1.1, label=f"power density, {name}", **look)
@@ -189,8 +198,17 @@ def _model(axes: Axes, part: _Part, model: RigModel, run: Run) -> None:
     orbit = orbit_ellipse(x, y)
     low, high = axes.get_ylim()
     values = 1e3 * np.array([abs(orbit.backward_m), abs(orbit.forward_m)])
-    axes.plot([-part.turns_Hz, part.turns_Hz], np.where(values > low, values, np.nan), ls="", marker="s", ms=9,
-              mfc="none", mec=MODEL, mew=1.8, label=f"1× backward and forward, {model.name}")  # fmt: skip
+    axes.plot(
+        [-part.turns_Hz, part.turns_Hz],
+        np.where(values > low, values, np.nan),
+        ls="",
+        marker="s",
+        ms=9,
+        mfc="none",
+        mec=MODEL,
+        mew=1.8,
+        label=f"1× backward and forward, {model.name}",
+    )
     axes.set_ylim(low, high)
 
 

@@ -24,9 +24,19 @@ _MARKS = {"I": "o", "II": "s", "III": "^", "slipping": "X", "not settled": "P"}
 
 
 _COLOURS = (  # of the levels' bands, each darker than the one before: stable stays light in grey print
-    "#fbfcff", "#f0f3fb", "#e4e9f6", "#d7def1", "#c9d3ec",
-    "#f3c08a", "#e8ab6b", "#da9650", "#c67f38", "#a96724", "#7f4a15", "#4f2c0a",
-)  # fmt: skip
+    "#fbfcff",
+    "#f0f3fb",
+    "#e4e9f6",
+    "#d7def1",
+    "#c9d3ec",
+    "#f3c08a",
+    "#e8ab6b",
+    "#da9650",
+    "#c67f38",
+    "#a96724",
+    "#7f4a15",
+    "#4f2c0a",
+)
 _FOOT = (
     "Thick line: |multiplier| 1; the balanced state (type I) is stable where it is smaller. Marks: state as measured; "
     "circle type I, square type II,\ntriangle type III, cross slipping, plus not settled, diamond another. "
@@ -86,8 +96,15 @@ def draw_points_on_map(physics: RotorParameters, points: Sequence[MapPoint], tit
     if title:
         figure.set_size_inches(figure.get_figwidth(), figure.get_figheight() + 0.7)
         figure.subplots_adjust(top=0.97 - 0.3 / figure.get_figheight(), bottom=0.95 / figure.get_figheight())
-        figure.text(0.012, 0.06 / figure.get_figheight(), _FOOT, va="bottom", fontsize=LEAST_FONT_PT, color=GREY,
-                    parse_math=False)  # fmt: skip
+        figure.text(
+            0.012,
+            0.06 / figure.get_figheight(),
+            _FOOT,
+            va="bottom",
+            fontsize=LEAST_FONT_PT,
+            color=GREY,
+            parse_math=False,
+        )
         figure.text(0.012, 1 - 0.08 / figure.get_figheight(), title, va="top", fontsize=10, parse_math=False)
     return figure
 
@@ -222,16 +239,28 @@ def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:
     if len(second):
         axes.plot(np.sqrt(second), second, color="#333333", ls="--", lw=1)
         axes.annotate(
-            "Ω = √K", (np.sqrt(second[-1]), second[-1]), xytext=(-9, -4), textcoords="offset points", fontsize=8,
-            ha="right", va="top", path_effects=_HALO,
-        )  # fmt: skip
+            "Ω = √K",
+            (np.sqrt(second[-1]), second[-1]),
+            xytext=(-9, -4),
+            textcoords="offset points",
+            fontsize=8,
+            ha="right",
+            va="top",
+            path_effects=_HALO,
+        )
 
 
 def _points(axes: Axes, points: Sequence[MapPoint], own: float) -> None:
     for i, point in enumerate(points):
         axes.plot(point.speed_ratio, own, marker=_MARKS.get(point.state, "D"), ms=9, mfc="white", mec="black", ls="")
         axes.annotate(
-            f"{point.name} · {point.state}", (point.speed_ratio, own), xytext=(0, 9 if i % 2 == 0 else -17),
-            ha="center", textcoords="offset points", fontsize=9, fontweight="bold", parse_math=False,
+            f"{point.name} · {point.state}",
+            (point.speed_ratio, own),
+            xytext=(0, 9 if i % 2 == 0 else -17),
+            ha="center",
+            textcoords="offset points",
+            fontsize=9,
+            fontweight="bold",
+            parse_math=False,
             path_effects=_HALO,
-        )  # fmt: skip
+        )

@@ -23,9 +23,13 @@ _LEVELS = ((0, (6, 1.5, 1, 1.5)), (0, (1, 1.5)), (0, (4, 1.2)))
 
 
 def draw_start_ups(
-    found: SettledScatter, title: str, levels: Mapping[str, float], foot: Sequence[str] = (),
-    std: tuple[Array, Array] | None = None, zoom: bool = False,
-) -> Figure:  # fmt: skip
+    found: SettledScatter,
+    title: str,
+    levels: Mapping[str, float],
+    foot: Sequence[str] = (),
+    std: tuple[Array, Array] | None = None,
+    zoom: bool = False,
+) -> Figure:
     """Resting places across, amplitude up; the two of a start-up have one symbol and are joined.
 
     Args:
@@ -67,9 +71,20 @@ def _points(axes: Axes, found: SettledScatter, std: tuple[Array, Array] | None, 
             axes.plot(places, height, ls=(0, (4, 3)), lw=0.8, color=MEASURED, alpha=0.6)
         errors = {} if std is None else {"xerr": np.degrees(std[0][i]), "yerr": 2e3 * std[1][i]}
         axes.errorbar(
-            places, height, ls="none", marker=marker, ms=6.5, mfc="white", mec=MEASURED, mew=1.3, ecolor=MEASURED,
-            elinewidth=0.9, capsize=2.0, label="start-ups, a symbol each" if i == 0 else None, **errors,
-        )  # fmt: skip
+            places,
+            height,
+            ls="none",
+            marker=marker,
+            ms=6.5,
+            mfc="white",
+            mec=MEASURED,
+            mew=1.3,
+            ecolor=MEASURED,
+            elinewidth=0.9,
+            capsize=2.0,
+            label="start-ups, a symbol each" if i == 0 else None,
+            **errors,
+        )
 
 
 def _balanced(axes: Axes, found: SettledScatter) -> None:

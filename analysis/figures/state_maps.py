@@ -23,13 +23,23 @@ from dynamics.stability.borders import Borders
 
 _HEIGHT_IN = 4.6
 _COLOURS = {
-    "refused": "#ffffff", "not settled": "#d9d9d9", "I": "#56B4E9", "II": "#CC79A7", "III": "#009E73",
-    "one": "#56B4E9", "slipping": "#D55E00",
-}  # fmt: skip
+    "refused": "#ffffff",
+    "not settled": "#d9d9d9",
+    "I": "#56B4E9",
+    "II": "#CC79A7",
+    "III": "#009E73",
+    "one": "#56B4E9",
+    "slipping": "#D55E00",
+}
 _WORDS = {
-    "refused": "no answer", "not settled": "not settled", "I": "I: balanced", "II": "II: pendulums opposed",
-    "III": "III: pendulums together", "one": "at rest", "slipping": "slipping for ever",
-}  # fmt: skip
+    "refused": "no answer",
+    "not settled": "not settled",
+    "I": "I: balanced",
+    "II": "II: pendulums opposed",
+    "III": "III: pendulums together",
+    "one": "at rest",
+    "slipping": "slipping for ever",
+}
 _SHOWN = {
     "amplitude": ("amplitude_m", 1e6, "disk's rms amplitude at the end, µm"),
     "settling-time": ("settled_s", 1.0, "time until the motion stayed near its end, s"),
@@ -109,11 +119,18 @@ def _readout(found: StateMap, axes: Axes) -> Readout:
     question, arrays = found.question, found.arrays
     named = ", ".join(f"{code} {name}" for code, name in enumerate(STATES) if name in found.shares)
     layers = {
-        f"state ({named})": arrays["state"], "θ3, °": arrays["theta3_deg"], "θ4, °": arrays["theta4_deg"],
-        "amplitude, µm": 1e6 * arrays["amplitude_m"], "settled after, s": arrays["settled_s"],
-    }  # fmt: skip
+        f"state ({named})": arrays["state"],
+        "θ3, °": arrays["theta3_deg"],
+        "θ4, °": arrays["theta4_deg"],
+        "amplitude, µm": 1e6 * arrays["amplitude_m"],
+        "settled after, s": arrays["settled_s"],
+    }
     box = axes.get_position()
     return Readout(
-        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)), (question.x.name, question.y.name),
-        (question.x.logarithmic, question.y.logarithmic), found.x, found.y, layers,
-    )  # fmt: skip
+        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)),
+        (question.x.name, question.y.name),
+        (question.x.logarithmic, question.y.logarithmic),
+        found.x,
+        found.y,
+        layers,
+    )

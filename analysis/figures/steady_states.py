@@ -84,8 +84,11 @@ def _pose(axes: Axes, physics: RotorParameters, state: SteadyState, *, reached: 
     axes.set_title(
         f"{state.type}, {state.stability}\nθ3 {math.degrees(state.theta_rad[0]):.1f}°, "
         f"θ4 {math.degrees(state.theta_rad[1]):.1f}°\n{1e3 * state.amplitude_m:.3g} mm",
-        fontsize=8, color=_COLOURS[state.stability], loc="center", parse_math=False,
-    )  # fmt: skip
+        fontsize=8,
+        color=_COLOURS[state.stability],
+        loc="center",
+        parse_math=False,
+    )
 
     if reached:
         axes.text(0, -1.45, "a release ends here", fontsize=8, ha="center", va="top", color=_COLOURS[state.stability])
@@ -125,9 +128,15 @@ def _multipliers(axes: Axes, states: Sequence[SteadyState]) -> None:
     axes.plot(np.cos(turn), np.sin(turn), color="#333333", lw=0.9)
     for i, state in enumerate(states):
         axes.plot(
-            state.multipliers.real, state.multipliers.imag, ls="", marker="osD^v<>p"[i % 8], ms=5, mfc="none",
-            mec=_COLOURS[state.stability], label=f"{state.type}: largest {state.multiplier_max:.4g}",
-        )  # fmt: skip
+            state.multipliers.real,
+            state.multipliers.imag,
+            ls="",
+            marker="osD^v<>p"[i % 8],
+            ms=5,
+            mfc="none",
+            mec=_COLOURS[state.stability],
+            label=f"{state.type}: largest {state.multiplier_max:.4g}",
+        )
     axes.set_aspect("equal", adjustable="datalim")
     label(axes, "real part", "imaginary part", "multipliers over one revolution")
     if states:

@@ -93,9 +93,13 @@ def draw_tracked(picture: TrackedPicture) -> Figure:
             text: handle for axes in panels for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)
         }
         figure.legend(
-            list(shown.values()), list(shown), loc="upper right", bbox_to_anchor=(0.99, 1 - 0.2 / height),
-            ncols=3, fontsize=8,
-        )  # fmt: skip
+            list(shown.values()),
+            list(shown),
+            loc="upper right",
+            bbox_to_anchor=(0.99, 1 - 0.2 / height),
+            ncols=3,
+            fontsize=8,
+        )
         figure.text(0.012, 1 - 0.14 / height, drawable(picture.title), fontsize=9.5, va="center", parse_math=False)
         figure.align_ylabels(panels)
         return figure
@@ -111,8 +115,9 @@ def _draw_state(axes: Axes, state: TrackedState) -> None:
     elif len(own):
         band(axes, own_time, own, MEASURED, "measured", bins=bins)
     reach = _TIMES * state.std
-    axes.fill_between(time, state.value - reach, state.value + reach, color=MODEL, alpha=0.22, lw=0,
-                      label="95 % of the estimate")  # fmt: skip
+    axes.fill_between(
+        time, state.value - reach, state.value + reach, color=MODEL, alpha=0.22, lw=0, label="95 % of the estimate"
+    )
     outline(axes, time, state.value, MODEL, "estimated", bins=bins)
     everything = np.concatenate([state.value, own])
     low, high = float(np.min(everything)), float(np.max(everything))
@@ -144,7 +149,14 @@ def _shade(axes: Axes, picture: TrackedPicture) -> None:
         return
     low, high = axes.get_ylim()
     axes.fill_between(
-        picture.time_s, low, high, where=(~picture.trusted).tolist(), step="post", color=_UNTRUSTED, alpha=0.07, lw=0,
+        picture.time_s,
+        low,
+        high,
+        where=(~picture.trusted).tolist(),
+        step="post",
+        color=_UNTRUSTED,
+        alpha=0.07,
+        lw=0,
         label="not to be trusted",
-    )  # fmt: skip
+    )
     axes.set_ylim(low, high)

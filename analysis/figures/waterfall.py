@@ -158,8 +158,16 @@ def _draw(axes: Axes, cascade: _Cascade, shared: _Row, colour: str) -> None:
     at = 0.965 * float(cascade.frequency_Hz[-1])  # at the bottom, right of all orders
     foot = shared.low + 0.04 * (shared.high - shared.low)
     axes.plot([at, at], [foot, foot + shared.scale * bar], color="black", lw=2.2, zorder=6, solid_capstyle="butt")
-    axes.text(at * 0.985, foot + 0.5 * shared.scale * bar, f"{bar:g} mm", ha="right", va="center", fontsize=8, zorder=6,
-              bbox={"fc": "white", "ec": "none", "pad": 1.0})  # fmt: skip
+    axes.text(
+        at * 0.985,
+        foot + 0.5 * shared.scale * bar,
+        f"{bar:g} mm",
+        ha="right",
+        va="center",
+        fontsize=8,
+        zorder=6,
+        bbox={"fc": "white", "ec": "none", "pad": 1.0},
+    )
 
 
 def _peaks(row: Array, least: float) -> list[slice]:
@@ -195,14 +203,35 @@ def _natural(axes: Axes, model: RigModel | None, top_Hz: float) -> None:
         if value < top_Hz:
             axes.axvline(value, color="#555555", lw=0.8, ls=":", zorder=1.5)
             axes.annotate(
-                f"f{i + 1}", (value, 1), (0, 1), xycoords=("data", "axes fraction"), textcoords="offset points",
-                fontsize=LEAST_FONT_PT, ha="center", va="bottom", color="#333333",
-            )  # fmt: skip
+                f"f{i + 1}",
+                (value, 1),
+                (0, 1),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                fontsize=LEAST_FONT_PT,
+                ha="center",
+                va="bottom",
+                color="#333333",
+            )
 
 
 def _name(
-    axes: Axes, text: str, at: tuple[float, float], off_pt: tuple[float, float],
-    ha: Literal["left", "center"], va: Literal["bottom", "center"],
-) -> None:  # fmt: skip
-    axes.annotate(text, at, off_pt, textcoords="offset points", fontsize=LEAST_FONT_PT, ha=ha, va=va, color="#333333",
-                  zorder=6, annotation_clip=False)  # fmt: skip
+    axes: Axes,
+    text: str,
+    at: tuple[float, float],
+    off_pt: tuple[float, float],
+    ha: Literal["left", "center"],
+    va: Literal["bottom", "center"],
+) -> None:
+    axes.annotate(
+        text,
+        at,
+        off_pt,
+        textcoords="offset points",
+        fontsize=LEAST_FONT_PT,
+        ha=ha,
+        va=va,
+        color="#333333",
+        zorder=6,
+        annotation_clip=False,
+    )

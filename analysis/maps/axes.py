@@ -108,9 +108,12 @@ class MapAxis:
     def as_json(self) -> dict[str, Any]:
         """Plain numbers and texts; `of_json` takes them back."""
         return {
-            "keys": list(self.keys), "from": self.low, "to": self.high, "count": self.count,
+            "keys": list(self.keys),
+            "from": self.low,
+            "to": self.high,
+            "count": self.count,
             "logarithmic": self.logarithmic,
-        }  # fmt: skip
+        }
 
     @classmethod
     def of_json(cls, table: Mapping[str, Any]) -> MapAxis:

@@ -20,9 +20,16 @@ Array = NDArray[np.float64]
 MOTIONS = ("I", "II", "III", "one", "slipping")
 """Kinds of motion; the n-th is the bit 2ⁿ of `stable`."""
 COEXISTENCE_ARRAYS: tuple[str, ...] = (
-    "stable", "multiplier_I", "multiplier_II", "multiplier_III", "multiplier_one", "multiplier_slipping",
-    "slipping_orbits", "turns3_per_rev", "turns4_per_rev",
-)  # fmt: skip
+    "stable",
+    "multiplier_I",
+    "multiplier_II",
+    "multiplier_III",
+    "multiplier_one",
+    "multiplier_slipping",
+    "slipping_orbits",
+    "turns3_per_rev",
+    "turns4_per_rev",
+)
 
 
 @dataclass(frozen=True)
@@ -78,9 +85,12 @@ def motions_at(
     """
     points = [plane.rig_at(a, b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     found = stable_motions(
-        [rig for rig, _ in points], [speed for _, speed in points], columns=columns, workers=workers,
+        [rig for rig, _ in points],
+        [speed for _, speed in points],
+        columns=columns,
+        workers=workers,
         progress=progress,
-    )  # fmt: skip
+    )
     rows = [_numbers(one) for one in found]
     return {name: np.array([row[name] for row in rows]) for name in COEXISTENCE_ARRAYS}
 

@@ -166,9 +166,15 @@ def best_value(
     low = max((i for i in clear if i < best), default=0)
     high = min((i for i in clear if i > best), default=len(places) - 1)
     return BestValue(
-        np.array(values), shares, unresolved, values[best], (values[low], values[high]), float(shares[best]), error,
+        np.array(values),
+        shares,
+        unresolved,
+        values[best],
+        (values[low], values[high]),
+        float(shares[best]),
+        error,
         best in (0, len(places) - 1),
-    )  # fmt: skip
+    )
 
 
 def _need_keys(keys: tuple[str, ...]) -> None:

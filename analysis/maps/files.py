@@ -128,10 +128,13 @@ def _read_npz(path: Path) -> MapRecord:
     x_keys, y_keys = keys_of(provenance)
     borders = tuple(
         RecordedBorder(
-            held[f"border_{n}"][:, 0], held[f"border_{n}"][:, 1], held[f"border_{n}_multiplier"],
-            bool(line["closed"]), line["value"],
+            held[f"border_{n}"][:, 0],
+            held[f"border_{n}"][:, 1],
+            held[f"border_{n}_multiplier"],
+            bool(line["closed"]),
+            line["value"],
         )
         for n, line in enumerate(lines, 1)
-    )  # fmt: skip
+    )
     x, y = held.pop(x_keys[0]), held.pop(y_keys[0])
     return MapRecord(provenance, x, y, {k: v for k, v in held.items() if not k.startswith("border_")}, borders)

@@ -55,9 +55,12 @@ class RigLine:
 
 
 def line_over(
-    rig_with: Callable[[list[str]], Rig], axis: MapAxis, speed_rad_s: float | None, speed_ratio: float | None,
+    rig_with: Callable[[list[str]], Rig],
+    axis: MapAxis,
+    speed_rad_s: float | None,
+    speed_ratio: float | None,
     effects: Callable[[RotorParameters], RotorParameters] = lambda physics: physics,
-) -> RigLine:  # fmt: skip
+) -> RigLine:
     """The line along an axis, the rigs at its ends checked by what a rig file may hold.
 
     Args:

@@ -25,9 +25,16 @@ STATES = ("refused", "not settled", "I", "II", "III", "one", "slipping")
 RELEASED_RAD = (PLAY_RAD, np.pi - 0.5 * PLAY_RAD)
 """Angles at which the locks hold A and B: 0° and 180°, and some play, without which an unstable rest is kept."""
 ARRAYS = (
-    "state", "sure", "theta3_deg", "theta4_deg", "turns3_per_rev", "turns4_per_rev", "multiplier_max", "settled_s",
+    "state",
+    "sure",
+    "theta3_deg",
+    "theta4_deg",
+    "turns3_per_rev",
+    "turns4_per_rev",
+    "multiplier_max",
+    "settled_s",
     "amplitude_m",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

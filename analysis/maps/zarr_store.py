@@ -43,8 +43,9 @@ def write_zarr(path: Path, kept: MapRecord) -> None:
 
     def put(name: str, values: NDArray[Any], dimensions: tuple[str, ...], where: Any = group) -> None:
         chunks = tuple(max(1, min(size, _CHUNK)) for size in values.shape)
-        array = where.create_array(name, shape=values.shape, dtype=values.dtype, chunks=chunks,
-                                   dimension_names=dimensions)  # fmt: skip
+        array = where.create_array(
+            name, shape=values.shape, dtype=values.dtype, chunks=chunks, dimension_names=dimensions
+        )
         array[...] = values
 
     put(x, kept.x, (x,))

@@ -87,9 +87,15 @@ class Envelopes:
 
 
 def fit_envelopes(
-    time_s: Array, signal: Array, phase_rad: Array, orders: int, knot_s: float, widths: Array, *,
+    time_s: Array,
+    signal: Array,
+    phase_rad: Array,
+    orders: int,
+    knot_s: float,
+    widths: Array,
+    *,
     least_noise: float = 0.0,
-) -> Envelopes:  # fmt: skip
+) -> Envelopes:
     """Envelopes of the offset and of orders 1 … `orders`.
 
     Args:
@@ -112,9 +118,11 @@ def fit_envelopes(
         step = duration / knots * (1 + 1e-12)
         phasors, products = _moments(time_s, normalised, phase_rad, float(time_s[0]), step, knots, orders)
         equations = Equations(
-            *_normal_equations(phasors, products, orders), float(normalised @ normalised), len(signal),
+            *_normal_equations(phasors, products, orders),
+            float(normalised @ normalised),
+            len(signal),
             (least_noise / scale) ** 2,
-        )  # fmt: skip
+        )
         turns = np.abs(np.diff(np.interp(time_s[0] + step * np.arange(knots + 1), time_s, phase_rad))) / (2 * np.pi)
         least = np.stack([_least_weights(turns, width) for width in widths])
         if begin is not None:

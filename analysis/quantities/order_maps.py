@@ -77,9 +77,13 @@ def order_map(
 
 
 def resampled_order_track(
-    time_s: ArrayLike, displacement_m: ArrayLike, phase_rad: ArrayLike, orders: Sequence[int] = (1,), *,
+    time_s: ArrayLike,
+    displacement_m: ArrayLike,
+    phase_rad: ArrayLike,
+    orders: Sequence[int] = (1,),
+    *,
     revolutions: int = 4,
-) -> OrderTrack:  # fmt: skip
+) -> OrderTrack:
     """Order vectors by angular resampling; deviations from what stands between the orders.
 
     Args and errors as `order_map`.
@@ -91,10 +95,16 @@ def resampled_order_track(
     std = np.sqrt(np.mean(rest**2, axis=2) / 2)
     rows = len(found.time_s)
     return OrderTrack(
-        found.time_s, tuple(orders), found.vectors_m[:, at], std, np.zeros(rows), np.sqrt(np.mean(std**2, axis=1)),
-        np.full(rows, len(np.asarray(time_s)) // max(rows, 1)), found.speed_rad_s,
+        found.time_s,
+        tuple(orders),
+        found.vectors_m[:, at],
+        std,
+        np.zeros(rows),
+        np.sqrt(np.mean(std**2, axis=1)),
+        np.full(rows, len(np.asarray(time_s)) // max(rows, 1)),
+        found.speed_rad_s,
         np.full(len(orders), 0.5 * rows + 0.5),
-    )  # fmt: skip
+    )
 
 
 def _by_angle(time_s: ArrayLike, values: ArrayLike, phase_rad: ArrayLike) -> tuple[Array, Array, Array]:

@@ -53,19 +53,29 @@ def _table(budget: Budget) -> BudgetTable:
     more, left = len(every) - len(shown), sum(row.share for row in every[len(shown) :])
     tail = f" {unit}" if unit not in ("", "°") else unit
     return BudgetTable(
-        budget.name, with_std(float(budget.value), budget.std, unit), f"{plain(budget.expanded(), 2)}{tail}",
-        f"{budget.coverage_factor():.3f}", _degrees(budget.degrees_of_freedom), [_row(row, tail) for row in shown],
-        f"{more} more" if more else "", _share(left),
-    )  # fmt: skip
+        budget.name,
+        with_std(float(budget.value), budget.std, unit),
+        f"{plain(budget.expanded(), 2)}{tail}",
+        f"{budget.coverage_factor():.3f}",
+        _degrees(budget.degrees_of_freedom),
+        [_row(row, tail) for row in shown],
+        f"{more} more" if more else "",
+        _share(left),
+    )
 
 
 def _row(row: BudgetRow, tail: str) -> SourceRow:
     unit = _UNITS.get(row.unit, row.unit)
     size = "–" if row.unit == STANDARD else f"{plain(row.u, 3)} {unit}".rstrip()
     return SourceRow(
-        row.source, row.kind, row.distribution, _degrees(row.degrees_of_freedom), size,
-        f"{plain(row.contribution, 2)}{tail}", _share(row.share),
-    )  # fmt: skip
+        row.source,
+        row.kind,
+        row.distribution,
+        _degrees(row.degrees_of_freedom),
+        size,
+        f"{plain(row.contribution, 2)}{tail}",
+        _share(row.share),
+    )
 
 
 def _degrees(number: float) -> str:

@@ -19,9 +19,14 @@ from daq.signals.run import Run
 from rig_configs import PARAMETER_UNITS
 
 SYMBOLS = {
-    "k1_N_per_m": "k1", "k2_N_per_m": "k2", "zeta1": "ζ1", "zeta2": "ζ2",
-    "c3_Nms_per_rad": "c3", "c4_Nms_per_rad": "c4", "SP_kg_m": "S_P",
-}  # fmt: skip
+    "k1_N_per_m": "k1",
+    "k2_N_per_m": "k2",
+    "zeta1": "ζ1",
+    "zeta2": "ζ2",
+    "c3_Nms_per_rad": "c3",
+    "c4_Nms_per_rad": "c4",
+    "SP_kg_m": "S_P",
+}
 _QUANTITIES = (
     ("theta3", "θ3", "theta3_deg", "°"),
     ("theta4", "θ4", "theta4_deg", "°"),

@@ -29,12 +29,20 @@ _ROUTINE = re.compile(r"by itself it does not exclude dry friction")
 _NAMED = {
     "cubic": r"amplitude-dependent|stiffness (rises|falls|grows|changes)|harden|soften|cubic",
     "quadratic": r"amplitude-dependent|damping (rises|falls|grows|changes)|quadratic",
-    "dry": r"dry friction", "contact": r"dry friction", "drag": r"\bair\b|drag|quadratic|not purely viscous",
-    "bow_m": r"\bbow|bent|run-?out", "runout_m": r"\bbow|bent|run-?out", "hum_m": r"\bhum\b|mains|50(\.\d+)? ?Hz",
-    "wander_m": r"wander|drift|coloured|1/f|low frequenc", "creep_rpm": r"rotor (may )?(move|creep|turn)",
-    "phase_step_deg": r"phase.*(step|coarse)", "speed_noise_rpm": r"speed.*nois|phase.*(nois|speed)",
-    "turned_deg": r"sensors? stand|turned|axis angle", "noise_m": r"nois", "gaps": r"gap|lost|missing",
-}  # fmt: skip
+    "dry": r"dry friction",
+    "contact": r"dry friction",
+    "drag": r"\bair\b|drag|quadratic|not purely viscous",
+    "bow_m": r"\bbow|bent|run-?out",
+    "runout_m": r"\bbow|bent|run-?out",
+    "hum_m": r"\bhum\b|mains|50(\.\d+)? ?Hz",
+    "wander_m": r"wander|drift|coloured|1/f|low frequenc",
+    "creep_rpm": r"rotor (may )?(move|creep|turn)",
+    "phase_step_deg": r"phase.*(step|coarse)",
+    "speed_noise_rpm": r"speed.*nois|phase.*(nois|speed)",
+    "turned_deg": r"sensors? stand|turned|axis angle",
+    "noise_m": r"nois",
+    "gaps": r"gap|lost|missing",
+}
 """Words in a warning that name an effect."""
 
 
@@ -76,8 +84,13 @@ def campaign(seed: int, plan: Plan) -> dict[str, Any]:
     if plan.wrong and not WRONG[plan.wrong]:
         world = world.changed(plan.wrong, plan.by * _stated_std(world, plan.wrong))
     before = [record(world, seed, test) for test in BEFORE_POINTS]
-    row: dict[str, Any] = {"seed": seed, "truth": world.truth, "effects": asdict(plan.effects), "wrong": plan.wrong,
-                           "by": plan.by if plan.wrong else 0.0}  # fmt: skip
+    row: dict[str, Any] = {
+        "seed": seed,
+        "truth": world.truth,
+        "effects": asdict(plan.effects),
+        "wrong": plan.wrong,
+        "by": plan.by if plan.wrong else 0.0,
+    }
     seconds = {"data": time.perf_counter() - began}
     try:
         started = time.perf_counter()
@@ -88,8 +101,11 @@ def campaign(seed: int, plan: Plan) -> dict[str, Any]:
         if plan.wrong and (name := WRONG[plan.wrong]):
             later = world.changed(plan.wrong, plan.by * found.parameters.std[name])
         started = time.perf_counter()
-        points = {test.removeprefix("point-"): record(later, seed, test) for test in campaign_tests(world)
-                  if test not in BEFORE_POINTS}  # fmt: skip
+        points = {
+            test.removeprefix("point-"): record(later, seed, test)
+            for test in campaign_tests(world)
+            if test not in BEFORE_POINTS
+        }
         after = [_further_run_up(later, seed)] if plan.run_up_after else []
         seconds["data"] += time.perf_counter() - started
         started = time.perf_counter()
@@ -140,8 +156,9 @@ def _stated_std(world: World, name: str) -> float:
     return {
         "mass_b": known.std("pendulums.b.mass_kg") or UNSTATED_STD * b.mass_kg,
         "length_b": known.std("pendulums.b.length_m") or UNSTATED_STD * b.length_m,
-        "zero_a": math.radians(roles.zero_std_deg), "gain_x": roles.gain_stds[0],
-    }[name]  # fmt: skip
+        "zero_a": math.radians(roles.zero_std_deg),
+        "gain_x": roles.gain_stds[0],
+    }[name]
 
 
 def _estimates(found: Identification, world: World) -> dict[str, Any]:

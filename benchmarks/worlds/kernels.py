@@ -119,9 +119,13 @@ def _stopping(before, after, mode, p):
 
 @njit(cache=True, error_model="numpy")
 def integrated(
-    times: NDArray[np.float64], start: NDArray[np.float64], rows: NDArray[np.float64], p: NDArray[np.float64],
-    free: bool, longest: float,
-) -> NDArray[np.float64]:  # fmt: skip
+    times: NDArray[np.float64],
+    start: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    p: NDArray[np.float64],
+    free: bool,
+    longest: float,
+) -> NDArray[np.float64]:
     """States at the times, shape (n, 8); see motion.moved, rows and p as Turning and Mechanics pack them."""
     out = np.empty((times.shape[0], 8))
     scratch, y, new, mode = np.empty((5, 8)), start.copy(), np.empty(8), np.zeros(2)

@@ -55,9 +55,13 @@ class SwingingMass:
     def packed(self) -> list[float]:
         """As the kernels take them."""
         return [
-            self.mass_kg, self.length_m, self.damping_Nms_per_rad, self.drag_Nms2_per_rad2, self.dry_Nm,
+            self.mass_kg,
+            self.length_m,
+            self.damping_Nms_per_rad,
+            self.drag_Nms2_per_rad2,
+            self.dry_Nm,
             self.contact_kg_m2,
-        ]  # fmt: skip
+        ]
 
 
 @dataclass(frozen=True)
@@ -87,10 +91,20 @@ class Mechanics:
 
     def packed(self) -> Array:
         """As the kernels take them."""
-        return np.array([
-            self.mass_kg, *self.stiffness_N_per_m, *self.damping_Ns_per_m, self.moment_kg_m, *self.hardening_per_m2,
-            *self.quadratic_s_per_m, self.bow_m, self.bow_rad, *self.a.packed(), *self.b.packed(),
-        ])  # fmt: skip
+        return np.array(
+            [
+                self.mass_kg,
+                *self.stiffness_N_per_m,
+                *self.damping_Ns_per_m,
+                self.moment_kg_m,
+                *self.hardening_per_m2,
+                *self.quadratic_s_per_m,
+                self.bow_m,
+                self.bow_rad,
+                *self.a.packed(),
+                *self.b.packed(),
+            ]
+        )
 
     def locked_orbit(self, speed_rad_s: float, locked_rad: Array) -> tuple[complex, complex]:
         """Complex amplitudes X, Y of the linear locked rig: x = Re(X e^{iψ}), y = Re(Y e^{iψ}); the bow included."""
@@ -124,9 +138,15 @@ class Turning:
         """At rest, from `rest_s` on evenly to the top within `ramp_s`, and on at it."""
         alpha = top_rad_s / ramp_s
         there = phase_rad + 0.5 * top_rad_s * ramp_s
-        return cls(np.array([
-            [0.0, phase_rad, 0.0, 0.0], [rest_s, phase_rad, 0.0, alpha], [rest_s + ramp_s, there, top_rad_s, 0.0],
-        ]))  # fmt: skip
+        return cls(
+            np.array(
+                [
+                    [0.0, phase_rad, 0.0, 0.0],
+                    [rest_s, phase_rad, 0.0, alpha],
+                    [rest_s + ramp_s, there, top_rad_s, 0.0],
+                ]
+            )
+        )
 
     def phase(self, time_s: Array) -> tuple[Array, Array]:
         """ψ and ω, the shape of time_s."""
@@ -159,6 +179,10 @@ def moved(
         shape (n, 8), as the start.
     """
     return integrated(
-        np.ascontiguousarray(time_s, np.float64), np.asarray(start, np.float64), turning.rows, mechanics.packed(), free,
+        np.ascontiguousarray(time_s, np.float64),
+        np.asarray(start, np.float64),
+        turning.rows,
+        mechanics.packed(),
+        free,
         step_s,
-    )  # fmt: skip
+    )

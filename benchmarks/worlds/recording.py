@@ -162,14 +162,25 @@ def _read(world: World, seed: int, recorded: _Recorded) -> Run:
     angles = roles.angles.clock_tolerance_ppm if roles.angles else 0.0
     stds = {"x": ppm["x"], "y": ppm["y"], "angles": angles, "phase": angles}
     return Run(
-        recorded.test, f"world-{world.seed}/{recorded.test}.mcap", 0.0,
-        time * rates["laser_x"], lasers[0], time * rates["laser_y"], lasers[1],
-        node[keep] * rates["encoder"], angle[keep], marks * rates["encoder"], phases,
-        releases, step, {name: 1e-6 * std for name, std in stds.items()},
+        recorded.test,
+        f"world-{world.seed}/{recorded.test}.mcap",
+        0.0,
+        time * rates["laser_x"],
+        lasers[0],
+        time * rates["laser_y"],
+        lasers[1],
+        node[keep] * rates["encoder"],
+        angle[keep],
+        marks * rates["encoder"],
+        phases,
+        releases,
+        step,
+        {name: 1e-6 * std for name, std in stds.items()},
         {"x": "laser_x", "y": "laser_y", "angles": "encoder", "phase": "encoder"},
-        phase_time_s=fine[0] * rates["encoder"], phase_rad=fine[1],
+        phase_time_s=fine[0] * rates["encoder"],
+        phase_rad=fine[1],
         phase_absolute=not _integrated(world, recorded.test),
-    )  # fmt: skip
+    )
 
 
 def _lasers(world: World, seed: int, recorded: _Recorded) -> tuple[Array, Array]:
@@ -222,9 +233,7 @@ def _integrated(world: World, test: str) -> bool:
     return bool(world.effects.speed_noise_rpm) and test.startswith("point-")
 
 
-def _marks(
-    world: World, recorded: _Recorded, rng: np.random.Generator
-) -> tuple[Array, Array, tuple[Array, Array]]:  # fmt: skip
+def _marks(world: World, recorded: _Recorded, rng: np.random.Generator) -> tuple[Array, Array, tuple[Array, Array]]:
     """Index marks, their phases, and times and values of a phase that is read all the time, where one is."""
     none, time, effects = np.empty(0), recorded.time_s, world.effects
     node = time[::_NODE]

@@ -104,10 +104,22 @@ class Effects:
 
 
 USUAL_STRENGTH: dict[str, float] = {
-    "cubic": 0.01, "quadratic": 0.05, "dry": 0.01, "contact": 0.01, "drag": 0.02, "bow_m": 1e-4, "runout_m": 1e-4,
-    "hum_m": 2e-5, "wander_m": 1e-5, "creep_rpm": 0.1, "phase_step_deg": 0.1, "speed_noise_rpm": 0.2, "turned_deg": 3.0,
-    "noise_m": 2e-5, "gaps": 5.0,
-}  # fmt: skip
+    "cubic": 0.01,
+    "quadratic": 0.05,
+    "dry": 0.01,
+    "contact": 0.01,
+    "drag": 0.02,
+    "bow_m": 1e-4,
+    "runout_m": 1e-4,
+    "hum_m": 2e-5,
+    "wander_m": 1e-5,
+    "creep_rpm": 0.1,
+    "phase_step_deg": 0.1,
+    "speed_noise_rpm": 0.2,
+    "turned_deg": 3.0,
+    "noise_m": 2e-5,
+    "gaps": 5.0,
+}
 """Strength of an effect that is asked for by its name alone."""
 
 
@@ -143,11 +155,14 @@ class World:
         """Values of all that is identified, names as in parameters.toml."""
         m = self.mechanics
         return {
-            "k1_N_per_m": m.stiffness_N_per_m[0], "k2_N_per_m": m.stiffness_N_per_m[1],
-            "zeta1": self.zeta[0], "zeta2": self.zeta[1],
-            "c3_Nms_per_rad": m.a.damping_Nms_per_rad, "c4_Nms_per_rad": m.b.damping_Nms_per_rad,
+            "k1_N_per_m": m.stiffness_N_per_m[0],
+            "k2_N_per_m": m.stiffness_N_per_m[1],
+            "zeta1": self.zeta[0],
+            "zeta2": self.zeta[1],
+            "c3_Nms_per_rad": m.a.damping_Nms_per_rad,
+            "c4_Nms_per_rad": m.b.damping_Nms_per_rad,
             "SP_kg_m": m.moment_kg_m,
-        }  # fmt: skip
+        }
 
     def changed(self, name: str, by: float) -> World:
         """The same world with one number another.
@@ -185,8 +200,16 @@ class World:
         return replace(self, mechanics=moved, zeta=zeta)
 
 
-WRONG = {"k2": "k2_N_per_m", "zeta1": "zeta1", "c3": "c3_Nms_per_rad", "SP": "SP_kg_m", "mass_b": "", "length_b": "",
-         "zero_a": "", "gain_x": ""}  # fmt: skip
+WRONG = {
+    "k2": "k2_N_per_m",
+    "zeta1": "zeta1",
+    "c3": "c3_Nms_per_rad",
+    "SP": "SP_kg_m",
+    "mass_b": "",
+    "length_b": "",
+    "zero_a": "",
+    "gain_x": "",
+}
 """What can be wrong, and the identified parameter whose standard deviation measures it; without one it is wrong from
 the beginning, by the standard uncertainty that the rig file states or a laboratory would."""
 
@@ -226,8 +249,10 @@ def draw_world(
     near = rng.standard_normal(13)
     masses = 1 + spread.balance * rng.standard_normal() + spread.masses * rng.standard_normal(4)
     lengths = 1 + spread.lengths * rng.standard_normal(2)
-    magnets = [c * (1 + spread.magnets * near[i]) for i, c in enumerate(
-        (physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad))]  # fmt: skip
+    magnets = [
+        c * (1 + spread.magnets * near[i])
+        for i, c in enumerate((physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad))
+    ]
     k1 = physics.k1_N_per_m * (1 + spread.stiffness * near[2])
     k2 = physics.k2_N_per_m * (1 + spread.stiffness * near[3])
     zeta = (physics.zeta1 * (1 + spread.damping * near[4]), physics.zeta2 * (1 + spread.damping * near[5]))
@@ -235,23 +260,37 @@ def draw_world(
         np.array([physics.rotor_mass_kg, physics.imbalance_mass_kg, physics.a.mass_kg, physics.b.mass_kg]) * masses
     )
     fast = FAST_RATIO * math.sqrt(k1 / weights.sum())
-    pendulums = [_pendulum(float(weights[2 + i]), own.length_m * float(lengths[i]), magnets[i], effects, fast)
-                 for i, own in enumerate((physics.a, physics.b))]  # fmt: skip
+    pendulums = [
+        _pendulum(float(weights[2 + i]), own.length_m * float(lengths[i]), magnets[i], effects, fast)
+        for i, own in enumerate((physics.a, physics.b))
+    ]
     mass, ks = float(weights.sum()), (float(k1), float(k2))
     mechanics = Mechanics(
-        mass, ks, _damping(ks, zeta, mass), physics.imbalance_moment_kg_m * (1 + spread.moment * float(near[6])),
-        pendulums[0], pendulums[1], _both(effects.cubic / PLUCK_M**2),
+        mass,
+        ks,
+        _damping(ks, zeta, mass),
+        physics.imbalance_moment_kg_m * (1 + spread.moment * float(near[6])),
+        pendulums[0],
+        pendulums[1],
+        _both(effects.cubic / PLUCK_M**2),
         (_quadratic(effects, ks[0] / mass), _quadratic(effects, ks[1] / mass)),
-        effects.bow_m, rng.uniform(-math.pi, math.pi),
-    )  # fmt: skip
+        effects.bow_m,
+        rng.uniform(-math.pi, math.pi),
+    )
     devices = rng.standard_normal(3) * spread.clock_ppm * 1e-6
     return World(
-        seed, mechanics, zeta, (math.radians(spread.zero_deg * near[7]), math.radians(spread.zero_deg * near[8])),
-        math.radians(spread.index_deg * near[9]), math.radians(effects.turned_deg or spread.axis_deg * near[10]),
+        seed,
+        mechanics,
+        zeta,
+        (math.radians(spread.zero_deg * near[7]), math.radians(spread.zero_deg * near[8])),
+        math.radians(spread.index_deg * near[9]),
+        math.radians(effects.turned_deg or spread.axis_deg * near[10]),
         (1 + spread.gain * float(near[11]), 1 + spread.gain * float(near[12])),
         dict(zip(("laser_x", "laser_y", "encoder"), devices.tolist(), strict=True)),
-        math.radians(spread.lock_play_deg), rig, effects,
-    )  # fmt: skip
+        math.radians(spread.lock_play_deg),
+        rig,
+        effects,
+    )
 
 
 def with_effect(text: str, effects: Effects | None = None) -> Effects:
@@ -284,6 +323,10 @@ def _damping(k: tuple[float, float], zeta: tuple[float, float], mass: float) -> 
 def _pendulum(mass: float, length: float, damping: float, effects: Effects, fast_rad_s: float) -> SwingingMass:
     viscous = damping * FLICK_RAD_S
     return SwingingMass(
-        mass, length, damping, effects.drag * viscous / FLICK_RAD_S**2, effects.dry * viscous,
+        mass,
+        length,
+        damping,
+        effects.drag * viscous / FLICK_RAD_S**2,
+        effects.dry * viscous,
         effects.contact * viscous / fast_rad_s**2,
-    )  # fmt: skip
+    )

@@ -76,9 +76,13 @@ class Interlock:
     def has_role(self, roles: Roles) -> bool:
         """Whether a rig has what it looks at."""
         played: dict[str, object] = {
-            "": True, Displacement.role: roles.displacements, PendulumAngles.role: roles.angles,
-            RotorPhase.role: roles.phase, SpeedSource.role: roles.speed, PendulumLocks.role: roles.locks,
-        }  # fmt: skip
+            "": True,
+            Displacement.role: roles.displacements,
+            PendulumAngles.role: roles.angles,
+            RotorPhase.role: roles.phase,
+            SpeedSource.role: roles.speed,
+            PendulumLocks.role: roles.locks,
+        }
         if self.name == "stuck sensor":
             return len(roles.displacements) > 1
         if self.name == "overspeed":
@@ -101,79 +105,172 @@ def _beyond(share_and_rpm: tuple[float, float]) -> str:
 
 def _rows() -> Iterator[Interlock]:
     yield Interlock(
-        "amplitude", "displacement", f"limits.amplitude_m, by two of {TOGETHER} samples", "limits.amplitude_m",
-        "at once", role=Displacement.role,
-    )  # fmt: skip
+        "amplitude",
+        "displacement",
+        f"limits.amplitude_m, by two of {TOGETHER} samples",
+        "limits.amplitude_m",
+        "at once",
+        role=Displacement.role,
+    )
     yield Interlock(
-        "out of sight", "displacement",
+        "out of sight",
+        "displacement",
         f"{GONE_SAMPLES} invalid samples after one beyond {LARGE:g} × limits.amplitude_m",
-        "limits.amplitude_m, constant", "at once", role=Displacement.role,
-    )  # fmt: skip
+        "limits.amplitude_m, constant",
+        "at once",
+        role=Displacement.role,
+    )
     yield Interlock(
-        "blind sensor", "displacement", f"half of the samples invalid over {BLIND_S:g} s", "constant",
-        f"{BLIND_S:g} s of samples", role=Displacement.role,
-    )  # fmt: skip
+        "blind sensor",
+        "displacement",
+        f"half of the samples invalid over {BLIND_S:g} s",
+        "constant",
+        f"{BLIND_S:g} s of samples",
+        role=Displacement.role,
+    )
     yield Interlock(
-        "stuck sensor", "displacement", f"one reading for {STILL_S:g} s while the other direction moves "
-        f"{SWING_M * 1e6:g} µm", "constant", f"{STILL_S:g} s of samples", role=Displacement.role,
-    )  # fmt: skip
+        "stuck sensor",
+        "displacement",
+        f"one reading for {STILL_S:g} s while the other direction moves {SWING_M * 1e6:g} µm",
+        "constant",
+        f"{STILL_S:g} s of samples",
+        role=Displacement.role,
+    )
     for what, name, seconds, role in (
         ("displacement", "silent displacement", DISPLACEMENT_S, Displacement.role),
         ("pendulum angles, and with them the radio", "silent angles", ANGLES_S, PendulumAngles.role),
         ("actual speed: a word that is too old", "silent speed", SPEED_S, SpeedSource.role),
     ):
-        yield Interlock(name, what, f"no sample for {seconds:g} s, whatever bytes come", "constant", _silence(seconds),
-                        role=role)  # fmt: skip
+        yield Interlock(
+            name, what, f"no sample for {seconds:g} s, whatever bytes come", "constant", _silence(seconds), role=role
+        )
     yield Interlock(
-        "no index mark", "rotor phase", f"{TURNS_UNSEEN:g} turns without an index mark", "constant",
-        f"{TURNS_UNSEEN:g} turns + {RADIO_S:g} s wall", role=RotorPhase.role,
-    )  # fmt: skip
+        "no index mark",
+        "rotor phase",
+        f"{TURNS_UNSEEN:g} turns without an index mark",
+        "constant",
+        f"{TURNS_UNSEEN:g} turns + {RADIO_S:g} s wall",
+        role=RotorPhase.role,
+    )
     yield Interlock(
-        "encoder fault", "pendulum angles", f"half of the samples flagged over {FAULTY_S:g} s", "constant",
-        f"{FAULTY_S:g} s of samples", role=PendulumAngles.role,
-    )  # fmt: skip
+        "encoder fault",
+        "pendulum angles",
+        f"half of the samples flagged over {FAULTY_S:g} s",
+        "constant",
+        f"{FAULTY_S:g} s of samples",
+        role=PendulumAngles.role,
+    )
     yield Interlock(
-        "lock fault", "pendulum locks", "a lock reports a fault", "the device's word", "at once", "test ended",
+        "lock fault",
+        "pendulum locks",
+        "a lock reports a fault",
+        "the device's word",
+        "at once",
+        "test ended",
         PendulumLocks.role,
-    )  # fmt: skip
+    )
     yield from _speed_rows()
-    yield Interlock("restart", "the drive; others while the rotor turns or the test needs them",
-                    "a boot-up message, or counters that begin anew", "the device's word",
-                    "at once")  # fmt: skip
+    yield Interlock(
+        "restart",
+        "the drive; others while the rotor turns or the test needs them",
+        "a boot-up message, or counters that begin anew",
+        "the device's word",
+        "at once",
+    )
     yield Interlock("fault", "every device", "the device reports a fault", "the device's word", "at once")
-    yield Interlock("left operation", "speed source", "a network state other than operational", "the device's word",
-                    "at once", role=SpeedSource.role)  # fmt: skip
+    yield Interlock(
+        "left operation",
+        "speed source",
+        "a network state other than operational",
+        "the device's word",
+        "at once",
+        role=SpeedSource.role,
+    )
     yield from _session_rows()
 
 
 def _speed_rows() -> Iterator[Interlock]:
     yield Interlock(
-        "overspeed", "actual speed, index marks",
+        "overspeed",
+        "actual speed, index marks",
         f"{_beyond(OVERSPEED)} beyond limits.speed_rpm, in {ROWS_BEYOND} reports in a row or over 3 turns",
-        "limits.speed_rpm, constant", "at once",
-    )  # fmt: skip
-    yield Interlock("runaway", "actual speed", f"{_beyond(RUNAWAY)} beyond what the drive was told", "constant",
-                    "at once", role=SpeedSource.role)  # fmt: skip
+        "limits.speed_rpm, constant",
+        "at once",
+    )
     yield Interlock(
-        "speed disagreement", "index marks against actual speed", f"{_beyond(DISAGREE)} apart", "constant",
-        f"1 s or 5 marks, then {_within(0.5)}", role=RotorPhase.role,
-    )  # fmt: skip
+        "runaway",
+        "actual speed",
+        f"{_beyond(RUNAWAY)} beyond what the drive was told",
+        "constant",
+        "at once",
+        role=SpeedSource.role,
+    )
+    yield Interlock(
+        "speed disagreement",
+        "index marks against actual speed",
+        f"{_beyond(DISAGREE)} apart",
+        "constant",
+        f"1 s or 5 marks, then {_within(0.5)}",
+        role=RotorPhase.role,
+    )
 
 
 def _session_rows() -> Iterator[Interlock]:
-    yield Interlock("drop-out", "speed source", "it leaves operation by itself", "the device's word",
-                    f"{LOOK_S:g} s wall", role=SpeedSource.role, judge="session")  # fmt: skip
-    yield Interlock("emergency", "speed source", "an emergency message that ends no operation", "the device's word",
-                    "at once", "said and kept, exit 3; the run goes on", SpeedSource.role, "session")  # fmt: skip
-    yield Interlock("silent line", "every device", f"no byte for {LINE_S:g} s wall, seen twice", "constant",
-                    _within(0, LINE_S + 0.5), _GOES_ON, judge="session")  # fmt: skip
-    yield Interlock("lost device", "every device", "its port fails, or its bytes make its decoder fail", "the device",
-                    "at once", f"{_STOP}; {_GOES_ON} where nothing turns", judge="session")  # fmt: skip
-    yield Interlock("disk", "the log", "the disk full, gone, or 64 MB behind", "constant", _within(0, 0.25),
-                    f"{_STOP}; the log is whole", judge="session")  # fmt: skip
-    yield Interlock("operator", "Ctrl-C, SIGTERM, SIGHUP, the live page's stop", "any", "the operator", "at once",
-                    f"{_STOP}, exit 130",
-                    judge="session")  # fmt: skip
+    yield Interlock(
+        "drop-out",
+        "speed source",
+        "it leaves operation by itself",
+        "the device's word",
+        f"{LOOK_S:g} s wall",
+        role=SpeedSource.role,
+        judge="session",
+    )
+    yield Interlock(
+        "emergency",
+        "speed source",
+        "an emergency message that ends no operation",
+        "the device's word",
+        "at once",
+        "said and kept, exit 3; the run goes on",
+        SpeedSource.role,
+        "session",
+    )
+    yield Interlock(
+        "silent line",
+        "every device",
+        f"no byte for {LINE_S:g} s wall, seen twice",
+        "constant",
+        _within(0, LINE_S + 0.5),
+        _GOES_ON,
+        judge="session",
+    )
+    yield Interlock(
+        "lost device",
+        "every device",
+        "its port fails, or its bytes make its decoder fail",
+        "the device",
+        "at once",
+        f"{_STOP}; {_GOES_ON} where nothing turns",
+        judge="session",
+    )
+    yield Interlock(
+        "disk",
+        "the log",
+        "the disk full, gone, or 64 MB behind",
+        "constant",
+        _within(0, 0.25),
+        f"{_STOP}; the log is whole",
+        judge="session",
+    )
+    yield Interlock(
+        "operator",
+        "Ctrl-C, SIGTERM, SIGHUP, the live page's stop",
+        "any",
+        "the operator",
+        "at once",
+        f"{_STOP}, exit 130",
+        judge="session",
+    )
 
 
 INTERLOCKS: tuple[Interlock, ...] = tuple(_rows())

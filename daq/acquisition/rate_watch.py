@@ -230,6 +230,11 @@ class RateWatches:
 
 
 def _event(topic: str, rate: Rate, text: str) -> Event:
-    facts = {"channel": topic, "rate_Hz": rate.rate_Hz, "nominal_Hz": rate.nominal_Hz, "clock_ppm": rate.clock_ppm,
-             "bound_ppm": rate.bound_ppm}  # fmt: skip
+    facts = {
+        "channel": topic,
+        "rate_Hz": rate.rate_Hz,
+        "nominal_Hz": rate.nominal_Hz,
+        "clock_ppm": rate.clock_ppm,
+        "bound_ppm": rate.bound_ppm,
+    }
     return Event("rate", "host", text, facts)  # the host's judgement: replaying a device's bytes does not make it

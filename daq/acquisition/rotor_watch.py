@@ -309,8 +309,14 @@ class RotorWatch:
     def _disagree(self, host_ns: int) -> Finding | None:
         """Index marks that come much faster or slower than any word of the drive around that time, twice."""
         last = self._marks[-1]
-        first = next((mark for number, mark in enumerate(reversed(self._marks), 1)
-                      if number >= _MARKS and last[1] - mark[1] >= _ns(_MARKS_S)), None)  # fmt: skip
+        first = next(
+            (
+                mark
+                for number, mark in enumerate(reversed(self._marks), 1)
+                if number >= _MARKS and last[1] - mark[1] >= _ns(_MARKS_S)
+            ),
+            None,
+        )
         if first is None:
             return None
         margin = self._late_ns + _ns(0.2)

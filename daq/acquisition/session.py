@@ -419,12 +419,13 @@ class Session:
         happened, command = list(events), self._command
         return {
             name: device.driver.checks(
-                device.settings, self._core.pipelines[name],
+                device.settings,
+                self._core.pipelines[name],
                 command.drive if command is not None and name == command.drive_name else None,
                 [event for event in happened if event.device == name],
             )
             for name, device in self._known.items()
-        }  # fmt: skip
+        }
 
     def rotor_at_rest(self) -> bool | None:
         """Whether the rotor stands, by the drive's fresh word and the index marks; None when neither is there."""

@@ -33,9 +33,15 @@ class Hdf5File:
             group = self._file.create_group(layout.name)
             for name, dtype in layout.dtypes.items():
                 dataset = group.create_dataset(
-                    name, (0,), dtype, maxshape=(None,), chunks=(_CHUNK_ROWS,),
-                    shuffle=True, compression="gzip", compression_opts=4,
-                )  # fmt: skip
+                    name,
+                    (0,),
+                    dtype,
+                    maxshape=(None,),
+                    chunks=(_CHUNK_ROWS,),
+                    shuffle=True,
+                    compression="gzip",
+                    compression_opts=4,
+                )
                 dataset.attrs["units"] = layout.units[name]
 
     def append(self, table: str, columns: Columns) -> None:

@@ -106,9 +106,13 @@ def _check_rising(time: NDArray[np.int64], column: Column, choice: ColumnChoice,
 
 
 def read_sensor(
-    column: Column, choice: ColumnChoice, time: Column | NDArray[np.int64], time_choice: ColumnChoice | None,
-    invalid: Sequence[float], option: str,
-) -> Readings:  # fmt: skip
+    column: Column,
+    choice: ColumnChoice,
+    time: Column | NDArray[np.int64],
+    time_choice: ColumnChoice | None,
+    invalid: Sequence[float],
+    option: str,
+) -> Readings:
     """A sensor's samples; rows in which the file holds nothing for it are no samples.
 
     Args:

@@ -13,9 +13,15 @@ from daq.exchange.errors import ExchangeError
 from daq.exchange.units import ColumnChoice, Quantity, parse_column
 
 QUANTITIES: dict[str, Quantity] = {
-    "time": "time", "x": "length", "y": "length", "theta3": "angle", "theta4": "angle",
-    "phase": "angle", "marks": "time", "speed": "speed",
-}  # fmt: skip
+    "time": "time",
+    "x": "length",
+    "y": "length",
+    "theta3": "angle",
+    "theta4": "angle",
+    "phase": "angle",
+    "marks": "time",
+    "speed": "speed",
+}
 _ROTOR = ("phase", "marks", "speed")
 _SENSORS = tuple(name for name in QUANTITIES if name != "time")
 

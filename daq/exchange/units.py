@@ -21,9 +21,18 @@ UNITS: Mapping[Quantity, Mapping[str, float]] = {
 """Unit words and what one of each is in s, m, rad, rad/s."""
 
 _SUFFIXES = {
-    "ns": "ns", "us": "us", "ms": "ms", "s": "s", "m": "m", "mm": "mm", "um": "um",
-    "rad": "rad", "deg": "deg", "rpm": "rpm", "Hz": "Hz",
-}  # fmt: skip
+    "ns": "ns",
+    "us": "us",
+    "ms": "ms",
+    "s": "s",
+    "m": "m",
+    "mm": "mm",
+    "um": "um",
+    "rad": "rad",
+    "deg": "deg",
+    "rpm": "rpm",
+    "Hz": "Hz",
+}
 _QUOTIENTS = {"_m_per_s": "m/s", "_rad_per_s": "rad/s", "_Nms_per_rad": "N m s/rad"}
 _COUNTS = {"sequence", "counter", "count_a", "count_b", "revolutions", "device_ticks"}
 

@@ -49,15 +49,23 @@ def spin_up(asked: Asked, rpm: float, free: bool = False) -> tuple[State, ...]:
         "make ready", does="make ready to turn the rotor", enter=Orders.make_ready, actor="rotor", usual_s=0.2
     )
     up = State(
-        "spin up", does=f"ramp the rotor to {rpm:.0f} rpm", enter=lambda orders: orders.turn(rpm, ramp, free),
+        "spin up",
+        does=f"ramp the rotor to {rpm:.0f} rpm",
+        enter=lambda orders: orders.turn(rpm, ramp, free),
         actor="rotor",
         asks=f"turn the rotor to {rpm:.0f} rpm, by about {ramp:.0f} rpm a second, and hold it there",
-        waits_for=f"{rpm:.0f} rpm, to 1 % and 2 rpm", look=at_speed, rpm=rpm, usual_s=rpm / ramp + 1.0,
-        limit_s=1.5 * rpm / ramp + (_SPIN_UP_S if role else _BY_HAND_S), wall=role is None,
-        missed=lambda view: f"{rpm:.0f} rpm: {view.rpm:.0f} rpm after {view.in_state_s:.0f} s"
-        + ("" if role is None else ". Look at the drive"),
+        waits_for=f"{rpm:.0f} rpm, to 1 % and 2 rpm",
+        look=at_speed,
+        rpm=rpm,
+        usual_s=rpm / ramp + 1.0,
+        limit_s=1.5 * rpm / ramp + (_SPIN_UP_S if role else _BY_HAND_S),
+        wall=role is None,
+        missed=lambda view: (
+            f"{rpm:.0f} rpm: {view.rpm:.0f} rpm after {view.in_state_s:.0f} s"
+            + ("" if role is None else ". Look at the drive")
+        ),
         no_pause="the rotor passes through resonances",
-    )  # fmt: skip
+    )
     return ready, up
 
 
@@ -100,9 +108,15 @@ LOCK = State(
     "lock", does="hold both pendulums at their places", enter=Orders.hold, actor="locks", asks=ASK_TO_LOCK, usual_s=1.0
 )
 LOCKS_SEEN = State(
-    "locks seen", waits_for="the encoders' device to describe itself", look=_described, period_s=_LOCKED_LOOK_S,
-    limit_s=4 * _STATUS_S, wall=True, usual_s=0.4, late="counters",
-)  # fmt: skip
+    "locks seen",
+    waits_for="the encoders' device to describe itself",
+    look=_described,
+    period_s=_LOCKED_LOOK_S,
+    limit_s=4 * _STATUS_S,
+    wall=True,
+    usual_s=0.4,
+    late="counters",
+)
 COUNTERS = State("counters", does="hold the counters against the closed locks, refuse what cannot be", enter=_believe)
 _ENDING = "the test is ending"
 FINISH = State("finish", does="end the log", enter=Orders.finish, no_pause=_ENDING)

@@ -22,8 +22,11 @@ if TYPE_CHECKING:
 
 GROUP = "rig.guided_tests"
 SIGNALS: Mapping[str, str] = {
-    "x": "displacement along x", "y": "displacement along y", "angles": "pendulum angles", "phase": "rotor phase",
-}  # fmt: skip
+    "x": "displacement along x",
+    "y": "displacement along y",
+    "angles": "pendulum angles",
+    "phase": "rotor phase",
+}
 """Signals by their short names, in words."""
 CHANNELS: Mapping[str, str] = {"x": "laser/x", "y": "laser/y", "angles": "pendulums", "phase": "tacho"}
 """Channels that hold them in every log."""

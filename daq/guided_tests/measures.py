@@ -99,9 +99,15 @@ class Measures:
             return np.asarray((ns - since_ns) * 1e-9, np.float64)
 
         return (
-            seconds(t), np.column_stack([a, b]), seconds(m), 2 * np.pi * turns.astype(float),
-            seconds(tx)[::4], x[::4], seconds(ty)[::4], y[::4],
-        )  # fmt: skip
+            seconds(t),
+            np.column_stack([a, b]),
+            seconds(m),
+            2 * np.pi * turns.astype(float),
+            seconds(tx)[::4],
+            x[::4],
+            seconds(ty)[::4],
+            y[::4],
+        )
 
     def locked_steady(self) -> Settling:
         """Whether the orbit of the turning rotor with locked pendulums is steady."""

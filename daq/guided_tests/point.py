@@ -42,21 +42,40 @@ def point_states(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool
     return (
         *spin_up(asked, rpm),
         State(
-            "steady orbit", waits_for="an orbit of steady amplitude", look=orbit_steady, rpm=rpm, usual_s=12.0,
-            limit_s=_LOCKED_STEADY_S, late="before the release", no_pause=waiting,
+            "steady orbit",
+            waits_for="an orbit of steady amplitude",
+            look=orbit_steady,
+            rpm=rpm,
+            usual_s=12.0,
+            limit_s=_LOCKED_STEADY_S,
+            late="before the release",
+            no_pause=waiting,
             late_warning=f"the orbit was not steady {_LOCKED_STEADY_S:g} s after the spin-up; the release follows",
         ),
         State(
-            "before the release", does="begin the log", enter=Orders.begin,
-            waits_for=f"{_BEFORE_RELEASE_S:g} s of the locked orbit", look=after(_BEFORE_RELEASE_S), rpm=rpm,
-            usual_s=_BEFORE_RELEASE_S, limit_s=60.0, period_s=0.1, no_pause=waiting,
+            "before the release",
+            does="begin the log",
+            enter=Orders.begin,
+            waits_for=f"{_BEFORE_RELEASE_S:g} s of the locked orbit",
+            look=after(_BEFORE_RELEASE_S),
+            rpm=rpm,
+            usual_s=_BEFORE_RELEASE_S,
+            limit_s=60.0,
+            period_s=0.1,
+            no_pause=waiting,
         ),
         State(
-            "release", does="let both pendulums go", enter=lambda orders: orders.let_go(turning=True), actor="locks",
-            asks="release both pendulums, both at once", rpm=rpm, usual_s=0.3, no_pause=MOTION,
+            "release",
+            does="let both pendulums go",
+            enter=lambda orders: orders.let_go(turning=True),
+            actor="locks",
+            asks="release both pendulums, both at once",
+            rpm=rpm,
+            usual_s=0.3,
+            no_pause=MOTION,
         ),
         settle_state(asked, rpm, ends),
-    )  # fmt: skip
+    )
 
 
 def settle_state(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool], free: bool = False) -> State:
@@ -79,10 +98,15 @@ def settle_state(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool
         return Look(over, f"{since:.0f} s {begun}, {last.why}", remember=seen, facts=facts)
 
     return State(
-        "settle", waits_for="pendulums and orbit to be steady, and a second look", look=all_steady, rpm=rpm,
-        usual_s=30.0, limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S, missed=lambda view: _not_steady(asked, view),
+        "settle",
+        waits_for="pendulums and orbit to be steady, and a second look",
+        look=all_steady,
+        rpm=rpm,
+        usual_s=30.0,
+        limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S,
+        missed=lambda view: _not_steady(asked, view),
         no_pause=MOTION,
-    )  # fmt: skip
+    )
 
 
 def _not_steady(asked: Asked, view: View) -> str:
@@ -111,7 +135,13 @@ def refusal(asked: Asked) -> str:
 
 SPEED = {"speed_rpm": Number("speed, rpm", point_speed_rpm)}
 KIND = TestKind(
-    "point", "spin up with locked pendulums, release, record until all is steady", ("x", "y", "angles", "phase"),
-    turns=True, table=_table, gives=("c3_Nms_per_rad", "c4_Nms_per_rad"), point="named", numbers=SPEED,
+    "point",
+    "spin up with locked pendulums, release, record until all is steady",
+    ("x", "y", "angles", "phase"),
+    turns=True,
+    table=_table,
+    gives=("c3_Nms_per_rad", "c4_Nms_per_rad"),
+    point="named",
+    numbers=SPEED,
     refusal=refusal,
-)  # fmt: skip
+)

@@ -35,9 +35,14 @@ class Procedures:
     """
 
     def __init__(
-        self, session: Session, operator: Operator, folder: Path, progress: Progress, note: str = "",
+        self,
+        session: Session,
+        operator: Operator,
+        folder: Path,
+        progress: Progress,
+        note: str = "",
         controls: Controls | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.controls = controls or Controls()
         self._rig = session.rig
         self._orders = Orders(session, operator, folder, progress, note)

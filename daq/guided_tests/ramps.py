@@ -27,22 +27,41 @@ def _up(asked: Asked) -> Table:
     return framed(
         asked,
         State(
-            "begin", does="make ready to turn the rotor, begin the log", enter=begin, actor="rotor",
-            waits_for="half a second at rest", look=after(0.5), usual_s=0.7, limit_s=60.0, period_s=0.1,
+            "begin",
+            does="make ready to turn the rotor, begin the log",
+            enter=begin,
+            actor="rotor",
+            waits_for="half a second at rest",
+            look=after(0.5),
+            usual_s=0.7,
+            limit_s=60.0,
+            period_s=0.1,
         ),
         State(
-            "ramp", does=f"ramp to {top:.0f} rpm in {duration:g} s", actor="rotor", rpm=top,
+            "ramp",
+            does=f"ramp to {top:.0f} rpm in {duration:g} s",
+            actor="rotor",
+            rpm=top,
             enter=lambda orders: orders.turn(top, top / duration),
             asks=f"turn the rotor up to {top:.0f} rpm, steadily, by {top / duration:.0f} rpm a second",
-            waits_for=f"{0.985 * top:.0f} rpm", look=there, usual_s=duration, limit_s=1.5 * duration,
+            waits_for=f"{0.985 * top:.0f} rpm",
+            look=there,
+            usual_s=duration,
+            limit_s=1.5 * duration,
             missed=lambda view: f"the top speed: {view.rpm:.0f} of {top:.0f} rpm after {1.5 * duration:g} s",
-            fact="reached_top", no_pause=_THROUGH,
+            fact="reached_top",
+            no_pause=_THROUGH,
         ),
         State(
-            "top", waits_for="a second at the top", look=after(1.0), usual_s=1.0, limit_s=60.0, rpm=top,
+            "top",
+            waits_for="a second at the top",
+            look=after(1.0),
+            usual_s=1.0,
+            limit_s=60.0,
+            rpm=top,
             no_pause="the ramp is being recorded and does not wait",
         ),
-    )  # fmt: skip
+    )
 
 
 def _down(asked: Asked) -> Table:
@@ -55,17 +74,32 @@ def _down(asked: Asked) -> Table:
         asked,
         *spin_up(asked, top),
         State(
-            "top", does="begin the log", enter=Orders.begin, waits_for="a second at the top", look=after(1.0),
-            usual_s=1.0, limit_s=60.0, rpm=top, no_pause="the ramp is being recorded and does not wait",
+            "top",
+            does="begin the log",
+            enter=Orders.begin,
+            waits_for="a second at the top",
+            look=after(1.0),
+            usual_s=1.0,
+            limit_s=60.0,
+            rpm=top,
+            no_pause="the ramp is being recorded and does not wait",
         ),
         State(
-            "ramp", does=f"ramp to rest in {duration:g} s", enter=lambda orders: orders.turn(0.0, top / duration),
-            actor="rotor", asks=f"bring the rotor to rest, steadily, by {top / duration:.0f} rpm a second",
-            waits_for=f"{_SLOW_SHARE * top:.0f} rpm", look=slow, period_s=0.2, usual_s=duration, limit_s=1.5 * duration,
+            "ramp",
+            does=f"ramp to rest in {duration:g} s",
+            enter=lambda orders: orders.turn(0.0, top / duration),
+            actor="rotor",
+            asks=f"bring the rotor to rest, steadily, by {top / duration:.0f} rpm a second",
+            waits_for=f"{_SLOW_SHARE * top:.0f} rpm",
+            look=slow,
+            period_s=0.2,
+            usual_s=duration,
+            limit_s=1.5 * duration,
             missed=lambda view: f"the rotor to come to rest: still {view.rpm:.0f} rpm after {1.5 * duration:g} s",
-            fact="reached_rest", no_pause=_THROUGH,
+            fact="reached_rest",
+            no_pause=_THROUGH,
         ),
-    )  # fmt: skip
+    )
 
 
 def _refusal(asked: Asked) -> str:
@@ -82,10 +116,24 @@ _NUMBERS = {
 }
 _GIVES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
 RUN_UP = TestKind(
-    "run-up", "ramp from rest through both resonances with locked pendulums", ("x", "y", "phase"), turns=True,
-    table=_up, gives=_GIVES, numbers=_NUMBERS, refusal=_refusal, warning=_warning,
-)  # fmt: skip
+    "run-up",
+    "ramp from rest through both resonances with locked pendulums",
+    ("x", "y", "phase"),
+    turns=True,
+    table=_up,
+    gives=_GIVES,
+    numbers=_NUMBERS,
+    refusal=_refusal,
+    warning=_warning,
+)
 RUN_DOWN = TestKind(
-    "run-down", "ramp from above both resonances to rest with locked pendulums", ("x", "y", "phase"), turns=True,
-    table=_down, gives=_GIVES, numbers=_NUMBERS, refusal=_refusal, warning=_warning,
-)  # fmt: skip
+    "run-down",
+    "ramp from above both resonances to rest with locked pendulums",
+    ("x", "y", "phase"),
+    turns=True,
+    table=_down,
+    gives=_GIVES,
+    numbers=_NUMBERS,
+    refusal=_refusal,
+    warning=_warning,
+)

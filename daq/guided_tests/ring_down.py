@@ -73,30 +73,58 @@ def _table(axis: str, asked: Asked) -> Table:
     return framed(
         asked,
         State(
-            "calm", does="", waits_for=f"less than {_PLUCKED_M * 1e3:g} mm peak to peak", look=calm, period_s=0.1,
-            usual_s=0.2, limit_s=_CALM_S,
-            missed=lambda view: f"the column to come to rest within {_CALM_S:g} s: "
-            f"{view.measures.peak_to_peak(topic, _WINDOW_S) * 1e3:.2f} mm peak to peak were left. Look what shakes it",
+            "calm",
+            does="",
+            waits_for=f"less than {_PLUCKED_M * 1e3:g} mm peak to peak",
+            look=calm,
+            period_s=0.1,
+            usual_s=0.2,
+            limit_s=_CALM_S,
+            missed=lambda view: (
+                f"the column to come to rest within {_CALM_S:g} s: "
+                f"{view.measures.peak_to_peak(topic, _WINDOW_S) * 1e3:.2f} mm peak to peak left. Find what shakes it"
+            ),
         ),
         State(
-            "quiet", does="" if later else "begin the log",
+            "quiet",
+            does="" if later else "begin the log",
             enter=no_orders if later else lambda orders: orders.begin(before_s),
-            waits_for="half a second of valid samples", look=quiet, period_s=0.1, usual_s=1.0,
-            limit_s=_ANSWER_S, wall=True, late=FAULT,
+            waits_for="half a second of valid samples",
+            look=quiet,
+            period_s=0.1,
+            usual_s=1.0,
+            limit_s=_ANSWER_S,
+            wall=True,
+            late=FAULT,
             missed=lambda view: f"waited {_ANSWER_S:g} s for half a second of valid samples of {topic}",
         ),
         State(
-            "pluck", does="ask for the pluck", enter=lambda orders: orders.operator.pluck(axis), actor="operator",
+            "pluck",
+            does="ask for the pluck",
+            enter=lambda orders: orders.operator.pluck(axis),
+            actor="operator",
             asks=f"displace the column by 2 to 3 mm along {axis} and let go",
-            waits_for=f"{_PLUCKED_M * 1e3:g} mm from rest", look=plucked, period_s=0.02, usual_s=10.0,
-            limit_s=HUMAN_S, wall=True, missed=lambda view: f"a pluck along {axis} within {HUMAN_S:g} s",
+            waits_for=f"{_PLUCKED_M * 1e3:g} mm from rest",
+            look=plucked,
+            period_s=0.02,
+            usual_s=10.0,
+            limit_s=HUMAN_S,
+            wall=True,
+            missed=lambda view: f"a pluck along {axis} within {HUMAN_S:g} s",
         ),
         State(
-            "ring", does="begin the log" if later else "", waits_for="a swing, then a fiftieth of it, or 0.04 mm",
-            enter=(lambda orders: orders.begin(before_s)) if later else no_orders, look=rung_down, usual_s=15.0,
-            limit_s=_RING_DOWN_S, missed=left, fact="rung_down", no_pause=MOTION,
+            "ring",
+            does="begin the log" if later else "",
+            waits_for="a swing, then a fiftieth of it, or 0.04 mm",
+            enter=(lambda orders: orders.begin(before_s)) if later else no_orders,
+            look=rung_down,
+            usual_s=15.0,
+            limit_s=_RING_DOWN_S,
+            missed=left,
+            fact="rung_down",
+            no_pause=MOTION,
         ),
-    )  # fmt: skip
+    )
 
 
 _SUSPENSION = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")  # a hand never pulls along one axis alone
@@ -104,10 +132,14 @@ _SUSPENSION = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")  # a hand never pul
 
 def _kind(axis: str) -> TestKind:
     return TestKind(
-        f"ring-down-{axis}", f"pluck the column along {axis}, record until it has rung down to a fiftieth", (axis,),
-        turns=False, table=lambda asked: _table(axis, asked), gives=_SUSPENSION,
+        f"ring-down-{axis}",
+        f"pluck the column along {axis}, record until it has rung down to a fiftieth",
+        (axis,),
+        turns=False,
+        table=lambda asked: _table(axis, asked),
+        gives=_SUSPENSION,
         numbers={"pre_trigger_s": PRE_TRIGGER},
-    )  # fmt: skip
+    )
 
 
 KIND_X = _kind("x")

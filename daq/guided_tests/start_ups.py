@@ -55,21 +55,38 @@ def _from_rest(asked: Asked, rpm: float) -> tuple[State, ...]:
     """The states from the release at rest to the steady state."""
     return (
         State(
-            "begin", does="begin the log", enter=Orders.begin, waits_for=f"{_BEFORE_S:g} s at the locks",
-            look=after(_BEFORE_S, "the pendulums at their locks"), period_s=0.1, usual_s=_BEFORE_S, limit_s=60.0,
+            "begin",
+            does="begin the log",
+            enter=Orders.begin,
+            waits_for=f"{_BEFORE_S:g} s at the locks",
+            look=after(_BEFORE_S, "the pendulums at their locks"),
+            period_s=0.1,
+            usual_s=_BEFORE_S,
+            limit_s=60.0,
         ),
         State(
-            "release", does="let both pendulums go, rotor at rest", enter=lambda orders: orders.let_go(turning=False),
-            actor="locks", asks="release both pendulums", usual_s=0.5,
+            "release",
+            does="let both pendulums go, rotor at rest",
+            enter=lambda orders: orders.let_go(turning=False),
+            actor="locks",
+            asks="release both pendulums",
+            usual_s=0.5,
         ),
         State(
-            "scatter", does="ask for both to be left anywhere", enter=lambda orders: orders.operator.scatter(),
-            actor="operator", asks="leave both pendulums or balls anywhere, elsewhere each time",
-            waits_for=f"{_SCATTERED_S:g} s", look=after(_SCATTERED_S), period_s=0.1, usual_s=_SCATTERED_S, limit_s=60.0,
+            "scatter",
+            does="ask for both to be left anywhere",
+            enter=lambda orders: orders.operator.scatter(),
+            actor="operator",
+            asks="leave both pendulums or balls anywhere, elsewhere each time",
+            waits_for=f"{_SCATTERED_S:g} s",
+            look=after(_SCATTERED_S),
+            period_s=0.1,
+            usual_s=_SCATTERED_S,
+            limit_s=60.0,
         ),
         *(replace(state, no_pause=state.no_pause or MOTION) for state in spin_up(asked, rpm, free=True)),
         settle_state(asked, rpm, _slips_at_speed, free=True),
-    )  # fmt: skip
+    )
 
 
 def _table(asked: Asked) -> Table:
@@ -118,12 +135,17 @@ def _direction(degrees: Sequence[float]) -> float:
 
 
 KIND = TestKind(
-    "start-ups", "spin up and release again and again, or release and spin up; class every steady state",
+    "start-ups",
+    "spin up and release again and again, or release and spin up; class every steady state",
     ("x", "y", "angles", "phase"),
-    turns=True, table=_table, point="optional",
+    turns=True,
+    table=_table,
+    point="optional",
     numbers={
-        **SPEED, "count": Number("how many start-ups", 20, 1, 10_000, whole=True),
+        **SPEED,
+        "count": Number("how many start-ups", 20, 1, 10_000, whole=True),
         "from_rest": Number("1: pendulums free before the rotor turns, 0: released at speed", 0, 0, 1, whole=True),
     },
-    refusal=refusal, summed=summed,
-)  # fmt: skip
+    refusal=refusal,
+    summed=summed,
+)

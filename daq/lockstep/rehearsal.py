@@ -35,9 +35,12 @@ class Rehearsal:
     """
 
     def __init__(
-        self, rig: str | Path, folder: str | Path, settings: tuple[str, ...] | list[str] = (),
+        self,
+        rig: str | Path,
+        folder: str | Path,
+        settings: tuple[str, ...] | list[str] = (),
         tell: Callable[[str, float | None], None] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         loaded = load_rig(rig, settings=list(settings))
         if loaded.virtual is None:
             raise RigFileError(f"{rig}: expected a rig file with a [virtual] table, as the shipped `virtual` has")

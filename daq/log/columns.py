@@ -84,8 +84,18 @@ def read_columns(source: LogSource, chunks: NDArray[np.intp], channel_ids: list[
 
     def take(chunk: int, data: NDArray[np.uint8]) -> int:
         row, room = rows[chunk]
-        return collect(data, ids, layout.dtype.itemsize, block.table, block.heads, block.sequence, block.wide,
-                       block.narrow, row, room)  # fmt: skip
+        return collect(
+            data,
+            ids,
+            layout.dtype.itemsize,
+            block.table,
+            block.heads,
+            block.sequence,
+            block.wide,
+            block.narrow,
+            row,
+            room,
+        )
 
     results = source.for_each(chunks, take)
     if any(result in (BROKEN, OTHER_COUNT) for _, result in results):

@@ -46,8 +46,12 @@ class Losses:
 
     def words(self) -> str:
         """Only what was lost, in one line."""
-        found = [f"{device} {n} {kind.replace('_', ' ')}" for device, kinds in self.by_device.items()
-                 for kind, n in kinds.items() if n]  # fmt: skip
+        found = [
+            f"{device} {n} {kind.replace('_', ' ')}"
+            for device, kinds in self.by_device.items()
+            for kind, n in kinds.items()
+            if n
+        ]
         return ", ".join(found) or ("unknown: it counts none" if self.source == "none" else "nothing lost")
 
 

@@ -225,13 +225,14 @@ def _origin(source: LogSource, missing: list[Missing], messages: int, chunks: in
         "kept_chunk_bytes": str(kept),
         "kept_messages": str(messages),
         "kept_chunks": str(chunks),
-        "missing_messages": "unknown" if any(place.messages is None for place in missing)
+        "missing_messages": "unknown"
+        if any(place.messages is None for place in missing)
         else str(sum(place.messages or 0 for place in missing)),
         "missing_places": str(len(missing)),
         **tell_lost(missing, source.file.path.name, read_lost(source.contents.metadata)),
         "origin_library": source.contents.header.library,
         "software": software_version(),
-    }  # fmt: skip
+    }
 
 
 def _summary(source: LogSource) -> Mapping[str, str]:

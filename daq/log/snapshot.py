@@ -57,9 +57,10 @@ def _with_stored(log: Log, raw: dict[str, Any]) -> dict[str, Any]:
         return raw
     roles = _table(log, ROLES)
     unknown = [
-        name for name, table in devices.items()
+        name
+        for name, table in devices.items()
         if isinstance(table, dict) and isinstance(table.get("driver"), str) and table["driver"] not in installed()
-    ]  # fmt: skip
+    ]
     for name in unknown:
         try:
             devices[name] = StoredDevice.model_validate({**devices[name], "stored_roles": roles.get(name, [])})

@@ -198,8 +198,10 @@ class LogSource:
             head = parse_head(record[:HEAD_BYTES], int(table.length[chunk]))
             times = int(table.start_ns[chunk]), int(table.end_ns[chunk])
             if (head.unpacked, head.kind, head.packed) != (
-                unpacked, int(table.kind[chunk]), int(table.packed[chunk])
-            ) or (table.crc is None and times != (head.start_ns, head.end_ns)):  # fmt: skip
+                unpacked,
+                int(table.kind[chunk]),
+                int(table.packed[chunk]),
+            ) or (table.crc is None and times != (head.start_ns, head.end_ns)):
                 raise DamageError("a chunk that is not what the index says")
         except DamageError as damage:
             if table.crc is None:

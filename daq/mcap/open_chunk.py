@@ -80,8 +80,16 @@ class OpenChunk:
         """Add one message; times 0 … 2**64 - 1 ns, sequence 0 … 2**32 - 1."""
         self._make_room(RECORD_HEAD_BYTES + len(data), 1)
         at, n = _HEAD_ROOM + self.size, self._messages
-        _RECORD_HEAD.pack_into(self._data.data, at, Opcode.MESSAGE, RECORD_HEAD_BYTES - 9 + len(data), channel_id,
-                               sequence, log_time, publish_time)  # fmt: skip
+        _RECORD_HEAD.pack_into(
+            self._data.data,
+            at,
+            Opcode.MESSAGE,
+            RECORD_HEAD_BYTES - 9 + len(data),
+            channel_id,
+            sequence,
+            log_time,
+            publish_time,
+        )
         self._data.data[at + RECORD_HEAD_BYTES : at + RECORD_HEAD_BYTES + len(data)] = data
         self._channel_ids[n], self._log_times[n], self._offsets[n] = channel_id, log_time, self.size
         late = log_time - publish_time
@@ -94,10 +102,31 @@ class OpenChunk:
         """Add messages `first` … `first + count - 1` of a block."""
         self._make_room(count * block.record_bytes, count)
         n = self._messages
-        _put_messages(self._data, _HEAD_ROOM + self.size, block.record_bytes, channel_id, block.log_times,
-                      block.publish_times, block.sequences, block.messages, first, count, self.extremes)  # fmt: skip
-        _put_entries(self._channel_ids, self._log_times, self._offsets, n, channel_id, block.log_times, first, count,
-                     self.size, block.record_bytes)  # fmt: skip
+        _put_messages(
+            self._data,
+            _HEAD_ROOM + self.size,
+            block.record_bytes,
+            channel_id,
+            block.log_times,
+            block.publish_times,
+            block.sequences,
+            block.messages,
+            first,
+            count,
+            self.extremes,
+        )
+        _put_entries(
+            self._channel_ids,
+            self._log_times,
+            self._offsets,
+            n,
+            channel_id,
+            block.log_times,
+            first,
+            count,
+            self.size,
+            block.record_bytes,
+        )
         self.size += count * block.record_bytes
         self._messages += count
 
@@ -224,9 +253,18 @@ def _least(log_times: Any, publish_times: Any) -> Any:  # pragma: no cover - com
 
 @njit(cache=True, nogil=True)
 def _put_messages(
-    out: Any, start: int, record_bytes: int, channel_id: int, log_times: Any, publish_times: Any, sequences: Any,
-    messages: Any, first: int, count: int, extremes: Any,
-) -> None:  # fmt: skip  # pragma: no cover - compiled
+    out: Any,
+    start: int,
+    record_bytes: int,
+    channel_id: int,
+    log_times: Any,
+    publish_times: Any,
+    sequences: Any,
+    messages: Any,
+    first: int,
+    count: int,
+    extremes: Any,
+) -> None:  # pragma: no cover - compiled
     """Write `count` message records at out[start]; columns of length 1 stand for all."""
     log_step, publish_step, sequence_step = len(log_times) > 1, len(publish_times) > 1, len(sequences) > 1
     size = _U(record_bytes - RECORD_HEAD_BYTES)
@@ -251,9 +289,17 @@ def _put_messages(
 
 @njit(cache=True, nogil=True)
 def _put_entries(
-    channel_ids: Any, log_times: Any, offsets: Any, at: int, channel_id: int, times: Any, first: int, count: int,
-    offset: int, record_bytes: int,
-) -> None:  # fmt: skip  # pragma: no cover - compiled
+    channel_ids: Any,
+    log_times: Any,
+    offsets: Any,
+    at: int,
+    channel_id: int,
+    times: Any,
+    first: int,
+    count: int,
+    offset: int,
+    record_bytes: int,
+) -> None:  # pragma: no cover - compiled
     """Note where `count` records from `offset` on stand."""
     step = len(times) > 1
     for i in range(count):

@@ -94,9 +94,15 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
         done.damage.settle(table, done.unnamed)
     done.metadata.pop(TIMES, None)  # the table has the times themselves
     contents = Contents(
-        header, table, False, done.definitions, table.totals(), table.span(),
-        done.metadata, done.attachments,
-    )  # fmt: skip
+        header,
+        table,
+        False,
+        done.definitions,
+        table.totals(),
+        table.span(),
+        done.metadata,
+        done.attachments,
+    )
     contents.missing = _missing(done, summary, contents)
     contents.unchecked = [
         Missing(f"{count} {what} without a CRC: damage in them cannot be seen", messages=0)

@@ -38,9 +38,17 @@ class Summary:
         self._metadata_indexes: list[records.MetadataIndex] = []
 
     def add_chunk(
-        self, start: int, length: int, compression: str, packed: int, unpacked: int, times: tuple[int, int],
-        indexes: Mapping[int, int], indexes_bytes: int, counts: Mapping[int, int],
-    ) -> None:  # fmt: skip
+        self,
+        start: int,
+        length: int,
+        compression: str,
+        packed: int,
+        unpacked: int,
+        times: tuple[int, int],
+        indexes: Mapping[int, int],
+        indexes_bytes: int,
+        counts: Mapping[int, int],
+    ) -> None:
         """Note a chunk.
 
         Args:

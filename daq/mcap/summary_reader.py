@@ -186,10 +186,20 @@ class _Reading:
         chunks, entries = int(self.state[0]), int(self.state[1])
         start, length, packed, unpacked, first, last = (self.numbers[k, :chunks] for k in range(6))
         return ChunkTable(
-            start, length, packed, unpacked, self.kinds[:chunks], first, last,
-            _constant(chunks, NEVER_NS), _constant(chunks, EVER_NS), None,
-            self.first_entry[: chunks + 1], self.channels[:entries], self.counts[:entries],
-        )  # fmt: skip
+            start,
+            length,
+            packed,
+            unpacked,
+            self.kinds[:chunks],
+            first,
+            last,
+            _constant(chunks, NEVER_NS),
+            _constant(chunks, EVER_NS),
+            None,
+            self.first_entry[: chunks + 1],
+            self.channels[:entries],
+            self.counts[:entries],
+        )
 
 
 def _constant(count: int, value: int) -> NDArray[np.int64]:

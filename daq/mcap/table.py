@@ -109,7 +109,17 @@ class TableBuilder:
             np.ascontiguousarray(column) for column in rows.T
         )
         return ChunkTable(
-            start, length, packed, unpacked, kind.astype(np.uint8), first_log, last_log,
-            np.minimum(first_log, first_publish), np.maximum(last_log, last_publish), crc.astype(np.uint32),
-            first_entry, entries[:, 0].astype(np.uint16), entries[:, 1].astype(np.uint32),
-        )  # fmt: skip
+            start,
+            length,
+            packed,
+            unpacked,
+            kind.astype(np.uint8),
+            first_log,
+            last_log,
+            np.minimum(first_log, first_publish),
+            np.maximum(last_log, last_publish),
+            crc.astype(np.uint32),
+            first_entry,
+            entries[:, 0].astype(np.uint16),
+            entries[:, 1].astype(np.uint32),
+        )

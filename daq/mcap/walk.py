@@ -38,9 +38,16 @@ _METADATA_LIMIT_BYTES = 64 * 2**20
 _STRETCH_BYTES = 4 * PIECE_BYTES
 _KNOWN = frozenset(Opcode)
 _OF_SUMMARY = frozenset(
-    (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX,
-     Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET)
-)  # fmt: skip
+    (
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.STATISTICS,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    )
+)
 
 
 class Walk:

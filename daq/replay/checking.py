@@ -82,8 +82,11 @@ def check_log(log: Log, progress: Progress | None = None) -> Check:
         share(chunk.host_ns)
     rows = (*(comparison.result() for comparison in comparisons.values()), events.result())
     notes = [*_notes(log, set(pipelines), set(known), until_ns, rows)]
-    notes += [f"not compared, the log is of a version that did not write it: {', '.join(comparison.unasked)} of {topic}"
-              for topic, comparison in comparisons.items() if comparison.unasked]  # fmt: skip
+    notes += [
+        f"not compared, the log is of a version that did not write it: {', '.join(comparison.unasked)} of {topic}"
+        for topic, comparison in comparisons.items()
+        if comparison.unasked
+    ]
     return Check(rows, until_ns, tuple(notes))
 
 

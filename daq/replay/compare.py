@@ -147,9 +147,16 @@ class ChannelComparison:
             self._lone(self._compared + self._extra, left, None)
             left = self._rows.take(_SLICE, self._until_ns)
         return ChannelCheck(
-            self._topic, self._live, self._again, self._compared, self._differing, self._extra,
-            self._first, self._fields, self._lacking,
-        )  # fmt: skip
+            self._topic,
+            self._live,
+            self._again,
+            self._compared,
+            self._differing,
+            self._extra,
+            self._first,
+            self._fields,
+            self._lacking,
+        )
 
     def _compare(self) -> None:
         batch, log_time_ns = joined(self._arrived)
@@ -184,9 +191,12 @@ class ChannelComparison:
         if first and self._first is None:
             row, name = min(first, key=lambda pair: pair[0])
             self._first = Difference(
-                self._compared + row, int(stored["time_ns"][row]), name, stored[name][row].item(),
+                self._compared + row,
+                int(stored["time_ns"][row]),
+                name,
+                stored[name][row].item(),
                 decoded[name][row].item(),
-            )  # fmt: skip
+            )
         self._compared += len(differs)
         self._differing += int(np.count_nonzero(differs))
 
@@ -208,8 +218,13 @@ class ChannelComparison:
         self._differing += len(there["time_ns"])
         if self._first is None:
             shown = int(there["sequence"][0])
-            self._first = Difference(index, int(there["time_ns"][0]), "sequence",
-                                     None if stored is None else shown, None if decoded is None else shown)  # fmt: skip
+            self._first = Difference(
+                index,
+                int(there["time_ns"][0]),
+                "sequence",
+                None if stored is None else shown,
+                None if decoded is None else shown,
+            )
 
 
 def _differing(stored: NDArray[Any], decoded: NDArray[Any]) -> NDArray[np.bool_]:
@@ -265,8 +280,9 @@ class EventComparison:
             if lone and not wrong:
                 there, in_log = (kept[pairs], True) if len(kept) > pairs else (made[pairs], False)
                 text = f"{there['kind']} {device}: {there['text']}"
-                firsts.append(Difference(pairs, there["time_ns"], "kind", text if in_log else None,
-                                         None if in_log else text))  # fmt: skip
+                firsts.append(
+                    Difference(pairs, there["time_ns"], "kind", text if in_log else None, None if in_log else text)
+                )
             compared += pairs
             differing += len(wrong) + lone
         first = min(firsts, key=lambda d: d.time_ns, default=None)

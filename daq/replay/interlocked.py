@@ -237,8 +237,18 @@ class _Run:
             return
         speed = self._locks.speed_rpm(now_ns)
         newest = {topic: dict(values) for topic, values in self._newest.items()}
-        self.trips.append(WouldTrip(stop.interlock, stop.text, stop.cause, now_ns, now_ns,
-                                    None if math.isnan(speed) else speed, self._orders.rpm, newest))  # fmt: skip
+        self.trips.append(
+            WouldTrip(
+                stop.interlock,
+                stop.text,
+                stop.cause,
+                now_ns,
+                now_ns,
+                None if math.isnan(speed) else speed,
+                self._orders.rpm,
+                newest,
+            )
+        )
 
     def _note_newest(self, batch: Batch) -> None:
         self._newest[batch.channel.topic] = {

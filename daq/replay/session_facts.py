@@ -39,8 +39,11 @@ def roles_in(log: Log, rig: Rig) -> tuple[Roles, list[str]]:
     if phase is not None and there and "revolutions" not in log.channel(phase.topic).names:
         left_out[phase.topic] = f"not judged, the log holds no index marks: {phase.topic}"
     kept = rig.roles
-    single = {name: role for name in ("angles", "phase", "speed")
-              if (role := getattr(kept, name)) is not None and role.topic in left_out}  # fmt: skip
+    single = {
+        name: role
+        for name in ("angles", "phase", "speed")
+        if (role := getattr(kept, name)) is not None and role.topic in left_out
+    }
     lasers = tuple(sensor for sensor in kept.displacements if sensor.topic not in left_out)
     return replace(kept, displacements=lasers, **dict.fromkeys(single)), [
         why for topic, why in left_out.items() if not any(other.topic == topic for other in kept.others)

@@ -49,8 +49,12 @@ class StoredRows:
             if fit < size:
                 break
         names = ("time_ns", "log_time_ns", "sequence", *self.names)
-        return {name: np.concatenate([np.empty(0, np.int64) if not parts else parts[0][name][:0],
-                                      *(part[name] for part in parts)]) for name in names}  # fmt: skip
+        return {
+            name: np.concatenate(
+                [np.empty(0, np.int64) if not parts else parts[0][name][:0], *(part[name] for part in parts)]
+            )
+            for name in names
+        }
 
     def _next_block(self) -> bool:
         block = next(self._blocks, None)
@@ -96,5 +100,7 @@ def _merged(
     both = {name: np.concatenate([before[name], after[name]]) for name in before}
     order = np.argsort(both["log_time_ns"], kind="stable")
     size = len(before["log_time_ns"])
-    return ({name: values[order[:size]] for name, values in both.items()},
-            {name: values[order[size:]] for name, values in both.items()})  # fmt: skip
+    return (
+        {name: values[order[:size]] for name, values in both.items()},
+        {name: values[order[size:]] for name, values in both.items()},
+    )

@@ -215,10 +215,12 @@ def _designs(edges: bytes) -> tuple[Array, Array]:
     edges_s = np.frombuffer(edges).reshape(-1, 2)
     pairs, waves = _terms()
     turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
-    shapes = np.concatenate([
-        np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
-        np.stack([np.real(turning), np.imag(turning)], axis=2),
-    ])  # fmt: skip
+    shapes = np.concatenate(
+        [
+            np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
+            np.stack([np.real(turning), np.imag(turning)], axis=2),
+        ]
+    )
     design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
     scale = np.abs(design).max(axis=1, keepdims=True)
     scaled = design / scale

@@ -154,9 +154,15 @@ class Stretch:
         size = np.abs(left) if shapes.size is None else np.hypot(fit[..., 1], fit[..., 2]) * shapes.size
         unit = self._unit[:, None]
         return Points(
-            evidence, (self._origin[:, None] + fit[..., 0] * unit).T, (covariance[..., 0, 0] * unit**2).T,
-            (left * unit).T, (size * unit).T, rate, chi2.T, (p if shapes.square else 1 + p, rates),
-        )  # fmt: skip
+            evidence,
+            (self._origin[:, None] + fit[..., 0] * unit).T,
+            (covariance[..., 0, 0] * unit**2).T,
+            (left * unit).T,
+            (size * unit).T,
+            rate,
+            chi2.T,
+            (p if shapes.square else 1 + p, rates),
+        )
 
     def integrated(self, family: Family, rival: float = -math.inf) -> Points:
         """A family's points on a grid that resolves its posterior, or a rough one where it is far below a rival.

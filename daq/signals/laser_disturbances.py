@@ -121,9 +121,12 @@ def wander_in(time_s: Array, rest_m: Array, white_m2_per_Hz: float) -> Wander | 
 
 
 def lines_in(
-    time_s: Array, value_m: Array, rest: tuple[Array, Array], known_Hz: Sequence[tuple[float, float]] = (),
+    time_s: Array,
+    value_m: Array,
+    rest: tuple[Array, Array],
+    known_Hz: Sequence[tuple[float, float]] = (),
     least_m: float = 0.0,
-) -> list[SteadyLine]:  # fmt: skip
+) -> list[SteadyLine]:
     """Steady lines that stand clear, strongest first.
 
     Args:
@@ -175,8 +178,10 @@ def sentences(name: str, wander: Wander | None, lines: Sequence[SteadyLine]) -> 
     """
     said = [f"{name} {wander.words}"] if wander is not None else []
     if lines:
-        said.append(f"{name} shows {'a steady line' if len(lines) == 1 else 'steady lines'} at "
-                    f"{'; '.join(line.words for line in lines)}")  # fmt: skip
+        said.append(
+            f"{name} shows {'a steady line' if len(lines) == 1 else 'steady lines'} at "
+            f"{'; '.join(line.words for line in lines)}"
+        )
     return said
 
 

@@ -185,9 +185,17 @@ def _settling(angles: WindowMeans | None, orbit: WindowMeans, turning: Approach,
     """The numbers of an answer that is still to be given."""
     drift = math.nan if angles is None else float(np.abs(angles.means[-1] - angles.means[-2]).max())
     return Settling(
-        False, False, "", drift, turning.remaining, float(np.abs(orbit.means[-1] - orbit.means[-2]).max()),
-        whirling.remaining, float(orbit.edges_s[-1, 1] - orbit.edges_s[0, 0]), turning.mean_off, whirling.mean_off,
-    )  # fmt: skip
+        False,
+        False,
+        "",
+        drift,
+        turning.remaining,
+        float(np.abs(orbit.means[-1] - orbit.means[-2]).max()),
+        whirling.remaining,
+        float(orbit.edges_s[-1, 1] - orbit.edges_s[0, 0]),
+        turning.mean_off,
+        whirling.mean_off,
+    )
 
 
 def _said(found: Settling, reasons: list[str], steady: str, more_s: float, slipping: bool) -> Settling:

@@ -76,9 +76,14 @@ def whole_revolutions(mark_time_s: Array, mark_phase_rad: Array, window_s: float
 
 
 def angle_means(
-    time_s: Array, angles_rad: Array, mark_time_s: Array, mark_phase_rad: Array, edges: Array, step_rad: float | None,
+    time_s: Array,
+    angles_rad: Array,
+    mark_time_s: Array,
+    mark_phase_rad: Array,
+    edges: Array,
+    step_rad: float | None,
     newest: int,
-) -> WindowMeans | None:  # fmt: skip
+) -> WindowMeans | None:
     """Mean angles; None when too many samples are missing in the newest windows.
 
     Args:
@@ -101,10 +106,12 @@ def angle_means(
     change = np.abs(np.diff(means, axis=0, prepend=means[:1], append=means[-1:]))
     moving = np.maximum(change[1:], change[:-1]) > _STANDS * step  # what sweeps over codes is no noise
     seen = np.where(moving, np.nan, seen)
-    half = np.array([
-        half_width(step, _usual(s) if max(a, b) < 0.5 * step else 0.0, a, b)
-        for s, a, b in zip(seen.T, once, twice, strict=True)
-    ])  # fmt: skip
+    half = np.array(
+        [
+            half_width(step, _usual(s) if max(a, b) < 0.5 * step else 0.0, a, b)
+            for s, a, b in zip(seen.T, once, twice, strict=True)
+        ]
+    )
     white = np.median(noise, axis=0)
     scatter = white * math.sqrt(float(np.median(cut.counts[kept])))
     rounding = [
@@ -136,9 +143,15 @@ def _dither(seen: float, scatter: float, ripple: float, step: float) -> float:
 
 
 def amplitude_means(
-    x_time_s: Array, x_m: Array, y_time_s: Array, y_m: Array, mark_time_s: Array, mark_phase_rad: Array, edges: Array,
+    x_time_s: Array,
+    x_m: Array,
+    y_time_s: Array,
+    y_m: Array,
+    mark_time_s: Array,
+    mark_phase_rad: Array,
+    edges: Array,
     newest: int,
-) -> WindowMeans | None:  # fmt: skip
+) -> WindowMeans | None:
     """Order-1 amplitudes of x and y in the windows in which both were seen; None when too many are missing."""
     x = cut_windows(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
     y = cut_windows(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
@@ -160,9 +173,15 @@ def amplitude_means(
 
 
 def orbit_means(
-    x_time_s: Array, x_m: Array, y_time_s: Array, y_m: Array, mark_time_s: Array, mark_phase_rad: Array, edges: Array,
+    x_time_s: Array,
+    x_m: Array,
+    y_time_s: Array,
+    y_m: Array,
+    mark_time_s: Array,
+    mark_phase_rad: Array,
+    edges: Array,
     newest: int,
-) -> WindowMeans | None:  # fmt: skip
+) -> WindowMeans | None:
     """Complex order-1 amplitudes of x and y in the windows in which both were seen; None when too many are missing.
 
     The columns are Re X, Im X, Re Y, Im Y with x = Re(X e^{iψ}), y the same, m; `width` and `noise` have four places.
@@ -191,9 +210,14 @@ def _orbit(
     """Means of displacements, of which nothing is rounded."""
     deviation = np.array(noise)
     return WindowMeans(
-        edges_s, np.stack(columns, axis=1), _DEVIATIONS * deviation, deviation, np.empty((len(noise), 0)),
-        neighbours=np.array(neighbours), coloured=any(each != OrderNoise() for each in beyond),
-    )  # fmt: skip
+        edges_s,
+        np.stack(columns, axis=1),
+        _DEVIATIONS * deviation,
+        deviation,
+        np.empty((len(noise), 0)),
+        neighbours=np.array(neighbours),
+        coloured=any(each != OrderNoise() for each in beyond),
+    )
 
 
 def _step(angles: Array) -> float:

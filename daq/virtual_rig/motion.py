@@ -51,14 +51,37 @@ def _advance(y, rotor, phase, target, ramp, slip, lag, n, substeps, p, rough, fr
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[2])
             if rough:
                 friction_step(
-                    y, h, ph[0], ph[1], ph[2], p, free, modes, signed,
-                    scratch[0], scratch[1], scratch[2], scratch[3], scratch[4],
-                )  # fmt: skip
+                    y,
+                    h,
+                    ph[0],
+                    ph[1],
+                    ph[2],
+                    p,
+                    free,
+                    modes,
+                    signed,
+                    scratch[0],
+                    scratch[1],
+                    scratch[2],
+                    scratch[3],
+                    scratch[4],
+                )
             else:
                 rk4_step(
-                    y, h, ph[0], ph[1], ph[2], p, free[0], free[1],
-                    scratch[0], scratch[1], scratch[2], scratch[3], scratch[4],
-                )  # fmt: skip
+                    y,
+                    h,
+                    ph[0],
+                    ph[1],
+                    ph[2],
+                    p,
+                    free[0],
+                    free[1],
+                    scratch[0],
+                    scratch[1],
+                    scratch[2],
+                    scratch[3],
+                    scratch[4],
+                )
             ph[0] = ph[2]
         for j in range(2):
             if free[j] == 0.0:  # the lock carries the pendulum towards its position
@@ -191,11 +214,24 @@ class Motion:
         rate = fastest_rate(self.physics, max(abs(self.speed_rad_s), abs(self.target_rad_s)))
         substeps = max(1, math.ceil(rate * GRID_S / 0.5))
         _advance(
-            self._state, self._rotor, self._phase, self.target_rad_s, self.ramp_rad_s2, self._slip, lag, n,
-            substeps, self.physics.packed(), self.physics.has_friction,
-            self._free, self._held, self._held_at, self._angles, 2 * math.pi,
+            self._state,
+            self._rotor,
+            self._phase,
+            self.target_rad_s,
+            self.ramp_rad_s2,
+            self._slip,
+            lag,
+            n,
+            substeps,
+            self.physics.packed(),
+            self.physics.has_friction,
+            self._free,
+            self._held,
+            self._held_at,
+            self._angles,
+            2 * math.pi,
             rows[1:],
-        )  # fmt: skip
+        )
         times = (self._steps + np.arange(n + 1)) * GRID_S
         self._steps += n
         self.time_s = self._steps * GRID_S

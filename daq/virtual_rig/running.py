@@ -99,9 +99,13 @@ def read_note(path: Path) -> Running:
     try:
         found: Any = json.loads(path.read_text(encoding="utf-8"))
         return Running(
-            str(found["rig"]), int(found["pid"]), int(found["control_port"]), str(found["token"]),
-            float(found["time_scale"]), {str(name): str(port) for name, port in found["ports"].items()},
-        )  # fmt: skip
+            str(found["rig"]),
+            int(found["pid"]),
+            int(found["control_port"]),
+            str(found["token"]),
+            float(found["time_scale"]),
+            {str(name): str(port) for name, port in found["ports"].items()},
+        )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise RigConfigError(f"{path}: expected the note of a virtual rig (see rig virtual --control)") from error
 

@@ -48,9 +48,16 @@ def compiled(variational: bool, tolerance: float) -> Any:
         )
 
     symbols = SimpleNamespace(
-        total_mass_kg=par[0], k1_N_per_m=par[1], k2_N_per_m=par[2], damping_Ns_per_m=(par[3], par[4]),
-        a=pendulum(5, 8, 10), b=pendulum(6, 9, 11), forcing_moment_kg_m=par[7], pivot_shift_m=0.0, gravity_m_per_s2=0.0,
-    )  # fmt: skip
+        total_mass_kg=par[0],
+        k1_N_per_m=par[1],
+        k2_N_per_m=par[2],
+        damping_Ns_per_m=(par[3], par[4]),
+        a=pendulum(5, 8, 10),
+        b=pendulum(6, 9, 11),
+        forcing_moment_kg_m=par[7],
+        pivot_shift_m=0.0,
+        gravity_m_per_s2=0.0,
+    )
     system = equations(cast(RotorParameters, symbols), par[_SPEED])
     if variational:
         system = hy.var_ode_sys(system, hy.var_args.vars, order=1)

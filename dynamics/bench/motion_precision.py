@@ -76,9 +76,15 @@ class _Case:
     """One release, and how each method is run on it."""
 
     def __init__(
-        self, name: str, rig: Rig, scene: Scene, start: NDArray[np.floating], duration_s: float,
-        true: NDArray[np.floating] | None, repeats: int,
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        rig: Rig,
+        scene: Scene,
+        start: NDArray[np.floating],
+        duration_s: float,
+        true: NDArray[np.floating] | None,
+        repeats: int,
+    ) -> None:
         self.name, self.rig, self.scene, self.start = name, rig, scene, start
         self.times, self.true, self.repeats = np.array([0.0, duration_s]), true, repeats
 
@@ -98,9 +104,10 @@ class _Case:
         problem = motion_problem(self.rig[0], self.scene, self.times).problem
         try:
             return self._row(
-                method, f"tolerance {tolerance:.0e}",
+                method,
+                f"tolerance {tolerance:.0e}",
                 lambda: run(problem, tolerance, method == "implicit", _MOST_STEPS).states[-1],
-            )  # fmt: skip
+            )
         except DynamicsError:
             return None
 
@@ -113,9 +120,16 @@ class _Case:
         seconds = median_seconds(lambda: simulate(self.rig[0], self.scene, self.times, accuracy), self.repeats)
         error = None if self.true is None else heyoka_runs.angle_error(motion.state[-1], self.true)
         return Measurement(
-            SERVICE, self.name, f"automatic: {motion.method}", f"accuracy {accuracy:.0e}", seconds, "run", error,
-            motion.error_estimate, automatic=True,
-        )  # fmt: skip
+            SERVICE,
+            self.name,
+            f"automatic: {motion.method}",
+            f"accuracy {accuracy:.0e}",
+            seconds,
+            "run",
+            error,
+            motion.error_estimate,
+            automatic=True,
+        )
 
     def fixed(self, per_cycle: int) -> Measurement:
         """Classical Runge–Kutta with steps per cycle of the fastest of resonances and running speed."""
@@ -123,11 +137,12 @@ class _Case:
         step = 2 * math.pi / max(*parameters.natural_frequencies_rad_s, speed) / per_cycle
         history, packed = self.scene.history, parameters.packed()
         return self._row(
-            "fixed steps (RK4)", f"{per_cycle} a cycle",
-            lambda: integrate(
-                self.start, self.times, step, history.knots_s, history.coefficients, packed, 1.0, 1.0
-            )[-1],
-        )  # fmt: skip
+            "fixed steps (RK4)",
+            f"{per_cycle} a cycle",
+            lambda: integrate(self.start, self.times, step, history.knots_s, history.coefficients, packed, 1.0, 1.0)[
+                -1
+            ],
+        )
 
     def scipy(self, method: str, tolerance: float) -> Measurement:
         """scipy around the compiled right-hand side."""
@@ -145,6 +160,8 @@ class _Case:
     def heyoka(self, tolerance: float) -> Measurement:
         """heyoka in double precision."""
         return self._row(
-            "heyoka", f"tolerance {tolerance:.1g}",
-            lambda: heyoka_runs.end_state(self.rig, self.start, self.times[1], tolerance), peer=True,
-        )  # fmt: skip
+            "heyoka",
+            f"tolerance {tolerance:.1g}",
+            lambda: heyoka_runs.end_state(self.rig, self.start, self.times[1], tolerance),
+            peer=True,
+        )

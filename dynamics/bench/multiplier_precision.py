@@ -128,6 +128,13 @@ def _service_row(
     # without what the last call kept: a user's matrix is new
     seconds = median_seconds(lambda: floquet_multipliers(dataclasses.replace(matrix), accuracy), repeats)
     return Measurement(
-        SERVICE, case, f"automatic: {found.method}", f"accuracy {accuracy:.0e}", seconds, "point",
-        _error(found.largest, true), found.error_estimate / max(1.0, found.largest), automatic=True,
-    )  # fmt: skip
+        SERVICE,
+        case,
+        f"automatic: {found.method}",
+        f"accuracy {accuracy:.0e}",
+        seconds,
+        "point",
+        _error(found.largest, true),
+        found.error_estimate / max(1.0, found.largest),
+        automatic=True,
+    )

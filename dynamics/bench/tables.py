@@ -35,9 +35,13 @@ def blocks(rows: Sequence[Measurement]) -> list[tuple[str, list[tuple[str, ...]]
 
 def _cells(row: Measurement) -> tuple[str, ...]:
     return (
-        row.method, row.setting, duration(row.seconds), _error(row.true_error), _error(row.error_estimate),
+        row.method,
+        row.setting,
+        duration(row.seconds),
+        _error(row.true_error),
+        _error(row.error_estimate),
         *standing(peer=row.peer, front=row.front, front_of_all=row.front_of_all, peer_ratio=row.peer_ratio),
-    )  # fmt: skip
+    )
 
 
 def standing(*, peer: bool, front: bool, front_of_all: bool, peer_ratio: float | None) -> tuple[str, str]:
@@ -96,9 +100,15 @@ def page(
 ) -> Page:
     """A run of the dynamics' benchmark."""
     return Page(
-        "Work and precision of the dynamics", machine, notes, targets, LEGEND, HEADER, blocks(rows),
+        "Work and precision of the dynamics",
+        machine,
+        notes,
+        targets,
+        LEGEND,
+        HEADER,
+        blocks(rows),
         recommended_accuracies(rows),
-    )  # fmt: skip
+    )
 
 
 def markdown(whole: Page) -> str:

@@ -62,17 +62,33 @@ class Size:
 
 
 FULL = Size(
-    points=None, extremes=True, map_shape=(250, 400), map_sample=200, runs=1000,
-    accuracies=(1e-3, 1e-4, 1e-6, 1e-8, 1e-9, 1e-10, 1e-12), tolerances=(1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14),
-    peer_tolerances=(1e-6, 1e-9, 1e-15), longest_s=0.15, repeats=7,
+    points=None,
+    extremes=True,
+    map_shape=(250, 400),
+    map_sample=200,
+    runs=1000,
+    accuracies=(1e-3, 1e-4, 1e-6, 1e-8, 1e-9, 1e-10, 1e-12),
+    tolerances=(1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14),
+    peer_tolerances=(1e-6, 1e-9, 1e-15),
+    longest_s=0.15,
+    repeats=7,
     scipy_settings=(("DOP853", 1e-6), ("DOP853", 1e-9), ("DOP853", 1e-12), ("LSODA", 1e-6), ("LSODA", 1e-9)),
     processes=True,
-)  # fmt: skip
+)
 QUICK = Size(
-    points=("A", "B"), extremes=False, map_shape=(15, 40), map_sample=40, runs=20, accuracies=(1e-6, 1e-9),
-    tolerances=(1e-8, 1e-11), peer_tolerances=(1e-9,), longest_s=0.005, repeats=1, scipy_settings=(("DOP853", 1e-9),),
+    points=("A", "B"),
+    extremes=False,
+    map_shape=(15, 40),
+    map_sample=40,
+    runs=20,
+    accuracies=(1e-6, 1e-9),
+    tolerances=(1e-8, 1e-11),
+    peer_tolerances=(1e-9,),
+    longest_s=0.005,
+    repeats=1,
+    scipy_settings=(("DOP853", 1e-9),),
     processes=False,
-)  # fmt: skip
+)
 
 
 def warm_up(parameters: RotorParameters) -> None:
@@ -142,8 +158,11 @@ def targets(rows: Iterable[Measurement]) -> list[Target]:
         r.seconds
         for r in rows
         if (r.service, r.case) == ("motion", RELEASE)
-        and not r.peer and not r.automatic and r.true_error is not None and r.true_error <= 1e-9
-    ]  # fmt: skip
+        and not r.peer
+        and not r.automatic
+        and r.true_error is not None
+        and r.true_error <= 1e-9
+    ]
     if exact:
         found.append(Target("20 s release to 1e-9 rad, ms", 5.0, 1e3 * min(exact)))
     service = [r for r in rows if r.case == RELEASE and r.automatic and r.setting == "accuracy 1e-09"]

@@ -84,18 +84,29 @@ def _rotor_alone_comparisons() -> list[Comparison]:
     natural = sp.sqrt(k / (s.M_D + s.M_A + s.M_B + s.M_P))
     inertia = lagrange_equations().mass_matrix.tolist()[0][0]
     return [
-        compare("2-1", "motion along x, rotor alone", s.ddx * mass + s.dx * c + s.x * k
-                - moment * omega**2 * sp.cos(s.psi), right[0]),
-        compare("2-2", "motion along y, rotor alone", s.ddy * mass + s.dy * c + s.y * k
-                - moment * omega**2 * sp.sin(s.psi), right[1]),
+        compare(
+            "2-1",
+            "motion along x, rotor alone",
+            s.ddx * mass + s.dx * c + s.x * k - moment * omega**2 * sp.cos(s.psi),
+            right[0],
+        ),
+        compare(
+            "2-2",
+            "motion along y, rotor alone",
+            s.ddy * mass + s.dy * c + s.y * k - moment * omega**2 * sp.sin(s.psi),
+            right[1],
+        ),
         equal("2-6", "amplitude along x", amplitude**2, omega**4 * moment**2 / response),
         equal("2-7", "amplitude along y", amplitude**2, omega**4 * moment**2 / response),
         Comparison("2-9", "phase lag", () if _same_above_resonance(*lag) else (Deviation(1, 1, *lag),)),
         equal("2-10", "magnification", printed_n**2, mass**2 * omega**4 / response),
         equal("3-33", "natural frequency", natural**2 * inertia, k),
-        Comparison("3-34", "eccentricity", () if compare("3-34", "", *eccentricity).agrees
-                   else (Deviation(1, 1, *eccentricity),)),
-    ]  # fmt: skip
+        Comparison(
+            "3-34",
+            "eccentricity",
+            () if compare("3-34", "", *eccentricity).agrees else (Deviation(1, 1, *eccentricity),),
+        ),
+    ]
 
 
 def _same_above_resonance(printed: sp.Expr, right: sp.Expr) -> bool:

@@ -65,10 +65,12 @@ def _chapter_two() -> list[Checked]:
     isotropic = [
         sp.simplify(row.coeff(rate) - other) == 0
         for row, rate, other in zip(
-            [row.subs(ISOTROPIC).expand() for row in two for _ in (0, 1)], (s.dx, s.x, s.dy, s.y),
-            (s.c1, s.k1, s.c1, s.k1), strict=True,
+            [row.subs(ISOTROPIC).expand() for row in two for _ in (0, 1)],
+            (s.dx, s.x, s.dy, s.y),
+            (s.c1, s.k1, s.c1, s.k1),
+            strict=True,
         )
-    ]  # fmt: skip
+    ]
     far = sp.limit(
         sp.sqrt(amplitude.subs({s.M_D: 7, s.M_P: sp.Rational(3, 25), s.P_3: 1, s.k1: 2500, s.c1: 10})), s.omega, sp.oo
     )
@@ -78,15 +80,31 @@ def _chapter_two() -> list[Checked]:
         Checked("2-3", "total mass", sp.simplify(inertia - mass) == 0, "the derived inertia without pendulums"),
         Checked("2-4", "one damping", all(isotropic), "with it and (2-5) the derived equations have one coefficient"),
         Checked("2-5", "one stiffness", all(isotropic), "as (2-4)"),
-        Checked("2-8", "eccentricity, rotor alone", sp.simplify(far - reached) == 0,
-                "what the amplitude (2-6) tends to far above resonance"),
-        Checked("2-11", "N as a ratio", sp.simplify(amplitude / eccentricity**2 - magnification) == 0,
-                "(2-6) over (2-13) is (2-10)"),
-        Checked("2-12", "amplitude", sp.simplify(sp.cos(s.psi) ** 2 + sp.sin(s.psi) ** 2) == 1,
-                "(2-6), (2-7) squared and added hold no time"),
-        Checked("2-13", "A_Stat", slow == 0 and sp.simplify(eccentricity - s.M_P * s.P_3 / mass) == 0,
-                "it is e of (2-8); the name misleads: reached far above resonance, while the static amplitude is 0"),
-    ]  # fmt: skip
+        Checked(
+            "2-8",
+            "eccentricity, rotor alone",
+            sp.simplify(far - reached) == 0,
+            "what the amplitude (2-6) tends to far above resonance",
+        ),
+        Checked(
+            "2-11",
+            "N as a ratio",
+            sp.simplify(amplitude / eccentricity**2 - magnification) == 0,
+            "(2-6) over (2-13) is (2-10)",
+        ),
+        Checked(
+            "2-12",
+            "amplitude",
+            sp.simplify(sp.cos(s.psi) ** 2 + sp.sin(s.psi) ** 2) == 1,
+            "(2-6), (2-7) squared and added hold no time",
+        ),
+        Checked(
+            "2-13",
+            "A_Stat",
+            slow == 0 and sp.simplify(eccentricity - s.M_P * s.P_3 / mass) == 0,
+            "it is e of (2-8); the name misleads: reached far above resonance, while the static amplitude is 0",
+        ),
+    ]
 
 
 def _moments() -> list[Checked]:
@@ -104,14 +122,26 @@ def _moments() -> list[Checked]:
         Checked("3-1", "S_A", pendulum, "the project's first mass moment"),
         Checked("3-2", "S_B", pendulum, "as (3-1)"),
         Checked("3-3", "S_P", imbalance, "the project's moment of the imbalance"),
-        Checked("3-4", "properly oversized", bool(np.all(proper == exists)),
-                f"balanced angles exist for exactly these of {len(sides)} random sets of moments"),
-        Checked("3-5", "improperly oversized", bool(one and not np.any(exists & improper)),
-                "with (3-4), (3-6) every set is in one region, and none of this one can be balanced"),
+        Checked(
+            "3-4",
+            "properly oversized",
+            bool(np.all(proper == exists)),
+            f"balanced angles exist for exactly these of {len(sides)} random sets of moments",
+        ),
+        Checked(
+            "3-5",
+            "improperly oversized",
+            bool(one and not np.any(exists & improper)),
+            "with (3-4), (3-6) every set is in one region, and none of this one can be balanced",
+        ),
         Checked("3-6", "undersized", bool(one and not np.any(exists & under)), "as (3-5)"),
-        Checked("3-7", "improperly oversized, yet of use", overlap > 0,
-                f"{overlap} of {int(improper.sum())} such sets fulfil it: it contradicts (3-5); last section"),
-    ]  # fmt: skip
+        Checked(
+            "3-7",
+            "improperly oversized, yet of use",
+            overlap > 0,
+            f"{overlap} of {int(improper.sum())} such sets fulfil it: it contradicts (3-5); last section",
+        ),
+    ]
 
 
 def lagrange_rows(kinetic: sp.Expr, potential: sp.Expr, dissipation: sp.Expr) -> list[sp.Expr]:
@@ -142,13 +172,21 @@ def _lagrange() -> list[Checked]:
     )
     whole = all(compare("4-1", "", row, ours).agrees for row, ours in zip(fourth, right, strict=True))
     return [
-        Checked("3-8", "Lagrange's equations", isotropic,
-                "with the printed energies (3-9) to (3-11) they give the derived motion"),
+        Checked(
+            "3-8",
+            "Lagrange's equations",
+            isotropic,
+            "with the printed energies (3-9) to (3-11) they give the derived motion",
+        ),
         Checked("3-12", "no generalised forces", isotropic, "as (3-8): the imbalance is in the kinetic energy"),
-        Checked("4-1", "Lagrange's equations", whole,
-                "with the printed energies (4-2) to (4-4) they give the derived motion"),
+        Checked(
+            "4-1",
+            "Lagrange's equations",
+            whole,
+            "with the printed energies (4-2) to (4-4) they give the derived motion",
+        ),
         Checked("4-5", "no generalised forces", whole, "as (4-1)"),
-    ]  # fmt: skip
+    ]
 
 
 def _types() -> list[Checked]:
@@ -159,17 +197,26 @@ def _types() -> list[Checked]:
         """Difference of the angles, and |z|, of the points of a type."""
         return [
             ((point.theta_rad[1] - point.theta_rad[0]) % (2 * math.pi), abs(point.z_m))
-            for point in found if point.type == kind
-        ]  # fmt: skip
+            for point in found
+            if point.type == kind
+        ]
 
     one, two, three = gaps("I"), gaps("II"), gaps("III")
     return [
         Checked("3-23", "Type I", bool(one) and all(z == 0 for _, z in one), "the derived ones are at rest"),
-        Checked("3-24", "Type II", bool(two) and all(abs(gap - math.pi) < 1e-12 and z > 0 for gap, z in two),
-                "the derived ones whirl, 180° apart"),
-        Checked("3-25", "Type III", bool(three) and all(abs(math.sin(gap / 2)) < 1e-12 and z > 0 for gap, z in three),
-                "the derived ones whirl, together"),
-    ]  # fmt: skip
+        Checked(
+            "3-24",
+            "Type II",
+            bool(two) and all(abs(gap - math.pi) < 1e-12 and z > 0 for gap, z in two),
+            "the derived ones whirl, 180° apart",
+        ),
+        Checked(
+            "3-25",
+            "Type III",
+            bool(three) and all(abs(math.sin(gap / 2)) < 1e-12 and z > 0 for gap, z in three),
+            "the derived ones whirl, together",
+        ),
+    ]
 
 
 def _first_order() -> list[Checked]:
@@ -185,9 +232,15 @@ def _first_order() -> list[Checked]:
     agrees = upper and singular < _SINGULAR
     how = f"its eigenvalues make [M] λ² + [D + G] λ + [K + N] singular within {_SINGULAR:.0e}"
     subjects = {
-        "3-26": "motion about a singular point", "3-30": "state", "3-31": "first order", "3-32": "[A]",
-        "4-14": "motion about a singular point", "4-18": "first order", "4-19": "state", "4-20": "[A(t)]",
-    }  # fmt: skip
+        "3-26": "motion about a singular point",
+        "3-30": "state",
+        "3-31": "first order",
+        "3-32": "[A]",
+        "4-14": "motion about a singular point",
+        "4-18": "first order",
+        "4-19": "state",
+        "4-20": "[A(t)]",
+    }
     forms = {number: _FORM if number in ("3-26", "4-14") else how for number in subjects}
     return [Checked(number, subject, agrees, forms[number]) for number, subject in subjects.items()]
 
@@ -210,8 +263,14 @@ def _floquet() -> list[Checked]:
     ends = [0.4 * period, 0.4 * period + h, 0.4 * period + 2 * h]
 
     def phi(until: float) -> np.ndarray:
-        run = scipy.integrate.solve_ivp(lambda t, y: (a(t) @ y.reshape(8, 8)).ravel(), (0.0, until), np.eye(8).ravel(),
-                                        "DOP853", rtol=1e-12, atol=1e-12)  # fmt: skip
+        run = scipy.integrate.solve_ivp(
+            lambda t, y: (a(t) @ y.reshape(8, 8)).ravel(),
+            (0.0, until),
+            np.eye(8).ravel(),
+            "DOP853",
+            rtol=1e-12,
+            atol=1e-12,
+        )
         return run.y[:, -1].reshape(8, 8)
 
     first, middle, last = (phi(t) for t in ends)
@@ -220,8 +279,9 @@ def _floquet() -> list[Checked]:
     pieces = [scipy.linalg.expm(0.1 * period * m) for m in (one, two)]
     run = np.eye(8)[:, 4]
     for matrix in (one, two):
-        run = scipy.integrate.solve_ivp(lambda t, y, m=matrix: m @ y, (0.0, 0.1 * period), run, "DOP853", rtol=1e-12,
-                                        atol=1e-14).y[:, -1]  # fmt: skip
+        run = scipy.integrate.solve_ivp(
+            lambda t, y, m=matrix: m @ y, (0.0, 0.1 * period), run, "DOP853", rtol=1e-12, atol=1e-14
+        ).y[:, -1]
     product = float(np.max(np.abs(pieces[1] @ pieces[0] @ np.eye(8)[:, 4] - run)))
     swapped = float(np.max(np.abs(pieces[0] @ pieces[1] @ np.eye(8)[:, 4] - run)))
     truth = float(motion.multipliers(p, [POINTS["B"]], 2000)[0])
@@ -229,24 +289,39 @@ def _floquet() -> list[Checked]:
     order = math.log2(errors[0] / errors[1])
     in_order = product < _RIGHT and swapped > 1.0
     return [
-        Checked("4-21", "fundamental matrix", slope < _SLOPE,
-                f"a computed one obeys it within {_SLOPE:.0e}; next to it two arguments are lost: last section"),
-        Checked("4-22", "solution over pieces", in_order,
-                f"the latest piece stands left: off an integration by less than {_RIGHT:.0e}, the other way round by "
-                "more than 1"),
+        Checked(
+            "4-21",
+            "fundamental matrix",
+            slope < _SLOPE,
+            f"a computed one obeys it within {_SLOPE:.0e}; next to it two arguments are lost: last section",
+        ),
+        Checked(
+            "4-22",
+            "solution over pieces",
+            in_order,
+            f"the latest piece stands left: off an integration by less than {_RIGHT:.0e}, the other way round by "
+            "more than 1",
+        ),
         Checked("4-23", "pieces", in_order, "as (4-22)"),
         Checked("4-24", "principal matrix over pieces", in_order, "as (4-22)"),
-        Checked("4-25", "values in the middle of the pieces", 1.9 < order < 2.1,
-                f"the multiplier at B converges with order {order:.1f}"),
-    ]  # fmt: skip
+        Checked(
+            "4-25",
+            "values in the middle of the pieces",
+            1.9 < order < 2.1,
+            f"the multiplier at B converges with order {order:.1f}",
+        ),
+    ]
 
 
 def _misalignment() -> list[Checked]:
     p = rig(stiffness_ratio=1.0, zeta=0.001)
     speed = p.speed_rad_s(20.0)
     balanced = [point for point in singular_points(p, speed) if point.type == "I"]
-    locked = abs(speed**2 * p.imbalance_moment_kg_m / complex(p.k1_N_per_m - p.total_mass_kg * speed**2,
-                                                              speed * p.damping_Ns_per_m[0]))  # fmt: skip
+    locked = abs(
+        speed**2
+        * p.imbalance_moment_kg_m
+        / complex(p.k1_N_per_m - p.total_mass_kg * speed**2, speed * p.damping_Ns_per_m[0])
+    )
     alpha = abs(balanced[0].z_m) / locked
     return [
         Checked("3-35", "α", alpha == 0.0 and locked > 0, "0 for balanced pendulums without a shift, 1 for locked ones")
@@ -257,7 +332,13 @@ def _misalignment() -> list[Checked]:
 def definitions() -> tuple[Checked, ...]:
     """All numbered definitions and methods of chapters 2 to 4, in the source's order."""
     makers: tuple[Callable[[], list[Checked]], ...] = (
-        _chapter_two, _moments, _lagrange, _types, _first_order, _misalignment, _floquet,
-    )  # fmt: skip
+        _chapter_two,
+        _moments,
+        _lagrange,
+        _types,
+        _first_order,
+        _misalignment,
+        _floquet,
+    )
     found = [checked for make in makers for checked in make()]
     return tuple(sorted(found, key=lambda c: [int(n) for n in c.number.split("-")]))

@@ -25,8 +25,18 @@ from dynamics.steady.singular_points import singular_points
 POINTS = {"A": 0.83, "B": 1.6, "C": 2.6, "D": 3.3, "E": 5.8}
 NOMINAL_MOMENT_KG_M = 0.12 * 0.02117
 _ARGUMENTS = (
-    s.psi, s.omega, s.Y1, s.Y2, s.theta3, s.theta4, s.M_S, s.S_A, s.S_B, s.S_P, *s.RIG,
-)  # fmt: skip
+    s.psi,
+    s.omega,
+    s.Y1,
+    s.Y2,
+    s.theta3,
+    s.theta4,
+    s.M_S,
+    s.S_A,
+    s.S_B,
+    s.S_P,
+    *s.RIG,
+)
 
 
 def rig(

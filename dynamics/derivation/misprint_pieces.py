@@ -23,7 +23,7 @@ from dynamics.derivation.symbols import (
     omega,
     psi,
     theta3,
-)  # fmt: skip
+)
 
 Piece = tuple[sp.Expr, sp.Expr]
 _s, _c = sp.sin(psi), sp.cos(psi)

@@ -19,40 +19,78 @@ def program_section() -> list[str]:
     ratio = numbers.SCRIPT_SPEED_RAD_S / rig.natural_frequencies_rad_s[0]
     same = "to 1e-12" if sampling < 1e-12 else f"to {sampling:.0e}"
     rows = [
-        ("generating program", "pendulum A is placed with the turn by θ4",
-         "θ3 would have no inertia and the inertia matrix no inverse, so this is not what ran; one character "
-         "(II, III), perhaps the extraction's"),
-        ("generating program", "cell (1,4) of the inertia matrix is filled from cell (1,3)",
-         "−S_A sin θ3 for −S_B sin θ4; multipliers above. It goes into one output file only; the run-up program is "
-         "written from the equations themselves"),
-        ("generating program", "the first derivative is stored under another name than it is read by",
-         "stops; one character"),
-        ("run-up program", "the equations, with the rotor's acceleration",
-         "agree with the derivation, all four (compared symbolically)"),
+        (
+            "generating program",
+            "pendulum A is placed with the turn by θ4",
+            "θ3 would have no inertia and the inertia matrix no inverse, so this is not what ran; one character "
+            "(II, III), perhaps the extraction's",
+        ),
+        (
+            "generating program",
+            "cell (1,4) of the inertia matrix is filled from cell (1,3)",
+            "−S_A sin θ3 for −S_B sin θ4; multipliers above. It goes into one output file only; the run-up program is "
+            "written from the equations themselves",
+        ),
+        (
+            "generating program",
+            "the first derivative is stored under another name than it is read by",
+            "stops; one character",
+        ),
+        (
+            "run-up program",
+            "the equations, with the rotor's acceleration",
+            "agree with the derivation, all four (compared symbolically)",
+        ),
         ("run-up program", "Θ̈1, Θ̈2 are evaluated before Θ̈3, Θ̈4 exist", "fault (a), next section"),
         ("run-up program", "locked: the angles are held, their rates integrate", "fault (b), next section"),
-        ("run-up program", "pendulum A's torque divided by M_A R_A² under a name that is not defined",
-         "stops; one character, perhaps the extraction's"),
-        ("run-up program", "no run-up: full speed from the first instant, the disk at rest",
-         "the title only; the start dies out before the release"),
+        (
+            "run-up program",
+            "pendulum A's torque divided by M_A R_A² under a name that is not defined",
+            "stops; one character, perhaps the extraction's",
+        ),
+        (
+            "run-up program",
+            "no run-up: full speed from the first instant, the disk at rest",
+            "the title only; the start dies out before the release",
+        ),
         ("run-up program", "speed commented as hertz", "2π·20 is in rad/s: 1200 rpm"),
-        ("run-up program", "M_P twice 120.9 g and called a part of M_D, yet added to it",
-         f"S_P = {rig.imbalance_moment_kg_m:.5f} kg m, twice the appendix's; M_S {rig.total_mass_kg:.3f} kg"),
-        ("run-up program", "500 N/m, 10 N s/m",
-         f"f_n = {rig.natural_frequencies_rad_s[0] / 2 / math.pi:.2f} Hz, not 3 Hz; ζ = {rig.zeta1:.3f}; "
-         f"it runs at Ω = {ratio:.1f}"),
-        ("run-up program", "plots Θ1, Θ2 of the turning frame beside laser readings",
-         "a steady whirl is a constant there and a sine at the sensors, which do not turn; the plotted θ3, θ4 have the "
-         "opposite sign"),
-        ("piecewise program", "samples [A] at the ends of the pieces, the text at their middles",
-         f"none: the multipliers are the same {same}; error at A, B, E with 100 pieces "
-         + ", ".join(f"{e:.1e}" for e in error) + ", with 400 " + ", ".join(f"{e:.1e}" for e in fine)),
-        ("piecewise program", "calls stable what is below 1 + 1e-5, the other program 1 + 1e-8",
-         f"the border of the first stable zone, Ω = {border:.5f}, moves by {shift:.1e}"),
-        ("single-pass program", "fills the matrix from a variable that does not exist",
-         "stops; with the right one it stores the transpose, whose eigenvalues are the same"),
+        (
+            "run-up program",
+            "M_P twice 120.9 g and called a part of M_D, yet added to it",
+            f"S_P = {rig.imbalance_moment_kg_m:.5f} kg m, twice the appendix's; M_S {rig.total_mass_kg:.3f} kg",
+        ),
+        (
+            "run-up program",
+            "500 N/m, 10 N s/m",
+            f"f_n = {rig.natural_frequencies_rad_s[0] / 2 / math.pi:.2f} Hz, not 3 Hz; ζ = {rig.zeta1:.3f}; "
+            f"it runs at Ω = {ratio:.1f}",
+        ),
+        (
+            "run-up program",
+            "plots Θ1, Θ2 of the turning frame beside laser readings",
+            "a steady whirl is constant there and a sine at the sensors, which do not turn; the plotted θ3, θ4 have "
+            "the opposite sign",
+        ),
+        (
+            "piecewise program",
+            "samples [A] at the ends of the pieces, the text at their middles",
+            f"none: the multipliers are the same {same}; error at A, B, E with 100 pieces "
+            + ", ".join(f"{e:.1e}" for e in error)
+            + ", with 400 "
+            + ", ".join(f"{e:.1e}" for e in fine),
+        ),
+        (
+            "piecewise program",
+            "calls stable what is below 1 + 1e-5, the other program 1 + 1e-8",
+            f"the border of the first stable zone, Ω = {border:.5f}, moves by {shift:.1e}",
+        ),
+        (
+            "single-pass program",
+            "fills the matrix from a variable that does not exist",
+            "stops; with the right one it stores the transpose, whose eigenvalues are the same",
+        ),
         ("both", "integrate a whole revolution", "half of one is a period: twice the work"),
-    ]  # fmt: skip
+    ]
     return ["| program | what it has | effect |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
 
 
@@ -62,11 +100,15 @@ def _release_row(place: str, name: str, run: Release, right: Release) -> str:
     angles = np.degrees(run.final_angles_rad) % 360
     difference = math.degrees(numbers.largest_angle_difference_rad(run, right))
     cells = (
-        place, name, f"{speeds[0] + 0.0:.2f}, {speeds[1] + 0.0:.2f}",
+        place,
+        name,
+        f"{speeds[0] + 0.0:.2f}, {speeds[1] + 0.0:.2f}",
         f"{1e3 * math.sqrt(np.mean(run.radius_m[before] ** 2)):.3f}",
-        f"{1e3 * np.max(run.radius_m[run.released :]):.3f}", "–" if run is right else f"{difference:.1f}",
-        f"{run.settling_time_s():.1f}", f"{angles[0]:.1f}, {angles[1]:.1f}",
-    )  # fmt: skip
+        f"{1e3 * np.max(run.radius_m[run.released :]):.3f}",
+        "–" if run is right else f"{difference:.1f}",
+        f"{run.settling_time_s():.1f}",
+        f"{angles[0]:.1f}, {angles[1]:.1f}",
+    )
     return "| " + " | ".join(cells) + " |"
 
 
@@ -81,7 +123,7 @@ def release_section() -> list[str]:
         "| at | equations | θ̇3, θ̇4 at release, rad/s | rms radius before, mm | largest radius after, mm "
         "| largest angle difference, ° | settled within 1° after, s | final θ3, θ4, ° |",
         "|---|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
+    ]
     releases = numbers.releases()
     for place, runs in releases.items():
         right = runs["right equations"]
@@ -103,7 +145,7 @@ def release_section() -> list[str]:
         "- Fault (b) lets the false speed press on the disk while the pendulum is locked, so the radius before release "
         "is wrong too, and it throws the pendulums off their unstable start. The release comes sooner (much of the "
         "angle difference is that shift in time) and looks livelier than it is.",
-    ]  # fmt: skip
+    ]
 
 
 def _same_end(runs: dict[str, Release]) -> bool:
@@ -125,24 +167,39 @@ def _stability_rows() -> list[tuple[str, str, str]]:
     )
     slip, radius = numbers.slip_without_imbalance()
     return [
-        ("summary of 3.1", "below resonance Type II alone is stable",
-         f"Type III, as its Tables 3.3 and 3.4 have it. Computed (K = 1, ζ = 0.02, Ω = 0.8 and 2.5): {found}"),
-        ("summary of 3.1", "oversized and above resonance: Type III, independent of damping",
-         "Type I if properly, Type II if improperly oversized, as Table 3.4 has it"),
-        ("summary of 3.1", "undersized below resonance: no damping dependence",
-         "true of its existence; the angle of Type III does depend on it: sin(θ + φ_H) = −(S_T/S_P) sin φ_H"),
-        ("3.2.2", "below resonance Type III whirls even without imbalance",
-         f"below S_P = (S_A + S_B) sin φ_H no Type III exists: {1e3 * numbers.least_moment_of_type_iii():.3f} g m at "
-         "Ω = 0.8, ζ = 0.05 (the source's own singular point loss). Next to no "
-         f"imbalance the pendulums whirl together at {1e3 * radius:.2f} mm but slip by {abs(slip):.2f} rad/s: "
-         "no steady state on the rotor"),
+        (
+            "summary of 3.1",
+            "below resonance Type II alone is stable",
+            f"Type III, as its Tables 3.3 and 3.4 have it. Computed (K = 1, ζ = 0.02, Ω = 0.8 and 2.5): {found}",
+        ),
+        (
+            "summary of 3.1",
+            "oversized and above resonance: Type III, independent of damping",
+            "Type I if properly, Type II if improperly oversized, as Table 3.4 has it",
+        ),
+        (
+            "summary of 3.1",
+            "undersized below resonance: no damping dependence",
+            "true of its existence; the angle of Type III does depend on it: sin(θ + φ_H) = −(S_T/S_P) sin φ_H",
+        ),
+        (
+            "3.2.2",
+            "below resonance Type III whirls even without imbalance",
+            "below S_P = (S_A + S_B) sin φ_H no Type III exists: "
+            f"{1e3 * numbers.least_moment_of_type_iii():.3f} g m at Ω = 0.8, ζ = 0.05 (the source's own singular point "
+            f"loss). Next to no imbalance the pendulums whirl together at {1e3 * radius:.2f} mm but slip "
+            f"by {abs(slip):.2f} rad/s: no steady state on the rotor",
+        ),
         ("conclusions", "near resonance Types II and III lose stability", "they cease to exist, as its chapter 3 says"),
-        ("(3-7)", "improperly oversized pendulums may help if the difference S_A − S_B is below S_P",
-         "that difference is above S_P in this region by (3-5). Far above resonance they help while it is below 2 S_P: "
-         f"amplitude against none at Ω = 6 {numbers.type_ii_against_none(0.75):.2f} for S_P = 0.75 of the difference, "
-         f"{numbers.type_ii_against_none(0.4):.2f} for 0.4"),
+        (
+            "(3-7)",
+            "improperly oversized pendulums may help if the difference S_A − S_B is below S_P",
+            "that difference is above S_P in this region by (3-5). Far above resonance they help while it is below "
+            f"2 S_P: amplitude against none at Ω = 6 {numbers.type_ii_against_none(0.75):.2f} for S_P = 0.75 of "
+            f"the difference, {numbers.type_ii_against_none(0.4):.2f} for 0.4",
+        ),
         ("3.1", "insufficiently oversized", "improperly oversized"),
-    ]  # fmt: skip
+    ]
 
 
 def _whirl_rows() -> list[tuple[str, str, str]]:
@@ -151,38 +208,65 @@ def _whirl_rows() -> list[tuple[str, str, str]]:
     real = ", ".join(name for name, value in largest.items() if abs(value.imag) < 1e-6 * abs(value))
     pairs = ", ".join(f"{name} ({value:.3f})" for name, value in largest.items() if name not in real)
     return [
-        ("4.1", "Types II and III satisfy (4-10) to (4-13) on different springs",
-         "they do not: ψ does not drop out unless Y1 = Y2 = 0. The motions are periodic: "
-         f"θ3 at D wobbles by {math.degrees(numbers.wobble_rad(numbers.releases()['D']['right equations'])):.1f}°"),
-        ("4.4, conclusions", "where Type I is unstable, Type III becomes stable",
-         f"not always: at D with ζ = 0.05 the pendulums slip by {abs(slips[0]):.0f} and {abs(slips[1]):.0f} turns "
-         "in 60 s"),
-        ("4.1.4", "the largest multipliers are a conjugate pair",
-         f"at {real} the largest one is real, a pair only at {pairs}; true perhaps of other parameters"),
+        (
+            "4.1",
+            "Types II and III satisfy (4-10) to (4-13) on different springs",
+            "they do not: ψ does not drop out unless Y1 = Y2 = 0. The motions are periodic: "
+            f"θ3 at D wobbles by {math.degrees(numbers.wobble_rad(numbers.releases()['D']['right equations'])):.1f}°",
+        ),
+        (
+            "4.4, conclusions",
+            "where Type I is unstable, Type III becomes stable",
+            f"not always: at D with ζ = 0.05 the pendulums slip by {abs(slips[0]):.0f} and {abs(slips[1]):.0f} turns "
+            "in 60 s",
+        ),
+        (
+            "4.1.4",
+            "the largest multipliers are a conjugate pair",
+            f"at {real} the largest one is real, a pair only at {pairs}; true perhaps of other parameters",
+        ),
         ("4.1.1", "[Φ0] = [I] at every t; [C] = [Φ0(0)]", "[Φ0(0)] = [I]; [C] = [Φ0(T)]; arguments lost in print"),
         ("4.1.3", "start vectors: 1×8 columns; the results are columns", "8×1; the program stores rows"),
-        ("chapters 2, 3, 4", "Θ1, Θ2 for the disk centre",
-         "in the space-fixed frame in chapter 2 and in all measurements, in the turning frame in the equations of "
-         "chapters 3 and 4"),
-    ]  # fmt: skip
+        (
+            "chapters 2, 3, 4",
+            "Θ1, Θ2 for the disk centre",
+            "in the space-fixed frame in chapter 2 and in all measurements, in the turning frame in the equations of "
+            "chapters 3 and 4",
+        ),
+    ]
 
 
 def _data_rows() -> list[tuple[str, str, str]]:
     quick, slow, endless = numbers.settling_times_s((1e-3, 1e-2, 50.0))
     return [
-        ("3.3", "speed almost 20 times the critical one",
-         "1200 rpm over 3 Hz (appendix A) is 6.7; with the program's 500 N/m it is 15.3"),
+        (
+            "3.3",
+            "speed almost 20 times the critical one",
+            "1200 rpm over 3 Hz (appendix A) is 6.7; with the program's 500 N/m it is 15.3",
+        ),
         ("appendix A", "length of pendulums 0.054 mm", "0.054 m, as the program has it"),
-        ("appendix A", "c34 = 0.01 to 50 N s m/rad",
-         "N mm s/rad: chapter 4 has 0.001, the program 0.0005 N m s/rad. In N m s/rad the slowest motion at B would "
-         f"take {slow:.0f} s (0.01) to {endless / 86400:.0f} days (50) to fall by e; at 0.001 it takes {quick:.1f} s"),
+        (
+            "appendix A",
+            "c34 = 0.01 to 50 N s m/rad",
+            "N mm s/rad: chapter 4 has 0.001, the program 0.0005 N m s/rad. In N m s/rad the slowest motion at B would "
+            f"take {slow:.0f} s (0.01) to {endless / 86400:.0f} days (50) to fall by e; at 0.001 {quick:.1f} s",
+        ),
         ("appendix A", "final speed 150 to 1200 rpm", "the ball balancer was run at 1500 rpm"),
         ("nomenclature", "D is a sum of dissipation energies", "Rayleigh's function: half the power lost, W"),
-        ("nomenclature", "T for period and kinetic energy, A for matrix, amplitude and a factor of (3-21)",
-         "told apart by context"),
+        (
+            "nomenclature",
+            "T for period and kinetic energy, A for matrix, amplitude and a factor of (3-21)",
+            "told apart by context",
+        ),
         ("3.3.2", "F_C for the centrifugal force, F_CS for the constraint", "F_CF and F_C by the nomenclature"),
-        ("3.1, 3.2, 3.3", "Tables 1–4, figure 6, Figure 3.24 compared with itself",
-         "Tables 3.1–3.4, Figure 3.2, Figure 3.24 with 3.22"),
-        ("1.1", "ring balancer of Ledyard and Leblanc's balancer 1896; Clark 1946",
-         "1916, 1916 and 1940 in its bibliography (1946 fits the patent number)"),
-    ]  # fmt: skip
+        (
+            "3.1, 3.2, 3.3",
+            "Tables 1–4, figure 6, Figure 3.24 compared with itself",
+            "Tables 3.1–3.4, Figure 3.2, Figure 3.24 with 3.22",
+        ),
+        (
+            "1.1",
+            "ring balancer of Ledyard and Leblanc's balancer 1896; Clark 1946",
+            "1916, 1916 and 1940 in its bibliography (1946 fits the patent number)",
+        ),
+    ]

@@ -64,19 +64,33 @@ def summary() -> list[str]:
         ("3-22", "both arguments twice too large", "sine and cosine", "none: the angle of the two is the same"),
         ("3-27, 4-15 (4,1)", "sin θ3", "sin θ4", change("(4-15): cell (4,1)", "D", right)),
         ("3-28, 4-16 (3,2), (4,2)", "−2ωS sin θ", "+2ωS sin θ", change(torque, "D", right)),
-        ("3-29, 4-17 (3,2)", "cos θ4", "cos θ3", f"none for identical pendulums; M_BB = 0.055 kg: "
-         f"{change(column, 'B', other)}; isotropic growth rate at Ω = 2.5 {split['derived']:.3f} → "
-         f"{split['(3-29)']:.3f} /s"),
-        ("3-29, 4-17 (3,3), (4,4)", "no ω²", "× ω²", f"none for Type I; growth rate of the stable "
-         f"Type III at Ω = 0.8 {third['derived']:.3f} → {third['(3-29)']:.3f} /s"),
-        ("3-34", "M_D + M_P", "M_S", f"e is {100 * (nominal.total_mass_kg / alone_kg - 1):.1f} % too large, "
-         "so is R_C at ρ_C = 1"),
+        (
+            "3-29, 4-17 (3,2)",
+            "cos θ4",
+            "cos θ3",
+            f"none for identical pendulums; M_BB = 0.055 kg: "
+            f"{change(column, 'B', other)}; isotropic growth rate at Ω = 2.5 {split['derived']:.3f} → "
+            f"{split['(3-29)']:.3f} /s",
+        ),
+        (
+            "3-29, 4-17 (3,3), (4,4)",
+            "no ω²",
+            "× ω²",
+            f"none for Type I; growth rate of the stable "
+            f"Type III at Ω = 0.8 {third['derived']:.3f} → {third['(3-29)']:.3f} /s",
+        ),
+        (
+            "3-34",
+            "M_D + M_P",
+            "M_S",
+            f"e is {100 * (nominal.total_mass_kg / alone_kg - 1):.1f} % too large, so is R_C at ρ_C = 1",
+        ),
         ("4-6", "no damping of Ẏ1", "(c1 cos²ψ + c2 sin²ψ) Ẏ1", change(first, "B", right)),
         ("4-7", "six terms wrong", "see below", change(second, "B", right)),
         ("4-11", "Y1 for Y2, signs, cos ψ for sin ψ", "see below", "none for Type I; wrong for every whirl"),
         ("4-16 (1,1), (2,2)", "c1 and c2 swapped", "χ1 first, χ2 second", change(swapped, "E", right)),
         ("4-17 (1,1), (2,2)", "(c2 − c1) σ", "ω (c2 − c1) σ", change(no_speed, "A", right, 6)),
-    ]  # fmt: skip
+    ]
     return [
         "| equation | printed | right | effect |",
         "|---|---|---|---|",
@@ -109,19 +123,30 @@ def equation_details() -> list[str]:
 
 REMARKS = {
     "2-9": ["", "The lag must run from 0° through 90° to 180°, as the source's chapter 2 describes it."],
-    "3-17": ["", "With Y1 = Y2 = 0 print leaves S_A cos θ3 + S_B cos θ4 = 0 and the same for the sines: pendulums that "
-             "balance each other, whatever the imbalance. Its own (3-21), (3-22) do satisfy the equation with S_P."],
-    "3-22": ["", "A common factor of both arguments does not change a four-quadrant arc tangent. Unlike (3-21), "
-             "though, they are not the sine and the cosine."],
+    "3-17": [
+        "",
+        "With Y1 = Y2 = 0 print leaves S_A cos θ3 + S_B cos θ4 = 0 and the same for the sines: pendulums that "
+        "balance each other, whatever the imbalance. Its own (3-21), (3-22) do satisfy the equation with S_P.",
+    ],
+    "3-22": [
+        "",
+        "A common factor of both arguments does not change a four-quadrant arc tangent. Unlike (3-21), "
+        "though, they are not the sine and the cosine.",
+    ],
     "3-29": ["", "Cells (3,2) to (4,4) come from (3-15), (3-16), which are printed right."],
     "3-34": ["", "The pendulums turn with the rotor. Angles 180° apart belong to R_C = S_P/M_S."],
     "4-6": ["", "(4-4) and (3-13) do have the term."],
-    "4-7": ["", "Dissipation (4-4) and potential (4-3) are printed right, and (3-14) has none of these faults; the "
-            "run-up program's second equation, too, is right. (4-7) was not what was computed with."],
-    "4-11": ["", "The c1 term is right. The spring terms are those of (4-10) with Y1 and Y2 exchanged, which is "
-             "not the same."],
+    "4-7": [
+        "",
+        "Dissipation (4-4) and potential (4-3) are printed right, and (3-14) has none of these faults; the "
+        "run-up program's second equation, too, is right. (4-7) was not what was computed with.",
+    ],
+    "4-11": [
+        "",
+        "The c1 term is right. The spring terms are those of (4-10) with Y1 and Y2 exchanged, which is not the same.",
+    ],
     "4-17": ["", "Print has M for M_S in (1,1) and (2,2). It is taken for the same."],
-}  # fmt: skip
+}
 
 
 def multiplier_section() -> list[str]:
@@ -158,18 +183,24 @@ def text() -> str:
     vague = sum(not d.agrees for d in definitions())
     parts = [
         HEAD + points + ".",
-        "## Equations: summary", "\n".join(summary()),
+        "## Equations: summary",
+        "\n".join(summary()),
         "## Everything compared",
         f"{len(comparisons())} equations and matrices are compared cell by cell, {wrong} of them differ. The other "
         f"{len(definitions())} numbered ones are definitions and methods: each is held against a property that it "
         f"would not have if it were wrong (`dynamics/derivation/definitions.py`); {vague} of them fails.",
         "\n".join(verdicts()),
-        "## Equations: details", "\n".join(equation_details()).rstrip(),
-        "## What the printed matrices would do", "\n".join(multiplier_section()),
-        "## Programs of the source", "\n".join(program_section()),
-        "## The run-up program's two faults, measured", "\n".join(release_section()),
-        "## The text against itself and its tables", "\n".join(text_section()),
-    ]  # fmt: skip
+        "## Equations: details",
+        "\n".join(equation_details()).rstrip(),
+        "## What the printed matrices would do",
+        "\n".join(multiplier_section()),
+        "## Programs of the source",
+        "\n".join(program_section()),
+        "## The run-up program's two faults, measured",
+        "\n".join(release_section()),
+        "## The text against itself and its tables",
+        "\n".join(text_section()),
+    ]
     return "\n".join(_wrapped(line) for line in "\n\n".join(parts).split("\n")) + "\n"
 
 

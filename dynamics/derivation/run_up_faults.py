@@ -151,7 +151,13 @@ def release(
     start = np.array([0.0, 0.0, 0.0, math.pi + 1e-3, 0.0, 0.0, 0.0, 0.0])
     packed = parameters.packed()
     state = _run(
-        start, speed_rad_s, packed, locked_turns, turns, steps_per_revolution, faults.no_push_back,
+        start,
+        speed_rad_s,
+        packed,
+        locked_turns,
+        turns,
+        steps_per_revolution,
+        faults.no_push_back,
         faults.speed_runs_on,
-    )  # fmt: skip
+    )
     return Release(np.arange(len(state)) * turn / 10, state, 10 * locked_turns)

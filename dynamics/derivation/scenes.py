@@ -23,11 +23,30 @@ def rig_values(parameters: RotorParameters, sliding: tuple[int, int] = (1, 1)) -
     p = parameters
     c1, c2 = p.damping_Ns_per_m
     values = (
-        p.rotor_mass_kg, p.imbalance_mass_kg, p.imbalance_radius_m, p.a.mass_kg, p.a.length_m, p.b.mass_kg,
-        p.b.length_m, p.k1_N_per_m, p.k2_N_per_m, c1, c2, p.a.damping_Nms_per_rad, p.b.damping_Nms_per_rad,
-        p.gravity_m_per_s2, p.pivot_shift_m, float(p.pivot_shift_compensated), p.a.friction_arm_m,
-        p.b.friction_arm_m, *sliding, p.a.ball_radius_m, p.b.ball_radius_m, _kappa(p.a), _kappa(p.b),
-    )  # fmt: skip
+        p.rotor_mass_kg,
+        p.imbalance_mass_kg,
+        p.imbalance_radius_m,
+        p.a.mass_kg,
+        p.a.length_m,
+        p.b.mass_kg,
+        p.b.length_m,
+        p.k1_N_per_m,
+        p.k2_N_per_m,
+        c1,
+        c2,
+        p.a.damping_Nms_per_rad,
+        p.b.damping_Nms_per_rad,
+        p.gravity_m_per_s2,
+        p.pivot_shift_m,
+        float(p.pivot_shift_compensated),
+        p.a.friction_arm_m,
+        p.b.friction_arm_m,
+        *sliding,
+        p.a.ball_radius_m,
+        p.b.ball_radius_m,
+        _kappa(p.a),
+        _kappa(p.b),
+    )
     return dict(zip(s.RIG, values, strict=True))
 
 

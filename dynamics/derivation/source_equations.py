@@ -40,7 +40,7 @@ from dynamics.derivation.symbols import (
     psi,
     theta3,
     theta4,
-)  # fmt: skip
+)
 
 sin, cos = sp.sin, sp.cos
 Half = sp.Rational(1, 2)
@@ -50,28 +50,45 @@ SPIN = sp.Symbol("M_D R_D^2 / 2")
 
 # Chapter 3 and 4 print one kinetic energy, (3-9) = (4-2)
 KINETIC = (
-    Half * omega**2 * (
+    Half
+    * omega**2
+    * (
         S_A * (R_A + 2 * Y1 * cos(theta3) + 2 * Y2 * sin(theta3))
         + S_B * (R_B + 2 * Y1 * cos(theta4) + 2 * Y2 * sin(theta4))
-        + S_P * (P_3 + 2 * Y1) + M_S * (Y1**2 + Y2**2) + SPIN
+        + S_P * (P_3 + 2 * Y1)
+        + M_S * (Y1**2 + Y2**2)
+        + SPIN
     )
-    + omega * (
+    + omega
+    * (
         M_S * (dY2 * Y1 - dY1 * Y2)
-        + S_A * Y2 * sin(theta3) * dtheta3 + S_B * Y1 * cos(theta4) * dtheta4 + S_A * R_A * dtheta3
-        + S_P * dY2 + S_A * dtheta3 * Y1 * cos(theta3) - S_B * dY1 * sin(theta4)
-        + S_B * Y2 * sin(theta4) * dtheta4 + S_A * dY2 * cos(theta3) + S_B * dY2 * cos(theta4)
-        + S_B * R_B * dtheta4 - S_A * dY1 * sin(theta3)
+        + S_A * Y2 * sin(theta3) * dtheta3
+        + S_B * Y1 * cos(theta4) * dtheta4
+        + S_A * R_A * dtheta3
+        + S_P * dY2
+        + S_A * dtheta3 * Y1 * cos(theta3)
+        - S_B * dY1 * sin(theta4)
+        + S_B * Y2 * sin(theta4) * dtheta4
+        + S_A * dY2 * cos(theta3)
+        + S_B * dY2 * cos(theta4)
+        + S_B * R_B * dtheta4
+        - S_A * dY1 * sin(theta3)
     )
     + Half * M_S * (dY1**2 + dY2**2)
-    + Half * S_A * R_A * dtheta3**2 + Half * S_B * R_B * dtheta4**2
-    + S_A * dY2 * dtheta3 * cos(theta3) + S_B * dY2 * dtheta4 * cos(theta4)
-    - S_B * dY1 * dtheta4 * sin(theta4) - S_A * dY1 * dtheta3 * sin(theta3)
-)  # fmt: skip
+    + Half * S_A * R_A * dtheta3**2
+    + Half * S_B * R_B * dtheta4**2
+    + S_A * dY2 * dtheta3 * cos(theta3)
+    + S_B * dY2 * dtheta4 * cos(theta4)
+    - S_B * dY1 * dtheta4 * sin(theta4)
+    - S_A * dY1 * dtheta3 * sin(theta3)
+)
 POTENTIAL_ISOTROPIC = Half * k1 * (Y1**2 + Y2**2)
 DISSIPATION_ISOTROPIC = (
-    Half * c1 * (dY1**2 + dY2**2) - c1 * omega * (dY1 * Y2 - dY2 * Y1) + Half * c1 * omega**2 * (Y1**2 + Y2**2)
+    Half * c1 * (dY1**2 + dY2**2)
+    - c1 * omega * (dY1 * Y2 - dY2 * Y1)
+    + Half * c1 * omega**2 * (Y1**2 + Y2**2)
     + Half * (c3 * dtheta3**2 + c4 * dtheta4**2)
-)  # fmt: skip
+)
 POTENTIAL = Half * k1 * (cos(psi) * Y1 - sin(psi) * Y2) ** 2 + Half * k2 * (sin(psi) * Y1 + cos(psi) * Y2) ** 2
 # ẋ and ẏ without their Θ̇1 part, as (4-4), (4-6) and (4-7) write them
 ALONG_X = -cos(psi) * omega * Y2 - sin(psi) * (dY2 + omega * Y1)
@@ -79,14 +96,15 @@ ALONG_Y = -sin(psi) * omega * Y2 + cos(psi) * (dY2 + omega * Y1)
 DISSIPATION = (
     Half * dY1**2 * (c1 * cos(psi) ** 2 + c2 * sin(psi) ** 2)
     + dY1 * (c1 * ALONG_X * cos(psi) + c2 * ALONG_Y * sin(psi))
-    + Half * c1 * ALONG_X**2 + Half * c3 * dtheta3**2 + Half * c2 * ALONG_Y**2 + Half * c4 * dtheta4**2
-)  # fmt: skip
+    + Half * c1 * ALONG_X**2
+    + Half * c3 * dtheta3**2
+    + Half * c2 * ALONG_Y**2
+    + Half * c4 * dtheta4**2
+)
 
 
 def _push_1(theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr) -> sp.Expr:
-    return (
-        2 * omega * cos(theta) * rate + sin(theta) * acceleration + omega**2 * cos(theta) + cos(theta) * rate**2
-    )  # fmt: skip
+    return 2 * omega * cos(theta) * rate + sin(theta) * acceleration + omega**2 * cos(theta) + cos(theta) * rate**2
 
 
 def _push_2(theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr, sign: int) -> sp.Expr:
@@ -96,9 +114,14 @@ def _push_2(theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr, sign: int) -> 
 
 def _pendulum(S: sp.Expr, R: sp.Expr, theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr, c: sp.Expr) -> sp.Expr:
     inside = (
-        -sin(theta) * ddY1 + R * acceleration + cos(theta) * ddY2 + 2 * sin(theta) * omega * dY2
-        + 2 * cos(theta) * omega * dY1 - omega**2 * cos(theta) * Y2 + omega**2 * sin(theta) * Y1
-    )  # fmt: skip
+        -sin(theta) * ddY1
+        + R * acceleration
+        + cos(theta) * ddY2
+        + 2 * sin(theta) * omega * dY2
+        + 2 * cos(theta) * omega * dY1
+        - omega**2 * cos(theta) * Y2
+        + omega**2 * sin(theta) * Y1
+    )
     return S * inside + c * rate
 
 
@@ -106,30 +129,45 @@ def _pendulum(S: sp.Expr, R: sp.Expr, theta: sp.Expr, rate: sp.Expr, acceleratio
 PENDULUM_A = _pendulum(S_A, R_A, theta3, dtheta3, ddtheta3, c3)
 PENDULUM_B = _pendulum(S_B, R_B, theta4, dtheta4, ddtheta4, c4)
 EQUATION_3_13 = (
-    -S_A * _push_1(theta3, dtheta3, ddtheta3) - S_B * _push_1(theta4, dtheta4, ddtheta4)
-    - M_P * (omega**2 * Y1 - ddY1 + 2 * omega * dY2 + omega**2 * P_3) + M_REST * ddY1
-    + c1 * (dY1 - omega * Y2) + k1 * Y1 - M_REST * (2 * omega * dY2 + omega**2 * Y1)
-)  # fmt: skip
-EQUATION_3_14 = (
-    -S_A * _push_2(theta3, dtheta3, ddtheta3, -1) - S_B * _push_2(theta4, dtheta4, ddtheta4, -1)
-    - M_P * (omega**2 * Y2 - ddY2 - 2 * omega * dY1) + M_REST * ddY2
-    + c1 * (dY2 + omega * Y1) + k1 * Y2 + M_REST * (2 * omega * dY1 - omega**2 * Y2)
-)  # fmt: skip
-EQUATION_4_6 = (
-    -S_A * _push_1(theta3, dtheta3, ddtheta3) - S_B * _push_1(theta4, dtheta4, ddtheta4)
-    - M_P * (omega**2 * Y1 - ddY1 + 2 * omega * dY2 + omega**2 * P_3) + M_REST * ddY1
-    + c1 * cos(psi) * ALONG_X + c2 * sin(psi) * ALONG_Y
-    + k1 * cos(psi) * (cos(psi) * Y1 - sin(psi) * Y2) + k2 * sin(psi) * (sin(psi) * Y1 + cos(psi) * Y2)
+    -S_A * _push_1(theta3, dtheta3, ddtheta3)
+    - S_B * _push_1(theta4, dtheta4, ddtheta4)
+    - M_P * (omega**2 * Y1 - ddY1 + 2 * omega * dY2 + omega**2 * P_3)
+    + M_REST * ddY1
+    + c1 * (dY1 - omega * Y2)
+    + k1 * Y1
     - M_REST * (2 * omega * dY2 + omega**2 * Y1)
-)  # fmt: skip
+)
+EQUATION_3_14 = (
+    -S_A * _push_2(theta3, dtheta3, ddtheta3, -1)
+    - S_B * _push_2(theta4, dtheta4, ddtheta4, -1)
+    - M_P * (omega**2 * Y2 - ddY2 - 2 * omega * dY1)
+    + M_REST * ddY2
+    + c1 * (dY2 + omega * Y1)
+    + k1 * Y2
+    + M_REST * (2 * omega * dY1 - omega**2 * Y2)
+)
+EQUATION_4_6 = (
+    -S_A * _push_1(theta3, dtheta3, ddtheta3)
+    - S_B * _push_1(theta4, dtheta4, ddtheta4)
+    - M_P * (omega**2 * Y1 - ddY1 + 2 * omega * dY2 + omega**2 * P_3)
+    + M_REST * ddY1
+    + c1 * cos(psi) * ALONG_X
+    + c2 * sin(psi) * ALONG_Y
+    + k1 * cos(psi) * (cos(psi) * Y1 - sin(psi) * Y2)
+    + k2 * sin(psi) * (sin(psi) * Y1 + cos(psi) * Y2)
+    - M_REST * (2 * omega * dY2 + omega**2 * Y1)
+)
 EQUATION_4_7 = (
-    -S_A * _push_2(theta3, dtheta3, ddtheta3, 1) - S_B * _push_2(theta4, dtheta4, ddtheta4, -1)
-    - M_P * (omega**2 * Y2 - ddY2 + 2 * omega * dY1) + M_REST * ddY2
+    -S_A * _push_2(theta3, dtheta3, ddtheta3, 1)
+    - S_B * _push_2(theta4, dtheta4, ddtheta4, -1)
+    - M_P * (omega**2 * Y2 - ddY2 + 2 * omega * dY1)
+    + M_REST * ddY2
     + c1 * sin(psi) * (-sin(psi) * omega * Y2 - cos(psi) * (dY2 + omega * Y1))
     + c2 * cos(psi) * (-cos(psi) * omega * Y2 + cos(psi) * (dY2 + omega * Y1))
-    + k1 * sin(psi) * (sin(psi) * Y1 - cos(psi) * Y2) + k2 * cos(psi) * (cos(psi) * Y1 + cos(psi) * Y2)
+    + k1 * sin(psi) * (sin(psi) * Y1 - cos(psi) * Y2)
+    + k2 * cos(psi) * (cos(psi) * Y1 + cos(psi) * Y2)
     + M_REST * (2 * omega * dY1 - omega**2 * Y2)
-)  # fmt: skip
+)
 
 # Algebraic equations of the singular points
 _MOMENTS_1 = Y1 * M_S + S_A * cos(theta3) + S_B * cos(theta4)
@@ -139,14 +177,18 @@ TORQUE_A = S_A * (Y1 * sin(theta3) - Y2 * cos(theta3)) * omega**2
 TORQUE_B = S_B * (Y1 * sin(theta4) - Y2 * cos(theta4)) * omega**2
 EQUATION_4_10 = (
     -(omega**2) * _MOMENTS_1
-    + omega * c2 * (cos(psi) * Y1 - sin(psi) * Y2) * sin(psi) - omega * c1 * (cos(psi) * Y2 + sin(psi) * Y1) * cos(psi)
-    + k1 * (cos(psi) * Y1 - sin(psi) * Y2) * cos(psi) + k2 * (sin(psi) * Y1 + cos(psi) * Y2) * sin(psi)
-)  # fmt: skip
+    + omega * c2 * (cos(psi) * Y1 - sin(psi) * Y2) * sin(psi)
+    - omega * c1 * (cos(psi) * Y2 + sin(psi) * Y1) * cos(psi)
+    + k1 * (cos(psi) * Y1 - sin(psi) * Y2) * cos(psi)
+    + k2 * (sin(psi) * Y1 + cos(psi) * Y2) * sin(psi)
+)
 EQUATION_4_11 = (
     -(omega**2) * (Y1 * M_S + S_A * sin(theta3) + S_B * sin(theta4))
-    + omega * c1 * (sin(psi) * Y1 + cos(psi) * Y2) * sin(psi) + omega * c2 * (cos(psi) * Y1 + sin(psi) * Y2) * cos(psi)
-    + k1 * (cos(psi) * Y2 - sin(psi) * Y1) * cos(psi) + k2 * (sin(psi) * Y2 + cos(psi) * Y1) * sin(psi)
-)  # fmt: skip
+    + omega * c1 * (sin(psi) * Y1 + cos(psi) * Y2) * sin(psi)
+    + omega * c2 * (cos(psi) * Y1 + sin(psi) * Y2) * cos(psi)
+    + k1 * (cos(psi) * Y2 - sin(psi) * Y1) * cos(psi)
+    + k2 * (sin(psi) * Y2 + cos(psi) * Y1) * sin(psi)
+)
 
 
 def balanced_angle_arguments() -> tuple[tuple[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]]:
@@ -171,10 +213,14 @@ INERTIA = sp.Matrix(
 def _pendulum_cells(disk: Sequence[Sequence[sp.Expr]], last: Sequence[sp.Expr], rate: bool) -> sp.Matrix:
     """The cells that chapters 3 and 4 share: pendulum columns and rows of [D + G] (rate) or [K + N]."""
     if rate:
-        right = ((-2 * omega * cos(theta3), -2 * omega * cos(theta4)),
-                 (-2 * omega * sin(theta3), -2 * omega * sin(theta4)))  # fmt: skip
-        below = ((2 * omega * cos(theta3), -2 * omega * sin(theta3)),
-                 (2 * omega * cos(theta4), -2 * omega * sin(theta4)))  # fmt: skip
+        right = (
+            (-2 * omega * cos(theta3), -2 * omega * cos(theta4)),
+            (-2 * omega * sin(theta3), -2 * omega * sin(theta4)),
+        )
+        below = (
+            (2 * omega * cos(theta3), -2 * omega * sin(theta3)),
+            (2 * omega * cos(theta4), -2 * omega * sin(theta4)),
+        )
     else:
         right = (
             (omega**2 * sin(theta3), omega**2 * sin(theta4)),

@@ -39,7 +39,7 @@ from dynamics.derivation.symbols import (
     psi,
     theta3,
     theta4,
-)  # fmt: skip
+)
 
 # The generated file computes the disk's accelerations first; those of the pendulums still hold their zeros then
 NOT_YET_COMPUTED = {ddtheta3: sp.Integer(0), ddtheta4: sp.Integer(0)}
@@ -48,13 +48,21 @@ NOT_YET_COMPUTED = {ddtheta3: sp.Integer(0), ddtheta4: sp.Integer(0)}
 def _suspension() -> tuple[sp.Expr, sp.Expr]:
     s, c = sp.sin(psi), sp.cos(psi)
     first = (
-        (c1 - c2) * s * c * omega * Y1 - (c1 * c**2 + c2 * s**2) * dY1 + (k1 - k2) * s * c * Y2
-        + (c1 - c2) * s * c * dY2 - (k1 * c**2 + k2 * s**2) * Y1 + (c1 * c**2 + c2 * s**2) * omega * Y2
-    )  # fmt: skip
+        (c1 - c2) * s * c * omega * Y1
+        - (c1 * c**2 + c2 * s**2) * dY1
+        + (k1 - k2) * s * c * Y2
+        + (c1 - c2) * s * c * dY2
+        - (k1 * c**2 + k2 * s**2) * Y1
+        + (c1 * c**2 + c2 * s**2) * omega * Y2
+    )
     second = (
-        (k1 - k2) * s * c * Y1 - (c2 * c**2 + c1 * s**2) * omega * Y1 + (c1 - c2) * s * c * dY1
-        - (c1 * s**2 + c2 * c**2) * dY2 - (k2 * c**2 + k1 * s**2) * Y2 + (c2 - c1) * s * c * omega * Y2
-    )  # fmt: skip
+        (k1 - k2) * s * c * Y1
+        - (c2 * c**2 + c1 * s**2) * omega * Y1
+        + (c1 - c2) * s * c * dY1
+        - (c1 * s**2 + c2 * c**2) * dY2
+        - (k2 * c**2 + k1 * s**2) * Y2
+        + (c2 - c1) * s * c * omega * Y2
+    )
     return first, second
 
 
@@ -72,9 +80,16 @@ def residuals() -> sp.Matrix:
         first += S * (alpha * sin + cos * rate**2 + sin * acceleration + 2 * omega * cos * rate + omega**2 * cos)
         second += S * (omega**2 * sin + sin * rate**2 + 2 * omega * sin * rate - cos * acceleration - alpha * cos)
         torque = (
-            2 * omega * dY1 * cos + alpha * Y2 * sin + 2 * omega * dY2 * sin + alpha * Y1 * cos - omega**2 * Y2 * cos
-            + ddY2 * cos + R * alpha - sin * ddY1 + omega**2 * Y1 * sin
-        )  # fmt: skip
+            2 * omega * dY1 * cos
+            + alpha * Y2 * sin
+            + 2 * omega * dY2 * sin
+            + alpha * Y1 * cos
+            - omega**2 * Y2 * cos
+            + ddY2 * cos
+            + R * alpha
+            - sin * ddY1
+            + omega**2 * Y1 * sin
+        )
         rows.append(S * R * acceleration + S * torque + c * rate)
     return sp.Matrix([M_S * ddY1 - first, M_S * ddY2 - second, *rows])
 

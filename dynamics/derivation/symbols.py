@@ -32,9 +32,31 @@ ddx, ddy, ddY1, ddY2, ddtheta3, ddtheta4 = sp.symbols(
 M_S, S_A, S_B, S_P = sp.symbols("M_S S_A S_B S_P", positive=True)
 
 RIG = (
-    M_D, M_P, P_3, M_A, R_A, M_B, R_B, k1, k2, c1, c2, c3, c4, g, R_C, compensated,
-    h_A, h_B, sign_A, sign_B, r_A, r_B, kappa_A, kappa_B,
-)  # fmt: skip
+    M_D,
+    M_P,
+    P_3,
+    M_A,
+    R_A,
+    M_B,
+    R_B,
+    k1,
+    k2,
+    c1,
+    c2,
+    c3,
+    c4,
+    g,
+    R_C,
+    compensated,
+    h_A,
+    h_B,
+    sign_A,
+    sign_B,
+    r_A,
+    r_B,
+    kappa_A,
+    kappa_B,
+)
 PHASE = (psi, omega, alpha)
 
 # What a plain rig does not have: no pivot shift, gravity, dry friction or balls, and constant speed

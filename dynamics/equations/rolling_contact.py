@@ -56,9 +56,13 @@ class Contact:
 
 
 def hertz_contact(
-    force_N: float, ball_radius_m: float, ball: Material, wall: Material, path_radius_m: float = math.inf,
+    force_N: float,
+    ball_radius_m: float,
+    ball: Material,
+    wall: Material,
+    path_radius_m: float = math.inf,
     groove_radius_m: float = math.inf,
-) -> Contact:  # fmt: skip
+) -> Contact:
     """Contact of a ball that is pressed from inside on the wall of a channel.
 
     Args:

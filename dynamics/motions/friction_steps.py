@@ -83,9 +83,21 @@ def _march(y, times, h, knots, coefficients, p, free, out):
             for j in range(3):
                 segment = phase_at(at + 0.5 * j * step, segment, knots, coefficients, phases[j])
             friction_step(
-                y, step, phases[0], phases[1], phases[2], p, free, modes, signed,
-                scratch[0], scratch[1], scratch[2], scratch[3], scratch[4],
-            )  # fmt: skip
+                y,
+                step,
+                phases[0],
+                phases[1],
+                phases[2],
+                p,
+                free,
+                modes,
+                signed,
+                scratch[0],
+                scratch[1],
+                scratch[2],
+                scratch[3],
+                scratch[4],
+            )
         out[i] = y
 
 

@@ -246,9 +246,15 @@ def differentiate_stages(stages, t, h, first, last, system, packed, dy, dz):
                 matrix[8 * s + i, 8 * s + c] -= h * j[i, c]
         for column in range(len(dy)):
             rates(
-                stages[s] + 1j * 1e-30 * dy[column], phase[0], phase[1], phase[2], p + 1j * 1e-30 * packed[column],
-                free_a, free_b, f,
-            )  # fmt: skip
+                stages[s] + 1j * 1e-30 * dy[column],
+                phase[0],
+                phase[1],
+                phase[2],
+                p + 1j * 1e-30 * packed[column],
+                free_a,
+                free_b,
+                f,
+            )
             for i in range(8):
                 right[8 * s + i, column] = h * f[i].imag * 1e30
     solution = np.linalg.solve(matrix, right)

@@ -57,9 +57,13 @@ class StartUpEnds:
 
 
 def start_ups_from_rest(
-    parameters: Sequence[RotorParameters], speed: float, ramp_s: float, start_rad: Array, settle_s: float = 30.0,
+    parameters: Sequence[RotorParameters],
+    speed: float,
+    ramp_s: float,
+    start_rad: Array,
+    settle_s: float = 30.0,
     progress: Callable[[int, int], None] | None = None,
-) -> StartUpEnds:  # fmt: skip
+) -> StartUpEnds:
     """Start-ups from rest to a speed, pendulums or balls free.
 
     Args:

@@ -164,9 +164,23 @@ class _Run:
             store = np.empty((room, 2)), np.empty((room, 8, 8))
             most = min(_STEPS_PER_CALL, self.most_steps - out.tried)
             ended, self.t, self.h, self.done, accepted, tried = march(
-                self.y, self.t, limit, self.h, 1 if self.implicit else None, self.tolerance, problem.weights, system,
-                s.jumps, problem.longest_step_s, watch, problem.times, self.done, out.states, store, most,
-            )  # fmt: skip
+                self.y,
+                self.t,
+                limit,
+                self.h,
+                1 if self.implicit else None,
+                self.tolerance,
+                problem.weights,
+                system,
+                s.jumps,
+                problem.longest_step_s,
+                watch,
+                problem.times,
+                self.done,
+                out.states,
+                store,
+                most,
+            )
             if self.keep and accepted:
                 self.kept.append((store[0][:accepted], store[1][:accepted]))
             out.steps += accepted

@@ -199,10 +199,12 @@ class _Seen:
 def _joined(first: _Seen, second: _Seen) -> _Seen:
     """Points of one after those of the other."""
     return _Seen(
-        np.append(first.off, second.off), np.append(first.points, second.points),
-        np.append(first.tangents, second.tangents), np.append(first.roots, second.roots),
+        np.append(first.off, second.off),
+        np.append(first.points, second.points),
+        np.append(first.tangents, second.tangents),
+        np.append(first.roots, second.roots),
         np.append(first.turning, second.turning),
-    )  # fmt: skip
+    )
 
 
 def _looked_at(at: Complex, slopes: Slopes) -> _Seen:
@@ -232,9 +234,11 @@ def _with_more(curve: BorderCurve, waiting: Flags, piece: NDArray[np.intp], more
     points, tangents, roots_there = (
         np.insert(old, where, new)
         for old, new in (
-            (curve.points, more.points), (curve.tangents, more.tangents), (curve.roots, more.roots),
+            (curve.points, more.points),
+            (curve.tangents, more.tangents),
+            (curve.roots, more.roots),
         )
-    )  # fmt: skip
+    )
     curve = BorderCurve(points, tangents, roots_there, np.insert(curve.turning, where, more.turning), curve.off)
     return curve, np.insert(waiting, where, waiting[piece]) & (np.abs(np.diff(points)) > CORNER)
 
@@ -254,9 +258,11 @@ def _moved(curve: BorderCurve, piece: NDArray[np.intp], near: Complex, slopes: S
         at[going], off[going] = at[going] - step, np.abs(step)
     share = (at - start) / chord
     lost = np.flatnonzero(
-        ~(off <= WANTED / 10) | (np.abs(share.real - 0.5) > 0.3) | (np.abs(share.imag) > 0.3)
+        ~(off <= WANTED / 10)
+        | (np.abs(share.real - 0.5) > 0.3)
+        | (np.abs(share.imag) > 0.3)
         | (_lean(chord, _looked_at(at, slopes).tangents) < _LEAN)
-    )  # fmt: skip
+    )
     for wide in _WIDE:
         lost = lost[~_between_both_sides(at, lost, start[lost], chord[lost], wide, slopes)]
     at[lost] = np.nan

@@ -88,9 +88,13 @@ def turn_derivatives(
     segments = PhaseSegments.of(SpeedHistory.constant(speed_rad_s))
     # one endless segment: the phase is linear everywhere
     system = (
-        parameters.packed(), float(parameters.a.present), float(parameters.b.present),
-        np.array([-np.inf, np.inf]), segments.origins, segments.cubics,
-    )  # fmt: skip
+        parameters.packed(),
+        float(parameters.a.present),
+        float(parameters.b.present),
+        np.array([-np.inf, np.inf]),
+        segments.origins,
+        segments.cubics,
+    )
     out = np.empty((len(states), 8, 8))
     _derivatives(np.ascontiguousarray(states), math.ceil(rate * period), period, system, out)
     return out

@@ -135,9 +135,12 @@ def steady_branches(
     if tell is not None:
         tell(1.0)
     return SteadyBranches(
-        every, tuple(_joined(every, found)), tuple(breaks),
-        np.array([_locked_radius(*at(value)) for value in every.tolist()]), tuple(look.unresolved),
-    )  # fmt: skip
+        every,
+        tuple(_joined(every, found)),
+        tuple(breaks),
+        np.array([_locked_radius(*at(value)) for value in every.tolist()]),
+        tuple(look.unresolved),
+    )
 
 
 def _beside(asked: Array, breaks: Sequence[BreakPoint]) -> list[float]:

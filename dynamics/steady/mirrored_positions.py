@@ -95,9 +95,12 @@ def _followed(p: RotorParameters, speed: float, theta: NDArray[np.float64], whol
     z = 0j
     for share in np.linspace(0, 1, _STEPS + 1)[1:].tolist():
         part = replace(
-            whole, pivot_a_m=share * whole.pivot_a_m, pivot_b_m=share * whole.pivot_b_m,
-            torque_a_Nm=share * whole.torque_a_Nm, torque_b_Nm=share * whole.torque_b_Nm,
-        )  # fmt: skip
+            whole,
+            pivot_a_m=share * whole.pivot_a_m,
+            pivot_b_m=share * whole.pivot_b_m,
+            torque_a_Nm=share * whole.torque_a_Nm,
+            torque_b_Nm=share * whole.torque_b_Nm,
+        )
         theta, z = _newton(p, speed, theta, part)
     a, b = (float(angle) % (2 * math.pi) for angle in theta)
     return BalancedPosition((a, b), z)

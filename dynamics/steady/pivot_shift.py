@@ -50,9 +50,12 @@ class ShiftedPivot:
 
 
 def shifted_pivot(
-    rig: RotorParameters | object, speed_rad_s: float, relative_shift: ArrayLike, eccentricity_m: float | None = None,
+    rig: RotorParameters | object,
+    speed_rad_s: float,
+    relative_shift: ArrayLike,
+    eccentricity_m: float | None = None,
     tell: Callable[[float], None] | None = None,
-) -> ShiftedPivot:  # fmt: skip
+) -> ShiftedPivot:
     """Released over locked amplitude and pendulum angles over the pivot's shift.
 
     Args:
@@ -79,9 +82,14 @@ def shifted_pivot(
     apart = np.abs(np.angle(np.exp(1j * (theta[:, 0] - theta[:, 1]))))
     ends = [one.value for one in found.break_points if "III" in one.after]
     return ShiftedPivot(
-        e, found, (values, amplitude / locked), theta, apart, _most_apart(p, speed_rad_s, e, values, apart),
+        e,
+        found,
+        (values, amplitude / locked),
+        theta,
+        apart,
+        _most_apart(p, speed_rad_s, e, values, apart),
         ends[-1] if ends else math.nan,
-    )  # fmt: skip
+    )
 
 
 def _stable(found: SteadyBranches) -> tuple[Array, Array, Array]:

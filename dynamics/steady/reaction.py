@@ -103,9 +103,15 @@ def reaction(
         took = float((outside[-1] + 1) * turn) if len(outside) else 0.0
     middles: Array = (np.arange(turns, dtype=np.float64) + 0.5) * turn
     return Reaction(
-        stable[0], after, middles, amplitude, theta, float(np.max(amplitude)), took,
+        stable[0],
+        after,
+        middles,
+        amplitude,
+        theta,
+        float(np.max(amplitude)),
+        took,
         constants[reached[0]] if reached else math.nan,
-    )  # fmt: skip
+    )
 
 
 def _time_constant(state: SteadyState, speed_rad_s: float) -> float:

@@ -139,9 +139,13 @@ def _curve(
 
 
 def _shrinkage(
-    parameters: RotorParameters, speed: float, states: NDArray[np.float64], scale: NDArray[np.float64],
-    kept: list[int], along: NDArray[np.float64],
-) -> tuple[float, int] | None:  # fmt: skip
+    parameters: RotorParameters,
+    speed: float,
+    states: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    kept: list[int],
+    along: NDArray[np.float64],
+) -> tuple[float, int] | None:
     """What deviations across the curve are multiplied with, and over how many revolutions.
 
     Returns:

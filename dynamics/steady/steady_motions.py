@@ -116,9 +116,14 @@ class _Search:
 
 
 def _search_orbits(
-    search: _Search, p: RotorParameters, speed: float, points: list[SingularPoint], accuracy: float,
-    released: tuple[bool, bool], model: Model,
-) -> None:  # fmt: skip
+    search: _Search,
+    p: RotorParameters,
+    speed: float,
+    points: list[SingularPoint],
+    accuracy: float,
+    released: tuple[bool, bool],
+    model: Model,
+) -> None:
     """Orbits near the singular points of the mean torque, and from further angles."""
     further = []
     if all(released) and p.a.present and p.b.present:
@@ -243,9 +248,14 @@ def _from_point(
 
 
 def _from_orbit(
-    p: RotorParameters, speed: float, kind: str, orbit: Orbit, accuracy: float, released: tuple[bool, bool],
+    p: RotorParameters,
+    speed: float,
+    kind: str,
+    orbit: Orbit,
+    accuracy: float,
+    released: tuple[bool, bool],
     model: Model,
-) -> SteadyState:  # fmt: skip
+) -> SteadyState:
     most = (_MOST_HARMONICS, _MOST_HARMONICS // 2) if _is_kinked(p) else (None, None)
     fine, coarse = (
         floquet_multipliers(along(p, states, speed, released, m), 0.5 * accuracy)
@@ -268,9 +278,15 @@ def _is_kinked(p: RotorParameters) -> bool:
 
 
 def _described(
-    p: RotorParameters, speed: float, kind: str, states: NDArray[np.floating], judged: Multipliers,
-    errors: tuple[float, float], model: Model, moved: float = 0.0,
-) -> SteadyState:  # fmt: skip
+    p: RotorParameters,
+    speed: float,
+    kind: str,
+    states: NDArray[np.floating],
+    judged: Multipliers,
+    errors: tuple[float, float],
+    model: Model,
+    moved: float = 0.0,
+) -> SteadyState:
     turn = np.exp(-2j * np.pi * np.arange(len(states)) / len(states))
     theta = np.mean(states[:, 2:4], axis=0) % (2 * np.pi)
     return SteadyState(

@@ -55,17 +55,41 @@ class Size:
 
 
 FULL = Size(
-    (1e-4, 1e-3, 0.01, 0.05, 0.2), (1e-3, 0.01), ((3.0, 5.0), (3.0, 3.01)), (1e-3, 0.01, 0.05), (1e-4, 1e-3, 1e-2),
-    runs=100, damaged_runs=60, pair_runs=40, run_up_runs=40, release_runs=20, release_truths=3, most_s=8.0,
-)  # fmt: skip
+    (1e-4, 1e-3, 0.01, 0.05, 0.2),
+    (1e-3, 0.01),
+    ((3.0, 5.0), (3.0, 3.01)),
+    (1e-3, 0.01, 0.05),
+    (1e-4, 1e-3, 1e-2),
+    runs=100,
+    damaged_runs=60,
+    pair_runs=40,
+    run_up_runs=40,
+    release_runs=20,
+    release_truths=3,
+    most_s=8.0,
+)
 QUICK = Size(
-    (1e-3, 0.05), (0.01,), ((3.0, 5.0),), (0.01,), (1e-3, 1e-2),
-    runs=15, damaged_runs=15, pair_runs=6, run_up_runs=6, release_runs=3, release_truths=1, most_s=1.5,
-)  # fmt: skip
+    (1e-3, 0.05),
+    (0.01,),
+    ((3.0, 5.0),),
+    (0.01,),
+    (1e-3, 1e-2),
+    runs=15,
+    damaged_runs=15,
+    pair_runs=6,
+    run_up_runs=6,
+    release_runs=3,
+    release_truths=1,
+    most_s=1.5,
+)
 _LEAST_RUNS = {  # for a figure to be held against a target
-    "ring-down": FULL.damaged_runs, "two axes": FULL.pair_runs, "run-up": FULL.run_up_runs, "spin-down": FULL.runs,
-    "release": FULL.release_runs, "tracking": FULL.release_runs,
-}  # fmt: skip
+    "ring-down": FULL.damaged_runs,
+    "two axes": FULL.pair_runs,
+    "run-up": FULL.run_up_runs,
+    "spin-down": FULL.runs,
+    "release": FULL.release_runs,
+    "tracking": FULL.release_runs,
+}
 
 
 def stages(physics: RotorParameters, size: Size) -> dict[str, Callable[[], list[Precision]]]:
@@ -132,12 +156,15 @@ def _clipped(rng: np.random.Generator, zeta: float) -> Trial:
 def _pairs(size: Size) -> list[Case]:
     return [
         Case(
-            "two axes", f"{pair[0]:g} and {pair[1]:g} Hz, ζ 0.01, turned by 5°, 20 s",
+            "two axes",
+            f"{pair[0]:g} and {pair[1]:g} Hz, ζ 0.01, turned by 5°, 20 s",
             partial(two_axes, frequencies_Hz=pair, zeta=0.01, axis_angle_deg=5.0, record_s=20.0),
-            _TWO, _GROSS, _ring_down_methods(),
+            _TWO,
+            _GROSS,
+            _ring_down_methods(),
         )
         for pair in size.pairs
-    ]  # fmt: skip
+    ]
 
 
 def _run_ups(size: Size) -> list[Case]:
@@ -148,12 +175,15 @@ def _run_ups(size: Size) -> list[Case]:
     ]
     return [
         Case(
-            "run-up", f"ζ {z:g}, 3 and 5 Hz, 0.5 to 7 Hz in 60 s",
+            "run-up",
+            f"ζ {z:g}, 3 and 5 Hz, 0.5 to 7 Hz in 60 s",
             partial(passage, zeta=z, record_s=60.0, frequencies_Hz=(3.0, 5.0), axis_angle_deg=5.0),
-            _TWO, _RUN_UP_GROSS, methods,
+            _TWO,
+            _RUN_UP_GROSS,
+            methods,
         )
         for z in size.run_up_zetas
-    ]  # fmt: skip
+    ]
 
 
 def _spin_downs(size: Size) -> list[Case]:
@@ -164,11 +194,15 @@ def _spin_downs(size: Size) -> list[Case]:
     ]
     return [
         Case(
-            "spin-down", f"c {c:g} N m s/rad", partial(spins.spin_down, damping_Nms_per_rad=c), _DAMPING,
-            {"c": 0.5}, methods,
+            "spin-down",
+            f"c {c:g} N m s/rad",
+            partial(spins.spin_down, damping_Nms_per_rad=c),
+            _DAMPING,
+            {"c": 0.5},
+            methods,
         )
         for c in size.dampings
-    ]  # fmt: skip
+    ]
 
 
 def _release(physics: RotorParameters, size: Size) -> Case:

@@ -48,9 +48,14 @@ def passage(
     first, second = frequencies_Hz
     amplitude = _ECCENTRICITY_M * np.exp(2j * np.pi * rng.uniform())
     theta = np.r_[
-        first, zeta, second, zeta, np.radians(axis_angle_deg), 2 * [amplitude.real, amplitude.imag],
+        first,
+        zeta,
+        second,
+        zeta,
+        np.radians(axis_angle_deg),
+        2 * [amplitude.real, amplitude.imag],
         1e-3 * rng.uniform(-1, 1, 2),
-    ]  # fmt: skip
+    ]
     step = np.r_[1e-6, 1e-3 * zeta, 1e-6, 1e-3 * zeta, 1e-5, np.full(6, 1e-7)]
 
     def mean(at: np.ndarray) -> np.ndarray:

@@ -112,9 +112,14 @@ def _drawn(physics: RotorParameters, number: int, record_s: float) -> _Drawn:
 
 
 def _motion(
-    physics: RotorParameters, damping: np.ndarray, suspension: np.ndarray, start_rad: np.ndarray, phase_rad: float,
-    delay_s: float, time: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+    physics: RotorParameters,
+    damping: np.ndarray,
+    suspension: np.ndarray,
+    start_rad: np.ndarray,
+    phase_rad: float,
+    delay_s: float,
+    time: np.ndarray,
+) -> np.ndarray:
     """x, y, θ3, θ4 and their rates after a release at delay_s with the phase given at t = 0; shape (n, 8)."""
     numbers = equation_numbers(physics, damping, suspension, phase_rad)
     w, mass, moment, k, loss, s = numbers[1], numbers[2], numbers[3], numbers[4:6], numbers[6:8], numbers[8:10]
@@ -185,7 +190,18 @@ def _recorded(rng: np.random.Generator, drawn: _Drawn) -> Run:
     disk = drawn.disk_m + LASER_NOISE_M * rng.normal(size=drawn.disk_m.shape)
     stamp = LOCKED_S + _TIME_STD_S * rng.normal()
     return Run(
-        "point-8-Hz", "made up", 0.0, at, disk[:, 0], at, disk[:, 1], time[keep], counts[keep] * step,
-        (turns - phase_at_zero) / SPEED_RAD_S, turns, (Release(0, stamp, _TIME_STD_S), Release(1, stamp, _TIME_STD_S)),
-        step, dict.fromkeys(("x", "y", "angles", "phase"), 0.0),
-    )  # fmt: skip
+        "point-8-Hz",
+        "made up",
+        0.0,
+        at,
+        disk[:, 0],
+        at,
+        disk[:, 1],
+        time[keep],
+        counts[keep] * step,
+        (turns - phase_at_zero) / SPEED_RAD_S,
+        turns,
+        (Release(0, stamp, _TIME_STD_S), Release(1, stamp, _TIME_STD_S)),
+        step,
+        dict.fromkeys(("x", "y", "angles", "phase"), 0.0),
+    )

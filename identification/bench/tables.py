@@ -30,9 +30,15 @@ def page(
 ) -> Page:
     """A whole run."""
     return Page(
-        "Work and precision of the identification", machine, [*notes, *failures(rows)], targets, LEGEND, HEADER,
-        blocks(rows), recommended_settings(rows),
-    )  # fmt: skip
+        "Work and precision of the identification",
+        machine,
+        [*notes, *failures(rows)],
+        targets,
+        LEGEND,
+        HEADER,
+        blocks(rows),
+        recommended_settings(rows),
+    )
 
 
 def blocks(rows: Sequence[Precision]) -> list[tuple[str, list[tuple[str, ...]]]]:
@@ -66,10 +72,15 @@ def failures(rows: Sequence[Precision]) -> list[str]:
 def _cells(row: Precision) -> tuple[str, ...]:
     covered = [None if c is None else f"{100 * c:.3g}" for c in row.coverage.values()]
     return (
-        row.method, row.setting, duration(row.seconds), _joined(row.rms), _joined(row.bias),
-        " · ".join(c for c in covered if c is not None), f"{row.gross}/{row.runs}",
+        row.method,
+        row.setting,
+        duration(row.seconds),
+        _joined(row.rms),
+        _joined(row.bias),
+        " · ".join(c for c in covered if c is not None),
+        f"{row.gross}/{row.runs}",
         *standing(peer=row.peer, front=row.front, front_of_all=row.front_of_all, peer_ratio=row.peer_ratio),
-    )  # fmt: skip
+    )
 
 
 def _joined(figures: Mapping[str, float]) -> str:

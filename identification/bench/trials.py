@@ -205,7 +205,17 @@ def _row(case: Case, method: Method, outcomes: Sequence[_Outcome]) -> Precision:
         coverage[group] = float(np.mean(held)) if held else None
     reasons = [o.failure for o in outcomes if o.failure]
     return Precision(
-        case.service, case.name, method.name, method.setting, method.peer,
-        float(np.median([o.seconds / o.units for o in outcomes])), len(outcomes), len(reasons), rms, bias, coverage,
-        max(reasons, key=reasons.count) if reasons else "", case.unit,
-    )  # fmt: skip
+        case.service,
+        case.name,
+        method.name,
+        method.setting,
+        method.peer,
+        float(np.median([o.seconds / o.units for o in outcomes])),
+        len(outcomes),
+        len(reasons),
+        rms,
+        bias,
+        coverage,
+        max(reasons, key=reasons.count) if reasons else "",
+        case.unit,
+    )

@@ -59,9 +59,7 @@ def verdict(estimates: Sequence[Estimate]) -> Verdict:
     if looks == 0:
         return Verdict(1.0, (), (), (), 0)
     # a test is as suspect as its most telling look
-    worst = np.array([
-        min([tests[i][0], *single[owner == i].tolist()]) for i in range(len(estimates))
-    ])  # fmt: skip
+    worst = np.array([min([tests[i][0], *single[owner == i].tolist()]) for i in range(len(estimates))])
     order = np.argsort(worst)
     p = min(1.0, looks * float(np.exp(max(worst[order[0]], -700.0))))
     if p >= ALARM:

@@ -157,10 +157,14 @@ def reduced(estimate: Estimate, names: Sequence[str]) -> Estimate:
     at = [estimate.names.index(n) for n in names]
     shared = {label: v[at] for label, v in estimate.shared.items()}
     return replace(
-        estimate, names=tuple(names), values=estimate.values[at], covariance=estimate.covariance[np.ix_(at, at)],
-        shared=shared, by_number={number: v[at] for number, v in estimate.by_number.items()},
+        estimate,
+        names=tuple(names),
+        values=estimate.values[at],
+        covariance=estimate.covariance[np.ix_(at, at)],
+        shared=shared,
+        by_number={number: v[at] for number, v in estimate.by_number.items()},
         with_terms={name: v[at] for name, v in estimate.with_terms.items()},
-    )  # fmt: skip
+    )
 
 
 def _widen(

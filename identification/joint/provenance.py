@@ -129,15 +129,20 @@ def _kept(entry: Mapping[str, Any], number: int) -> KeptTest:
         recorded = entry.get("recorded")
         return KeptTest(
             Estimate(
-                str(entry["test"]), str(entry["log"]), names, np.array([float(entry["values"][n]) for n in names]),
-                covariance, shared, str(entry.get("method", "")),
+                str(entry["test"]),
+                str(entry["log"]),
+                names,
+                np.array([float(entry["values"][n]) for n in names]),
+                covariance,
+                shared,
+                str(entry.get("method", "")),
             ),
             str(entry.get("digest", "")),
             None if recorded is None else datetime.fromisoformat(str(recorded)),
             {str(k): str(v) for k, v in entry.get("devices", {}).items()},
             float(entry.get("model_share", 0.0)),
             str(entry.get("left_out", "")),
-        )  # fmt: skip
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as fault:
         raise ParametersFileError(
             f"provenance.tests[{number}]: expected test, log, values, covariance and shared errors by name; "

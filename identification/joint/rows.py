@@ -64,11 +64,20 @@ def rows_of(name: str, estimates: Sequence[Estimate], left_out: Collection[int] 
         apart = float(np.sqrt(contrast @ matrix @ contrast))
         out.append(
             ConsistencyRow(
-                name, estimates[i].test, estimates[i].source, float(values[k]), float(np.sqrt(matrix[k, k])), others,
-                float(np.sqrt(pull @ matrix[np.ix_(rest, rest)] @ pull)), float((values[k] - others) / apart),
-                chi2, dof, p, i in left_out,
+                name,
+                estimates[i].test,
+                estimates[i].source,
+                float(values[k]),
+                float(np.sqrt(matrix[k, k])),
+                others,
+                float(np.sqrt(pull @ matrix[np.ix_(rest, rest)] @ pull)),
+                float((values[k] - others) / apart),
+                chi2,
+                dof,
+                p,
+                i in left_out,
             )
-        )  # fmt: skip
+        )
     return out
 
 

@@ -23,8 +23,12 @@ from rig_configs.known import KnownSource
 
 _ROUNDS = 3  # of leaving out tests that stand apart and taking the friction without them
 _CERTAIN, _BELOW = 4.0, 6.0  # standard deviations from which friction is told of, and that it is less than none
-_NAMES = (("a torque of A", "N m"), ("a torque of B", "N m"), ("contact friction of A", "kg m²"),
-          ("contact friction of B", "kg m²"))  # fmt: skip
+_NAMES = (
+    ("a torque of A", "N m"),
+    ("a torque of B", "N m"),
+    ("contact friction of A", "kg m²"),
+    ("contact friction of B", "kg m²"),
+)
 
 
 def with_shared_friction(
@@ -69,8 +73,11 @@ def told(shared: Together) -> list[str]:
         for (name, unit), v, s, z in zip(_NAMES, shared.friction, std, sure, strict=True)
         if z > _CERTAIN
     ]
-    below = [f"{name} {v:.3g} ± {1.96 * s:.2g} {unit}" for (name, unit), v, s, z in
-             zip(_NAMES, shared.friction, std, sure, strict=True) if z < -_BELOW]  # fmt: skip
+    below = [
+        f"{name} {v:.3g} ± {1.96 * s:.2g} {unit}"
+        for (name, unit), v, s, z in zip(_NAMES, shared.friction, std, sure, strict=True)
+        if z < -_BELOW
+    ]
     out = [f"dry friction beside the viscous damping, by all pendulum tests together: {', '.join(parts)} (95 %)"]
     less = [
         f"{', '.join(below)} (95 %) by all pendulum tests together: less than none, so the model is at fault "

@@ -23,8 +23,10 @@ def plausible_answers(minima: Iterable[Minimum]) -> list[Minimum]:
     """
     found: list[Minimum] = []
     for minimum in minima:
-        shift = [(minimum.theta[:2] - m.theta[:2]) @ np.linalg.inv(m.covariance[:2, :2]) @
-                 (minimum.theta[:2] - m.theta[:2]) for m in found]  # fmt: skip
+        shift = [
+            (minimum.theta[:2] - m.theta[:2]) @ np.linalg.inv(m.covariance[:2, :2]) @ (minimum.theta[:2] - m.theta[:2])
+            for m in found
+        ]
         if min(shift, default=np.inf) > _ALIKE:
             found.append(minimum)
         else:
@@ -52,7 +54,9 @@ def covering(fit: TransientFit, answers: Sequence[Minimum], where: str, advice: 
     others = ", ".join(f"c3 {x:.3e} with c4 {y:.3e}" for x, y in (np.exp(m.theta[:2]) for m in answers[1:]))
     warning = f"nearly as well the readings are explained, {where}, by {others}; the intervals reach so far. {advice}"
     return replace(
-        fit, covariance=covariance * np.outer(c, c), intervals=log_intervals(c, covariance),
+        fit,
+        covariance=covariance * np.outer(c, c),
+        intervals=log_intervals(c, covariance),
         warnings=[*fit.warnings, warning],
         open_friction=None if fit.open_friction is None else fit.open_friction.widened(more),
-    )  # fmt: skip
+    )

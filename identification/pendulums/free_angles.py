@@ -72,9 +72,15 @@ def log_suspension(physics: RotorParameters) -> np.ndarray:
 
 
 def swing(
-    physics: RotorParameters, history: SpeedHistory, start: np.ndarray, start_s: float, first_s: float, last_s: float,
-    dry: np.ndarray | None = None, slopes: bool = True,
-) -> FreeMotion | None:  # fmt: skip
+    physics: RotorParameters,
+    history: SpeedHistory,
+    start: np.ndarray,
+    start_s: float,
+    first_s: float,
+    last_s: float,
+    dry: np.ndarray | None = None,
+    slopes: bool = True,
+) -> FreeMotion | None:
     """Both pendulums free from a state (8,) at start_s; output from first_s (not before it) to past last_s.
 
     Args:
@@ -122,9 +128,12 @@ def _chain(physics: RotorParameters) -> np.ndarray:
 
 
 def both_angles(
-    motion: FreeMotion, blocks: tuple[Averages, Averages], start_by: np.ndarray, log_by: np.ndarray,
+    motion: FreeMotion,
+    blocks: tuple[Averages, Averages],
+    start_by: np.ndarray,
+    log_by: np.ndarray,
     dry_by: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Both encoders' block means (n,) and derivatives (n, p) by a fit's own parameters, 0 of a motion without any.
 
     Args:

@@ -82,9 +82,7 @@ def _linearised(y, phase, p, mode, own, whole, g, d):
     """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters, friction) into d (4, 19), from what `_rates` left; g (2, 19) is scratch."""
     alpha = phase[2]
     g[:] = 0.0
-    g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (
-        -p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12]
-    )  # fmt: skip
+    g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (-p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12])
     g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -whole[7], -whole[8]
     g[0, 14], g[1, 14] = whole[3], whole[4]
     for i in range(2):
@@ -280,9 +278,27 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
             switching = ends >= 0 or loose >= 0
             if waiting > 0.0 and (switching or abs(waiting - h) > 1e-6 * h):  # the step before, by itself
                 segment = _half(
-                    last_y, last_f, y, k[0], t - waiting, waiting, segment, knots, coefficients, p, torque, mode,
-                    wy, at, f, own, whole, g, d, slopes,
-                )  # fmt: skip
+                    last_y,
+                    last_f,
+                    y,
+                    k[0],
+                    t - waiting,
+                    waiting,
+                    segment,
+                    knots,
+                    coefficients,
+                    p,
+                    torque,
+                    mode,
+                    wy,
+                    at,
+                    f,
+                    own,
+                    whole,
+                    g,
+                    d,
+                    slopes,
+                )
                 if slopes:
                     follow(u, v, 0.5 * waiting, d, bent, rates, moved)
                 d[0], waiting = d[2], 0.0
@@ -294,9 +310,27 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
             if switching:
                 before[:] = f
                 segment = _half(
-                    y, k[0], out, before, t - share * h, share * h, segment, knots, coefficients, p, torque, mode,
-                    wy, at, f, own, whole, g, d, slopes,
-                )  # fmt: skip
+                    y,
+                    k[0],
+                    out,
+                    before,
+                    t - share * h,
+                    share * h,
+                    segment,
+                    knots,
+                    coefficients,
+                    p,
+                    torque,
+                    mode,
+                    wy,
+                    at,
+                    f,
+                    own,
+                    whole,
+                    g,
+                    d,
+                    slopes,
+                )
                 if slopes:
                     follow(u, v, 0.5 * share * h, d, bent, rates, moved)
                 segment = phase_at(t, segment, knots, coefficients, at)
@@ -343,9 +377,27 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                     if held[i] > 0.0:
                         if waiting > 0.0:  # the derivatives come up to here in the old mode first
                             segment = _half(
-                                last_y, last_f, y, k[0], t - waiting, waiting, segment, knots, coefficients, p, torque,
-                                mode, wy, phase[1], f, own, whole, g, d, slopes,
-                            )  # fmt: skip
+                                last_y,
+                                last_f,
+                                y,
+                                k[0],
+                                t - waiting,
+                                waiting,
+                                segment,
+                                knots,
+                                coefficients,
+                                p,
+                                torque,
+                                mode,
+                                wy,
+                                phase[1],
+                                f,
+                                own,
+                                whole,
+                                g,
+                                d,
+                                slopes,
+                            )
                             if slopes:
                                 follow(u, v, 0.5 * waiting, d, bent, rates, moved)
                             waiting = 0.0
@@ -356,9 +408,27 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                 _linearised(y, at, p, mode, own, whole, g, d[0])
         if waiting > 0.0:
             segment = _half(
-                last_y, last_f, y, k[0], t - waiting, waiting, segment, knots, coefficients, p, torque, mode,
-                wy, at, f, own, whole, g, d, slopes,
-            )  # fmt: skip
+                last_y,
+                last_f,
+                y,
+                k[0],
+                t - waiting,
+                waiting,
+                segment,
+                knots,
+                coefficients,
+                p,
+                torque,
+                mode,
+                wy,
+                at,
+                f,
+                own,
+                whole,
+                g,
+                d,
+                slopes,
+            )
             if slopes:
                 follow(u, v, 0.5 * waiting, d, bent, rates, moved)
             segment = phase_at(t, segment, knots, coefficients, at)

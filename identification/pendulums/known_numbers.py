@@ -29,9 +29,13 @@ _LEAST_OWN = 1e-6  # least eigenvalue of what is left, in units of the variances
 
 
 def by_physical_numbers(
-    problem: TransientProblem, minimum: Minimum, end_s: float, knowledge: Knowledge,
-    made: Callable[[Knowledge], TransientProblem], wanted: Sequence[int],
-) -> dict[str, Array]:  # fmt: skip
+    problem: TransientProblem,
+    minimum: Minimum,
+    end_s: float,
+    knowledge: Knowledge,
+    made: Callable[[Knowledge], TransientProblem],
+    wanted: Sequence[int],
+) -> dict[str, Array]:
     """Derivatives of some of θ by each physical number.
 
     Args:

@@ -95,9 +95,11 @@ class LockedStart:
             stiffer = [1 + 0.75 * h * a**2 for h, a in zip(p.hardening_per_m2, stretch, strict=True)]
             damped = [1 + 8 / (3 * np.pi) * q * v for q, v in zip(p.damping_growth_s_per_m, going, strict=True)]
             found = linear.with_values(
-                k1_N_per_m=p.k1_N_per_m * stiffer[0], k2_N_per_m=p.k2_N_per_m * stiffer[1],
-                zeta1=p.zeta1 * damped[0] / stiffer[0] ** 0.5, zeta2=p.zeta2 * damped[1] / stiffer[1] ** 0.5,
-            )  # fmt: skip
+                k1_N_per_m=p.k1_N_per_m * stiffer[0],
+                k2_N_per_m=p.k2_N_per_m * stiffer[1],
+                zeta1=p.zeta1 * damped[0] / stiffer[0] ** 0.5,
+                zeta2=p.zeta2 * damped[1] / stiffer[1] ** 0.5,
+            )
         return found
 
     def _of_bow(

@@ -269,9 +269,10 @@ def pooled(tests: Sequence[OpenFriction], sources: Sequence[KnownSource] = ()) -
 
     own = sum((pull @ t.covariance @ pull.T for pull, t in zip(pulls, tests, strict=True)), np.zeros((6, 6)))
     return OpenFriction(
-        joint([t.values for t in tests]), own * np.outer(_UNIT, _UNIT),
+        joint([t.values for t in tests]),
+        own * np.outer(_UNIT, _UNIT),
         {name: joint([t.slope(name) for t in tests]) for name in dict.fromkeys(n for t in tests for n in t.by_number)},
-    )  # fmt: skip
+    )
 
 
 def together(

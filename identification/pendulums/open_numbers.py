@@ -30,9 +30,12 @@ _STEP = 0.1  # of a number's standard uncertainty, for its column
 
 
 def with_open_numbers(
-    problem: TransientProblem, knowledge: Knowledge, std: Mapping[str, float], suspension: slice,
+    problem: TransientProblem,
+    knowledge: Knowledge,
+    std: Mapping[str, float],
+    suspension: slice,
     made: Callable[[Knowledge], TransientProblem],
-) -> TransientProblem:  # fmt: skip
+) -> TransientProblem:
     """The problem with the numbers' errors as last unknowns.
 
     Args:

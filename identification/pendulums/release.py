@@ -57,9 +57,15 @@ class ReleaseLeftOut(FitFailed):
 
 @on_one_thread
 def fit_release(
-    run: Run, knowledge: Knowledge, zero_std_rad: float, *, setting: Setting = "balanced", tell: Tell | None = None,
-    effort: Effort | None = None, without: Collection[str] = (),
-) -> TransientFit:  # fmt: skip
+    run: Run,
+    knowledge: Knowledge,
+    zero_std_rad: float,
+    *,
+    setting: Setting = "balanced",
+    tell: Tell | None = None,
+    effort: Effort | None = None,
+    without: Collection[str] = (),
+) -> TransientFit:
     """Both pendulums' damping from the transient after a release at constant speed.
 
     Args:

@@ -127,9 +127,19 @@ class Release:
         angle_std = max(max(r.step_rad for r in self.readings) / np.sqrt(12), 1e-5)
         damping_std = _DAMPING_STD if shape is None else _DAMPING_BESIDE_STD
         std = np.r_[
-            damping_std, damping_std, angle_std, angle_std, self._zero_std, self._zero_std, self.release_std_s,
-            _DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega, _DISK_STD_M * omega, self.knowledge.log_std,
-        ]  # fmt: skip
+            damping_std,
+            damping_std,
+            angle_std,
+            angle_std,
+            self._zero_std,
+            self._zero_std,
+            self.release_std_s,
+            _DISK_STD_M,
+            _DISK_STD_M,
+            _DISK_STD_M * omega,
+            _DISK_STD_M * omega,
+            self.knowledge.log_std,
+        ]
         dry, modes, turn = _unknowns(shape), len(self.speed.modes), not self.run.phase_absolute
         prior = np.r_[start, np.zeros(dry + modes + int(turn))]
         std = np.r_[std, np.full(dry, np.inf), np.ones(modes), np.full(int(turn), TURN_STD_RAD)]

@@ -205,9 +205,14 @@ def _reported(inertia: float | None, friction: bool) -> tuple[list[str], Callabl
 
 
 def _result(
-    chosen: FittedRunDown, friction: bool, p: float, inertia: float | None, start_s: float, draws: np.ndarray | None,
+    chosen: FittedRunDown,
+    friction: bool,
+    p: float,
+    inertia: float | None,
+    start_s: float,
+    draws: np.ndarray | None,
     both: tuple[FittedRunDown, FittedRunDown],
-) -> SpinDownFit:  # fmt: skip
+) -> SpinDownFit:
     names, of = _reported(inertia, friction)
     if draws is not None:
         sample = of(draws)
@@ -230,11 +235,18 @@ def _result(
     end_s = start_s + float(data.time_s[-1])
     model = "viscous damping and dry friction" if friction else "viscous damping"
     return SpinDownFit(
-        dict(zip(names, values.tolist(), strict=True)), covariance,
+        dict(zip(names, values.tolist(), strict=True)),
+        covariance,
         dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True)),
-        p, model, _model_table(*both, p, friction), _warnings(chosen, both[1], friction, p), curve, start_s, end_s,
+        p,
+        model,
+        _model_table(*both, p, friction),
+        _warnings(chosen, both[1], friction, p),
+        curve,
+        start_s,
+        end_s,
         chosen.chi2_per_dof,
-    )  # fmt: skip
+    )
 
 
 def _cut_short(whole: RunDown, chosen: FittedRunDown, record_end_s: float) -> list[str]:

@@ -78,9 +78,14 @@ def fit_spin_down_run(
 
 
 def _fit_from(
-    run: Run, whole: list[Readings], declines: list[Decline], span: tuple[float, float], knowledge: Knowledge,
-    setting: Setting, held: frozenset[Rung],
-) -> TransientFit:  # fmt: skip
+    run: Run,
+    whole: list[Readings],
+    declines: list[Decline],
+    span: tuple[float, float],
+    knowledge: Knowledge,
+    setting: Setting,
+    held: frozenset[Rung],
+) -> TransientFit:
     """One stretch; begins later while the residual right after its begin stands out."""
     begin, limit = span
     slowest, fastest = min(d.rate_per_s for d in declines), max(d.rate_per_s for d in declines)

@@ -315,10 +315,18 @@ class TransientProblem:
             )
         model = next((row.name for row in table if row.chosen), "coupled motion of disk and pendulums")
         return TransientFit(
-            dict(zip(_NAMES, c.tolist(), strict=True)), covariance * np.outer(c, c),
-            log_intervals(c, covariance), curves, chi2, end_s - self.readings[0].averages.time_s[0], start, model,
-            table, warnings, settled=minimum.converged,
-        )  # fmt: skip
+            dict(zip(_NAMES, c.tolist(), strict=True)),
+            covariance * np.outer(c, c),
+            log_intervals(c, covariance),
+            curves,
+            chi2,
+            end_s - self.readings[0].averages.time_s[0],
+            start,
+            model,
+            table,
+            warnings,
+            settled=minimum.converged,
+        )
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
@@ -338,19 +346,27 @@ def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> Tr
     c, low, high = (np.exp(free.log_damping + shift) for shift in (0.0, -free.below, free.above))
     wider, told = float(np.max(np.sqrt(np.diag(free.covariance)) / free.known_std)), ""
     if wider > _WIDER:
-        limits = (f"{name} below {a:.2g} and {b:.2g} {unit}" for name, unit, (a, b) in (
-            ("a torque", "N m", free.torque_Nm), ("with the contact force", "kg m²", free.contact_kg_m2)
-        ))  # fmt: skip
+        limits = (
+            f"{name} below {a:.2g} and {b:.2g} {unit}"
+            for name, unit, (a, b) in (
+                ("a torque", "N m", free.torque_Nm),
+                ("with the contact force", "kg m²", free.contact_kg_m2),
+            )
+        )
         told = (
             f"{label}: by itself it does not exclude dry friction of A and B ({', '.join(limits)}, 95 %), which makes "
             f"c3 and c4 {wider:.2g} times less certain than viscous damping alone would be; a spin-down and releases "
             "at two speeds together decide"
         )
     return replace(
-        fit, values=dict(zip(_NAMES, c.tolist(), strict=True)), covariance=free.covariance * np.outer(c, c),
+        fit,
+        values=dict(zip(_NAMES, c.tolist(), strict=True)),
+        covariance=free.covariance * np.outer(c, c),
         intervals={n: (float(a), float(b)) for n, a, b in zip(_NAMES, low, high, strict=True)},
-        warnings=[*fit.warnings, told] if told else fit.warnings, open_friction=found, undecided=told,
-    )  # fmt: skip
+        warnings=[*fit.warnings, told] if told else fit.warnings,
+        open_friction=found,
+        undecided=told,
+    )
 
 
 def log_intervals(c: np.ndarray, covariance: np.ndarray) -> dict[str, tuple[float, float]]:

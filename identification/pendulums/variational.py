@@ -104,9 +104,7 @@ def _accelerations(y, psi, omega, alpha, p, f, own, whole):
 def _linearised(y, omega, alpha, p, own, whole, g, d):
     """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters) into d (4, 15), from what `_accelerations` left; g (2, 15) is scratch."""
     g[:] = 0.0
-    g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (
-        -p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12]
-    )  # fmt: skip
+    g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (-p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12])
     g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -whole[7], -whole[8]
     g[0, 14], g[1, 14] = whole[3], whole[4]
     for i in range(2):
@@ -139,9 +137,15 @@ def _bent(d, u, v, out):
         a0, a1, a2, a3, a4, a5, a6, a7 = d[i, 0], d[i, 1], d[i, 2], d[i, 3], d[i, 4], d[i, 5], d[i, 6], d[i, 7]
         for c in range(columns):
             row[c] = (
-                a0 * u[0, c] + a1 * u[1, c] + a2 * u[2, c] + a3 * u[3, c]
-                + a4 * v[0, c] + a5 * v[1, c] + a6 * v[2, c] + a7 * v[3, c]
-            )  # fmt: skip
+                a0 * u[0, c]
+                + a1 * u[1, c]
+                + a2 * u[2, c]
+                + a3 * u[3, c]
+                + a4 * v[0, c]
+                + a5 * v[1, c]
+                + a6 * v[2, c]
+                + a7 * v[3, c]
+            )
         for c in range(8, columns):
             row[c] += d[i, c]
 

@@ -91,9 +91,19 @@ def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: 
     quarter = 0.25 * sensors.encoder_step_rad  # what a mean of quantised readings of a locked pendulum leaves open
     zero = sensors.encoder_zero_std_rad
     prior = np.r_[
-        np.inf, np.inf, quarter, quarter, zero, zero, _RELEASE_STD_S,
-        _LOCKED_M, _LOCKED_M, _LOCKED_M * omega, _LOCKED_M * omega, _KNOWN,
-    ]  # fmt: skip
+        np.inf,
+        np.inf,
+        quarter,
+        quarter,
+        zero,
+        zero,
+        _RELEASE_STD_S,
+        _LOCKED_M,
+        _LOCKED_M,
+        _LOCKED_M * omega,
+        _LOCKED_M * omega,
+        _KNOWN,
+    ]
     settings = {"speed_rpm": speed_rad_s * 30 / np.pi, "record_s": record_s}
     return _experiment(
         test, "release", physics, sensors, angles, theta, difference, prior, settings, record_s, record_s
@@ -101,10 +111,18 @@ def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: 
 
 
 def _experiment(
-    test: str, method: Method, physics: RotorParameters, sensors: Sensors, angles: Callable[[np.ndarray], np.ndarray],
-    theta: np.ndarray, difference: np.ndarray, prior: np.ndarray, settings: dict[str, float],
-    record_s: float, used_s: float,
-) -> Experiment:  # fmt: skip
+    test: str,
+    method: Method,
+    physics: RotorParameters,
+    sensors: Sensors,
+    angles: Callable[[np.ndarray], np.ndarray],
+    theta: np.ndarray,
+    difference: np.ndarray,
+    prior: np.ndarray,
+    settings: dict[str, float],
+    record_s: float,
+    used_s: float,
+) -> Experiment:
     jacobian = derivatives(angles, theta, difference)
     weight = np.sqrt(sensors.encoder_rate_Hz * _LOOK_S) / sensors.encoder_noise_rad
     values = np.array([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])

@@ -83,9 +83,12 @@ class Plan:
 
 @on_one_thread
 def plan(
-    rig: Rig, wants: Sequence[Want], sensors: Sensors | None = None, mass_std: float = 0.0,
+    rig: Rig,
+    wants: Sequence[Want],
+    sensors: Sensors | None = None,
+    mass_std: float = 0.0,
     tell: Callable[[str], None] = lambda _: None,
-) -> Plan:  # fmt: skip
+) -> Plan:
     """Plan the experiments for some wants.
 
     Args:
@@ -137,9 +140,7 @@ def _chosen(
     return sorted(_without_waste(steps, wants, believed, mass_std), key=lambda s: s.experiment.test)
 
 
-def _without_waste(
-    steps: list[Step], wants: Sequence[Want], believed: dict[str, float], mass_std: float
-) -> list[Step]:  # fmt: skip
+def _without_waste(steps: list[Step], wants: Sequence[Want], believed: dict[str, float], mass_std: float) -> list[Step]:
     """Without experiments that a later choice has made unnecessary."""
     for step in list(steps):
         rest = [s for s in steps if s is not step]
@@ -192,9 +193,15 @@ def _answer(
     least = math.inf if lowest is None else math.hypot(lowest.relative_std(want.name, MOST_RUNS), mass)
     got = math.hypot(reached.get(want.name, math.inf), mass)
     return Answer(
-        want, believed, wanted, got, got <= wanted * (1 + 1e-9), sorted(best.values(), key=lambda pair: pair[1]), least,
+        want,
+        believed,
+        wanted,
+        got,
+        got <= wanted * (1 + 1e-9),
+        sorted(best.values(), key=lambda pair: pair[1]),
+        least,
         "no test" if lowest is None else _main_limit(lowest, want.name, mass),
-    )  # fmt: skip
+    )
 
 
 def _main_limit(experiment: Experiment, name: str, mass: float) -> str:

@@ -106,9 +106,12 @@ class Sensors:
             rate["xy".index(axis)] = float(np.median([1 / np.median(np.diff(time)) for time, _ in seen]))
         jitter = {name: float(np.median([self._jitter(r, name) for r in usable])) for name in self.clocks}
         return replace(
-            self, laser_noise_m=(noise[0], noise[1]), laser_rate_Hz=(rate[0], rate[1]), clock_jitter_s=jitter,
+            self,
+            laser_noise_m=(noise[0], noise[1]),
+            laser_rate_Hz=(rate[0], rate[1]),
+            clock_jitter_s=jitter,
             measured=True,
-        )  # fmt: skip
+        )
 
     def _jitter(self, run: Run, signal: str) -> float:
         """The jitter that explains how well a run knows the rate of a signal's clock."""

@@ -113,9 +113,14 @@ def _estimate(
     grow = np.array([2.0 if n.startswith("k") else 1.0 for n in names])
     shared = {label: shift * values for label, shift in shared.items()}
     return Estimate(
-        test, "planned", names, values, log_covariance * np.outer(grow * values, grow * values), shared,
+        test,
+        "planned",
+        names,
+        values,
+        log_covariance * np.outer(grow * values, grow * values),
+        shared,
         "Fisher information",
-    )  # fmt: skip
+    )
 
 
 def _instants(record_s: float, fastest_rad_s: float) -> np.ndarray:
@@ -126,10 +131,12 @@ def _instants(record_s: float, fastest_rad_s: float) -> np.ndarray:
 def _weight(sensors: Sensors, t: np.ndarray, record_s: float) -> np.ndarray:
     """1/σ of an instant: it stands for all samples between it and the next."""
     per = record_s / len(t)
-    return np.concatenate([
-        np.full(len(t), np.sqrt(rate * per) / noise)
-        for rate, noise in zip(sensors.laser_rate_Hz, sensors.laser_noise_m, strict=True)
-    ])  # fmt: skip
+    return np.concatenate(
+        [
+            np.full(len(t), np.sqrt(rate * per) / noise)
+            for rate, noise in zip(sensors.laser_rate_Hz, sensors.laser_noise_m, strict=True)
+        ]
+    )
 
 
 def _close_pair(physics: RotorParameters) -> tuple[str, ...]:

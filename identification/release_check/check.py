@@ -96,9 +96,12 @@ class ReleaseRows:
 
 @on_one_thread
 def check_releases(
-    runs: Sequence[Run], rig: Rig, identified: IdentifiedParameters,
-    progress: Callable[[str], None] | None = None, exact: Collection[str] = (),
-) -> list[ReleaseRows]:  # fmt: skip
+    runs: Sequence[Run],
+    rig: Rig,
+    identified: IdentifiedParameters,
+    progress: Callable[[str], None] | None = None,
+    exact: Collection[str] = (),
+) -> list[ReleaseRows]:
     """Every release at a point against the model with the identified parameters.
 
     Args:
@@ -194,9 +197,14 @@ class _Case:
             why = f"{error}: no rig near the identified one moves like this"
             none = np.zeros((1, len(names)))
             return replace(
-                empty, rows=(_NOT_FOLLOWED,), values=np.array([z]), own=np.eye(1), by_parameter=none,
-                chi2_per_dof=chi2, sentence=why,
-            )  # fmt: skip
+                empty,
+                rows=(_NOT_FOLLOWED,),
+                values=np.array([z]),
+                own=np.eye(1),
+                by_parameter=none,
+                chi2_per_dof=chi2,
+                sentence=why,
+            )
 
     def settled(self, fits: Sequence[Fitted], pool: ThreadPoolExecutor) -> list[Condensed]:
         """What the releases say, linear about the place where all of them are met best."""
@@ -280,11 +288,20 @@ class _Case:
             shared[label] = shared.get(label, np.zeros(len(by))) + shift
         count = len(found.values)
         return ReleaseRows(
-            point, tuple(f"release {i + 1}" for i in range(count)), found.values, found.own, by, tuple(values),
-            by_number, shared, used_for(run, self.identified), found.misfit.chi2_per_dof,
+            point,
+            tuple(f"release {i + 1}" for i in range(count)),
+            found.values,
+            found.own,
+            by,
+            tuple(values),
+            by_number,
+            shared,
+            used_for(run, self.identified),
+            found.misfit.chi2_per_dof,
             f"followed{_rubbing(found)}; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
-            {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)}, self.reading,
-        )  # fmt: skip
+            {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)},
+            self.reading,
+        )
 
     def _worth(self) -> dict[str, float]:
         """Errors that a release should see, in the units of the slopes."""

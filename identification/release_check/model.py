@@ -26,9 +26,16 @@ from rig_configs.suspension_terms import TERMS
 Array = NDArray[np.float64]
 
 PLACES: Mapping[str, int] = {
-    "c3_Nms_per_rad": 0, "c4_Nms_per_rad": 1, "k1_N_per_m": 11, "k2_N_per_m": 12, "zeta1": 13, "zeta2": 14,
-    "SP_kg_m": 15, ZERO_A: 4, ZERO_B: 5,
-}  # fmt: skip
+    "c3_Nms_per_rad": 0,
+    "c4_Nms_per_rad": 1,
+    "k1_N_per_m": 11,
+    "k2_N_per_m": 12,
+    "zeta1": 13,
+    "zeta2": 14,
+    "SP_kg_m": 15,
+    ZERO_A: 4,
+    ZERO_B: 5,
+}
 """Of what tests share in a release's θ; parameters stand there by their logarithms."""
 
 TORQUES = (16, 17)
@@ -235,9 +242,13 @@ def _own(fitted: Fitted, rows: Array) -> tuple[Array, Misfit]:
 
 
 def fitted_with_numbers(
-    release: Release, problem: TransientProblem, shape: Shape | None, horizons_s: Sequence[float],
-    solve: Callable[[TransientProblem, Array], Minimum], start: Array,
-) -> Fitted:  # fmt: skip
+    release: Release,
+    problem: TransientProblem,
+    shape: Shape | None,
+    horizons_s: Sequence[float],
+    solve: Callable[[TransientProblem, Array], Minimum],
+    start: Array,
+) -> Fitted:
     """A fit that has the pendulums' masses and lengths open beside all else.
 
     Args:
@@ -267,15 +278,21 @@ def fitted_with_numbers(
 
     k = len(_OPEN_NUMBERS)
     wider = replace(
-        problem, predict=predict, prior=np.r_[problem.prior, np.zeros(k)],
+        problem,
+        predict=predict,
+        prior=np.r_[problem.prior, np.zeros(k)],
         prior_std=np.r_[problem.prior_std, np.full(k, _NUMBER_STD)],
-    )  # fmt: skip
+    )
     found = solve(wider, np.r_[start, np.zeros(k)])
     shares, rows = found.theta[p:], len(found.residual) - k  # what is known of the numbers stands last
     own = Minimum(
-        found.theta[:p], found.covariance[:p, :p], found.residual[:rows], found.jacobian[:rows, :p],
-        found.converged, found.iterations,
-    )  # fmt: skip
+        found.theta[:p],
+        found.covariance[:p, :p],
+        found.residual[:rows],
+        found.jacobian[:rows, :p],
+        found.converged,
+        found.iterations,
+    )
     there = at(shares)
     fixed = replace(there.problem(shape), prior=problem.prior, prior_std=problem.prior_std)
     moved = {name: share * values[name] for name, share in zip(_OPEN_NUMBERS, shares.tolist(), strict=True)}

@@ -156,9 +156,12 @@ def _axis_prior(degrees: float) -> float:
 
 
 def _fit(
-    records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], mass: float | None, setting: Setting, priors: Priors,
+    records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]],
+    mass: float | None,
+    setting: Setting,
+    priors: Priors,
     without: Collection[str],
-) -> RingDownFit:  # fmt: skip
+) -> RingDownFit:
     check_setting(setting)
     if mass is not None and not 0 < mass < np.inf:
         raise NotIdentifiable(f"ring-down: a mass above 0 kg is needed, got {mass:g}; leave it out")

@@ -162,10 +162,12 @@ def resolution(fitted: Fitted, priors: Priors, stretch: float, gain: float) -> R
     std = np.inf if precision <= 0 else precision**-0.5
     own = np.r_[fitted.omegas[0], fitted.zetas[0], fitted.omegas[1], fitted.zetas[1]]
     # θ holds ln ω and ζ
-    slope = np.array([
-        (_split(own + step) - _split(own - step)) / (2 * _STEP)
-        for step in _STEP * np.diag(np.r_[own[0], 1.0, own[2], 1.0])
-    ])  # fmt: skip
+    slope = np.array(
+        [
+            (_split(own + step) - _split(own - step)) / (2 * _STEP)
+            for step in _STEP * np.diag(np.r_[own[0], 1.0, own[2], 1.0])
+        ]
+    )
     split_std = float(np.sqrt(max(0.0, slope @ covariance[:BETA, :BETA] @ slope)))
     return Resolution(_split(own), split_std * stretch, float(std) * stretch, gain)
 

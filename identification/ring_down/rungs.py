@@ -214,5 +214,9 @@ def _with_plausible(fitted: Fitted, priors: Priors) -> Fitted:
             plausible[i] = _ALIKE * max((float(values[j]) for j in range(i % 2, 2 * modes, 2)), default=0.0)
     if not plausible.any():
         return fitted
-    return solve(fitted.decay, replace(fitted.model, backbone=replace(backbone, plausible=tuple(plausible))),
-                 [fitted.theta], priors)  # fmt: skip
+    return solve(
+        fitted.decay,
+        replace(fitted.model, backbone=replace(backbone, plausible=tuple(plausible))),
+        [fitted.theta],
+        priors,
+    )

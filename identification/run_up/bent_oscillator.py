@@ -56,9 +56,16 @@ class BentResponse:
 
 
 def bent_response(
-    spread_s2: np.ndarray, turn: Turning, drive: Drive, force: np.ndarray, oscillator: tuple[float, float],
-    terms: tuple[float, float], amplitude: complex, free: complex, bow: complex | None = None,
-) -> BentResponse:  # fmt: skip
+    spread_s2: np.ndarray,
+    turn: Turning,
+    drive: Drive,
+    force: np.ndarray,
+    oscillator: tuple[float, float],
+    terms: tuple[float, float],
+    amplitude: complex,
+    free: complex,
+    bow: complex | None = None,
+) -> BentResponse:
     """The motion of one direction as a sensor's blocks see it.
 
     Args:
@@ -87,10 +94,15 @@ def bent_response(
     _march(force, drive.step_s / _SUBSTEPS, omega, zeta, terms[0], terms[1], amplitude, bow or 0j, start, grid)
     out = _seen(turn.when_s, spread_s2, drive.start_s, drive.step_s, grid)
     return BentResponse(
-        out[0] - (amplitude * turn.phasor).real, out[unknowns] - (amplitude * turn.rate).real, out[1], out[2],
-        out[3] + 1j * out[4] - turn.phasor, out[5] + 1j * out[6], (out[7], out[8]),
+        out[0] - (amplitude * turn.phasor).real,
+        out[unknowns] - (amplitude * turn.rate).real,
+        out[1],
+        out[2],
+        out[3] + 1j * out[4] - turn.phasor,
+        out[5] + 1j * out[6],
+        (out[7], out[8]),
         None if bow is None else out[9] + 1j * out[10],
-    )  # fmt: skip
+    )
 
 
 def forcing(drive: Drive) -> np.ndarray:

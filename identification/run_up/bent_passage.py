@@ -84,9 +84,16 @@ class BentPassage:
         return cls(forcing(drive), amplitude_m)
 
     def sensed(
-        self, drive: Drive, axis: int, angle_rad: float, oscillators: list[tuple[float, float]], terms: Array,
-        gain_ratio: float, instants: Instants, c: Array,
-    ) -> Sensed:  # fmt: skip
+        self,
+        drive: Drive,
+        axis: int,
+        angle_rad: float,
+        oscillators: list[tuple[float, float]],
+        terms: Array,
+        gain_ratio: float,
+        instants: Instants,
+        c: Array,
+    ) -> Sensed:
         """What a sensor sees about the motion of its linear unknowns.
 
         Args:

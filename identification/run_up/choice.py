@@ -63,9 +63,13 @@ class _Other:
 
 
 def compare(
-    record: RunUpRecord, design: Design, clocks_apart: bool, marks_only: bool, setting: Setting,
+    record: RunUpRecord,
+    design: Design,
+    clocks_apart: bool,
+    marks_only: bool,
+    setting: Setting,
     without: frozenset[Rung] = frozenset(),
-) -> Comparison:  # fmt: skip
+) -> Comparison:
     """Compare the fitted model with its neighbours.
 
     Args:
@@ -125,10 +129,13 @@ def _table(
     axes = "turned" if "straight" in others else "along the sensors"
     table = [
         ModelChoice(
-            f"two resonances, axes {axes}, offset and slope", unknowns, base, not taken,
+            f"two resonances, axes {axes}, offset and slope",
+            unknowns,
+            base,
+            not taken,
             "smallest adequate" if not taken else "a neighbour is better by χ² + k ln n",
         )
-    ]  # fmt: skip
+    ]
     for key, other in others.items():
         why = f"χ² {other.chi2:+.3g} for {other.unknowns:+d} unknowns ({other.how})"
         table.append(ModelChoice(other.name, unknowns + other.unknowns, base - gain[key], key in taken, why))

@@ -116,7 +116,7 @@ def solve(record: RunUpRecord, structure: Structure, phi: np.ndarray, iterations
     """A structure's solution from φ."""
     return solve_separable(
         lambda p: run_up_blocks(record, structure, p), phi, structure.prior, structure.prior_std, iterations
-    )  # fmt: skip
+    )
 
 
 def _afresh(record: RunUpRecord) -> RunUpRecord:
@@ -133,9 +133,12 @@ def _with_terms(structure: Structure, known: KnownSuspension) -> Structure:
     spread[:PARAMETERS] = structure.spread
     free = np.eye(len(base))[:, PARAMETERS:][:, std > 0]
     return replace(
-        structure, base=base, spread=np.hstack([spread, free]), prior=np.r_[structure.prior, value[std > 0]],
+        structure,
+        base=base,
+        spread=np.hstack([spread, free]),
+        prior=np.r_[structure.prior, value[std > 0]],
         prior_std=np.r_[structure.prior_std, std[std > 0]],
-    )  # fmt: skip
+    )
 
 
 def _apart(record: RunUpRecord, starts: list[RunUpStart]) -> Iterator[RunUpStart]:

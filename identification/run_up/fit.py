@@ -125,10 +125,13 @@ def fit_run_up_run(
 
 
 def _fit(
-    sensors: list[tuple[np.ndarray, np.ndarray]], phase: RotorPhase, clocks: Clocks, setting: Setting,
+    sensors: list[tuple[np.ndarray, np.ndarray]],
+    phase: RotorPhase,
+    clocks: Clocks,
+    setting: Setting,
     without: frozenset[Rung],
     known: KnownSuspension | None = None,
-) -> RunUpFit:  # fmt: skip
+) -> RunUpFit:
     check_setting(setting)
     start = max(phase.start_s, *(float(t[0]) for t, _ in sensors))
     end = min(phase.end_s, *(float(t[-1]) for t, _ in sensors))
@@ -140,7 +143,7 @@ def _fit(
     for name, (time, value) in zip("xy", sensors, strict=True):
         found, told = sensor_averages(
             name, time, value, (start + pad, end - pad), drive.top_rad_s, _BLOCKS_PER_TURN[setting]
-        )  # fmt: skip
+        )
         channels.append(found)
         warnings += told
     record = RunUpRecord(channels[0], channels[1], drive)
@@ -269,10 +272,21 @@ def _result(
     naive = {a: half_power(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
     tracked = {a: vold_kalman(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
     fit = RunUpFit(
-        dict(zip(names, values.tolist(), strict=True)), covariance, warnings, curves, naive,
-        [c.noise for c in record.channels], chi2, tracked, {}, comparison.model, comparison.table,
-        solution.minimum.converged, terms, with_terms[keep],
-    )  # fmt: skip
+        dict(zip(names, values.tolist(), strict=True)),
+        covariance,
+        warnings,
+        curves,
+        naive,
+        [c.noise for c in record.channels],
+        chi2,
+        tracked,
+        {},
+        comparison.model,
+        comparison.table,
+        solution.minimum.converged,
+        terms,
+        with_terms[keep],
+    )
     return replace(fit, intervals=intervals(record, design, fit, setting))
 
 

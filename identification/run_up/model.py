@@ -163,9 +163,13 @@ def run_up_blocks(record: RunUpRecord, structure: Structure, phi: np.ndarray) ->
 
 
 def _bent_block(
-    record: RunUpRecord, bent: BentPassage, axis: int, structure: Structure, theta: np.ndarray,
+    record: RunUpRecord,
+    bent: BentPassage,
+    axis: int,
+    structure: Structure,
+    theta: np.ndarray,
     oscillators: list[tuple[float, float]],
-) -> Block:  # fmt: skip
+) -> Block:
     """A sensor's block, linear about the motion that its own linear unknowns make: Newton's method for these."""
     about = partial(_about, record, bent, axis, structure, theta, oscillators)
     at = structure.motion_at
@@ -184,9 +188,15 @@ def _bent_block(
 
 
 def _about(
-    record: RunUpRecord, bent: BentPassage, axis: int, structure: Structure, theta: np.ndarray,
-    oscillators: list[tuple[float, float]], c: np.ndarray, share: float = 1.0,
-) -> Block:  # fmt: skip
+    record: RunUpRecord,
+    bent: BentPassage,
+    axis: int,
+    structure: Structure,
+    theta: np.ndarray,
+    oscillators: list[tuple[float, float]],
+    c: np.ndarray,
+    share: float = 1.0,
+) -> Block:
     """A sensor's block about the motion of given linear unknowns, with a share of the suspension's terms."""
     instants = record.when(theta, axis), record.channels[axis].spread_s2
     own, ratio = share * theta[TERMS], float(np.exp(theta[RATIO]))
@@ -246,15 +256,17 @@ def drift_columns(structure: Structure, from_middle: np.ndarray) -> list[np.ndar
 def _ripple(when_s: np.ndarray, channel: Averages, drive: Drive, oscillators: list[tuple[float, float]]) -> np.ndarray:
     """∂h/∂(Re c1, Im c1, Re c2, Im c2) of either oscillator, shape (2, 4, n)."""
     back, second, third = (responses_at(when_s, channel.spread_s2, drive.order(k), oscillators) for k in (-1, 2, 3))
-    return np.array([
-        [s.h, 1j * s.h, t.h - b.h, 1j * (t.h + b.h)] for b, s, t in zip(back, second, third, strict=True)
-    ])  # fmt: skip
+    return np.array([[s.h, 1j * s.h, t.h - b.h, 1j * (t.h + b.h)] for b, s, t in zip(back, second, third, strict=True)])
 
 
 def _sensor_block(
-    record: RunUpRecord, axis: int, structure: Structure, theta: np.ndarray, oscillators: list[tuple[float, float]],
+    record: RunUpRecord,
+    axis: int,
+    structure: Structure,
+    theta: np.ndarray,
+    oscillators: list[tuple[float, float]],
     given: Sensed | None = None,
-) -> Block:  # fmt: skip
+) -> Block:
     channel, drive = record.channels[axis], record.drive
     from_middle = channel.time_s - record.middle_s
     cos, sin = np.cos(theta[ANGLE]), np.sin(theta[ANGLE])
@@ -342,9 +354,16 @@ def slow_roll_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray
 
 
 def _slow_roll(
-    structure: Structure, when_s: np.ndarray, channel: Averages, drive: Drive, oscillators: list[tuple[float, float]],
-    seen: list[Response], axis: int, mixes: tuple[Sequence[complex], Sequence[complex]], given: Sensed | None,
-) -> list[_Slow]:  # fmt: skip
+    structure: Structure,
+    when_s: np.ndarray,
+    channel: Averages,
+    drive: Drive,
+    oscillators: list[tuple[float, float]],
+    seen: list[Response],
+    axis: int,
+    mixes: tuple[Sequence[complex], Sequence[complex]],
+    given: Sensed | None,
+) -> list[_Slow]:
     """Run-out and bow, whichever the structure has; mixes: of both oscillators in a sensor, and its slope by β.
 
     A bow is part of a bent passage's motion, whose derivatives go with its amplitude.

@@ -111,10 +111,16 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
         own[-1] += change
         by_number[number] = own
     return Estimate(
-        run.test, run.source, names, values, jacobian @ covariance @ jacobian.T, shared,
-        f"transient passage, separable least squares: {fit.model}", by_number,
+        run.test,
+        run.source,
+        names,
+        values,
+        jacobian @ covariance @ jacobian.T,
+        shared,
+        f"transient passage, separable least squares: {fit.model}",
+        by_number,
         dict(zip(TERMS, with_terms.T, strict=False)),
-    )  # fmt: skip
+    )
 
 
 def _imbalance_slopes(

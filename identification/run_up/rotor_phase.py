@@ -119,9 +119,15 @@ class RotorPhase:
         white = max(0.0, noise**2 - coarse**2 / 12) * apart
         rounding = Rounding(coarse, time, _sparse(middle, mean)) if coarse else None
         return cls(
-            history, float(middle[0]), float(middle[-1]), time[[0, -1]], np.full(2, white), float("nan"), wander,
+            history,
+            float(middle[0]),
+            float(middle[-1]),
+            time[[0, -1]],
+            np.full(2, white),
+            float("nan"),
+            wander,
             rounding,
-        )  # fmt: skip
+        )
 
     @classmethod
     def from_marks(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> RotorPhase:

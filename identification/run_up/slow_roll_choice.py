@@ -101,9 +101,11 @@ def _scores(record: RunUpRecord, design: Design) -> tuple[list[float], list[Mode
 
 
 def _chosen(
-    models: Mapping[tuple[bool, bool], Structure], fits: Mapping[tuple[bool, bool], Solution], unknowns: int,
+    models: Mapping[tuple[bool, bool], Structure],
+    fits: Mapping[tuple[bool, bool], Solution],
+    unknowns: int,
     given: Solution,
-) -> SlowRollChoice:  # fmt: skip
+) -> SlowRollChoice:
     n = sum(len(r) for r in given.residuals)
     chi2 = {kind: sum(float(r @ r) for r in found.residuals) for kind, found in fits.items()}
     widest = min(fits, key=lambda kind: chi2[kind])
@@ -119,11 +121,14 @@ def _chosen(
         best = none
     table = [
         ModelChoice(
-            word, unknowns + _UNKNOWNS * sum(kind), criterion[kind], kind == best,
+            word,
+            unknowns + _UNKNOWNS * sum(kind),
+            criterion[kind],
+            kind == best,
             f"χ² {chi2[kind] - chi2[none]:+.3g} for {_UNKNOWNS * sum(kind):+d} unknowns (refitted)",
         )
         for kind, word in _WORDS.items()
-    ]  # fmt: skip
+    ]
     told: list[str] = []
     other, doubt = (best[1], best[0]), None
     off = (chi2[other] - chi2[best]) / noise

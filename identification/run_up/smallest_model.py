@@ -14,9 +14,13 @@ from identification.run_up.slow_roll_choice import Doubt, Solve, slow_roll_choic
 
 
 def smallest_adequate(
-    record: RunUpRecord, solution: Solution, design: Design, compared: Callable[[Design], Comparison], solve: Solve,
+    record: RunUpRecord,
+    solution: Solution,
+    design: Design,
+    compared: Callable[[Design], Comparison],
+    solve: Solve,
     slow_roll: bool = True,
-) -> tuple[Solution, Design, Comparison, Doubt | None]:  # fmt: skip
+) -> tuple[Solution, Design, Comparison, Doubt | None]:
     """The smallest adequate model's solution, and what may hold in its place.
 
     Of a slow roll and the other rungs the one that gains more is first.
@@ -45,7 +49,14 @@ def smallest_adequate(
                 solution, design = found.solution, design_at(record, found.structure, found.solution.minimum.theta)
     there = design.structure
     words = [word for word, has in (("run-out", there.run_out), ("bow", there.bow)) if has]
-    return solution, design, replace(
-        comparison, model=", ".join([comparison.model, *words]), table=comparison.table + found.table,
-        warnings=comparison.warnings + found.warnings,
-    ), found.doubt  # fmt: skip
+    return (
+        solution,
+        design,
+        replace(
+            comparison,
+            model=", ".join([comparison.model, *words]),
+            table=comparison.table + found.table,
+            warnings=comparison.warnings + found.warnings,
+        ),
+        found.doubt,
+    )

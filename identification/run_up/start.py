@@ -98,9 +98,7 @@ class _Spectra:
         if np.count_nonzero(band) < 30:
             raise NotIdentifiable("the run-up is too short to hold a resonance")
         psi = drive.history.phase(t)[:, 0]
-        signals = [
-            np.fft.rfft(np.interp(t, c.time_s, c.value) - np.mean(c.value))[band] / c.noise for c in channels
-        ]  # fmt: skip
+        signals = [np.fft.rfft(np.interp(t, c.time_s, c.value) - np.mean(c.value))[band] / c.noise for c in channels]
         scale = 0.5 * drive.top_rad_s
         phasor = tuple(np.fft.rfft(f(psi))[band] for f in (np.cos, np.sin))
         return cls(1j * w[band] / scale, scale, signals, (phasor[0], phasor[1]))

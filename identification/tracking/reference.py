@@ -129,10 +129,24 @@ class FilterpyFilter:
         return np.array([np.diag(self._steps[k].cov) for k in chosen], np.float64).reshape(-1, STATES)
 
     def __call__(
-        self, mean: Array, cov: Array, times: Array, late: Array, indices: NDArray[np.int64], readings: Array,
-        variances: Array, phases: Array, released: Array, p: Array, noise: Array, longest: float, gate: float,
-        still: float, tally: Array, z: Array,
-    ) -> None:  # fmt: skip
+        self,
+        mean: Array,
+        cov: Array,
+        times: Array,
+        late: Array,
+        indices: NDArray[np.int64],
+        readings: Array,
+        variances: Array,
+        phases: Array,
+        released: Array,
+        p: Array,
+        noise: Array,
+        longest: float,
+        gate: float,
+        still: float,
+        tally: Array,
+        z: Array,
+    ) -> None:
         """Run through readings in time order; see `filter_readings`."""
         peer, begun = self._peer, self._begun(mean, cov)
         peer.x, peer.P = mean.copy(), cov.copy()
@@ -188,9 +202,10 @@ class FilterpyFilter:
         if not abs(z) <= gate:
             return z
         taught_nothing = [
-            own for own, rate in ((LN_C3, 6), (LN_C4, 7))
+            own
+            for own, rate in ((LN_C3, 6), (LN_C4, 7))
             if still >= 0.0 and peer.x[rate] ** 2 < still**2 + 9.0 * peer.P[rate, rate]
-        ]  # fmt: skip
+        ]
         before, own_cov = peer.x.copy(), peer.P.copy()
         # a second reading of a tick needs sigma points of the state after the first
         self._guarded(lambda: setattr(peer, "sigmas_f", self._points.sigma_points(peer.x, peer.P)))

@@ -42,10 +42,23 @@ def damping_start(run: Run, physics: RotorParameters, history: SpeedHistory, rel
         mean, cov = np.r_[begin, ln_c], np.diag(np.r_[spread, ln_c_std, ln_c_std] ** 2)
         tally, z = np.array([release_s, *np.zeros(TALLY - 1)]), np.empty(n)
         filter_readings(
-            mean, cov, ticks, np.zeros(n), np.tile([2, 3], len(time)), angle.ravel(),
-            np.full(n, run.angle_step_rad**2 / 12 + 1e-6), phases, np.ones((n, 2)), physics.packed(), noise, _TICK_S,
-            8.0, -1.0, tally, z,
-        )  # fmt: skip
+            mean,
+            cov,
+            ticks,
+            np.zeros(n),
+            np.tile([2, 3], len(time)),
+            angle.ravel(),
+            np.full(n, run.angle_step_rad**2 / 12 + 1e-6),
+            phases,
+            np.ones((n, 2)),
+            physics.packed(),
+            noise,
+            _TICK_S,
+            8.0,
+            -1.0,
+            tally,
+            z,
+        )
         if not np.all(np.isfinite(mean)) or tally[1] > 0.3 * n:
             return None
         ln_c = np.clip(mean[STATES - 2 :], -14.0, 0.0)

@@ -152,9 +152,11 @@ def _rows(rows: list[Tracked], phases: list[tuple[float, float]]) -> TrackedRun:
         np.array([[r.intervals[n][1] for n in _NAMES] for r in rows]),
         np.array([[r.states[n] for n in STATE_NAMES] for r in rows]),
         np.array([[r.state_std[n] for n in STATE_NAMES] for r in rows]),
-        phase[:, 0], phase[:, 1],
-        np.array([r.trusted for r in rows]), rows[-1],
-    )  # fmt: skip
+        phase[:, 0],
+        phase[:, 1],
+        np.array([r.trusted for r in rows]),
+        rows[-1],
+    )
 
 
 def _smoothed(
@@ -172,9 +174,15 @@ def _smoothed(
     reach = np.exp(np.minimum(_TIMES * relative, 50.0))
     states_std = forward.state_std * shrunk[:, :LN_C3]
     smoothed = SmoothedRun(
-        values, values * relative, values / reach, values * reach, found.mean[steps, :LN_C3], states_std,
-        found.stretches, found.kept / reference.steps,
-    )  # fmt: skip
+        values,
+        values * relative,
+        values / reach,
+        values * reach,
+        found.mean[steps, :LN_C3],
+        states_std,
+        found.stretches,
+        found.kept / reference.steps,
+    )
     return replace(forward, smoothed=smoothed)
 
 

@@ -19,8 +19,16 @@ from identification.tracking.process_noise import AT_REST_RAD_S, process_noise
 from identification.tracking.run_out import without_run_out
 from identification.tracking.unscented import STATES, TALLY, filter_readings
 
-STATE_NAMES = ("x_m", "y_m", "theta3_rad", "theta4_rad", "x_rate_m_per_s", "y_rate_m_per_s", "theta3_rate_rad_per_s",
-               "theta4_rate_rad_per_s")  # fmt: skip
+STATE_NAMES = (
+    "x_m",
+    "y_m",
+    "theta3_rad",
+    "theta4_rad",
+    "x_rate_m_per_s",
+    "y_rate_m_per_s",
+    "theta3_rate_rad_per_s",
+    "theta4_rate_rad_per_s",
+)
 CAUTION = 2.5
 """Stretch of the standard deviations of ln c: see docs/theory/tracking.md for the coverage it was chosen for."""
 _GATE, _LOST_REFUSALS, _MANY_REFUSED = 6.0, 60, 0.25  # standard deviations, in a row, of the last two thousand
@@ -161,10 +169,12 @@ class Tracker:
             (self._origin_ns or 0) + round(1e9 * self._tally[0]) if started else None,
             dict(zip(STATE_NAMES, self._mean[:8].tolist(), strict=True)),
             dict(zip(STATE_NAMES, std[:8].tolist(), strict=True)),
-            dict(zip(names, c.tolist(), strict=True)), dict(zip(names, (c * ln_std).tolist(), strict=True)),
+            dict(zip(names, c.tolist(), strict=True)),
+            dict(zip(names, (c * ln_std).tolist(), strict=True)),
             {n: (float(v / r), float(v * r)) for n, v, r in zip(names, c, reach, strict=True)},
-            bool(trusted), dict(self._counts),
-        )  # fmt: skip
+            bool(trusted),
+            dict(self._counts),
+        )
 
     def _seconds(self, time_ns: np.ndarray) -> np.ndarray:
         time_ns = np.atleast_1d(time_ns)
@@ -227,10 +237,23 @@ class Tracker:
         noise = process_noise(self.physics, speed, self._mean[6:8], self.imbalance_std)
         longest = float(np.clip(_STEP_SHARE / fastest_rate(self.physics, speed), _SHORTEST_STEP_S, 1e-3))
         self.filtering(
-            self._mean, self._cov, ticks, rows[:, 0] - ticks, rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3],
-            self._phase.at(previous), self._free(ticks), self._packed, noise, longest, _GATE,
-            _STILL_AT_REST_RAD_S if speed < AT_REST_RAD_S else _STILL_RAD_S, self._tally, z,
-        )  # fmt: skip
+            self._mean,
+            self._cov,
+            ticks,
+            rows[:, 0] - ticks,
+            rows[:, 1].astype(np.int64),
+            rows[:, 2],
+            rows[:, 3],
+            self._phase.at(previous),
+            self._free(ticks),
+            self._packed,
+            noise,
+            longest,
+            _GATE,
+            _STILL_AT_REST_RAD_S if speed < AT_REST_RAD_S else _STILL_RAD_S,
+            self._tally,
+            z,
+        )
         refused, repairs = (self._tally - before)[[1, 2]]
         self._counts["refused"] += int(refused)
         self._counts["repairs"] += int(repairs)

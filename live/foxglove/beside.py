@@ -37,9 +37,7 @@ class FoxgloveBeside(FedProcess):
         RigError: on entering; the connection cannot be offered.
     """
 
-    def __init__(
-        self, rig: Rig, rate: float, port: int, origins: Collection[str], told: Callable[[str], None]
-    ) -> None:  # fmt: skip
+    def __init__(self, rig: Rig, rate: float, port: int, origins: Collection[str], told: Callable[[str], None]) -> None:
         super().__init__("foxglove", "--foxglove", run_foxglove, (rig, port, tuple(origins)))
         self.left_out = 0
         self._told, self._hold_ns = told, int(HOLD_S * 1e9 * (rate if math.isfinite(rate) else 1.0))

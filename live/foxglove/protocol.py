@@ -29,11 +29,16 @@ _MESSAGE_OPCODE, _TIME_OPCODE = 1, 2
 _LARGEST_ID = 2**32 - 1
 _QUOTED = 60  # characters of what a client sent, in an answer
 _READ_ONLY = {
-    "advertise": "publishing", "unadvertise": "publishing", "getParameters": "parameters",
-    "setParameters": "parameters", "subscribeParameterUpdates": "parameters",
-    "unsubscribeParameterUpdates": "parameters", "fetchAsset": "assets",
-    "subscribeConnectionGraph": "the connection graph", "unsubscribeConnectionGraph": "the connection graph",
-}  # fmt: skip
+    "advertise": "publishing",
+    "unadvertise": "publishing",
+    "getParameters": "parameters",
+    "setParameters": "parameters",
+    "subscribeParameterUpdates": "parameters",
+    "unsubscribeParameterUpdates": "parameters",
+    "fetchAsset": "assets",
+    "subscribeConnectionGraph": "the connection graph",
+    "unsubscribeConnectionGraph": "the connection graph",
+}
 _READ_ONLY_BYTES = {1: "publishing", 2: "services"}
 
 
@@ -63,10 +68,13 @@ class Offered:
         """For an advertisement."""
         binary = self.encoding == "protobuf"
         return {
-            "id": self.number, "topic": self.topic, "encoding": self.encoding, "schemaName": self.schema_name,
+            "id": self.number,
+            "topic": self.topic,
+            "encoding": self.encoding,
+            "schemaName": self.schema_name,
             "schema": base64.b64encode(self.schema).decode() if binary else self.schema.decode(),
             "schemaEncoding": "protobuf" if binary else "jsonschema",
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)

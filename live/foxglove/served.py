@@ -85,8 +85,10 @@ class Refusals:
         if shown in self._said or len(self._said) >= _MOST_ORIGINS:
             return
         self._said.add(shown)
-        self._say(f"warning: --foxglove: a page of {shown} asked for the rig's data and was refused; if it is one that "
-                  f"you use, begin with --foxglove-origin {shown}")  # fmt: skip
+        self._say(
+            f"warning: --foxglove: a page of {shown} asked for the rig's data and was refused; if it is one that "
+            f"you use, begin with --foxglove-origin {shown}"
+        )
 
 
 def facts_of(rig: Rig) -> dict[str, str]:

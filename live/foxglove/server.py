@@ -54,9 +54,14 @@ class FoxgloveServer:
     """
 
     def __init__(
-        self, name: str, offered: Sequence[Offered], metadata: Mapping[str, str], origins: Collection[str] = (),
-        port: int = USUAL_PORT, refused: Callable[[str], None] = lambda origin: None,
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        offered: Sequence[Offered],
+        metadata: Mapping[str, str],
+        origins: Collection[str] = (),
+        port: int = USUAL_PORT,
+        refused: Callable[[str], None] = lambda origin: None,
+    ) -> None:
         try:
             self._listening = bound("", port)
         except PortTaken as fault:
@@ -116,11 +121,19 @@ class FoxgloveServer:
 
     async def _serve(self) -> None:
         async with serve(
-            self._attend, sock=self._listening, subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
-            process_request=self._judge, compression=None, server_header=None, logger=_QUIET,
-            ping_interval=_SILENT_S, ping_timeout=_SILENT_S, close_timeout=_CLOSE_S,
-            max_size=_LARGEST_MESSAGE, max_queue=_MOST_UNREAD,
-        ):  # fmt: skip
+            self._attend,
+            sock=self._listening,
+            subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
+            process_request=self._judge,
+            compression=None,
+            server_header=None,
+            logger=_QUIET,
+            ping_interval=_SILENT_S,
+            ping_timeout=_SILENT_S,
+            close_timeout=_CLOSE_S,
+            max_size=_LARGEST_MESSAGE,
+            max_queue=_MOST_UNREAD,
+        ):
             await self._ending.wait()
 
     def _judge(self, socket: ServerConnection, request: Request) -> Response | None:

@@ -69,12 +69,17 @@ def regions_3_2(work: Workspace) -> Reproduced:
             axes.plot(*(1e3 * s * pairs[other].T), "x", color="black", label="released: no end found")
         name_corners(axes, s, upto)
     table = Table(
-        "releases", "Sets of pendulums, what (3-4) says of them, and where a release ends",
+        "releases",
+        "Sets of pendulums, what (3-4) says of them, and where a release ends",
         {
-            "S_A_g_m": 1e3 * s * pairs[:, 0], "S_B_g_m": 1e3 * s * pairs[:, 1], "expected": expected.tolist(),
-            "reached": ends.name.tolist(), "amplitude_mm": 1e3 * ends.amplitude_m, "settled_s": ends.settled_s,
+            "S_A_g_m": 1e3 * s * pairs[:, 0],
+            "S_B_g_m": 1e3 * s * pairs[:, 1],
+            "expected": expected.tolist(),
+            "reached": ends.name.tolist(),
+            "amplitude_mm": 1e3 * ends.amplitude_m,
+            "settled_s": ends.settled_s,
         },
-    )  # fmt: skip
+    )
     return Reproduced(
         (
             Panel(
@@ -102,31 +107,38 @@ def _claims_3_2(pairs: Array, ends: ReleaseEnds, expected: NDArray[np.str_]) -> 
     residual = np.where(balanced, 0.0, ends.amplitude_m)
     said = f"{len(pairs)} sets released"
     agree = bool(np.array_equal(balanced, inside))
-    elsewhere = [f"; S_A = {a:.2f}, S_B = {b:.2f} of S_P: {name}" for (a, b), name in
-                 zip(pairs[wrong], ends.name[wrong], strict=True)]  # fmt: skip
+    elsewhere = [
+        f"; S_A = {a:.2f}, S_B = {b:.2f} of S_P: {name}"
+        for (a, b), name in zip(pairs[wrong], ends.name[wrong], strict=True)
+    ]
     return (
         Claim.judged(
-            "(3-4), Figure 3.2", "A set balances all of the imbalance exactly where S_A + S_B ≥ S_P and "
-            "|S_A − S_B| ≤ S_P.", agree,
+            "(3-4), Figure 3.2",
+            "A set balances all of the imbalance exactly where S_A + S_B ≥ S_P and |S_A − S_B| ≤ S_P.",
+            agree,
             f"{said}, {int(inside.sum())} of them inside: {int((balanced & inside).sum())} inside and "
             f"{int((balanced & ~inside).sum())} outside end balanced",
         ),
         Claim.judged(
-            "Figure 3.2", "The borders are lines: sets just beside them differ.",
+            "Figure 3.2",
+            "The borders are lines: sets just beside them differ.",
             bool(np.array_equal(balanced[beside], inside[beside])),
             f"{len(pairs[beside])} sets {100 * _BESIDE:g} % of S_P beside AB, AD and BC: "
             f"{int(np.sum(balanced[beside] == inside[beside]))} end as the side says",
         ),
         Claim.judged(
-            "3.1", "Outside the rotor stays unbalanced.", bool(np.all(residual[~inside] > _ZERO_M)),
+            "3.1",
+            "Outside the rotor stays unbalanced.",
+            bool(np.all(residual[~inside] > _ZERO_M)),
             f"smallest amplitude of the {int((~inside).sum())} sets outside {1e6 * np.min(residual[~inside]):.3g} µm",
         ),
         Claim.judged(
-            "3.1, Table 3.4", "Above resonance undersized pendulums end together (III), improperly oversized ones "
-            "opposed (II).", not wrong.any(),
+            "3.1, Table 3.4",
+            "Above resonance undersized pendulums end together (III), improperly oversized ones opposed (II).",
+            not wrong.any(),
             f"{said}, {int(wrong.sum())} end elsewhere" + "".join(elsewhere[:4]),
         ),
-    )  # fmt: skip
+    )
 
 
 SERIES = (0.5, 1.0, 1.5, 2.0)
@@ -149,8 +161,13 @@ def series_3_3(work: Workspace) -> Reproduced:
     reached = ends.name.tolist()
     right = sum(("I" if r == PROPERLY_OVERSIZED else "III") == got for r, got in zip(regions, reached, strict=True))
     fits = right == len(cases) and set(regions) <= {PROPERLY_OVERSIZED, UNDERSIZED}
-    columns = {"S_P_g_m": [1e3 * s for s, _ in cases], "S_A_g_m": [1e3 * each for _, each in cases],
-               "S_B_g_m": [1e3 * each for _, each in cases], "region": regions, "reached": reached}  # fmt: skip
+    columns = {
+        "S_P_g_m": [1e3 * s for s, _ in cases],
+        "S_A_g_m": [1e3 * each for _, each in cases],
+        "S_B_g_m": [1e3 * each for _, each in cases],
+        "region": regions,
+        "reached": reached,
+    }
     return Reproduced(
         (Panel("series", "Borders of the regions for four imbalances, one colour each.", figure),),
         (Table("equal", "Equal pendulums against each imbalance", columns, shown=True),),
@@ -158,13 +175,15 @@ def series_3_3(work: Workspace) -> Reproduced:
         (f"The series: {', '.join(f'{x:g}' for x in SERIES)} of the isotropic rig's S_P; the source's is lost.",),
         (
             Claim.judged(
-                "3.1, Figure 3.3", "Equal first mass moments are undersized or properly oversized against any "
-                "imbalance, never improperly.", fits,
+                "3.1, Figure 3.3",
+                "Equal first mass moments are undersized or properly oversized against any "
+                "imbalance, never improperly.",
+                fits,
                 f"{len(cases)} releases of equal pendulums against {len(SERIES)} imbalances: {reached.count('I')} end "
                 f"in I, {reached.count('III')} in III, {len(cases) - right} elsewhere than the region says",
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _draw_series(axes: Axes, whole: float) -> None:

@@ -57,11 +57,15 @@ def _draw_family(members: Sequence[Borders], names: Sequence[str], title: str, p
 
 def _family_table(members: Sequence[Borders], values: Sequence[float], key: str) -> Table:
     parts = [(value, branch) for value, borders in zip(values, members, strict=True) for branch in borders.branches]
-    return Table("borders", f"Borders for each {key}", {
-        key: np.concatenate([np.full(len(branch.x), value) for value, branch in parts]),
-        "speed_ratio": np.concatenate([branch.x for _, branch in parts]),
-        "stiffness_ratio": np.concatenate([branch.y for _, branch in parts]),
-    })  # fmt: skip
+    return Table(
+        "borders",
+        f"Borders for each {key}",
+        {
+            key: np.concatenate([np.full(len(branch.x), value) for value, branch in parts]),
+            "speed_ratio": np.concatenate([branch.x for _, branch in parts]),
+            "stiffness_ratio": np.concatenate([branch.y for _, branch in parts]),
+        },
+    )
 
 
 def _zeta(value: float) -> list[str]:
@@ -84,30 +88,52 @@ def family_over_zeta_4_5(work: Workspace) -> Reproduced:
     def share(value: float) -> tuple[float, float]:
         return borders_of_plane(work.physics(VIRTUAL, _zeta(value))).stable_share, 0.0
 
-    best = best_value(share, lambda value: 1e-4, SearchRange(("suspension.zeta1",), 0.005, 2.0, True),
-                      lambda done: work.tell(0.7 + 0.3 * done))  # fmt: skip
+    best = best_value(
+        share,
+        lambda value: 1e-4,
+        SearchRange(("suspension.zeta1",), 0.005, 2.0, True),
+        lambda done: work.tell(0.7 + 0.3 * done),
+    )
     shares = ", ".join(
         f"{100 * borders.stable_share:.1f} % at {value:g}" for value, borders in zip(_FAMILY_ZETA, members, strict=True)
     )
     ends = float(best.shares[0]), float(best.shares[-1])
     return Reproduced(
-        (Panel("family", "Borders of the stable areas for five damping ratios; the share of the range that is stable "
-               "stands with each.", figure),),
-        (_family_table(members, _FAMILY_ZETA, "zeta"),
-         Table("share", "Stable share of the range over ζ", {"zeta": best.values, "stable_share": best.shares},
-               shown=True)),
-        numbers_of(p) | {"zeta1": "0.005 … 0.2", "zeta2": "0.005 … 0.2"},
-        ("The five damping ratios, within appendix A's 0.001 … 0.2; c34 = 0.001 N m s/rad is the source's.",
-         "The stable area is that of Ω = 0.3 … 7, K = 1 … 16."),
         (
-            Claim("4.1.5", "There is a damping ratio of the suspension at which the stable area is greatest.",
-                  ("holds" if best.value <= 0.2 else "holds in part")
-                  if not best.at_end and best.share > max(ends) + 0.01 else "does not hold",
-                  f"{100 * best.share:.2f} % at ζ = {best.value:.4f} ({best.interval[0]:.3f} … {best.interval[1]:.3f})"
-                  f", {100 * ends[0]:.1f} % at 0.005 and {100 * ends[1]:.1f} % at 2; within the facility's range "
-                  f"(appendix A: up to 0.2) the area only grows: {shares}"),
+            Panel(
+                "family",
+                "Borders of the stable areas for five damping ratios; the share of the range that is stable "
+                "stands with each.",
+                figure,
+            ),
         ),
-    )  # fmt: skip
+        (
+            _family_table(members, _FAMILY_ZETA, "zeta"),
+            Table(
+                "share",
+                "Stable share of the range over ζ",
+                {"zeta": best.values, "stable_share": best.shares},
+                shown=True,
+            ),
+        ),
+        numbers_of(p) | {"zeta1": "0.005 … 0.2", "zeta2": "0.005 … 0.2"},
+        (
+            "The five damping ratios, within appendix A's 0.001 … 0.2; c34 = 0.001 N m s/rad is the source's.",
+            "The stable area is that of Ω = 0.3 … 7, K = 1 … 16.",
+        ),
+        (
+            Claim(
+                "4.1.5",
+                "There is a damping ratio of the suspension at which the stable area is greatest.",
+                ("holds" if best.value <= 0.2 else "holds in part")
+                if not best.at_end and best.share > max(ends) + 0.01
+                else "does not hold",
+                f"{100 * best.share:.2f} % at ζ = {best.value:.4f} ({best.interval[0]:.3f} … {best.interval[1]:.3f})"
+                f", {100 * ends[0]:.1f} % at 0.005 and {100 * ends[1]:.1f} % at 2; within the facility's range "
+                f"(appendix A: up to 0.2) the area only grows: {shares}",
+            ),
+        ),
+    )
 
 
 def family_over_c34_4_6(work: Workspace) -> Reproduced:
@@ -122,18 +148,36 @@ def family_over_c34_4_6(work: Workspace) -> Reproduced:
     grows = bool(np.all(np.diff(own) > 0))
     falls = [float(wide[i + 1]) for i in np.flatnonzero(np.diff(shares) < -1e-4)]
     return Reproduced(
-        (Panel("family", "Borders of the stable areas for five dampings of the pendulums; the share of the range that "
-               "is stable stands with each.", figure),),
-        (_family_table(members, _FAMILY_C34, "c34_Nms_per_rad"),
-         Table("share", "Stable share of the range over c34", {"c34_Nms_per_rad": wide, "stable_share": shares},
-               shown=True)),
+        (
+            Panel(
+                "family",
+                "Borders of the stable areas for five dampings of the pendulums; the share of the range that "
+                "is stable stands with each.",
+                figure,
+            ),
+        ),
+        (
+            _family_table(members, _FAMILY_C34, "c34_Nms_per_rad"),
+            Table(
+                "share",
+                "Stable share of the range over c34",
+                {"c34_Nms_per_rad": wide, "stable_share": shares},
+                shown=True,
+            ),
+        ),
         numbers_of(p) | {"c3_Nms_per_rad": "3e-4 … 0.03", "c4_Nms_per_rad": "3e-4 … 0.03"},
         ("The five dampings around the source's 0.001 N m s/rad; ζ = 0.02.",),
         (
-            Claim("4.1.5", "More damping of the pendulums makes the stable area larger.",
-                  ("holds" if not falls else "holds in part") if grows else "does not hold",
-                  "; ".join(f"{100 * share:.1f} % at {value:g}" for value, share in zip(_FAMILY_C34, own, strict=True))
-                  + (f"; over 1e-5 … 1 N m s/rad it falls again from {falls[0]:.2g} on" if falls
-                     else "; it never falls over 1e-5 … 1 N m s/rad")),
+            Claim(
+                "4.1.5",
+                "More damping of the pendulums makes the stable area larger.",
+                ("holds" if not falls else "holds in part") if grows else "does not hold",
+                "; ".join(f"{100 * share:.1f} % at {value:g}" for value, share in zip(_FAMILY_C34, own, strict=True))
+                + (
+                    f"; over 1e-5 … 1 N m s/rad it falls again from {falls[0]:.2g} on"
+                    if falls
+                    else "; it never falls over 1e-5 … 1 N m s/rad"
+                ),
+            ),
         ),
-    )  # fmt: skip
+    )

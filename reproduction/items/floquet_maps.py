@@ -87,15 +87,23 @@ def coarse_map_4_1(work: Workspace) -> Reproduced:
         numbers_of(p),
         (_PLANE, "100 pieces a revolution; a tolerance of 1e-8 for the single pass, as the listing has."),
         (
-            Claim.judged("4.1.4", "There are two stable areas with an unstable zone between them.", len(spans) == 2,
-                         f"on the line K = {ON_LINE:g} Type I is stable at Ω = {_words(spans)} (up to Ω = 7)"),
-            Claim.judged("4.1.4", "Piecewise scheme and single pass give alike maps.", sum(differ) == 0,
-                         f"of {stable.size} points {differ[0]} and {differ[1]} have another verdict than ours; largest "
-                         f"difference of multipliers {np.max(np.abs(by_pieces - ours)):.1e} and "
-                         f"{np.max(np.abs(by_pass - ours)):.1e}"),
+            Claim.judged(
+                "4.1.4",
+                "There are two stable areas with an unstable zone between them.",
+                len(spans) == 2,
+                f"on the line K = {ON_LINE:g} Type I is stable at Ω = {_words(spans)} (up to Ω = 7)",
+            ),
+            Claim.judged(
+                "4.1.4",
+                "Piecewise scheme and single pass give alike maps.",
+                sum(differ) == 0,
+                f"of {stable.size} points {differ[0]} and {differ[1]} have another verdict than ours; largest "
+                f"difference of multipliers {np.max(np.abs(by_pieces - ours)):.1e} and "
+                f"{np.max(np.abs(by_pass - ours)):.1e}",
+            ),
             _less_work(p, float(np.max(np.abs(by_pieces - ours)))),
         ),
-    )  # fmt: skip
+    )
 
 
 _PIECES, _TOLERANCE = 100, 1e-8
@@ -117,11 +125,13 @@ def _less_work(p: RotorParameters, error: float) -> Claim:
         ]
         evaluations.append(sum(int(run.nfev) for run in runs))
     return Claim.judged(
-        "4.1.4", "The piecewise scheme needs much less processor time.", min(evaluations) > 10 * _PIECES,
+        "4.1.4",
+        "The piecewise scheme needs much less processor time.",
+        min(evaluations) > 10 * _PIECES,
         f"evaluations of [A] a point: {_PIECES} and as many exponentials, against {min(evaluations)} to "
         f"{max(evaluations)} at A to E for eight columns by a Runge–Kutta pair of order 5 at {_TOLERANCE:g}; but "
         f"{_PIECES} pieces err by up to {error:.0e} in the multiplier",
-    )  # fmt: skip
+    )
 
 
 def fine_map_4_2(work: Workspace) -> Reproduced:
@@ -144,30 +154,44 @@ def fine_map_4_2(work: Workspace) -> Reproduced:
     second = math.sqrt(ON_LINE)
     points = "; ".join(f"{name} {value:.6f}" for name, value in zip(at, moduli.tolist(), strict=True))
     branches = [(i, branch) for i, branch in enumerate(found.branches)]
-    table = {"branch": np.concatenate([np.full(len(b.x), i) for i, b in branches]),
-             "speed_ratio": np.concatenate([b.x for _, b in branches]),
-             "stiffness_ratio": np.concatenate([b.y for _, b in branches])}  # fmt: skip
+    table = {
+        "branch": np.concatenate([np.full(len(b.x), i) for i, b in branches]),
+        "speed_ratio": np.concatenate([b.x for _, b in branches]),
+        "stiffness_ratio": np.concatenate([b.y for _, b in branches]),
+    }
     return Reproduced(
         (Panel("map", "Shaded: stable. Dashed: resonances; dotted: the line of the points A to E.", figure),),
         (Table("borders", "Borders as curves, each point within 1e-10 of the border", table),),
         numbers_of(p),
         (_PLANE, "Speeds of A to E: they stand only in the figure, which is lost; the shipped rig's are taken."),
         (
-            Claim.judged("4.1.4", "A and D are unstable, B, C and E are stable.",
-                         all((v < 1) == said[n] for n, v in zip(at, moduli.tolist(), strict=True)),
-                         f"largest multipliers over a revolution: {points}"),
-            Claim.judged("4.1.4", "The stable section between the resonances widens as the second spring gets stiffer.",
-                         widths[0] < widths[1] < widths[2],
-                         "; ".join(f"K = {k:g}: Ω = {a:.3f} … {b:.3f}" for k, (a, b) in firsts.items())),
-            Claim.judged("4.1.4", "The second resonance on the points' line is at Ω = 3.86.",
-                         abs(second - 3.86) < 0.005,
-                         f"√{ON_LINE:g} = {second:.4f}"),
-            Claim("4.1.4", "Above the second resonance Type I is stable.",
-                  "holds" if above[0] <= second and above[1] >= 12.0 else "holds in part",
-                  f"on the points' line from Ω = {above[0]:.3f} on (looked at up to 12); it is unstable from the "
-                  f"resonance, {second:.3f}, up to there"),
+            Claim.judged(
+                "4.1.4",
+                "A and D are unstable, B, C and E are stable.",
+                all((v < 1) == said[n] for n, v in zip(at, moduli.tolist(), strict=True)),
+                f"largest multipliers over a revolution: {points}",
+            ),
+            Claim.judged(
+                "4.1.4",
+                "The stable section between the resonances widens as the second spring gets stiffer.",
+                widths[0] < widths[1] < widths[2],
+                "; ".join(f"K = {k:g}: Ω = {a:.3f} … {b:.3f}" for k, (a, b) in firsts.items()),
+            ),
+            Claim.judged(
+                "4.1.4",
+                "The second resonance on the points' line is at Ω = 3.86.",
+                abs(second - 3.86) < 0.005,
+                f"√{ON_LINE:g} = {second:.4f}",
+            ),
+            Claim(
+                "4.1.4",
+                "Above the second resonance Type I is stable.",
+                "holds" if above[0] <= second and above[1] >= 12.0 else "holds in part",
+                f"on the points' line from Ω = {above[0]:.3f} on (looked at up to 12); it is unstable from the "
+                f"resonance, {second:.3f}, up to there",
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _shade(axes: Axes, p: RotorParameters) -> None:

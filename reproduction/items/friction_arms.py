@@ -67,17 +67,35 @@ def arms_3_28(work: Workspace) -> Reproduced:
     arms = {name: rolling_arm(b, p.a.length_m, p.a.ball_radius_m) for name, b in resistance.items()}
     return Reproduced(
         (
-            Panel("force", "Radius of the contact and approach of ball and wall over the force between them; the force "
-                  "at 1500 rpm, where yielding begins, and the 16 µm of the text.", _draw_contact(p, force)),
-            Panel("arms", "Friction arms as bars from the least to the largest usual one: rolling balls, ball bearings "
-                  "and plain bushings of pendulums.", _draw_arms(arms)),
-            Panel("scatter", "Above: standard deviation of the resting places over the friction arm; below: amplitude "
-                  "left. Balls, balls with more damping, pendulums; dashed: half width of the band friction holds.",
-                  _draw_sweeps(sweeps)),
+            Panel(
+                "force",
+                "Radius of the contact and approach of ball and wall over the force between them; the force "
+                "at 1500 rpm, where yielding begins, and the 16 µm of the text.",
+                _draw_contact(p, force),
+            ),
+            Panel(
+                "arms",
+                "Friction arms as bars from the least to the largest usual one: rolling balls, ball bearings "
+                "and plain bushings of pendulums.",
+                _draw_arms(arms),
+            ),
+            Panel(
+                "scatter",
+                "Above: standard deviation of the resting places over the friction arm; below: amplitude "
+                "left. Balls, balls with more damping, pendulums; dashed: half width of the band friction holds.",
+                _draw_sweeps(sweeps),
+            ),
         ),
         (_arm_table(arms), *(_sweep_table(i, name, sweep) for i, (name, sweep) in enumerate(sweeps.items()))),
-        numbers_of(p) | {"ball_radius_m": p.a.ball_radius_m, "speed_rpm": SPEED_RPM, "force_N": force,
-                         "steel_GPa": 208.0, "aluminium_GPa": 68.9, "yield_MPa": 276.0},
+        numbers_of(p)
+        | {
+            "ball_radius_m": p.a.ball_radius_m,
+            "speed_rpm": SPEED_RPM,
+            "force_N": force,
+            "steel_GPa": 208.0,
+            "aluminium_GPa": 68.9,
+            "yield_MPa": 276.0,
+        },
         (
             "The wall is a cylinder (not a groove across the path) of 6061-T6; a groove that fits the ball gives less.",
             "Friction arms are those of usual bearings: balls 0.6 to 50 µm of rolling resistance, ball bearings "
@@ -90,7 +108,7 @@ def arms_3_28(work: Workspace) -> Reproduced:
             _levers(arms),
             *_susceptible(sweeps),
         ),
-    )  # fmt: skip
+    )
 
 
 def _contact_claims(p: RotorParameters, force: float, contact: Contact) -> tuple[Claim, ...]:
@@ -101,11 +119,14 @@ def _contact_claims(p: RotorParameters, force: float, contact: Contact) -> tuple
     plastic = [plastic_depth(force, p.a.ball_radius_m, each) for each in (ALUMINIUM.yield_Pa, SOFT_YIELD_PA)]
     return (
         Claim.judged(
-            "section 3.3.2", "A chrome-steel ball of 15 mm weighs 13.8 g.", abs(mass / 13.8e-3 - 1) < 0.01,
+            "section 3.3.2",
+            "A chrome-steel ball of 15 mm weighs 13.8 g.",
+            abs(mass / 13.8e-3 - 1) < 0.01,
             f"{1e3 * mass:.2f} g with {STEEL_KG_PER_M3:g} kg/m³",
         ),
         Claim.judged(
-            "section 3.3.2", "Ball and channel come together by 16 µm at 1500 rpm.",
+            "section 3.3.2",
+            "Ball and channel come together by 16 µm at 1500 rpm.",
             abs(contact.approach_m / CLAIMED_M - 1) < 0.25,
             f"{force:.1f} N give {1e6 * contact.approach_m:.2f} µm by Hertz (half axes "
             f"{1e6 * contact.half_axes_m[0]:.0f} and {1e6 * contact.half_axes_m[1]:.0f} µm, "
@@ -115,29 +136,33 @@ def _contact_claims(p: RotorParameters, force: float, contact: Contact) -> tuple
             f"{(CLAIMED_M / contact.approach_m) ** 1.5:.0f} times the force",
         ),
         Claim.judged(
-            "section 3.3.2", "The centrifugal force is much larger than the weight.", force > 30 * weight,
+            "section 3.3.2",
+            "The centrifugal force is much larger than the weight.",
+            force > 30 * weight,
             f"{force:.1f} N against {weight:.3f} N: {force / weight:.0f} times",
         ),
         Claim.judged(
-            "Figure 3.28", "The ball rolls on the wall and slips on the floor, whose friction holds it too.",
+            "Figure 3.28",
+            "The ball rolls on the wall and slips on the floor, whose friction holds it too.",
             force > weight,
             f"the wall can pull {force / weight:.0f} times as much as the floor, so it slips there; friction "
             f"arm of the floor μ g/ω² = {1e6 * floor:.0f} µm with μ = {_SLIP:g}, of rolling {1e6 * rolls:.0f} µm with "
             f"b = 10 µm; the floor's is larger for b below {1e6 * floor * p.a.ball_radius_m / p.a.length_m:.1f} µm",
         ),
-    )  # fmt: skip
+    )
 
 
 def _stops_before(balls: FrictionSweep) -> Claim:
     still = balls.still == 1.0
     growing = np.polyfit(np.log(balls.arm_m[still]), np.log(balls.amplitude_m[still]), 1)[0]
     return Claim.judged(
-        "section 3.3.2", "Rolling resistance stops the balls before they balance, and that leaves a vibration.",
+        "section 3.3.2",
+        "Rolling resistance stops the balls before they balance, and that leaves a vibration.",
         bool(np.all(balls.held[still] < 1.001)) and growing > 0.5,
         f"all {int(still.sum()) * COUNT} ends need at most {balls.held[still].max():.3f} of the friction to be held; "
         f"the amplitude left is {1e6 * balls.amplitude_m[0]:.1f} µm at an arm of {1e6 * balls.arm_m[0]:.0f} µm, "
         f"{1e6 * balls.amplitude_m[-3]:.0f} µm at {1e6 * balls.arm_m[-3]:.0f} µm: about the arm itself",
-    )  # fmt: skip
+    )
 
 
 def _levers(arms: dict[str, float]) -> Claim:
@@ -147,13 +172,15 @@ def _levers(arms: dict[str, float]) -> Claim:
     bushing = arms["assumed in 3.27"] > _BUSHING[1]
     verdict = "holds" if better and bushing else "holds in part" if worse else "does not hold"
     return Claim(
-        "Figure 3.31", "Friction holds a ball on a longer lever than it holds a pendulum.", verdict,
+        "Figure 3.31",
+        "Friction holds a ball on a longer lever than it holds a pendulum.",
+        verdict,
         f"a ball's arm is b R/r, 15.2 b: {1e6 * least:.0f} to {1e6 * most:.0f} µm, "
         f"{1e6 * arms['assumed in 3.27']:.0f} µm as assumed; a pendulum's is μ times the pin's radius: ball bearings "
         f"{1e6 * _BEARING[0]:.0f} to "
         f"{1e6 * _BEARING[1]:.0f} µm, dry bushings {1e6 * _BUSHING[0]:.0f} to {1e6 * _BUSHING[1]:.0f} µm. As assumed "
         f"{arms['assumed in 3.27'] / PIN_ARM_M:.0f} times, but less than a dry bushing's",
-    )  # fmt: skip
+    )
 
 
 def _susceptible(sweeps: dict[str, FrictionSweep]) -> tuple[Claim, ...]:
@@ -167,16 +194,18 @@ def _susceptible(sweeps: dict[str, FrictionSweep]) -> tuple[Claim, ...]:
         f"balls of b = {1e6 * arm / 15.2:.0f} µm ({1e6 * arm:.0f} µm of arm) scatter less than pendulums from a pin's "
         + (f"arm of {1e6 * same:.0f} µm on" if math.isfinite(same) else f"arm beyond {1e6 * ARMS_M[-1]:.0f} µm on")
         for arm, same in like
-    )  # fmt: skip
+    )
     return (
         Claim(
-            "section 3.3.2", "Pendulum balancers are less susceptible to friction than ball balancers.",
+            "section 3.3.2",
+            "Pendulum balancers are less susceptible to friction than ball balancers.",
             "holds" if np.all(much) else "holds in part" if np.any(much) else "does not hold",
             f"at equal friction arms the balls scatter more than five times as much below {1e6 * turns:.0f} µm and "
             f"{ratio.min():.1f} to {ratio[~much].max(initial=0.0):.1f} times from there on. {words}",
         ),
         Claim(
-            "Figure 3.31", "The distribution of the forces is what makes pendulums consistent.",
+            "Figure 3.31",
+            "The distribution of the forces is what makes pendulums consistent.",
             "holds" if calmed < 2 else "holds in part",
             f"at equal arms, with five times the viscous damping balls scatter "
             f"{np.degrees(damped.scatter_rad[4]):.2g}° at an arm of "
@@ -184,22 +213,27 @@ def _susceptible(sweeps: dict[str, FrictionSweep]) -> tuple[Claim, ...]:
             f"{np.degrees(pendulums.scatter_rad[4]):.2g}°: motions that are damped more come to rest from the same "
             f"side each time; the damping alone makes {calmed:.0f} times less scatter",
         ),
-    )  # fmt: skip
+    )
 
 
 def _draw_contact(p: RotorParameters, force: float) -> Figure:
     forces = np.geomspace(0.5, 600.0, 60)
-    found = [hertz_contact(float(f), p.a.ball_radius_m, STEEL, ALUMINIUM, p.a.length_m + p.a.ball_radius_m)
-             for f in forces]  # fmt: skip
+    found = [
+        hertz_contact(float(f), p.a.ball_radius_m, STEEL, ALUMINIUM, p.a.length_m + p.a.ball_radius_m) for f in forces
+    ]
     approach = 1e6 * np.array([each.approach_m for each in found])
     pressure = np.array([each.peak_pressure_Pa for each in found])
     yields = float(np.interp(YIELDS_AT * ALUMINIUM.yield_Pa, pressure, forces))
     with sheet(WIDTH_IN, 3.2, "3.28: approach of a 15 mm steel ball and a wall of 6061-T6, r = 121.5 mm") as figure:
         axes = figure.subplots()
         axes.loglog(forces, approach, color=MODEL, label="elastic (Hertz)")
-        axes.loglog(forces, 1e6 * np.array([plastic_depth(float(f), p.a.ball_radius_m, ALUMINIUM.yield_Pa)
-                                            for f in forces]), color=MODEL, ls=(0, (5, 2)),
-                    label="dent where all around yields")  # fmt: skip
+        axes.loglog(
+            forces,
+            1e6 * np.array([plastic_depth(float(f), p.a.ball_radius_m, ALUMINIUM.yield_Pa) for f in forces]),
+            color=MODEL,
+            ls=(0, (5, 2)),
+            label="dent where all around yields",
+        )
         axes.axvline(force, color=MEASURED, lw=1.2, label=f"centrifugal force at 1500 rpm, {force:.1f} N")
         axes.axvline(yields, color=GREY, ls=(0, (1, 1.5)), lw=1.2, label=f"yielding begins, {yields:.1f} N")
         axes.axhline(1e6 * CLAIMED_M, color=GOOD, ls=(0, (6, 1.5, 1, 1.5)), lw=1.2, label="16 µm, as the source has it")
@@ -231,15 +265,23 @@ _LOOKS = {"balls": (MEASURED, "o"), "balls, damped five times as much": (GOOD, "
 
 def _draw_sweeps(sweeps: dict[str, FrictionSweep]) -> Figure:
     with sheet(
-        WIDTH_IN, 5.4, f"3.31: {COUNT} start-ups from rest to 1500 rpm at each friction arm, by the model",
+        WIDTH_IN,
+        5.4,
+        f"3.31: {COUNT} start-ups from rest to 1500 rpm at each friction arm, by the model",
         (f"Below {_FLOOR_DEG:g}° a scatter is drawn there. Dashed: how far from the balance friction holds one.",),
-    ) as figure:  # fmt: skip
+    ) as figure:
         rows: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
         for name, sweep in sweeps.items():
             colour, marker = _LOOKS[name]
             arm = 1e6 * sweep.arm_m
-            rows[0].loglog(arm, np.maximum(np.degrees(sweep.scatter_rad), _FLOOR_DEG), color=colour, marker=marker,
-                           ms=4.5, label=name)  # fmt: skip
+            rows[0].loglog(
+                arm,
+                np.maximum(np.degrees(sweep.scatter_rad), _FLOOR_DEG),
+                color=colour,
+                marker=marker,
+                ms=4.5,
+                label=name,
+            )
             rows[1].loglog(arm, 2e3 * sweep.amplitude_m, color=colour, marker=marker, ms=4.5)
             if name != "balls, damped five times as much":
                 rows[0].loglog(arm, np.degrees(sweep.half_width_rad), color=colour, ls=(0, (5, 2)), lw=1.0)
@@ -260,14 +302,17 @@ def _arm_table(arms: dict[str, float]) -> Table:
 
 def _sweep_table(number: int, name: str, sweep: FrictionSweep) -> Table:
     return Table(
-        f"scatter-{number + 1}", f"Start-ups over the friction arm: {name}",
+        f"scatter-{number + 1}",
+        f"Start-ups over the friction arm: {name}",
         {
-            "friction_arm_um": 1e6 * sweep.arm_m, "scatter_deg": np.degrees(sweep.scatter_rad),
+            "friction_arm_um": 1e6 * sweep.arm_m,
+            "scatter_deg": np.degrees(sweep.scatter_rad),
             "band_half_width_deg": np.degrees(sweep.half_width_rad),
             "off_balance_deg": np.array([math.degrees(each.off_rad) for each in sweep.scatter]),
             "amplitude_pp_mm": 2e3 * sweep.amplitude_m,
             "amplitude_scatter_pp_mm": np.array([2e3 * each.amplitude_scatter_m for each in sweep.scatter]),
-            "share_at_rest": sweep.still, "share_followed": sweep.followed,
+            "share_at_rest": sweep.still,
+            "share_followed": sweep.followed,
         },
         shown=True,
-    )  # fmt: skip
+    )

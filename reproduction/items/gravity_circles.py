@@ -43,11 +43,14 @@ def gravity_circles_3_4(work: Workspace) -> Reproduced:
     disks = [gravity_disk(with_moments(p, a, b)) for a, b in pairs]
     masses = [with_moments(p, a, b).total_mass_kg for a, b in pairs]
     columns = {
-        "S_A_g_m": [1e3 * a for a, _ in pairs], "S_B_g_m": [1e3 * b for _, b in pairs],
-        "centre_mm": [1e3 * d.centre_m for d in disks], "outer_mm": [1e3 * d.outer_m for d in disks],
-        "inner_mm": [1e3 * d.inner_m for d in disks], "holds_axis": [str(d.holds_axis) for d in disks],
+        "S_A_g_m": [1e3 * a for a, _ in pairs],
+        "S_B_g_m": [1e3 * b for _, b in pairs],
+        "centre_mm": [1e3 * d.centre_m for d in disks],
+        "outer_mm": [1e3 * d.outer_m for d in disks],
+        "inner_mm": [1e3 * d.inner_m for d in disks],
+        "holds_axis": [str(d.holds_axis) for d in disks],
         "region": [balancing_region(a, b, s) for a, b in pairs],
-    }  # fmt: skip
+    }
     helped, curve = _opposed_against_none(p)
     return Reproduced(
         (
@@ -62,7 +65,7 @@ def gravity_circles_3_4(work: Workspace) -> Reproduced:
         numbers_of(p),
         (f"S_P of the isotropic rig; rings at {_RING_SCALE:g} of the plane's scale, the axis at the set's place.",),
         (*_ring_claims(p, pairs, [d.inner_m * m for d, m in zip(disks, masses, strict=True)]), helped),
-    )  # fmt: skip
+    )
 
 
 def _ring_claims(p: RotorParameters, pairs: list[tuple[float, float]], inner: list[float]) -> tuple[Claim, ...]:
@@ -80,23 +83,26 @@ def _ring_claims(p: RotorParameters, pairs: list[tuple[float, float]], inner: li
     blind = [own and a != b for own, (a, b) in zip(inside, pairs, strict=True)]
     return (
         Claim.judged(
-            "Figure 3.4", "Sets with equal moments have no blind spot, all others have one.",
+            "Figure 3.4",
+            "Sets with equal moments have no blind spot, all others have one.",
             all((hole[i] < step[i]) == (i in equal) for i in range(len(pairs))) and apart <= 1,
             f"{len(pairs)} sets, 720 × 720 poses each: the smallest reach of the {len(equal)} equal ones is "
             f"{1e3 * max(hole[i] for i in equal):.1e} g m, of the others {1e3 * others:.3f} g m or more",
         ),
         Claim.judged(
-            "Figure 3.4", "The axis lies in the ring inside ABCD, and outside of it (in the blind spot or beyond the "
-            "rim) elsewhere.", agree,
+            "Figure 3.4",
+            "The axis lies in the ring inside ABCD, and outside of it (in the blind spot or beyond the rim) elsewhere.",
+            agree,
             f"{sum(inside)} of {len(pairs)} sets are inside ABCD; poses bring the centre of gravity to the axis for "
             f"{sum(near < wide for near, wide in zip(nearest, step, strict=True))} sets, the same ones",
         ),
         Claim.judged(
-            "Figure 3.4", "A blind spot does not keep a set from balancing while the axis is not in it.",
+            "Figure 3.4",
+            "A blind spot does not keep a set from balancing while the axis is not in it.",
             any(blind) and agree,
             f"{sum(blind)} sets inside ABCD have a blind spot, and a pose of balance",
         ),
-    )  # fmt: skip
+    )
 
 
 def _opposed(p: RotorParameters, share: float, ratio: float) -> float:
@@ -104,8 +110,7 @@ def _opposed(p: RotorParameters, share: float, ratio: float) -> float:
     s = p.imbalance_moment_kg_m
     own = with_moments(p, (share + 0.5) * s, 0.5 * s)
     speed = own.speed_rad_s(ratio)
-    alone = abs(speed**2 * s / complex(own.k1_N_per_m - own.total_mass_kg * speed**2,
-                                       speed * own.damping_Ns_per_m[0]))  # fmt: skip
+    alone = abs(speed**2 * s / complex(own.k1_N_per_m - own.total_mass_kg * speed**2, speed * own.damping_Ns_per_m[0]))
     found = [abs(point.z_m) for point in singular_points(own, speed) if point.type == "II"]
     return min(found, default=math.nan) / alone
 
@@ -114,8 +119,9 @@ def _opposed_against_none(p: RotorParameters) -> tuple[Claim, Table]:
     """(3-7): for which differences opposed pendulums reduce the amplitude."""
     shares = np.linspace(1.02, 2.6, 80)
     curves = {ratio: np.array([_opposed(p, float(x), ratio) for x in shares]) for ratio in _COMPARED}
-    border = {ratio: float(np.interp(1.0, curve, shares)) for ratio, curve in curves.items()
-              if np.all(np.isfinite(curve))}  # fmt: skip
+    border = {
+        ratio: float(np.interp(1.0, curve, shares)) for ratio, curve in curves.items() if np.all(np.isfinite(curve))
+    }
     s = p.imbalance_moment_kg_m
     tried = (1.3, 1.7, 2.3)
     rigs = [with_moments(p, (x + 0.5) * s, 0.5 * s) for x in tried]
@@ -126,16 +132,21 @@ def _opposed_against_none(p: RotorParameters) -> tuple[Claim, Table]:
         * float(frequency_response(without_pendulums(own), np.array([6.0])).amplification[0, 0])
         for own in rigs
     ]
-    shown = ", ".join(f"{x:g}: {name} at {a / n:.2f}" for x, name, a, n in zip(tried, ends.name, ends.amplitude_m, none,
-                                                                             strict=True))  # fmt: skip
+    shown = ", ".join(
+        f"{x:g}: {name} at {a / n:.2f}" for x, name, a, n in zip(tried, ends.name, ends.amplitude_m, none, strict=True)
+    )
     return (
         Claim.judged(
-            "(3-7)", "Improperly oversized pendulums reduce the vibration where |S_A − S_B| < S_P, else they raise it.",
+            "(3-7)",
+            "Improperly oversized pendulums reduce the vibration where |S_A − S_B| < S_P, else they raise it.",
             all(abs(value - 1) < 0.05 for value in border.values()),
             "that difference is above S_P in all of this region by (3-5); they reduce it up to |S_A − S_B|/S_P = "
             + ", ".join(f"{value:.3f} at Ω = {ratio:g}" for ratio, value in border.items())
             + f" (ζ = {p.zeta1:g}); released at Ω = 6, amplitude over that without a balancer for {shown}",
         ),
-        Table("opposed", "Amplitude of Type II over that without a balancer, by |S_A − S_B|/S_P",
-              {"difference_over_S_P": shares} | {f"speed_ratio_{ratio:g}": c for ratio, c in curves.items()}),
-    )  # fmt: skip
+        Table(
+            "opposed",
+            "Amplitude of Type II over that without a balancer, by |S_A − S_B|/S_P",
+            {"difference_over_S_P": shares} | {f"speed_ratio_{ratio:g}": c for ratio, c in curves.items()},
+        ),
+    )

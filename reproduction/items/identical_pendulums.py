@@ -34,10 +34,18 @@ Array = NDArray[np.float64]
 
 PLAY_DEG = 1.0
 SERIES = Series(
-    "above", 3.5, ("suspension.zeta1=0.01", "suspension.zeta2=0.01", f"virtual.lock_play_deg={PLAY_DEG}",
-                   "devices.drive.ramp_rpm_per_s=480"), 0.0105,
-    (0.0010, 0.0025, 0.0040, 0.0055, 0.0070, 0.0095), 3,
-)  # fmt: skip
+    "above",
+    3.5,
+    (
+        "suspension.zeta1=0.01",
+        "suspension.zeta2=0.01",
+        f"virtual.lock_play_deg={PLAY_DEG}",
+        "devices.drive.ramp_rpm_per_s=480",
+    ),
+    0.0105,
+    (0.0010, 0.0025, 0.0040, 0.0055, 0.0070, 0.0095),
+    3,
+)
 _CHOSEN = (
     "M_A = M_B = 0.075 kg, Ω = 3.5: the source's text gives neither.",
     f"ζ = 0.01 and a play of ± {PLAY_DEG:g}° of the locks, so that releases fall to both sides; with the shipped "
@@ -65,21 +73,29 @@ def amplitude_3_16(work: Workspace) -> Reproduced:
     types = [one.after for one in found.break_points]
     border = found.break_points[-1].value
     balanced = [row for row in rows if row.state.type == "I"]
-    by_side = [[row.recorded.measured.amplitude_m.value for row in balanced if row.mirrored is side]
-               for side in (False, True)]  # fmt: skip
+    by_side = [
+        [row.recorded.measured.amplitude_m.value for row in balanced if row.mirrored is side] for side in (False, True)
+    ]
     return Reproduced(
         (
-            Panel("amplitude", "Amplitude over the imbalance: zero up to the border, then growing.",
-                  amplitude_figure(f"3.16: {_title('amplitude')}", found, rows)),
-            Panel("positions", "What either position leaves of the vibration, for four imperfections.",
-                  positions_figure(imperfect, "3.16: what an imperfect balancer leaves in its two positions")),
+            Panel(
+                "amplitude",
+                "Amplitude over the imbalance: zero up to the border, then growing.",
+                amplitude_figure(f"3.16: {_title('amplitude')}", found, rows),
+            ),
+            Panel(
+                "positions",
+                "What either position leaves of the vibration, for four imperfections.",
+                positions_figure(imperfect, "3.16: what an imperfect balancer leaves in its two positions"),
+            ),
         ),
         (table_of(rows), curve_table(found), positions_table(imperfections), *(one.table for one in imperfect)),
         numbers_of(p) | {"speed_ratio": SERIES.as_turned(rows).speed_ratio},
         (*_CHOSEN, "Sizes of imperfections: 0.5 % of mass, 25 µm, 10 µN m, 5° of oblique: of a workshop's order."),
         (
             Claim.judged(
-                "3.2.3", "Equal pendulums have two regions: balanced below S_A + S_B, undersized above.",
+                "3.2.3",
+                "Equal pendulums have two regions: balanced below S_A + S_B, undersized above.",
                 types == [("III",)] and abs(border / total - 1) < 2e-6,
                 f"Type I is stable from S_P = 0 to {1e3 * border:.5f} g m, Type III from there; S_A + S_B = "
                 f"{1e3 * total:.5f} g m",
@@ -87,7 +103,7 @@ def amplitude_3_16(work: Workspace) -> Reproduced:
             amplitude_claim("Figure 3.16", rows),
             positions_claim(imperfections, by_side),
         ),
-    )  # fmt: skip
+    )
 
 
 def positions_3_17(work: Workspace) -> Reproduced:
@@ -99,36 +115,51 @@ def positions_3_17(work: Workspace) -> Reproduced:
     uneven = float(np.max(np.abs(off[1:].sum(axis=1))))
     sides = {moment: _sides_by_start(p, moment) for moment in (0.002, 0.006)}
     random = [_random_starts(p, moment) for moment in _SIDES_KG_M]
-    starts = Table("start-angles", "Side that a release ends on, by the start angles", {
-        "S_P_g_m": [1e3 * m for m, each in sides.items() for _ in each],
-        "A_from_0_deg": [row[0] for each in sides.values() for row in each],
-        "B_from_180_deg": [row[1] for each in sides.values() for row in each],
-        "A_above_180": [int(row[2]) for each in sides.values() for row in each],
-    })  # fmt: skip
-    shares = Table("sides", "Releases from random angles: side of A", {
-        "S_P_g_m": [1e3 * m for m in _SIDES_KG_M], "A_below_180": [low for low, _, _ in random],
-        "A_above_180": [high for _, high, _ in random], "together": [one for _, _, one in random],
-    }, shown=True)  # fmt: skip
+    starts = Table(
+        "start-angles",
+        "Side that a release ends on, by the start angles",
+        {
+            "S_P_g_m": [1e3 * m for m, each in sides.items() for _ in each],
+            "A_from_0_deg": [row[0] for each in sides.values() for row in each],
+            "B_from_180_deg": [row[1] for each in sides.values() for row in each],
+            "A_above_180": [int(row[2]) for each in sides.values() for row in each],
+        },
+    )
+    shares = Table(
+        "sides",
+        "Releases from random angles: side of A",
+        {
+            "S_P_g_m": [1e3 * m for m in _SIDES_KG_M],
+            "A_below_180": [low for low, _, _ in random],
+            "A_above_180": [high for _, high, _ in random],
+            "together": [one for _, _, one in random],
+        },
+        shown=True,
+    )
     return Reproduced(
         (
-            Panel("positions", "The symmetric wishbone; recorded start-ups lie on both mirror images.",
-                  angle_figure(f"3.17: {_title('pendulum positions')}", found, rows)),
-            Panel("start-angles", "Which side a release ends on, by the start angles.",
-                  _start_figure(sides, rows)),
+            Panel(
+                "positions",
+                "The symmetric wishbone; recorded start-ups lie on both mirror images.",
+                angle_figure(f"3.17: {_title('pendulum positions')}", found, rows),
+            ),
+            Panel("start-angles", "Which side a release ends on, by the start angles.", _start_figure(sides, rows)),
         ),
         (table_of(rows), curve_table(found), starts, shares),
         numbers_of(p) | {"speed_ratio": SERIES.as_turned(rows).speed_ratio},
         _CHOSEN,
         (
             Claim.judged(
-                "3.2.3", "The wishbone of equal pendulums is symmetric.", uneven < 1e-9,
+                "3.2.3",
+                "The wishbone of equal pendulums is symmetric.",
+                uneven < 1e-9,
                 f"A and B stand equally far from 180° within {uneven:.0e}°",
             ),
             angle_claim("Figure 3.17", rows),
             _switching(rows, p),
             _consistent(random, p),
         ),
-    )  # fmt: skip
+    )
 
 
 def _released(p: RotorParameters, moment: float, starts: Array) -> Array:
@@ -161,10 +192,15 @@ def _random_starts(p: RotorParameters, moment: float) -> tuple[int, int, int]:
 
 
 def _start_figure(sides: dict[float, list[tuple[float, float, bool]]], rows: Sequence[Compared]) -> Figure:
-    with sheet(WIDTH_IN, 3.9, "3.17: which place A takes, by the angles at which the locks held the pendulums", [
-        "Squares: integrated releases. Large symbols: recorded start-ups with S_P below the border, at the angles that "
-        "the encoders showed before the release. Box: the play of ± 0.2° that the shipped rig has."
-    ]) as figure:  # fmt: skip
+    with sheet(
+        WIDTH_IN,
+        3.9,
+        "3.17: which place A takes, by the angles at which the locks held the pendulums",
+        [
+            "Squares: integrated releases. Large symbols: recorded start-ups with S_P below the border, at the angles "
+            "that the encoders showed before the release. Box: the play of ± 0.2° that the shipped rig has."
+        ],
+    ) as figure:
         panels: list[Axes] = figure.subplots(1, 2, sharey=True).tolist()
         for axes, (moment, each) in zip(panels, sides.items(), strict=True):
             for high, colour, name in ((False, "#9ecae1", "A ends below 180°"), (True, "#fdae6b", "A ends above 180°")):
@@ -173,9 +209,16 @@ def _start_figure(sides: dict[float, list[tuple[float, float, bool]]], rows: Seq
             for row in rows:
                 if row.state.type == "I":
                     a, b = _started(row)
-                    axes.plot(a, b, "o" if row.mirrored else "X", ms=8, mfc="white" if row.mirrored else MEASURED,
-                              mec=MODEL if row.mirrored else "white", mew=1.6,
-                              label="recorded, A above 180°" if row.mirrored else "recorded, A below 180°")  # fmt: skip
+                    axes.plot(
+                        a,
+                        b,
+                        "o" if row.mirrored else "X",
+                        ms=8,
+                        mfc="white" if row.mirrored else MEASURED,
+                        mec=MODEL if row.mirrored else "white",
+                        mew=1.6,
+                        label="recorded, A above 180°" if row.mirrored else "recorded, A below 180°",
+                    )
             axes.plot([-0.2, 0.2, 0.2, -0.2, -0.2], [-0.2, -0.2, 0.2, 0.2, -0.2], color=GREY, lw=1.0)
             axes.set(aspect="equal")
             label(axes, "A from 0°, °", None, f"S_P = {1e3 * moment:g} g m")
@@ -198,12 +241,13 @@ def _switching(rows: Sequence[Compared], p: RotorParameters) -> Claim:
     high = sum(row.mirrored for row in own)
     lag = math.degrees(math.atan2(2 * p.zeta1 * SERIES.speed_ratio, SERIES.speed_ratio**2 - 1))
     return Claim.judged(
-        "3.2.3", "The pendulums change places from start-up to start-up by their initial conditions.",
+        "3.2.3",
+        "The pendulums change places from start-up to start-up by their initial conditions.",
         0 < high < len(own) and right >= 0.9 * len(own),
         f"{len(own) - high} of {len(own)} recorded start-ups below the border end with A below 180°, {high} above; "
         f"the model, released from the measured angles, has the side of {right}. The unstable rest stands {lag:.2f}° "
         "beside 0° and 180°: only a play larger than that lets both sides occur",
-    )  # fmt: skip
+    )
 
 
 def _consistent(random: Sequence[tuple[int, int, int]], p: RotorParameters) -> Claim:
@@ -211,11 +255,14 @@ def _consistent(random: Sequence[tuple[int, int, int]], p: RotorParameters) -> C
     past = [(m, counts) for m, counts in zip(_SIDES_KG_M, random, strict=True) if m > 0.005]
     both = [m for m, (low, high, _) in past if low and high]
     gone = [m for m, (low, high, one) in past if one == _STARTS and not low and not high]
-    shown = ", ".join(f"{1e3 * m:g} g m: {low} below, {high} above, {one} together"
-                      for m, (low, high, one) in zip(_SIDES_KG_M, random, strict=True))  # fmt: skip
+    shown = ", ".join(
+        f"{1e3 * m:g} g m: {low} below, {high} above, {one} together"
+        for m, (low, high, one) in zip(_SIDES_KG_M, random, strict=True)
+    )
     return Claim(
-        "3.2.3", "Above S_P = 0.005 kg m the settled positions no longer depend on the start.",
+        "3.2.3",
+        "Above S_P = 0.005 kg m the settled positions no longer depend on the start.",
         "holds" if not both else "holds in part" if gone else "does not hold",
         f"{_STARTS} releases from random angles each: {shown}. The dependence ends at S_A + S_B = {1e3 * total:g} g m, "
         "where the mirror images meet; pendulums for which that is 5 g m would have 46 g each, none the source names",
-    )  # fmt: skip
+    )

@@ -73,8 +73,12 @@ class Series:
         found = list[tuple[float, Recorded]]()
         for i, moment in enumerate(self.recorded_kg_m):
             radius = moment / self.physics(work).imbalance_mass_kg
-            settings = (*self.settings, f"imbalance.radius_m={radius!r}", f"points.{self.point}.speed_ratio="
-                        f"{self.speed_ratio!r}", f"virtual.seed={i + 1}")  # fmt: skip
+            settings = (
+                *self.settings,
+                f"imbalance.radius_m={radius!r}",
+                f"points.{self.point}.speed_ratio={self.speed_ratio!r}",
+                f"virtual.seed={i + 1}",
+            )
             place = work.recordings(f"{1e3 * moment:g}-g-m")
             each = recorded_points(place, ISOTROPIC, as_stated(ISOTROPIC, settings), self.count, self.point)
             found += [(moment, one) for one in each]
@@ -133,48 +137,70 @@ def compared(found: Sequence[tuple[float, Recorded]]) -> list[Compared]:
 def table_of(rows: Sequence[Compared]) -> Table:
     """What was recorded."""
     measured = [row.recorded.measured for row in rows]
-    return Table("recorded", "Recorded on the virtual rig, and the model at the measured speed", {
-        "S_P_g_m": [1e3 * row.moment_kg_m for row in rows],
-        "type": [row.state.type for row in rows],
-        "theta3_deg": [math.degrees(m.theta_rad[0].value) % 360 for m in measured],
-        "theta3_std_deg": [math.degrees(m.theta_rad[0].std) for m in measured],
-        "theta3_model_deg": [math.degrees(row.state.theta_rad[0]) % 360 for row in rows],
-        "theta4_deg": [math.degrees(m.theta_rad[1].value) % 360 for m in measured],
-        "theta4_std_deg": [math.degrees(m.theta_rad[1].std) for m in measured],
-        "theta4_model_deg": [math.degrees(row.state.theta_rad[1]) % 360 for row in rows],
-        "amplitude_mm": [1e3 * m.amplitude_m.value for m in measured],
-        "amplitude_std_mm": [1e3 * m.amplitude_m.std for m in measured],
-        "amplitude_model_mm": [1e3 * row.state.amplitude_m for row in rows],
-        "noise_alone_mm": [1e3 * m.noise_floor_m for m in measured],
-        "settled": [str(m.settling.settled) for m in measured],
-    }, shown=True)  # fmt: skip
+    return Table(
+        "recorded",
+        "Recorded on the virtual rig, and the model at the measured speed",
+        {
+            "S_P_g_m": [1e3 * row.moment_kg_m for row in rows],
+            "type": [row.state.type for row in rows],
+            "theta3_deg": [math.degrees(m.theta_rad[0].value) % 360 for m in measured],
+            "theta3_std_deg": [math.degrees(m.theta_rad[0].std) for m in measured],
+            "theta3_model_deg": [math.degrees(row.state.theta_rad[0]) % 360 for row in rows],
+            "theta4_deg": [math.degrees(m.theta_rad[1].value) % 360 for m in measured],
+            "theta4_std_deg": [math.degrees(m.theta_rad[1].std) for m in measured],
+            "theta4_model_deg": [math.degrees(row.state.theta_rad[1]) % 360 for row in rows],
+            "amplitude_mm": [1e3 * m.amplitude_m.value for m in measured],
+            "amplitude_std_mm": [1e3 * m.amplitude_m.std for m in measured],
+            "amplitude_model_mm": [1e3 * row.state.amplitude_m for row in rows],
+            "noise_alone_mm": [1e3 * m.noise_floor_m for m in measured],
+            "settled": [str(m.settling.settled) for m in measured],
+        },
+        shown=True,
+    )
 
 
 def curve_table(found: SteadyBranches, name: str = "curves", title: str = "Stable states by the model") -> Table:
     """The stable branches as rows."""
     parts = found.stable_branches()
-    stacked = [np.column_stack([b.values, np.degrees(b.theta_rad) % 360, b.amplitude_m, b.multiplier_max])
-               for b in parts]  # fmt: skip
+    stacked = [
+        np.column_stack([b.values, np.degrees(b.theta_rad) % 360, b.amplitude_m, b.multiplier_max]) for b in parts
+    ]
     rows = np.concatenate(stacked) if stacked else np.zeros((0, 5))
-    return Table(name, title, {
-        "type": [b.type for b in parts for _ in b.values],
-        "branch": [i for i, b in enumerate(parts) for _ in b.values],
-        "S_P_g_m": 1e3 * rows[:, 0], "theta3_deg": rows[:, 1], "theta4_deg": rows[:, 2],
-        "amplitude_mm": 1e3 * rows[:, 3], "multiplier_max": rows[:, 4],
-    })  # fmt: skip
+    return Table(
+        name,
+        title,
+        {
+            "type": [b.type for b in parts for _ in b.values],
+            "branch": [i for i, b in enumerate(parts) for _ in b.values],
+            "S_P_g_m": 1e3 * rows[:, 0],
+            "theta3_deg": rows[:, 1],
+            "theta4_deg": rows[:, 2],
+            "amplitude_mm": 1e3 * rows[:, 3],
+            "multiplier_max": rows[:, 4],
+        },
+    )
 
 
 def amplitude_figure(
-    title: str, found: SteadyBranches, rows: Sequence[Compared], thin: Sequence[tuple[str, SteadyBranches]] = (),
+    title: str,
+    found: SteadyBranches,
+    rows: Sequence[Compared],
+    thin: Sequence[tuple[str, SteadyBranches]] = (),
     foot: str = "",
-) -> Figure:  # fmt: skip
+) -> Figure:
     """Amplitude over S_P."""
     with sheet(WIDTH_IN, 3.6, title, [_FOOT + foot]) as figure:
         axes: Axes = figure.subplots()
         for (name, other), style in zip(thin, ((0, (6, 2)), (0, (2, 2)), (0, (6, 2, 1, 2))), strict=False):
             for i, b in enumerate(other.stable_branches()):
-                axes.plot(1e3 * b.values, 1e3 * b.amplitude_m, color="#8a8a8a", lw=0.9, ls=style,
-                          label=name if i == 0 else None)  # fmt: skip
+                axes.plot(
+                    1e3 * b.values,
+                    1e3 * b.amplitude_m,
+                    color="#8a8a8a",
+                    lw=0.9,
+                    ls=style,
+                    label=name if i == 0 else None,
+                )
         draw_amplitudes(axes, found, 1e3, unstable=False)
         points_of_amplitude(axes, rows)
         mark_borders([axes], found, 1e3)
@@ -187,10 +213,17 @@ def points_of_amplitude(axes: Axes, rows: Sequence[Compared]) -> None:
     """Recorded amplitudes in mm with error bars."""
     measured = [row.recorded.measured.amplitude_m for row in rows]
     axes.errorbar(
-        [1e3 * row.moment_kg_m for row in rows], [1e3 * m.value for m in measured],
-        yerr=[2e3 * m.std for m in measured], fmt="D", color=A_COLOUR, mfc="white", ms=5, capsize=3, zorder=4,
+        [1e3 * row.moment_kg_m for row in rows],
+        [1e3 * m.value for m in measured],
+        yerr=[2e3 * m.std for m in measured],
+        fmt="D",
+        color=A_COLOUR,
+        mfc="white",
+        ms=5,
+        capsize=3,
+        zorder=4,
         label="recorded",
-    )  # fmt: skip
+    )
 
 
 def angle_figure(title: str, found: SteadyBranches, rows: Sequence[Compared], foot: str = "") -> Figure:
@@ -211,9 +244,18 @@ def points_of_angles(axes: Axes, rows: Sequence[Compared]) -> None:
     for i, (which, sign, colour, size) in enumerate((("A", "o", A_COLOUR, 8), ("B", "x", B_COLOUR, 6))):
         measured = [row.recorded.measured.theta_rad[i] for row in rows]
         axes.errorbar(
-            moments, [math.degrees(m.value) % 360 for m in measured], yerr=[2 * math.degrees(m.std) for m in measured],
-            fmt=sign, color=colour, mfc="none", ms=size, mew=1.4, capsize=3, zorder=4, label=f"{which}, recorded",
-        )  # fmt: skip
+            moments,
+            [math.degrees(m.value) % 360 for m in measured],
+            yerr=[2 * math.degrees(m.std) for m in measured],
+            fmt=sign,
+            color=colour,
+            mfc="none",
+            ms=size,
+            mew=1.4,
+            capsize=3,
+            zorder=4,
+            label=f"{which}, recorded",
+        )
 
 
 def amplitude_claim(place: str, rows: Sequence[Compared]) -> Claim:
@@ -241,10 +283,12 @@ def angle_claim(place: str, rows: Sequence[Compared]) -> Claim:
     chi2, count = float(np.sum(z**2)), z.size
     p = float(gammaincc(0.5 * count, 0.5 * chi2))
     return Claim.judged(
-        place, "Measured pendulum positions lie on the computed curves.", p > LEAST_P and _settled(rows),
+        place,
+        "Measured pendulum positions lie on the computed curves.",
+        p > LEAST_P and _settled(rows),
         f"{len(rows)} start-ups, two angles each: χ² {chi2:.1f} on {count}, p = {p:.2f}, largest "
         f"{np.max(np.abs(z)):.1f} standard deviations",
-    )  # fmt: skip
+    )
 
 
 def _settled(rows: Sequence[Compared]) -> bool:

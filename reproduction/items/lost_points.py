@@ -91,10 +91,17 @@ def _made(work: Workspace, region: str, number: str) -> Reproduced:
         ),
         (
             Table("map", "Type that is stable", columns),
-            Table("releases", "Where releases end", {
-                "zeta": at[:, 0], "speed_ratio": at[:, 1], "ends": ends.name.tolist(),
-                "turns_per_revolution_A": ends.turns[:, 0], "turns_per_revolution_B": ends.turns[:, 1],
-            }),
+            Table(
+                "releases",
+                "Where releases end",
+                {
+                    "zeta": at[:, 0],
+                    "speed_ratio": at[:, 1],
+                    "ends": ends.name.tolist(),
+                    "turns_per_revolution_A": ends.turns[:, 0],
+                    "turns_per_revolution_B": ends.turns[:, 1],
+                },
+            ),
         ),
         numbers_of(bench.rig) | {"zeta1": "0.01 … 0.5", "zeta2": "0.01 … 0.5", "c34_Nms_per_rad": f"{HEAVY}, {LIGHT}"},
         (
@@ -106,17 +113,27 @@ def _made(work: Workspace, region: str, number: str) -> Reproduced:
             *(_proper_claims if region == PROPERLY_OVERSIZED else _improper_claims)(work, bench, maps),
             *_slip_claims(bench, at, ends, number),
         ),
-    )  # fmt: skip
+    )
 
 
-_FOOT = ("Damping ratio ζ of the suspension, the same in both directions. Slipping: pendulums that turn against the "
-         "rotor for ever.",)  # fmt: skip
+_FOOT = (
+    "Damping ratio ζ of the suspension, the same in both directions. Slipping: pendulums that turn against the "
+    "rotor for ever.",
+)
 
 
 def _draw(axes: Axes, bench: Bench, found: _Map) -> None:
     axes.grid(False)
-    axes.pcolormesh(ZETAS, RATIOS, found.stable, cmap=ListedColormap(COLOURS), vmin=-0.5, vmax=3.5, shading="nearest",
-                    rasterized=True)  # fmt: skip
+    axes.pcolormesh(
+        ZETAS,
+        RATIOS,
+        found.stable,
+        cmap=ListedColormap(COLOURS),
+        vmin=-0.5,
+        vmax=3.5,
+        shading="nearest",
+        rasterized=True,
+    )
     for name, colour in zip(NAMES, COLOURS, strict=True):
         if np.any(found.stable == NAMES.index(name)):
             axes.fill_between([], [], [], color=colour, label="no stable point" if name == "none" else f"{name} stable")
@@ -165,13 +182,15 @@ def _border_claims(bench: Bench, region: str, number: str) -> tuple[Claim, ...]:
     three = lower["III"]
     return (
         Claim.judged(
-            f"Figure {number}", "Points are lost where damping is high and the speed near the critical one, the more "
-            "the higher the damping.", worst < 1e-9 and all(a > b for a, b in pairwise(three)),
+            f"Figure {number}",
+            "Points are lost where damping is high and the speed near the critical one, the more "
+            "the higher the damping.",
+            worst < 1e-9 and all(a > b for a, b in pairwise(three)),
             f"{region}: lost where 2ζΩ > |1 − Ω²| tan β, sin β = S_P/S_T; border against the points themselves within "
-            f"{worst:.0e}; Type III lost from Ω = " + ", ".join(f"{x:.3f} (ζ = {z:g})" for x, z in
-                                                               zip(three, tried, strict=True)),
+            f"{worst:.0e}; Type III lost from Ω = "
+            + ", ".join(f"{x:.3f} (ζ = {z:g})" for x, z in zip(three, tried, strict=True)),
         ),
-    )  # fmt: skip
+    )
 
 
 def _first_stable(bench: Bench, zeta: float, c34: float, kind: str) -> float:
@@ -190,9 +209,7 @@ def _proper_claims(work: Workspace, bench: Bench, maps: list[_Map]) -> tuple[Cla
     tried = (0.02, 0.1, 0.3, 0.5)
     first = {c34: [_first_stable(bench, z, c34, "I") for z in tried] for c34 in (1.0, HEAVY, 1e-2, LIGHT)}
     flat = {c34: max(abs(x - 1) for x in values) < 0.02 for c34, values in first.items()}
-    said = "; ".join(
-        f"c34 = {c34:g}: " + ", ".join(f"{x:.2f}" for x in values) for c34, values in first.items()
-    )  # fmt: skip
+    said = "; ".join(f"c34 = {c34:g}: " + ", ".join(f"{x:.2f}" for x in values) for c34, values in first.items())
     text = "The area ends upwards at the critical speed, at any damping: above it Type I is stable."
     computed = f"Type I stable from Ω = (at ζ = {', '.join(f'{z:g}' for z in tried)}) {said} N m s/rad"
     verdict = "holds" if all(flat.values()) else "holds in part" if any(flat.values()) else "does not hold"
@@ -211,27 +228,32 @@ def _improper_claims(work: Workspace, bench: Bench, maps: list[_Map]) -> tuple[C
         missing += sum(len(loss.speed_ratios) for loss in point_losses(p))
     return (
         Claim.judged(
-            "Figure 3.7", "Below resonance Type III is lost, above it Type II: both near the critical speed, both with "
-            "damping.", low < 1 < high,
+            "Figure 3.7",
+            "Below resonance Type III is lost, above it Type II: both near the critical speed, both with damping.",
+            low < 1 < high,
             f"at ζ = 0.2 Type III from Ω = {low:.3f}, Type II up to {high:.3f}",
         ),
         Claim.judged(
-            "3.1", "Undersized pendulums lose no singular point at any speed or damping.", missing == 0,
+            "3.1",
+            "Undersized pendulums lose no singular point at any speed or damping.",
+            missing == 0,
             f"{len(tried)} pairs of ζ = 0 … 5 and Ω = 0.3 … 3: all four points of Types II and III there "
             f"{'always' if missing == 0 else f'but {missing} times'} (S_A + S_B < S_P)",
         ),
         _one_type(maps),
-    )  # fmt: skip
+    )
 
 
 def _one_type(maps: list[_Map]) -> Claim:
     several, size = sum(one.several for one in maps), sum(one.stable.size for one in maps)
     none = [np.count_nonzero(one.stable == NAMES.index("none")) / one.stable.size for one in maps]
     return Claim.judged(
-        "3.1", "At most one type of singular point is stable.", several == 0,
+        "3.1",
+        "At most one type of singular point is stable.",
+        several == 0,
         f"{size} points of both maps: two types stable at {several}; none at "
         + ", ".join(f"{100 * own:.0f} % (c34 = {one.c34:g} N m s/rad)" for own, one in zip(none, maps, strict=True)),
-    )  # fmt: skip
+    )
 
 
 def _slip_claims(bench: Bench, at: Array, ends: Ends, number: str) -> tuple[Claim, Claim]:
@@ -241,7 +263,8 @@ def _slip_claims(bench: Bench, at: Array, ends: Ends, number: str) -> tuple[Clai
     reach = np.array([name in own for name, own in zip(ends.name.tolist(), types, strict=True)])
     return (
         Claim(
-            f"Figure {number}, open", "Where no singular point is stable the pendulums slip on the rotor for ever.",
+            f"Figure {number}, open",
+            "Where no singular point is stable the pendulums slip on the rotor for ever.",
             slip_verdict(ends, bare),
             f"c34 = {LIGHT:g} N m s/rad: {ends_counted(ends, bare)}; {rates_said(ends, bare, at[:, 1])}",
         ),
@@ -252,4 +275,4 @@ def _slip_claims(bench: Bench, at: Array, ends: Ends, number: str) -> tuple[Clai
             f"of {int((~bare).sum())} releases {int(reach.sum())} do, {int((slips & ~bare).sum())} slip all the same"
             + (f": {rates_said(ends, ~bare, at[:, 1])}" if np.any(slips & ~bare) else ""),
         ),
-    )  # fmt: skip
+    )

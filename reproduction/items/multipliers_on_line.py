@@ -59,21 +59,33 @@ def largest_multiplier_4_3(work: Workspace) -> Reproduced:
     inside = [name for name, value in at.items() if abs(value) < 1]
     return Reproduced(
         (Panel("cylinder", "Multipliers of largest modulus over the speed ratio, with the unit cylinder.", figure),),
-        (Table("largest", "The multiplier of largest modulus over one revolution along K = 14.9",
-               {"speed_ratio": _RATIOS, "real": largest.real, "imaginary": largest.imag}),),
+        (
+            Table(
+                "largest",
+                "The multiplier of largest modulus over one revolution along K = 14.9",
+                {"speed_ratio": _RATIOS, "real": largest.real, "imaginary": largest.imag},
+            ),
+        ),
         numbers_of(p),
         ("Ω = 0.5 … 6.5.",),
         (
-            Claim.judged("4.1.4", "Along the line the largest multiplier is outside, inside, outside and again inside "
-                         "the unit cylinder.", inside == ["B", "C", "E"] and len(crossings) == 3,
-                         f"inside at {', '.join(inside)}; it crosses at Ω = "
-                         + ", ".join(f"{ratio:.3f}" for ratio in crossings.tolist())),
-            Claim.judged("4.1.4", "The largest multipliers are a complex conjugate pair.", len(pairs) == len(at),
-                         f"a pair at {', '.join(pairs) or 'none'}; real at "
-                         f"{', '.join(name for name in at if name not in pairs)}: "
-                         + ", ".join(f"{name} {value.real:.4f}{value.imag:+.4f}i" for name, value in at.items())),
+            Claim.judged(
+                "4.1.4",
+                "Along the line the largest multiplier is outside, inside, outside and again inside the unit cylinder.",
+                inside == ["B", "C", "E"] and len(crossings) == 3,
+                f"inside at {', '.join(inside)}; it crosses at Ω = "
+                + ", ".join(f"{ratio:.3f}" for ratio in crossings.tolist()),
+            ),
+            Claim.judged(
+                "4.1.4",
+                "The largest multipliers are a complex conjugate pair.",
+                len(pairs) == len(at),
+                f"a pair at {', '.join(pairs) or 'none'}; real at "
+                f"{', '.join(name for name in at if name not in pairs)}: "
+                + ", ".join(f"{name} {value.real:.4f}{value.imag:+.4f}i" for name, value in at.items()),
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _cylinder(figure: Figure, largest: NDArray[np.complex128], points: dict[str, float]) -> None:
@@ -140,11 +152,15 @@ def three_views_4_4(work: Workspace) -> Reproduced:
         numbers_of(p),
         ("Ω = 0.5 … 6.5.",),
         (
-            Claim.judged("Figure 4.4", "The product of all multipliers follows from the damping alone (Liouville's "
-                         "theorem: a check of our figure).", off < 1e-6,
-                         f"log of the product over a period against the trace, {liouville:.4f} /s: within {off:.1e}"),
+            Claim.judged(
+                "Figure 4.4",
+                "The product of all multipliers follows from the damping alone (Liouville's "
+                "theorem: a check of our figure).",
+                off < 1e-6,
+                f"log of the product over a period against the trace, {liouville:.4f} /s: within {off:.1e}",
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _trace_rate(p: RotorParameters) -> float:

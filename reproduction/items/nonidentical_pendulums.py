@@ -30,8 +30,9 @@ Array = NDArray[np.float64]
 MASSES_KG = (0.019, 0.037, 0.055)
 MAIN_KG = 0.037
 BELOW = Series("below", 0.8, (f"pendulums.b.mass_kg={MAIN_KG}",), 0.010, (0.0016, 0.0026, 0.0042, 0.0065, 0.0090))
-ABOVE = Series("above", 2.5, (f"pendulums.b.mass_kg={MAIN_KG}",), 0.010,
-               (0.0006, 0.0013, 0.0025, 0.0040, 0.0055, 0.0072, 0.0092))  # fmt: skip
+ABOVE = Series(
+    "above", 2.5, (f"pendulums.b.mass_kg={MAIN_KG}",), 0.010, (0.0006, 0.0013, 0.0025, 0.0040, 0.0055, 0.0072, 0.0092)
+)
 _CHOSEN = (
     f"M_A = 0.075 kg and M_B = {MAIN_KG:g} kg of the source's 0.019, 0.037 and 0.055 kg: its figure shows three "
     "regions and its text does not say with which pendulums.",
@@ -65,16 +66,31 @@ def amplitude_below_3_11(work: Workspace) -> Reproduced:
     found, others = turned.curves(work), _others(turned, work)
     slips = [_without_steady_state(p, moment, turned.speed_ratio) for moment in np.linspace(0, 0.0012, 4).tolist()]
     figure = amplitude_figure(
-        f"3.11: {_title(turned, 'amplitude')}", found, rows, others,
+        f"3.11: {_title(turned, 'amplitude')}",
+        found,
+        rows,
+        others,
         "Left of the dashed line no steady state exists.",
-    )  # fmt: skip
+    )
     axes = figure.axes[0]
-    axes.plot([1e3 * s for s, _, _ in slips], [1e3 * r for _, r, _ in slips], "^", color="#555555", ms=5,
-              label="slipping together, integrated")  # fmt: skip
-    slip_table = Table("slipping", "Whirl of slipping pendulums where no steady state exists", {
-        "S_P_g_m": [1e3 * s for s, _, _ in slips], "radius_mm": [1e3 * r for _, r, _ in slips],
-        "slip_rad_s": [rate for _, _, rate in slips],
-    }, shown=True)  # fmt: skip
+    axes.plot(
+        [1e3 * s for s, _, _ in slips],
+        [1e3 * r for _, r, _ in slips],
+        "^",
+        color="#555555",
+        ms=5,
+        label="slipping together, integrated",
+    )
+    slip_table = Table(
+        "slipping",
+        "Whirl of slipping pendulums where no steady state exists",
+        {
+            "S_P_g_m": [1e3 * s for s, _, _ in slips],
+            "radius_mm": [1e3 * r for _, r, _ in slips],
+            "slip_rad_s": [rate for _, _, rate in slips],
+        },
+        shown=True,
+    )
     return Reproduced(
         (Panel("amplitude", "Amplitude over the imbalance; the pendulums add to it everywhere.", figure),),
         (*_tables(found, rows, others), slip_table),
@@ -90,18 +106,20 @@ def amplitude_below_3_11(work: Workspace) -> Reproduced:
 
 def _only_type_iii(work: Workspace, others: list[tuple[str, SteadyBranches]], found: SteadyBranches) -> Claim:
     regions, types = set[str](), set[str]()
-    for mass, one in zip((*(m for m in MASSES_KG if m != MAIN_KG), MAIN_KG), (*(o for _, o in others), found),
-                         strict=True):  # fmt: skip
+    for mass, one in zip(
+        (*(m for m in MASSES_KG if m != MAIN_KG), MAIN_KG), (*(o for _, o in others), found), strict=True
+    ):
         a, b = (BELOW.physics(work, [f"pendulums.b.mass_kg={mass}"]).a.first_moment_kg_m, 0.054 * mass)
         for branch in one.stable_branches():
             types.add(branch.type)
             regions |= {balancing_region(a, b, value) for value in branch.values.tolist()}
     return Claim.judged(
-        "3.2.2", "Below resonance only Type III is stable, whatever the balancing area.",
+        "3.2.2",
+        "Below resonance only Type III is stable, whatever the balancing area.",
         types == {"III"} and len(regions) == 3,
         f"stable with M_B = 0.019, 0.037, 0.055 kg over S_P = 0 … {1e3 * BELOW.up_to_kg_m:g} g m: "
         f"{', '.join(sorted(types))}; areas met: {', '.join(sorted(regions))}",
-    )  # fmt: skip
+    )
 
 
 def _whirl_without_imbalance(
@@ -114,12 +132,13 @@ def _whirl_without_imbalance(
     exists = any(b.type == "III" and b.values[0] == 0.0 for b in found.stable_branches())
     whirls = radius > 1e-5
     return Claim(
-        "3.2.2", "Below resonance the rotor whirls steadily even without imbalance.",
+        "3.2.2",
+        "Below resonance the rotor whirls steadily even without imbalance.",
         "holds" if exists and whirls else "holds in part" if whirls else "does not hold",
         f"without imbalance the disk whirls with {1e3 * radius:.3f} mm and the pendulums, together, slip by {rate:.3f} "
         "rad/s against the rotor: a whirl, but no steady state on the rotor. Type III begins at S_P = "
         f"{1e3 * begins:.4f} g m; (S_A + S_B) sin φ_H = {1e3 * lost:.4f} g m",
-    )  # fmt: skip
+    )
 
 
 def _lag(p: RotorParameters, ratio: float) -> float:
@@ -147,8 +166,9 @@ def positions_below_3_12(work: Workspace) -> Reproduced:
     p, rows = BELOW.physics(work), compared(BELOW.recordings(work))
     turned = BELOW.as_turned(rows)
     found = turned.curves(work)
-    figure = angle_figure(f"3.12: {_title(turned, 'pendulum positions')}", found, rows,
-                          "The line of B lies on that of A.")  # fmt: skip
+    figure = angle_figure(
+        f"3.12: {_title(turned, 'pendulum positions')}", found, rows, "The line of B lies on that of A."
+    )
     apart = [_apart(row) for row in rows]
     regions = {balancing_region(p.a.first_moment_kg_m, p.b.first_moment_kg_m, row.moment_kg_m) for row in rows}
     worst = max(abs(gap) / std for gap, std in apart)
@@ -159,7 +179,8 @@ def positions_below_3_12(work: Workspace) -> Reproduced:
         _CHOSEN,
         (
             Claim.judged(
-                "Figure 3.12", "Below resonance the pendulums stay together, wherever the balancing area lies.",
+                "Figure 3.12",
+                "Below resonance the pendulums stay together, wherever the balancing area lies.",
                 worst < 3 and len(regions) == 3,
                 f"{len(rows)} start-ups, S_P = {1e3 * rows[0].moment_kg_m:g} … {1e3 * rows[-1].moment_kg_m:g} g m "
                 f"({', '.join(sorted(regions))}): apart by {max(abs(math.degrees(g)) for g, _ in apart):.3f}° at most, "
@@ -168,7 +189,7 @@ def positions_below_3_12(work: Workspace) -> Reproduced:
             _closed_form(p, found, turned.speed_ratio),
             angle_claim("Figure 3.12", rows),
         ),
-    )  # fmt: skip
+    )
 
 
 def _apart(row: Compared) -> tuple[float, float]:
@@ -184,9 +205,11 @@ def _closed_form(p: RotorParameters, found: SteadyBranches, ratio: float) -> Cla
     off = np.sin(branch.theta_rad[:, 0] + lag) + total / branch.values * math.sin(lag)
     worst = float(np.max(np.abs(off)))
     return Claim.judged(
-        "3.1", "The angle of Type III obeys sin(θ + φ_H) = −(S_T/S_P) sin φ_H.", worst < 1e-9,
+        "3.1",
+        "The angle of Type III obeys sin(θ + φ_H) = −(S_T/S_P) sin φ_H.",
+        worst < 1e-9,
         f"at {len(branch.values)} values of S_P the sides differ by {worst:.0e} at most",
-    )  # fmt: skip
+    )
 
 
 def amplitude_above_3_13(work: Workspace) -> Reproduced:
@@ -197,8 +220,9 @@ def amplitude_above_3_13(work: Workspace) -> Reproduced:
     figure = amplitude_figure(f"3.13: {_title(turned, 'amplitude')}", found, rows, others)
     a, b = p.a.first_moment_kg_m, p.b.first_moment_kg_m
     breaks = [one for one in found.break_points if one.before]
-    worst = _worst_border(work, [(MAIN_KG, found), *zip([m for m in MASSES_KG if m != MAIN_KG],
-                                                      [one for _, one in others], strict=True)])  # fmt: skip
+    worst = _worst_border(
+        work, [(MAIN_KG, found), *zip([m for m in MASSES_KG if m != MAIN_KG], [one for _, one in others], strict=True)]
+    )
     begins = found.break_points[0].value
     return Reproduced(
         (Panel("amplitude", "Amplitude over the imbalance's first moment: down to zero, zero, up again.", figure),),
@@ -207,8 +231,9 @@ def amplitude_above_3_13(work: Workspace) -> Reproduced:
         _CHOSEN,
         (
             Claim.judged(
-                "Figure 3.13", "Above resonance Type II, then I, then III is stable; the borders are |S_A − S_B| and "
-                "S_A + S_B.", [one.after for one in breaks] == [("I",), ("III",)] and worst < 2e-6,
+                "Figure 3.13",
+                "Above resonance Type II, then I, then III is stable; the borders are |S_A − S_B| and S_A + S_B.",
+                [one.after for one in breaks] == [("I",), ("III",)] and worst < 2e-6,
                 f"found {1e3 * breaks[0].value:.5f} and {1e3 * breaks[1].value:.5f} g m, sums {1e3 * (a - b):.5f} and "
                 f"{1e3 * (a + b):.5f} g m; with M_B = 0.019, 0.037, 0.055 kg within {worst:.0e} of them. Below "
                 f"{1e3 * begins:.4f} g m, |S_A − S_B| sin φ_H, no Type II exists",
@@ -216,7 +241,7 @@ def amplitude_above_3_13(work: Workspace) -> Reproduced:
             _down_zero_up(found),
             amplitude_claim("Figure 3.13", rows),
         ),
-    )  # fmt: skip
+    )
 
 
 def _worst_border(work: Workspace, each: list[tuple[float, SteadyBranches]]) -> float:
@@ -237,11 +262,12 @@ def _down_zero_up(found: SteadyBranches) -> Claim:
     holds = np.all(np.diff(two) < 0) and np.max(one) < 1e-12 and np.all(np.diff(three) > 0)
     ends = max(two[-1], three[0]) / max(np.max(two), np.max(three))
     return Claim.judged(
-        "3.2.2", "The amplitude falls to zero at the first border, is zero between them and grows beyond the second.",
+        "3.2.2",
+        "The amplitude falls to zero at the first border, is zero between them and grows beyond the second.",
         holds and ends < 1e-4,
         f"II from {1e3 * two[0]:.4f} to {1e3 * two[-1]:.1e} mm, I {1e3 * np.max(one):.0e} mm, III from "
         f"{1e3 * three[0]:.1e} to {1e3 * three[-1]:.4f} mm, each without a turn",
-    )  # fmt: skip
+    )
 
 
 def positions_above_3_14(work: Workspace) -> Reproduced:
@@ -262,14 +288,18 @@ def positions_above_3_14(work: Workspace) -> Reproduced:
         _CHOSEN,
         (
             Claim.judged(
-                "3.2.3", "The wishbone of different pendulums is not symmetric.", uneven > 1,
+                "3.2.3",
+                "The wishbone of different pendulums is not symmetric.",
+                uneven > 1,
                 f"the distances of A and B from 180° differ by up to {uneven:.1f}°",
             ),
             Claim.judged(
-                "3.2.2", "Undersized pendulums come together opposite the imbalance.", abs(last - 180) < 5,
+                "3.2.2",
+                "Undersized pendulums come together opposite the imbalance.",
+                abs(last - 180) < 5,
                 f"Type III from 180.00° at the border to {last:.2f}° at {1e3 * ABOVE.up_to_kg_m:g} g m: opposite but "
                 "for what the suspension's damping turns",
             ),
             angle_claim("Figure 3.14", rows),
         ),
-    )  # fmt: skip
+    )

@@ -86,21 +86,37 @@ def open_lost_points(work: Workspace) -> Reproduced:
             ),
         ),
         (
-            Table("map", "Types of stable steady states", {
-                "zeta": [z for z, _ in places], "speed_ratio": [r for _, r in places], "stable": names}),
-            Table("releases", "Where releases end", {
-                "zeta": at[:, 0], "speed_ratio": at[:, 1], "stable": reachable, "ends": ends.name.tolist(),
-                "turns_per_revolution_A": ends.turns[:, 0], "turns_per_revolution_B": ends.turns[:, 1]}),
+            Table(
+                "map",
+                "Types of stable steady states",
+                {"zeta": [z for z, _ in places], "speed_ratio": [r for _, r in places], "stable": names},
+            ),
+            Table(
+                "releases",
+                "Where releases end",
+                {
+                    "zeta": at[:, 0],
+                    "speed_ratio": at[:, 1],
+                    "stable": reachable,
+                    "ends": ends.name.tolist(),
+                    "turns_per_revolution_A": ends.turns[:, 0],
+                    "turns_per_revolution_B": ends.turns[:, 1],
+                },
+            ),
         ),
         numbers_of(p) | {"zeta1": "0.005 … 0.3", "zeta2": "0.005 … 0.3"},
-        ("The rig file of the anisotropic rig (K = 14.9), ζ the same in both directions; every steady state of Types "
-         "I, II, III that the search finds is judged.",),
+        (
+            "The rig file of the anisotropic rig (K = 14.9), ζ the same in both directions; every steady state of "
+            "Types I, II, III that the search finds is judged.",
+        ),
         _claims(p, grid, three, at, ends, reachable),
-    )  # fmt: skip
+    )
 
 
-_FOOT = ("Slipping: pendulums that turn against the rotor for ever. Lines: the closed condition holds for the mean "
-         "torque; between a pair of them Type III's points are lost.",)  # fmt: skip
+_FOOT = (
+    "Slipping: pendulums that turn against the rotor for ever. Lines: the closed condition holds for the mean "
+    "torque; between a pair of them Type III's points are lost.",
+)
 
 
 def _releases(work: Workspace, p: RotorParameters) -> tuple[Array, Ends, list[str]]:
@@ -117,15 +133,29 @@ def _draw(axes: Axes, p: RotorParameters, grid: NDArray[np.str_]) -> None:
     axes.grid(False)
     index = np.array([[_SETS.index(name) if name in _SETS else -1 for name in row] for row in grid], np.float64)
     index[index < 0] = np.nan
-    axes.pcolormesh(RATIOS, ZETAS, index, cmap=ListedColormap(_COLOURS), vmin=-0.5, vmax=len(_SETS) - 0.5,
-                    shading="nearest", rasterized=True)  # fmt: skip
+    axes.pcolormesh(
+        RATIOS,
+        ZETAS,
+        index,
+        cmap=ListedColormap(_COLOURS),
+        vmin=-0.5,
+        vmax=len(_SETS) - 0.5,
+        shading="nearest",
+        rasterized=True,
+    )
     for name, colour in zip(_SETS, _COLOURS, strict=True):
         if np.any(grid == name):
             axes.fill_between([], [], [], color=colour, label="nothing stable" if name == "none" else f"{name} stable")
     fine: Array = np.exp(np.linspace(math.log(ZETAS[0]), math.log(ZETAS[-1]), 160))
     edges = [(z, edge) for z in fine.tolist() for pair in point_losses(_damped(p, z))[1].speed_ratios for edge in pair]
-    axes.plot([e for _, e in edges], [z for z, _ in edges], ".", color="black", ms=1.6,
-              label="III: border of loss, mean torque")  # fmt: skip
+    axes.plot(
+        [e for _, e in edges],
+        [z for z, _ in edges],
+        ".",
+        color="black",
+        ms=1.6,
+        label="III: border of loss, mean torque",
+    )
     axes.set(xlim=(RATIOS[0], RATIOS[-1]), ylim=(ZETAS[0], ZETAS[-1]), yscale="log")
     axes.set_yticks((0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3), ("0.005", "0.01", "0.02", "0.05", "0.1", "0.2", "0.3"))
     axes.set_yticks((), minor=True)
@@ -157,21 +187,26 @@ def _claims(
     reach = np.array([own in name.split(", ") for own, name in zip(ends.name.tolist(), here, strict=True)])
     return (
         Claim.judged(
-            "4.4, conclusions", "Where Type I is unstable another type is stable instead.",
+            "4.4, conclusions",
+            "Where Type I is unstable another type is stable instead.",
             not bool(np.any(unbalanced & ~replaced)) and not bare_map.any(),
             f"nothing at all is stable at {100 * np.mean(bare_map):.0f} % of {grid.size} points: Ω = "
             + "; ".join(f"{bands} (ζ = {zeta})" for zeta, bands in rows.items()),
         ),
         Claim(
-            "open", "Where nothing is stable the pendulums slip on the rotor for ever.", slip_verdict(ends, bare),
+            "open",
+            "Where nothing is stable the pendulums slip on the rotor for ever.",
+            slip_verdict(ends, bare),
             f"{ends_counted(ends, bare)}; {rates_said(ends, bare, at[:, 1])} (ω_n of the softer direction)",
         ),
         _mean_torque_claim(p, three),
         Claim.judged(
-            "open", "Where something is stable a release from 0° and 180° ends in it.", bool(np.all(reach[~bare])),
+            "open",
+            "Where something is stable a release from 0° and 180° ends in it.",
+            bool(np.all(reach[~bare])),
             f"of {int((~bare).sum())} releases {int(reach.sum())} do, {int((slips & ~bare).sum())} slip all the same",
         ),
-    )  # fmt: skip
+    )
 
 
 def _mean_torque_claim(p: RotorParameters, three: NDArray[np.bool_]) -> Claim:
@@ -179,8 +214,10 @@ def _mean_torque_claim(p: RotorParameters, three: NDArray[np.bool_]) -> Claim:
     said = np.array([[not point_losses(_damped(p, z))[1].holds(r) for r in RATIOS.tolist()] for z in ZETAS.tolist()])
     agree = np.count_nonzero(said == three) / three.size
     return Claim.judged(
-        "3.1, for k2 ≠ k1", "The closed condition of loss, with the mean of 1/D over both directions, tells where "
-        "orbits of Type III exist.", agree > 0.98,
+        "3.1, for k2 ≠ k1",
+        "The closed condition of loss, with the mean of 1/D over both directions, tells where "
+        "orbits of Type III exist.",
+        agree > 0.98,
         f"the search finds them, and finds none, as the condition says at {100 * agree:.1f} % of {three.size} points; "
         f"of the others {int(np.sum(three & ~said))} have one that it denies",
-    )  # fmt: skip
+    )

@@ -72,8 +72,13 @@ def gravity(work: Workspace) -> Reproduced:
     with sheet(WIDTH_IN, 4.6, "Gravity: a horizontal shaft, vibration and swing that are left") as figure:
         axes: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
         for kind, colour in (("I", MEASURED), ("III", MODEL)):
-            axes[0].semilogy(_GRAVITY_RATIOS, np.where(kinds == kind, left, np.nan), ".", color=colour,
-                             label=f"stable: {'balanced (I)' if kind == 'I' else 'together (III)'}")  # fmt: skip
+            axes[0].semilogy(
+                _GRAVITY_RATIOS,
+                np.where(kinds == kind, left, np.nan),
+                ".",
+                color=colour,
+                label=f"stable: {'balanced (I)' if kind == 'I' else 'together (III)'}",
+            )
             axes[1].semilogy(_GRAVITY_RATIOS, np.where(kinds == kind, swing, np.nan), ".", color=colour)
         axes[1].semilogy(_GRAVITY_RATIOS, weak, color=GREY, lw=1.0, label="g/(R ω²)")
         for one in axes:
@@ -92,23 +97,41 @@ def gravity(work: Workspace) -> Reproduced:
     works = [name for name, states in weighed.items() if states and states[0].type == flat[name][0].type]
     least = [row[0] for row in rows if row[1] == "I"]
     return Reproduced(
-        (Panel("gravity", "Stable states of a horizontal rig over the speed ratio: vibration and swing; grey: none.",
-               figure),),
-        (Table("gravity", "Stable states with gravity in the disk's plane", {
-            "speed_ratio": _GRAVITY_RATIOS, "state": kinds, "vibration_um": left, "swing_deg": swing}),),
+        (
+            Panel(
+                "gravity",
+                "Stable states of a horizontal rig over the speed ratio: vibration and swing; grey: none.",
+                figure,
+            ),
+        ),
+        (
+            Table(
+                "gravity",
+                "Stable states with gravity in the disk's plane",
+                {"speed_ratio": _GRAVITY_RATIOS, "state": kinds, "vibration_um": left, "swing_deg": swing},
+            ),
+        ),
         numbers_of(p) | {"gravity_m_per_s2": _G},
         ("The nominal rig laid on its side, gravity along −y; its sag M_S g/k2 is no vibration.",),
         (
-            Claim(_CHAPTER, "(Question) The balancer works on a horizontal shaft.",
-                  "holds" if len(works) == len(_BALANCED) else "holds in part" if works else "does not hold",
-                  f"{words}; in the second stable area balanced from Ω = {min(least, default=math.nan):.2f} on"),
-            Claim.judged(_CHAPTER, "(Question) In the first stable area gravity unlocks the pendulums: they slip.",
-                         all(name in works or slip for name, (_, slip, _) in lost.items()),
-                         "; ".join(f"{name}: balanced up to g = {limit:.2f} m/s², g/(R ω²) = {angle:.1f}°"
-                                   + (", a release at 9.81 m/s² slips" if slip else "")
-                                   for name, (limit, slip, angle) in lost.items())),
+            Claim(
+                _CHAPTER,
+                "(Question) The balancer works on a horizontal shaft.",
+                "holds" if len(works) == len(_BALANCED) else "holds in part" if works else "does not hold",
+                f"{words}; in the second stable area balanced from Ω = {min(least, default=math.nan):.2f} on",
+            ),
+            Claim.judged(
+                _CHAPTER,
+                "(Question) In the first stable area gravity unlocks the pendulums: they slip.",
+                all(name in works or slip for name, (_, slip, _) in lost.items()),
+                "; ".join(
+                    f"{name}: balanced up to g = {limit:.2f} m/s², g/(R ω²) = {angle:.1f}°"
+                    + (", a release at 9.81 m/s² slips" if slip else "")
+                    for name, (limit, slip, angle) in lost.items()
+                ),
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _gravity_limit(p: RotorParameters, speed_ratio: float) -> tuple[float, bool, float]:
@@ -153,25 +176,43 @@ def pendulum_damping(work: Workspace) -> Reproduced:
         label(axes[1], "c34, N m s/rad", "stable share of the plane, %")
     best = {name: int(np.nanargmin(values)) for name, values in constants.items()}
     inner = [name for name, i in best.items() if 0 < i < len(_C34) - 1]
-    told = "; ".join(f"{name}: {constants[name][i]:.2f} s at c34 = {_C34[i]:.2g} ({constants[name][-1]:.0f} s at 0.1)"
-                     for name, i in best.items())  # fmt: skip
+    told = "; ".join(
+        f"{name}: {constants[name][i]:.2f} s at c34 = {_C34[i]:.2g} ({constants[name][-1]:.0f} s at 0.1)"
+        for name, i in best.items()
+    )
     against = float(wide[int(np.argmax(shares))]) > 3 * max(float(_C34[i]) for i in best.values())
     return Reproduced(
-        (Panel("damping", "Above: slowest time constant of the balanced state at three points; below: stable share of "
-               "the plane Ω = 0.3 … 7, K = 1 … 16.", figure),),
-        (Table("time-constants", "Slowest time constant of the balanced state over c34, s",
-               {"c34_Nms_per_rad": _C34, **{f"{name}_s": values for name, values in constants.items()}}),
-         Table("shares", "Stable share of the plane over c34", {"c34_Nms_per_rad": wide, "stable_share": shares})),
+        (
+            Panel(
+                "damping",
+                "Above: slowest time constant of the balanced state at three points; below: stable share of "
+                "the plane Ω = 0.3 … 7, K = 1 … 16.",
+                figure,
+            ),
+        ),
+        (
+            Table(
+                "time-constants",
+                "Slowest time constant of the balanced state over c34, s",
+                {"c34_Nms_per_rad": _C34, **{f"{name}_s": values for name, values in constants.items()}},
+            ),
+            Table("shares", "Stable share of the plane over c34", {"c34_Nms_per_rad": wide, "stable_share": shares}),
+        ),
         numbers_of(p) | {"c3_Nms_per_rad": "1e-4 … 0.1", "c4_Nms_per_rad": "1e-4 … 0.1"},
         ("Best is what dies out fastest: the slowest time constant, by the largest multiplier.",),
         (
-            Claim.judged(_CHAPTER, "(Question) There is a best damping of the pendulums.", len(inner) == len(best),
-                         told),
-            Claim.judged(_CHAPTER, "(Question) What settles fastest is not what is stable in the largest area.",
-                         against, f"the stable share grows from {100 * shares[0]:.1f} % at {wide[0]:.1g} to "
-                         f"{100 * float(np.max(shares)):.1f} % at {wide[int(np.argmax(shares))]:.2g} N m s/rad"),
+            Claim.judged(
+                _CHAPTER, "(Question) There is a best damping of the pendulums.", len(inner) == len(best), told
+            ),
+            Claim.judged(
+                _CHAPTER,
+                "(Question) What settles fastest is not what is stable in the largest area.",
+                against,
+                f"the stable share grows from {100 * shares[0]:.1f} % at {wide[0]:.1g} to "
+                f"{100 * float(np.max(shares)):.1f} % at {wide[int(np.argmax(shares))]:.2g} N m s/rad",
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 _GRID = (56, 31)
@@ -188,11 +229,20 @@ def type_three(work: Workspace) -> Reproduced:
         row: list[Axes] = figure.subplots(1, 2, sharey=True).tolist()
         for axes, (zeta, classes) in zip(row, found.items(), strict=True):
             axes.grid(False)
-            axes.pcolormesh(x, y, classes, cmap=ListedColormap(_CLASS_COLOURS), vmin=-0.5, vmax=3.5, shading="nearest",
-                            rasterized=True)  # fmt: skip
+            axes.pcolormesh(
+                x,
+                y,
+                classes,
+                cmap=ListedColormap(_CLASS_COLOURS),
+                vmin=-0.5,
+                vmax=3.5,
+                shading="nearest",
+                rasterized=True,
+            )
             q = work.physics(VIRTUAL, [f"suspension.zeta1={zeta}", f"suspension.zeta2={zeta}"])
-            borders = stability_borders(SpeedStiffnessPlane(q, balanced_angles(q)[0]), (0.4, 7.0), (1.5, 16.0),
-                                        first=(96, 72), spacing=1 / 400)  # fmt: skip
+            borders = stability_borders(
+                SpeedStiffnessPlane(q, balanced_angles(q)[0]), (0.4, 7.0), (1.5, 16.0), first=(96, 72), spacing=1 / 400
+            )
             draw_borders(axes, borders)
             set_plane(axes, (x, y), MapFrame(own=p.k2_N_per_m / p.k1_N_per_m))
             label(axes, None, None, f"ζ = {zeta:g}")
@@ -203,22 +253,32 @@ def type_three(work: Workspace) -> Reproduced:
         unstable = np.isin(classes, (0, 2))
         share = float(np.count_nonzero(classes == 2) / np.count_nonzero(unstable))
         both = float(np.count_nonzero(classes == 3) / classes.size)
-        claims.append(Claim(
-            "4.4, chapter 5", f"Where Type I is not stable, Type III is (ζ = {zeta:g}).",
-            "holds" if share > 0.999 else "holds in part" if share > 0.05 else "does not hold",
-            f"of {int(unstable.sum())} points of the plane at which Type I is unstable, III is stable at "
-            f"{100 * share:.1f} %; both are stable at {100 * both:.1f} % of the plane"))  # fmt: skip
+        claims.append(
+            Claim(
+                "4.4, chapter 5",
+                f"Where Type I is not stable, Type III is (ζ = {zeta:g}).",
+                "holds" if share > 0.999 else "holds in part" if share > 0.05 else "does not hold",
+                f"of {int(unstable.sum())} points of the plane at which Type I is unstable, III is stable at "
+                f"{100 * share:.1f} %; both are stable at {100 * both:.1f} % of the plane",
+            )
+        )
     grid_x, grid_y = np.meshgrid(x, y)
     columns = {"speed_ratio": grid_x.ravel(), "stiffness_ratio": grid_y.ravel()}
     names = {f"class_zeta_{zeta:g}": np.array(_CLASSES)[classes].ravel() for zeta, classes in found.items()}
     return Reproduced(
-        (Panel("classes", "Which of Types I and III is stable over speed ratio and stiffness ratio, for two damping "
-               "ratios; lines: borders of Type I.", figure),),
+        (
+            Panel(
+                "classes",
+                "Which of Types I and III is stable over speed ratio and stiffness ratio, for two damping "
+                "ratios; lines: borders of Type I.",
+                figure,
+            ),
+        ),
         (Table("classes", "Stable types over the plane", {**columns, **names}),),
         numbers_of(p) | {"zeta1": "0.02, 0.05", "zeta2": "0.02, 0.05"},
         ("Type III is found as a periodic orbit and judged by its own multipliers.",),
         tuple(claims),
-    )  # fmt: skip
+    )
 
 
 def _classes(work: Workspace, zeta: float, x: Array, y: Array) -> NDArray[np.intp]:
@@ -256,25 +316,39 @@ def imbalance_step(work: Workspace) -> Reproduced:
     times = {name: np.array([each.reaction_s for each in rows]) for name, rows in found.items()}
     back = all(each.after is not None and each.after.type == "I" for rows in found.values() for each in rows)
     best = {name: int(np.nanargmin(values)) for name, values in times.items()}
-    told = "; ".join(f"{name}: {times[name][i]:.1f} s at c34 = {_STEP_C34[i]:.2g}, {times[name][-1]:.1f} s at "
-                     f"{_STEP_C34[-1]:.2g}, peak at 0.001 {1e3 * nominal[name].peak_m:.3f} mm"
-                     for name, i in best.items())  # fmt: skip
+    told = "; ".join(
+        f"{name}: {times[name][i]:.1f} s at c34 = {_STEP_C34[i]:.2g}, {times[name][-1]:.1f} s at "
+        f"{_STEP_C34[-1]:.2g}, peak at 0.001 {1e3 * nominal[name].peak_m:.3f} mm"
+        for name, i in best.items()
+    )
     columns = {f"{name}_s": values for name, values in times.items()}
     return Reproduced(
-        (Panel("step", "Above: rms vibration of each revolution after the imbalance has jumped; below: time until it "
-               "stays within 5 % of its largest value.", figure),),
+        (
+            Panel(
+                "step",
+                "Above: rms vibration of each revolution after the imbalance has jumped; below: time until it "
+                "stays within 5 % of its largest value.",
+                figure,
+            ),
+        ),
         (Table("reaction", "Reaction time over c34, s", {"c34_Nms_per_rad": _STEP_C34, **columns}, shown=True),),
         numbers_of(p) | {"change": f"S_P × {_STEP:g}"},
-        (f"The imbalance grows by {100 * (_STEP - 1):.0f} % at once, the rotor's mass stays, the speed is held.",
-         "The reaction is over when the vibration stays within 5 % of its largest deviation from its end."),
+        (
+            f"The imbalance grows by {100 * (_STEP - 1):.0f} % at once, the rotor's mass stays, the speed is held.",
+            "The reaction is over when the vibration stays within 5 % of its largest deviation from its end.",
+        ),
         (
             Claim.judged(_CHAPTER, "(Question) The pendulums balance the changed rotor again.", back, told),
-            Claim("chapter 5", "(Question) One damping of the pendulums gives the fastest reaction.",
-                  "holds in part" if len({int(i) for i in best.values()}) > 1 else "holds",
-                  "it depends on the speed: " + ", ".join(f"{n} {_STEP_C34[i]:.2g}" for n, i in best.items())
-                  + " N m s/rad"),
+            Claim(
+                "chapter 5",
+                "(Question) One damping of the pendulums gives the fastest reaction.",
+                "holds in part" if len({int(i) for i in best.values()}) > 1 else "holds",
+                "it depends on the speed: "
+                + ", ".join(f"{n} {_STEP_C34[i]:.2g}" for n, i in best.items())
+                + " N m s/rad",
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _stepped(p: RotorParameters, name: str, c34: float) -> Reaction:

@@ -46,8 +46,15 @@ def draw_pose(axes: Axes, p: RotorParameters, point: SingularPoint, title: str, 
         out = np.array([math.cos(theta), math.sin(theta)])
         tip = centre + reach * out
         axes.plot((centre[0], tip[0]), (centre[1], tip[1]), color=colour, lw=2.0)
-        axes.plot(*tip, "o", color=colour, ms=4 + 5 * math.sqrt(pendulum.first_moment_kg_m / most), mec="white",
-                  mew=0.6, label=f"pendulum {name}")  # fmt: skip
+        axes.plot(
+            *tip,
+            "o",
+            color=colour,
+            ms=4 + 5 * math.sqrt(pendulum.first_moment_kg_m / most),
+            mec="white",
+            mew=0.6,
+            label=f"pendulum {name}",
+        )
     axes.plot(*centre, "o", color=MODEL, ms=4, label="C: centre of the disk")
     axes.plot(0, 0, "+", color="black", ms=9, mew=1.4, label="O: where it would rest")
     axes.grid(False)
@@ -84,17 +91,23 @@ def types_3_5(work: Workspace) -> Reproduced:
         row: list[Axes] = figure.subplots(1, 3).tolist()
         for axes, (kind, rig, ratio), point in zip(row, cases, points, strict=True):
             theta = [math.degrees(t) for t in point.theta_rad]
-            draw_pose(axes, rig, point, f"Type {kind}, Ω = {ratio:g}: |OC| = {1e3 * abs(point.z_m):.3f} mm\n"
-                      f"θ3 = {theta[0]:.1f}°, θ4 = {theta[1]:.1f}°")  # fmt: skip
+            draw_pose(
+                axes,
+                rig,
+                point,
+                f"Type {kind}, Ω = {ratio:g}: |OC| = {1e3 * abs(point.z_m):.3f} mm\n"
+                f"θ3 = {theta[0]:.1f}°, θ4 = {theta[1]:.1f}°",
+            )
     columns = {
-        "type": [kind for kind, _, _ in cases], "speed_ratio": [ratio for _, _, ratio in cases],
+        "type": [kind for kind, _, _ in cases],
+        "speed_ratio": [ratio for _, _, ratio in cases],
         "S_A_g_m": [1e3 * rig.a.first_moment_kg_m for _, rig, _ in cases],
         "S_B_g_m": [1e3 * rig.b.first_moment_kg_m for _, rig, _ in cases],
         "S_P_g_m": [1e3 * rig.imbalance_moment_kg_m for _, rig, _ in cases],
         "theta3_deg": [math.degrees(q.theta_rad[0]) for q in points],
         "theta4_deg": [math.degrees(q.theta_rad[1]) for q in points],
         "radius_mm": [1e3 * abs(q.z_m) for q in points],
-    }  # fmt: skip
+    }
     return Reproduced(
         (
             Panel(
@@ -106,10 +119,12 @@ def types_3_5(work: Workspace) -> Reproduced:
         ),
         (Table("points", "Singular points drawn", columns, shown=True),),
         numbers_of(p),
-        (f"One set of numbers for each, ζ = {_ZETA:g}; the source draws them without numbers. II: M_B = 19 g, "
-         "S_P = 1 g m.",),
+        (
+            f"One set of numbers for each, ζ = {_ZETA:g}; the source draws them without numbers. II: M_B = 19 g, "
+            "S_P = 1 g m.",
+        ),
         (_closed_form(p), _equations(cases), *_stay(cases, points)),
-    )  # fmt: skip
+    )
 
 
 def _closed_form(p: RotorParameters) -> Claim:
@@ -121,15 +136,21 @@ def _closed_form(p: RotorParameters) -> Claim:
         first = (a + b - s) * (a + b + s)
         second = (a - b - s) * (a - b + s)
         root = math.sqrt(max(-first * second, 0.0))
-        printed = (math.atan2(-root / (2 * s * a), -(a * a - b * b + s * s) / (2 * s * a)),
-                   math.atan2(root / (s * b), (a * a - b * b - s * s) / (s * b)))  # fmt: skip
-        away = [max(abs(np.exp(1j * own) - np.exp(1j * said)) for own, said in zip(pair, printed, strict=True))
-                for pair in balanced_angles(with_moments(p, a, b))]  # fmt: skip
+        printed = (
+            math.atan2(-root / (2 * s * a), -(a * a - b * b + s * s) / (2 * s * a)),
+            math.atan2(root / (s * b), (a * a - b * b - s * s) / (s * b)),
+        )
+        away = [
+            max(abs(np.exp(1j * own) - np.exp(1j * said)) for own, said in zip(pair, printed, strict=True))
+            for pair in balanced_angles(with_moments(p, a, b))
+        ]
         worst = max(worst, float(min(away)))
     return Claim.judged(
-        "(3-21), (3-22)", "Type I's angles in closed form.", worst < 1e-6,
+        "(3-21), (3-22)",
+        "Type I's angles in closed form.",
+        worst < 1e-6,
         f"{_SETS} random sets inside ABCD: one of the two mirror images within {worst:.0e} rad",
-    )  # fmt: skip
+    )
 
 
 def _equations(cases: list[tuple[str, RotorParameters, float]]) -> Claim:
@@ -149,10 +170,12 @@ def _equations(cases: list[tuple[str, RotorParameters, float]]) -> Claim:
             turning = max(turning, *(abs(torque) / (s * max(abs(z), 1e-3)) for torque in torques))
             count += 1
     return Claim.judged(
-        "(3-17) to (3-20)", "Singular points fulfil the four equations as printed.", lacking < 1e-9 and turning < 1e-9,
+        "(3-17) to (3-20)",
+        "Singular points fulfil the four equations as printed.",
+        lacking < 1e-9 and turning < 1e-9,
         f"{count} points of all types: torques vanish within {turning:.0e} S_P |z|; of the forces {lacking:.3f} ω² S_P "
         f"is left (of (3-13), where the term stands, {with_imbalance:.0e})",
-    )  # fmt: skip
+    )
 
 
 def _stay(cases: list[tuple[str, RotorParameters, float]], points: list[SingularPoint]) -> tuple[Claim, ...]:
@@ -173,9 +196,11 @@ def _stay(cases: list[tuple[str, RotorParameters, float]], points: list[Singular
         wander = float(np.max(np.abs(radius - abs(point.z_m))))
         claims.append(
             Claim.judged(
-                "Figure 3.5", said[kind], moved < 1e-6 and wander < 1e-8 and (abs(point.z_m) > 0) == (kind != "I"),
+                "Figure 3.5",
+                said[kind],
+                moved < 1e-6 and wander < 1e-8 and (abs(point.z_m) > 0) == (kind != "I"),
                 f"radius {1e3 * abs(point.z_m):.4f} mm; integrated for {_REVOLUTIONS} revolutions: angles move by "
                 f"{moved:.0e} rad, the radius by {wander:.0e} m",
             )
-        )  # fmt: skip
+        )
     return tuple(claims)

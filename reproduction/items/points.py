@@ -77,20 +77,29 @@ def _point(work: Workspace, name: str) -> Reproduced:
         (Panel("point", seen, figure),),
         (_scores(judged),),
         numbers_of(RigModel.of(known.rig, known.parameters).physics) | {"virtual.seed": 410},
-        ("The recording is one of the virtual rig through drivers, wire bytes and a log: the source's are lost.",
-         f"Ω = {known.rig.points[name].speed_ratio:g} of {name}: it stands only in a figure of the source."),
         (
-            Claim.judged("4.3, 4.4", said, judged.state == state,
-                         f"recorded: {judged.state}, θ3 = {math.degrees(measured.theta_rad[0].value):.2f}°, θ4 = "
-                         f"{math.degrees(measured.theta_rad[1].value):.2f}°, amplitude "
-                         f"{1e3 * measured.amplitude_m.value:.4f} mm at "
-                         f"{measured.speed_rad_s.value * 30 / math.pi:.1f} rpm"),
-            Claim.judged("4.4", "Simulation and measurement are nearly the same.",
-                         judged.verdict == "pass" and simulated is not None,
-                         f"{judged.verdict}: {judged.why}; largest |z| "
-                         f"{max(map(abs, judged.z_scores.values()), default=math.nan):.1f}"),
+            "The recording is one of the virtual rig through drivers, wire bytes and a log: the source's are lost.",
+            f"Ω = {known.rig.points[name].speed_ratio:g} of {name}: it stands only in a figure of the source.",
         ),
-    )  # fmt: skip
+        (
+            Claim.judged(
+                "4.3, 4.4",
+                said,
+                judged.state == state,
+                f"recorded: {judged.state}, θ3 = {math.degrees(measured.theta_rad[0].value):.2f}°, θ4 = "
+                f"{math.degrees(measured.theta_rad[1].value):.2f}°, amplitude "
+                f"{1e3 * measured.amplitude_m.value:.4f} mm at "
+                f"{measured.speed_rad_s.value * 30 / math.pi:.1f} rpm",
+            ),
+            Claim.judged(
+                "4.4",
+                "Simulation and measurement are nearly the same.",
+                judged.verdict == "pass" and simulated is not None,
+                f"{judged.verdict}: {judged.why}; largest |z| "
+                f"{max(map(abs, judged.z_scores.values()), default=math.nan):.1f}",
+            ),
+        ),
+    )
 
 
 def _scores(judged: PointResult) -> Table:

@@ -74,8 +74,12 @@ def _recordings(work: Workspace) -> list[_Row]:
     e = MOMENT_KG_M / work.physics(ISOTROPIC, SETTINGS).total_mass_kg
     found = list[_Row]()
     for i, shift in enumerate(RECORDED):
-        own = (*SETTINGS, f"points.above.speed_ratio={RECORDED_RATIO}", f"virtual.seed={i + 1}",
-               f"pendulums.pivot_shift_m={shift * e!r}")  # fmt: skip
+        own = (
+            *SETTINGS,
+            f"points.above.speed_ratio={RECORDED_RATIO}",
+            f"virtual.seed={i + 1}",
+            f"pendulums.pivot_shift_m={shift * e!r}",
+        )
         place = work.recordings(f"rho-{shift:g}")
         (one,) = recorded_points(place, ISOTROPIC, as_stated(ISOTROPIC, own))
         found.append(_row(shift, one))
@@ -100,10 +104,18 @@ def _row(shift: float, one: Recorded) -> _Row:
     error = np.degrees(2 * std) if settled else _range_deg(one)
     a, b = one_side(theta)
     return _Row(
-        shift, one, state, alpha, math.hypot(own, alpha * noise) / locked, state.amplitude_m / abs(x),
-        np.degrees([a[0], b[0]]) % 360, error, float(apart_deg(theta)[0]),
-        math.degrees(math.hypot(*std)) if settled else 0.5, z,
-    )  # fmt: skip
+        shift,
+        one,
+        state,
+        alpha,
+        math.hypot(own, alpha * noise) / locked,
+        state.amplitude_m / abs(x),
+        np.degrees([a[0], b[0]]) % 360,
+        error,
+        float(apart_deg(theta)[0]),
+        math.degrees(math.hypot(*std)) if settled else 0.5,
+        z,
+    )
 
 
 def _range_deg(one: Recorded) -> Array:
@@ -114,15 +126,23 @@ def _range_deg(one: Recorded) -> Array:
 
 
 def _row_table(rows: list[_Row]) -> Table:
-    return Table("recorded", "Recorded on the virtual rig", {
-        "rho_C": [row.shift for row in rows], "type": [row.state.type for row in rows],
-        "alpha": [row.alpha for row in rows], "alpha_std": [row.alpha_std for row in rows],
-        "alpha_model": [row.alpha_model for row in rows],
-        "theta3_deg": [row.theta_deg[0] for row in rows], "theta4_deg": [row.theta_deg[1] for row in rows],
-        "apart_deg": [row.apart_deg for row in rows],
-        "apart_model_deg": [float(apart_deg(np.array([row.state.theta_rad]))[0]) for row in rows],
-        "settled": [str(row.settled) for row in rows],
-    }, shown=True)  # fmt: skip
+    return Table(
+        "recorded",
+        "Recorded on the virtual rig",
+        {
+            "rho_C": [row.shift for row in rows],
+            "type": [row.state.type for row in rows],
+            "alpha": [row.alpha for row in rows],
+            "alpha_std": [row.alpha_std for row in rows],
+            "alpha_model": [row.alpha_model for row in rows],
+            "theta3_deg": [row.theta_deg[0] for row in rows],
+            "theta4_deg": [row.theta_deg[1] for row in rows],
+            "apart_deg": [row.apart_deg for row in rows],
+            "apart_model_deg": [float(apart_deg(np.array([row.state.theta_rad]))[0]) for row in rows],
+            "settled": [str(row.settled) for row in rows],
+        },
+        shown=True,
+    )
 
 
 def vibration_3_23(work: Workspace) -> Reproduced:
@@ -143,14 +163,21 @@ def vibration_3_23(work: Workspace) -> Reproduced:
         numbers_of(p) | {"speed_ratio": _mean_ratio(rows), "e_m": found.eccentricity_m},
         (*CHOSEN, "Each recording is one release by a rig with its own draw of sensors, clocks and locks."),
         (
-            Claim.judged("Figure 3.23", "The measured vibration rises in proportion and hardly beyond ρ_C = 2.",
-                         abs(slope - 1) < 0.02 and max(flat) - min(flat) < 0.02,
-                         f"slope {slope:.4f} up to 2; {min(flat):.4f} … {max(flat):.4f} beyond"),
-            Claim.judged("Figure 3.23", "Measured and computed vibration agree.", far < 0.005,
-                         f"{len(own)} settled recordings with a shift: α within {100 * far:.2f} %; without a shift "
-                         f"α = {rows[0].alpha:.1e}"),
+            Claim.judged(
+                "Figure 3.23",
+                "The measured vibration rises in proportion and hardly beyond ρ_C = 2.",
+                abs(slope - 1) < 0.02 and max(flat) - min(flat) < 0.02,
+                f"slope {slope:.4f} up to 2; {min(flat):.4f} … {max(flat):.4f} beyond",
+            ),
+            Claim.judged(
+                "Figure 3.23",
+                "Measured and computed vibration agree.",
+                far < 0.005,
+                f"{len(own)} settled recordings with a shift: α within {100 * far:.2f} %; without a shift "
+                f"α = {rows[0].alpha:.1e}",
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _mean_ratio(rows: list[_Row]) -> float:
@@ -172,29 +199,40 @@ def positions_3_24(work: Workspace) -> Reproduced:
     open_ones = ", ".join(f"{row.shift:g}" for row in rows if not row.settled) or "none"
     gaps = [abs(row.apart_deg - float(apart_deg(np.array([row.state.theta_rad]))[0])) for row in rows]
     return Reproduced(
-        (Panel("positions",
-               "Recorded angles on the computed curves; at ρ_C = 1 the pair's direction is open.", figure),),
+        (
+            Panel(
+                "positions", "Recorded angles on the computed curves; at ρ_C = 1 the pair's direction is open.", figure
+            ),
+        ),
         (_row_table(rows), curve_table(found), _friction_table(p, found, friction)),
         numbers_of(p) | {"speed_ratio": _mean_ratio(rows), "e_m": found.eccentricity_m},
         (*CHOSEN, f"Dry friction: an arm of {1e6 * _ARM_M:g} µm on both, integrated; the recordings have none."),
         (
-            Claim.judged("Figure 3.24", "Measured relative positions are almost those computed.", max(gaps) < 1.0,
-                         f"{len(rows)} recordings, the unsettled among them: within {max(gaps):.2f}°"),
-            Claim.judged("Figure 3.24", "Measured absolute positions are those computed, but for ρ_C near 1.",
-                         chance > 0.01 and all(abs(row.shift - 1) < 0.15 for row in rows if not row.settled),
-                         f"{len(own)} settled recordings: χ² {chi2:.1f} on {z.size}, p = {chance:.2f}; not settled "
-                         f"within 90 s: ρ_C = {open_ones}"),
+            Claim.judged(
+                "Figure 3.24",
+                "Measured relative positions are almost those computed.",
+                max(gaps) < 1.0,
+                f"{len(rows)} recordings, the unsettled among them: within {max(gaps):.2f}°",
+            ),
+            Claim.judged(
+                "Figure 3.24",
+                "Measured absolute positions are those computed, but for ρ_C near 1.",
+                chance > 0.01 and all(abs(row.shift - 1) < 0.15 for row in rows if not row.settled),
+                f"{len(own)} settled recordings: χ² {chi2:.1f} on {z.size}, p = {chance:.2f}; not settled "
+                f"within 90 s: ρ_C = {open_ones}",
+            ),
             _indifferent(p, found, friction),
         ),
-    )  # fmt: skip
+    )
 
 
 def _with_friction(p: RotorParameters, e: float) -> dict[float, Array]:
     """ρ_C ↦ angles (n, 2) at which releases from random angles end with dry friction."""
     found: dict[float, Array] = {}
     for shift in _FRICTION_AT:
-        own = replace(p, pivot_shift_m=shift * e, a=replace(p.a, friction_arm_m=_ARM_M),
-                      b=replace(p.b, friction_arm_m=_ARM_M))  # fmt: skip
+        own = replace(
+            p, pivot_shift_m=shift * e, a=replace(p.a, friction_arm_m=_ARM_M), b=replace(p.b, friction_arm_m=_ARM_M)
+        )
         starts = np.random.default_rng(24).uniform(0, 360, (_FRICTION_STARTS, 2))
         found[shift] = released(own, starts, _END_S)[:, 2:4]
     return found
@@ -206,8 +244,10 @@ def _scatter(p: RotorParameters, found: ShiftedPivot, friction: dict[float, Arra
     for shift, ends in friction.items():
         own = replace(p, pivot_shift_m=shift * found.eccentricity_m)
         states = [s for s in steady_states(own, own.speed_rad_s(SPEED_RATIO), 1e-9) if s.draws]
-        absolute = [min(float(np.max(np.abs(np.angle(np.exp(1j * (end - np.array(s.theta_rad))))))) for s in states)
-                    for end in ends]  # fmt: skip
+        absolute = [
+            min(float(np.max(np.abs(np.angle(np.exp(1j * (end - np.array(s.theta_rad))))))) for s in states)
+            for end in ends
+        ]
         gap = float(apart_deg(np.array([states[0].theta_rad]))[0])
         out.append((shift, math.degrees(max(absolute)), float(np.max(np.abs(apart_deg(ends) - gap)))))
     return out
@@ -215,28 +255,45 @@ def _scatter(p: RotorParameters, found: ShiftedPivot, friction: dict[float, Arra
 
 def _friction_table(p: RotorParameters, found: ShiftedPivot, friction: dict[float, Array]) -> Table:
     rows = _scatter(p, found, friction)
-    return Table("friction", f"Releases from {_FRICTION_STARTS} random angles with dry friction", {
-        "rho_C": [r for r, _, _ in rows], "largest_off_deg": [a for _, a, _ in rows],
-        "largest_offapart_deg": [b for _, _, b in rows],
-    }, shown=True)  # fmt: skip
+    return Table(
+        "friction",
+        f"Releases from {_FRICTION_STARTS} random angles with dry friction",
+        {
+            "rho_C": [r for r, _, _ in rows],
+            "largest_off_deg": [a for _, a, _ in rows],
+            "largest_offapart_deg": [b for _, _, b in rows],
+        },
+        shown=True,
+    )
 
 
 def _indifferent(p: RotorParameters, found: ShiftedPivot, friction: dict[float, Array]) -> Claim:
     rows = {shift: (absolute, apart) for shift, absolute, apart in _scatter(p, found, friction)}
     near, others = rows[1.0], [rows[shift] for shift in rows if abs(shift - 1) > 0.3]
     return Claim.judged(
-        "3.3.1", "Near ρ_C = 1 friction alone decides the absolute position, while the relative one stays 180°.",
+        "3.3.1",
+        "Near ρ_C = 1 friction alone decides the absolute position, while the relative one stays 180°.",
         near[0] > 5 * max(a for a, _ in others) and near[1] < 0.2 * near[0],
-        "; ".join(f"ρ_C = {shift:g}: absolute off by up to {a:.1f}°, relative by {b:.1f}°"
-                  for shift, (a, b) in rows.items()),
-    )  # fmt: skip
+        "; ".join(
+            f"ρ_C = {shift:g}: absolute off by up to {a:.1f}°, relative by {b:.1f}°" for shift, (a, b) in rows.items()
+        ),
+    )
 
 
 def _draw_alpha(rows: list[_Row], panels: list[Axes]) -> None:
     for row in rows:
         colour = MEASURED if row.settled else GREY
-        panels[0].errorbar(row.shift, row.alpha, yerr=2 * row.alpha_std, fmt="D", color=colour, mfc="white", ms=5,
-                           capsize=3, label="recorded" if row.settled else "recorded, not settled")  # fmt: skip
+        panels[0].errorbar(
+            row.shift,
+            row.alpha,
+            yerr=2 * row.alpha_std,
+            fmt="D",
+            color=colour,
+            mfc="white",
+            ms=5,
+            capsize=3,
+            label="recorded" if row.settled else "recorded, not settled",
+        )
 
 
 def _draw_positions(rows: list[_Row], friction: dict[float, Array], panels: list[Axes]) -> None:
@@ -250,7 +307,26 @@ def _draw_positions(rows: list[_Row], friction: dict[float, Array], panels: list
 
 def _draw_row(panels: list[Axes], row: _Row) -> None:
     for i, (sign, colour, which) in enumerate((("o", A_COLOUR, "A"), ("x", B_COLOUR, "B"))):
-        panels[0].errorbar(row.shift, row.theta_deg[i], yerr=row.error_deg[i], fmt=sign, color=colour, mfc="none", ms=7,
-                           mew=1.3, capsize=3, label=f"{which}, recorded")  # fmt: skip
-    panels[1].errorbar(row.shift, row.apart_deg, yerr=2 * row.apart_std_deg, fmt="D", color=MEASURED, mfc="white", ms=5,
-                       capsize=3, label="apart, recorded")  # fmt: skip
+        panels[0].errorbar(
+            row.shift,
+            row.theta_deg[i],
+            yerr=row.error_deg[i],
+            fmt=sign,
+            color=colour,
+            mfc="none",
+            ms=7,
+            mew=1.3,
+            capsize=3,
+            label=f"{which}, recorded",
+        )
+    panels[1].errorbar(
+        row.shift,
+        row.apart_deg,
+        yerr=2 * row.apart_std_deg,
+        fmt="D",
+        color=MEASURED,
+        mfc="white",
+        ms=5,
+        capsize=3,
+        label="apart, recorded",
+    )

@@ -72,14 +72,28 @@ def _release(work: Workspace, number: str, mass_b: float) -> Reproduced:
     return Reproduced(
         (Panel("release", said, _figure(title, recorded, simulated)),),
         (
-            Table("angles", "Pendulum angles, recorded and simulated", {
-                "time_s": pair.time_s, "theta3_deg": pair.angle_deg[:, 0], "theta4_deg": pair.angle_deg[:, 1],
-                "theta3_model_deg": pair.angle_model_deg[:, 0], "theta4_model_deg": pair.angle_model_deg[:, 1],
-            }),
-            Table("displacements", "Displacements, recorded and simulated", {
-                "time_s": pair.shown_time_s, "x_mm": pair.shown_mm[:, 0], "y_mm": pair.shown_mm[:, 1],
-                "x_model_mm": pair.shown_model_mm[:, 0], "y_model_mm": pair.shown_model_mm[:, 1],
-            }),
+            Table(
+                "angles",
+                "Pendulum angles, recorded and simulated",
+                {
+                    "time_s": pair.time_s,
+                    "theta3_deg": pair.angle_deg[:, 0],
+                    "theta4_deg": pair.angle_deg[:, 1],
+                    "theta3_model_deg": pair.angle_model_deg[:, 0],
+                    "theta4_model_deg": pair.angle_model_deg[:, 1],
+                },
+            ),
+            Table(
+                "displacements",
+                "Displacements, recorded and simulated",
+                {
+                    "time_s": pair.shown_time_s,
+                    "x_mm": pair.shown_mm[:, 0],
+                    "y_mm": pair.shown_mm[:, 1],
+                    "x_model_mm": pair.shown_model_mm[:, 0],
+                    "y_model_mm": pair.shown_model_mm[:, 1],
+                },
+            ),
         ),
         numbers_of(p) | {"speed_ratio": series.speed_ratio},
         (
@@ -89,7 +103,7 @@ def _release(work: Workspace, number: str, mass_b: float) -> Reproduced:
             "The lasers stand along the model's axes.",
         ),
         (*_before(recorded, p), _alike(pair), _after(recorded)),
-    )  # fmt: skip
+    )
 
 
 def _paired(recorded: Recorded, simulated: SimulatedRun) -> _Pair:
@@ -102,16 +116,23 @@ def _paired(recorded: Recorded, simulated: SimulatedRun) -> _Pair:
     at = run.x_time_s[(run.x_time_s >= ends[0]) & (run.x_time_s <= ends[1])][::4]
     shown = np.stack([_at(at, t, v) for t, v in ((run.x_time_s, run.x_m), (run.y_time_s, run.y_m))], axis=1)
     shown = shown - np.mean(shown, axis=0)
-    delays = [_delay_s(at[at < go], shown[at < go, i], simulated.time_s, v)
-              for i, v in enumerate((simulated.x_m, simulated.y_m))]  # fmt: skip
+    delays = [
+        _delay_s(at[at < go], shown[at < go, i], simulated.time_s, v)
+        for i, v in enumerate((simulated.x_m, simulated.y_m))
+    ]
     of_model = np.stack(
-        [_at(at - delay, simulated.time_s, v)
-         for delay, v in zip(delays, (simulated.x_m, simulated.y_m), strict=True)], axis=1,
-    )  # fmt: skip
+        [_at(at - delay, simulated.time_s, v) for delay, v in zip(delays, (simulated.x_m, simulated.y_m), strict=True)],
+        axis=1,
+    )
     return _Pair(
-        time - go, np.degrees(angles - whole), np.degrees(model), at - go, 1e3 * shown, 1e3 * of_model,
+        time - go,
+        np.degrees(angles - whole),
+        np.degrees(model),
+        at - go,
+        1e3 * shown,
+        1e3 * of_model,
         (delays[0], delays[1]),
-    )  # fmt: skip
+    )
 
 
 def _at(time: Array, of_time: Array, values: Array) -> Array:
@@ -168,20 +189,23 @@ def _alike(pair: _Pair) -> Claim:
     shown = np.sqrt(np.mean((pair.shown_mm - pair.shown_model_mm) ** 2, axis=0))
     size = np.sqrt(np.mean(pair.shown_mm[pair.shown_time_s < 0] ** 2, axis=0))
     return Claim.judged(
-        "3.2.3", "Simulation and measurement respond alike to the release.",
+        "3.2.3",
+        "Simulation and measurement respond alike to the release.",
         bool(np.all(angle < _MOST_ANGLE_DEG) and np.all(shown < _MOST_SHARE * size)),
         f"over {BEFORE_S:g} s before and {pair.time_s[-1]:.0f} s after the release, rms of recorded minus simulated: "
         f"θ3 {angle[0]:.2f}°, θ4 {angle[1]:.2f}°, x {1e3 * shown[0]:.1f} µm, y {1e3 * shown[1]:.1f} µm, beside "
         f"{1e3 * size[0]:.0f} µm rms of the locked rotor; lasers {1e3 * pair.delay_s[0]:.2f} and "
         f"{1e3 * pair.delay_s[1]:.2f} ms late",
-    )  # fmt: skip
+    )
 
 
 def _after(recorded: Recorded) -> Claim:
     left, locked = recorded.measured.amplitude_m.value, locked_radius_m(recorded.run)
     return Claim.judged(
-        "3.2.3", "Released, the pendulums balance the rotor.", left < 0.01 * locked,
+        "3.2.3",
+        "Released, the pendulums balance the rotor.",
+        left < 0.01 * locked,
         f"amplitude {1e3 * locked:.3f} mm locked, {1e6 * left:.2f} µm "
         f"{recorded.measured.to_s - recorded.measured.release_s:.0f} s after the release; "
         f"state {recorded.measured.state}",
-    )  # fmt: skip
+    )

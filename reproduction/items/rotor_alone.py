@@ -56,19 +56,22 @@ def frequency_response_2_2(work: Workspace) -> Reproduced:
         ("The damping ratios: the source's figure names its own, its text does not.",),
         (
             Claim.judged(
-                "chapter 2", "Amplitude and phase depend strongly on damping.", max(peaks) > 5 * min(peaks),
+                "chapter 2",
+                "Amplitude and phase depend strongly on damping.",
+                max(peaks) > 5 * min(peaks),
                 f"largest amplification {peaks[0]:.2f} at ζ = {_DAMPINGS[0]:g}, {peaks[-1]:.2f} at {_DAMPINGS[-1]:g}; "
                 f"lag at Ω = 0.9 {at[_DAMPINGS[0]][0]:.0f}° and {at[_DAMPINGS[-1]][0]:.0f}°",
             ),
             Claim.judged(
-                "chapter 2", "At resonance the lag is 90°, whatever the damping.",
+                "chapter 2",
+                "At resonance the lag is 90°, whatever the damping.",
                 max(abs(lag - 90) for lag in resonance) < 1e-9,
                 f"off 90° by {max(abs(lag - 90) for lag in resonance):.0e}° at most",
             ),
             _simulated(rigs[0.1]),
             _one_argument(rigs[0.1]),
         ),
-    )  # fmt: skip
+    )
 
 
 def _simulated(p: RotorParameters) -> Claim:
@@ -84,9 +87,11 @@ def _simulated(p: RotorParameters) -> Claim:
             worst, float(np.max(np.abs(radius / frequency_response(p, np.array([ratio])).amplification[0] - 1)))
         )
     return Claim.judged(
-        "(2-6), (2-10)", "The amplification is M ω²/sqrt(ω² c² + (k − M ω²)²).", worst < 1e-6,
+        "(2-6), (2-10)",
+        "The amplification is M ω²/sqrt(ω² c² + (k − M ω²)²).",
+        worst < 1e-6,
         f"integrated from rest for 60 natural periods at ζ = 0.1, Ω = 0.6, 1, 2.5: within {worst:.1e}",
-    )  # fmt: skip
+    )
 
 
 def _one_argument(p: RotorParameters) -> Claim:
@@ -99,10 +104,12 @@ def _one_argument(p: RotorParameters) -> Claim:
         math.degrees(float(frequency_response(p, np.array([ratio])).lag_rad[0, 0])),
     )
     return Claim.judged(
-        "(2-9)", "The lag is the arc tangent of ωc/(k − M ω²).", abs(printed - right) < 1e-6,
+        "(2-9)",
+        "The lag is the arc tangent of ωc/(k − M ω²).",
+        abs(printed - right) < 1e-6,
         f"at Ω = {ratio:g}, ζ = 0.1 as printed {printed:.1f}°, by both arguments {right:.1f}°: above resonance the "
         "printed form is 180° off",
-    )  # fmt: skip
+    )
 
 
 _CASES = (("a", "below resonance", 0.7), ("b", "at resonance", 1.0), ("c", "above resonance", 1.8))
@@ -121,8 +128,10 @@ def forces_2_3(work: Workspace) -> Reproduced:
         for axes, (letter, name, ratio), lag in zip(row, _CASES, lags.tolist(), strict=True):
             _draw_forces(axes, lag, f"{letter}. {name}: Ω = {ratio:g}, lag {math.degrees(lag):.0f}°")
     columns = {"angle_deg": np.degrees(angles)}
-    columns |= {f"torque_omega_{ratio:g}": light_pendulum_torque(lag, angles)
-                for (_, _, ratio), lag in zip(_CASES, lags.tolist(), strict=True)}  # fmt: skip
+    columns |= {
+        f"torque_omega_{ratio:g}": light_pendulum_torque(lag, angles)
+        for (_, _, ratio), lag in zip(_CASES, lags.tolist(), strict=True)
+    }
     return Reproduced(
         (
             Panel(
@@ -139,7 +148,7 @@ def forces_2_3(work: Workspace) -> Reproduced:
         tuple(
             _light_pendulum(p, ratio, lag, name) for (_, name, ratio), lag in zip(_CASES, lags.tolist(), strict=True)
         ),
-    )  # fmt: skip
+    )
 
 
 def _draw_forces(axes: Axes, lag: float, title: str) -> None:
@@ -185,8 +194,11 @@ def _light_pendulum(p: RotorParameters, ratio: float, lag: float, name: str) -> 
     behind = math.degrees(-stable[0].theta_rad[0] % (2 * math.pi))
     alone = p.imbalance_moment_kg_m / one.total_mass_kg * frequency_response(one, np.array([ratio])).amplification[0, 0]
     change = stable[0].amplitude_m / float(alone) - 1
-    inside = {"below resonance": 0 < behind < 90, "at resonance": abs(behind - 90) < 0.5,
-              "above resonance": 90 < behind < 180}[name]  # fmt: skip
+    inside = {
+        "below resonance": 0 < behind < 90,
+        "at resonance": abs(behind - 90) < 0.5,
+        "above resonance": 90 < behind < 180,
+    }[name]
     said = {
         "below resonance": "Below resonance the pendulum rests 0° to 90° behind the imbalance and adds to it.",
         "at resonance": "At resonance it rests 90° behind and still adds, less than below.",
@@ -194,7 +206,9 @@ def _light_pendulum(p: RotorParameters, ratio: float, lag: float, name: str) -> 
     }[name]
     worse = change < 0 if name == "above resonance" else change > 0
     return Claim.judged(
-        "Figure 2.3", said, len(stable) == 1 and inside and worse and abs(behind - math.degrees(lag)) < 0.5,
+        "Figure 2.3",
+        said,
+        len(stable) == 1 and inside and worse and abs(behind - math.degrees(lag)) < 0.5,
         f"a pendulum of {1e3 * _LIGHT_KG:g} g at Ω = {ratio:g}, ζ = {_ZETA:g}: one stable angle, {behind:.2f}° behind "
         f"(lag {math.degrees(lag):.2f}°), amplitude changed by {1e6 * change:+.1f} millionths",
-    )  # fmt: skip
+    )

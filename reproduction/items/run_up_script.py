@@ -25,8 +25,10 @@ def run_up_script(work: Workspace) -> Reproduced:
     faulty = release(p, SCRIPT_SPEED_RAD_S, Faults(no_push_back=True, speed_runs_on=True), free_s=30.0)
     with sheet(WIDTH_IN, 5.4, "The run-up program: faulty equations and right ones, its own numbers") as figure:
         grid: list[Axes] = figure.subplots(3, 1, sharex=True).tolist()
-        for run, colour, dashes, name in ((faulty, MODEL, "-", "as programmed"),
-                                          (right, MEASURED, (0, (5, 2)), "right equations")):  # fmt: skip
+        for run, colour, dashes, name in (
+            (faulty, MODEL, "-", "as programmed"),
+            (right, MEASURED, (0, (5, 2)), "right equations"),
+        ):
             time, (along, across) = _shown(run)
             grid[0].plot(time, 1e3 * along, color=colour, ls=dashes, label=name)
             grid[1].plot(time, 1e3 * across, color=colour, ls=dashes)
@@ -47,33 +49,49 @@ def run_up_script(work: Workspace) -> Reproduced:
         (Panel("run", "The disk's centre in the turning frame and both pendulums, as the program plots.", figure),),
         (Table("run", "Both runs from 3 s before the release", columns),),
         numbers_of(p) | {"speed_rad_s": SCRIPT_SPEED_RAD_S},
-        ("The program's locks: 0° and 180° + 0.001 rad, 12 s of full speed before the release.",
-         "What stops the program (misprints.md, programs) is mended in both runs."),
+        (
+            "The program's locks: 0° and 180° + 0.001 rad, 12 s of full speed before the release.",
+            "What stops the program (misprints.md, programs) is mended in both runs.",
+        ),
         _claims(right, faulty),
-    )  # fmt: skip
+    )
 
 
 def _claims(right: Release, faulty: Release) -> tuple[Claim, ...]:
     speeds = [math.degrees(v) for v in faulty.speed_at_release_rad_s]
-    before = [1e3 * float(np.sqrt(np.mean(run.radius_m[run.released - 200 : run.released] ** 2)))
-              for run in (right, faulty)]  # fmt: skip
+    before = [
+        1e3 * float(np.sqrt(np.mean(run.radius_m[run.released - 200 : run.released] ** 2))) for run in (right, faulty)
+    ]
     ends = [np.degrees(run.final_angles_rad) % 360 for run in (right, faulty)]
     apart = float(np.max(np.abs((ends[0] - ends[1] + 180) % 360 - 180)))
     moved = float(np.degrees(np.max(np.abs((right.state - faulty.state)[right.released :, 2:4]))))
     return (
-        Claim.judged("appendix B, run-up program", "A locked pendulum is at rest when it is released.",
-                     max(map(abs, speeds)) < 0.01,
-                     f"its speed state has run on to {speeds[0]:.1f} and {speeds[1]:.1f} °/s for A and B"),
-        Claim.judged("appendix B, run-up program", "The program's vibration before the release is that of its rotor.",
-                     abs(before[1] / before[0] - 1) < 1e-3,
-                     f"rms radius {before[1]:.4f} mm, by the right equations {before[0]:.4f} mm: "
-                     f"{100 * (before[1] / before[0] - 1):+.1f} %"),
-        Claim.judged("appendix B, run-up program", "The program's release moves as the rig would.", moved < 1.0,
-                     f"angles differ by up to {moved:.0f}° on the way"),
-        Claim.judged("appendix B, run-up program", "The program's release ends where the rig's would.", apart < 0.1,
-                     f"θ3, θ4 {ends[1][0]:.2f}°, {ends[1][1]:.2f}°, by the right equations {ends[0][0]:.2f}°, "
-                     f"{ends[0][1]:.2f}°"),
-    )  # fmt: skip
+        Claim.judged(
+            "appendix B, run-up program",
+            "A locked pendulum is at rest when it is released.",
+            max(map(abs, speeds)) < 0.01,
+            f"its speed state has run on to {speeds[0]:.1f} and {speeds[1]:.1f} °/s for A and B",
+        ),
+        Claim.judged(
+            "appendix B, run-up program",
+            "The program's vibration before the release is that of its rotor.",
+            abs(before[1] / before[0] - 1) < 1e-3,
+            f"rms radius {before[1]:.4f} mm, by the right equations {before[0]:.4f} mm: "
+            f"{100 * (before[1] / before[0] - 1):+.1f} %",
+        ),
+        Claim.judged(
+            "appendix B, run-up program",
+            "The program's release moves as the rig would.",
+            moved < 1.0,
+            f"angles differ by up to {moved:.0f}° on the way",
+        ),
+        Claim.judged(
+            "appendix B, run-up program",
+            "The program's release ends where the rig's would.",
+            apart < 0.1,
+            f"θ3, θ4 {ends[1][0]:.2f}°, {ends[1][1]:.2f}°, by the right equations {ends[0][0]:.2f}°, {ends[0][1]:.2f}°",
+        ),
+    )
 
 
 def _part(run: Release) -> tuple[np.ndarray, np.ndarray]:

@@ -27,9 +27,12 @@ SPEED_RATIO = 20.0
 MOMENT_KG_M = 0.995 * 2 * 0.075 * 0.054
 _STIFFNESS = 287.01  # M_S (2π · 1 Hz)²
 SETTINGS = (
-    f"suspension.k1_N_per_m={_STIFFNESS}", f"suspension.k2_N_per_m={_STIFFNESS}", "suspension.zeta1=0.02",
-    "suspension.zeta2=0.02", f"imbalance.radius_m={MOMENT_KG_M / 0.12!r}",
-)  # fmt: skip
+    f"suspension.k1_N_per_m={_STIFFNESS}",
+    f"suspension.k2_N_per_m={_STIFFNESS}",
+    "suspension.zeta1=0.02",
+    "suspension.zeta2=0.02",
+    f"imbalance.radius_m={MOMENT_KG_M / 0.12!r}",
+)
 _SHIFTS = np.linspace(0.0, 3.0, 301)
 _RHO = "relative shift of the pivot ρ_C = R_C/e"
 _BREAK = 0.02
@@ -49,10 +52,17 @@ def computed(work: Workspace, ratio: float = SPEED_RATIO) -> tuple[RotorParamete
 def curve_table(found: ShiftedPivot) -> Table:
     """The stable state as rows."""
     shift, alpha = found.ratio
-    return Table("curve", "Stable state over the relative shift", {
-        "rho_C": shift, "alpha": alpha, "theta3_deg": np.degrees(found.theta_rad[:, 0]) % 360,
-        "theta4_deg": np.degrees(found.theta_rad[:, 1]) % 360, "apart_deg": np.degrees(found.apart_rad),
-    })  # fmt: skip
+    return Table(
+        "curve",
+        "Stable state over the relative shift",
+        {
+            "rho_C": shift,
+            "alpha": alpha,
+            "theta3_deg": np.degrees(found.theta_rad[:, 0]) % 360,
+            "theta4_deg": np.degrees(found.theta_rad[:, 1]) % 360,
+            "apart_deg": np.degrees(found.apart_rad),
+        },
+    )
 
 
 def vibration_3_21(work: Workspace) -> Reproduced:
@@ -72,23 +82,37 @@ def vibration_3_21(work: Workspace) -> Reproduced:
         numbers_of(p) | {"speed_ratio": SPEED_RATIO, "e_m": found.eccentricity_m},
         CHOSEN,
         (
-            Claim.judged("3.3", "The vibration rises in proportion to the shift.", bent < 1e-6,
-                         f"α = {slope:.4f} ρ_C up to the break, within {bent:.0e}: what is left is the shift itself"),
-            Claim.judged("3.3", "The curve breaks at ρ_C = 2.", abs(found.together - 2) < _BREAK,
-                         f"found at ρ_C = {found.together:.5f}; (S_P + S_A + S_B)/S_P/(1 − 1/Ω²) = "
-                         f"{(1 + 1 / 0.995) / (1 - SPEED_RATIO**-2):.5f}"),
-            Claim.judged("3.3", "Beyond the break the vibration almost settles into a plateau.",
-                         abs(rise) < 0.01 * slope,
-                         f"α = {alpha[beyond][0]:.4f} at the break, {alpha[-1]:.4f} at ρ_C = 3: {rise:.0e} per unit"),
-            Claim.judged("(3-34)", "The eccentricity that ρ_C counts in is M_P P_3/(M_D + M_P).",
-                         abs(printed.together - 2) < _BREAK,
-                         f"so counted the breaks lie at {printed.most_apart:.4f} and {printed.together:.4f} instead of "
-                         f"{found.most_apart:.4f} and {found.together:.4f}: "
-                         f"{100 * (printed.together / found.together - 1):+.1f} %. "
-                         "The pendulums turn with the rotor; the mass is M_S"),
+            Claim.judged(
+                "3.3",
+                "The vibration rises in proportion to the shift.",
+                bent < 1e-6,
+                f"α = {slope:.4f} ρ_C up to the break, within {bent:.0e}: what is left is the shift itself",
+            ),
+            Claim.judged(
+                "3.3",
+                "The curve breaks at ρ_C = 2.",
+                abs(found.together - 2) < _BREAK,
+                f"found at ρ_C = {found.together:.5f}; (S_P + S_A + S_B)/S_P/(1 − 1/Ω²) = "
+                f"{(1 + 1 / 0.995) / (1 - SPEED_RATIO**-2):.5f}",
+            ),
+            Claim.judged(
+                "3.3",
+                "Beyond the break the vibration almost settles into a plateau.",
+                abs(rise) < 0.01 * slope,
+                f"α = {alpha[beyond][0]:.4f} at the break, {alpha[-1]:.4f} at ρ_C = 3: {rise:.0e} per unit",
+            ),
+            Claim.judged(
+                "(3-34)",
+                "The eccentricity that ρ_C counts in is M_P P_3/(M_D + M_P).",
+                abs(printed.together - 2) < _BREAK,
+                f"so counted the breaks lie at {printed.most_apart:.4f} and {printed.together:.4f} instead of "
+                f"{found.most_apart:.4f} and {found.together:.4f}: "
+                f"{100 * (printed.together / found.together - 1):+.1f} %. "
+                "The pendulums turn with the rotor; the mass is M_S",
+            ),
             _integrated(p, found),
         ),
-    )  # fmt: skip
+    )
 
 
 Draw = Callable[[list[Axes]], None]
@@ -128,9 +152,11 @@ def _integrated(p: RotorParameters, found: ShiftedPivot) -> Claim:
         alpha = float(np.hypot(ends[0, 0], ends[0, 1]) / abs(x))
         worst = max(worst, abs(alpha / float(np.interp(shift, *found.ratio)) - 1))
     return Claim.judged(
-        "3.3", "The curve is that of the equations of motion.", worst < 1e-4,
+        "3.3",
+        "The curve is that of the equations of motion.",
+        worst < 1e-4,
         f"released from 0.2° and 179.9° and integrated for 90 s at ρ_C = 0.5, 1.5, 2.5: α within {worst:.0e}",
-    )  # fmt: skip
+    )
 
 
 def released(p: RotorParameters, starts_deg: Array, end_s: float) -> Array:
@@ -158,17 +184,27 @@ def positions_3_22(work: Workspace) -> Reproduced:
         numbers_of(p) | {"speed_ratio": SPEED_RATIO, "e_m": found.eccentricity_m},
         CHOSEN,
         (
-            Claim.judged("3.3", "Without a shift the pendulums stand near 180° and almost overlap.",
-                         np.max(np.abs(start - 180)) < 10, f"θ3 {start[0]:.2f}°, θ4 {start[1]:.2f}°"),
-            Claim.judged("3.3", "At ρ_C = 1 the pendulums are 180° apart.",
-                         abs(found.most_apart - 1) < _BREAK and largest > 179,
-                         f"farthest apart at ρ_C = {found.most_apart:.5f}, by {largest:.2f}°"),
-            Claim.judged("3.3", "From ρ_C = 2 on the pendulums overlap.",
-                         abs(found.together - 2) < _BREAK and np.max(found.apart_rad[beyond]) < 1e-9,
-                         f"Type III from ρ_C = {found.together:.5f} to {found.ratio[0][-1]:g}, at "
-                         f"{math.degrees(float(found.theta_rad[-1, 0])) % 360:.2f}°"),
+            Claim.judged(
+                "3.3",
+                "Without a shift the pendulums stand near 180° and almost overlap.",
+                np.max(np.abs(start - 180)) < 10,
+                f"θ3 {start[0]:.2f}°, θ4 {start[1]:.2f}°",
+            ),
+            Claim.judged(
+                "3.3",
+                "At ρ_C = 1 the pendulums are 180° apart.",
+                abs(found.most_apart - 1) < _BREAK and largest > 179,
+                f"farthest apart at ρ_C = {found.most_apart:.5f}, by {largest:.2f}°",
+            ),
+            Claim.judged(
+                "3.3",
+                "From ρ_C = 2 on the pendulums overlap.",
+                abs(found.together - 2) < _BREAK and np.max(found.apart_rad[beyond]) < 1e-9,
+                f"Type III from ρ_C = {found.together:.5f} to {found.ratio[0][-1]:g}, at "
+                f"{math.degrees(float(found.theta_rad[-1, 0])) % 360:.2f}°",
+            ),
         ),
-    )  # fmt: skip
+    )
 
 
 def position_figure(title: str, found: ShiftedPivot, more: Draw | None = None, foot: str = "") -> Figure:

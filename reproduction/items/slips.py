@@ -23,10 +23,14 @@ SLIPPING, TURNING, SWINGING = "slipping", "turning, no regular slip", "swinging"
 MOST_REVOLUTIONS = 8000
 _TURNED = 6.0  # turns against the rotor, from which on pendulums that settle nowhere count as turning
 MARKS = {
-    "I": ("o", "#00604a", 4.0), "II": ("^", "#8a3b00", 4.0), "III": ("s", "#003d66", 4.0),
-    SLIPPING: ("*", "white", 9.0), TURNING: ("P", "#ffd54d", 6.5), SWINGING: ("D", "#ffd54d", 5.0),
+    "I": ("o", "#00604a", 4.0),
+    "II": ("^", "#8a3b00", 4.0),
+    "III": ("s", "#003d66", 4.0),
+    SLIPPING: ("*", "white", 9.0),
+    TURNING: ("P", "#ffd54d", 6.5),
+    SWINGING: ("D", "#ffd54d", 5.0),
     "not settled": ("X", "#e05050", 6.0),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -57,8 +61,10 @@ def released(rigs: Sequence[RotorParameters], speeds_rad_s: Sequence[float], pro
             found.append(outcome)
             names.append(_name(outcome, somewhere))
             progress(len(found) / len(rigs))
-    turns = np.array([o.slipping.turns_per_revolution if o.slipping else np.array(o.slip_turns) / o.revolutions
-                      for o in found], np.float64)  # fmt: skip
+    turns = np.array(
+        [o.slipping.turns_per_revolution if o.slipping else np.array(o.slip_turns) / o.revolutions for o in found],
+        np.float64,
+    )
     return Ends(np.array(names), turns)
 
 
@@ -89,8 +95,17 @@ def draw_ends(axes: Axes, x: Array, y: Array, ends: Ends) -> None:
     for name, (marker, colour, size) in MARKS.items():
         own = ends.name == name
         if own.any():
-            axes.plot(x[own], y[own], marker, color=colour, mec="black", mew=0.5, ms=size, ls="",
-                      label=f"release: {name if len(name) > 3 else 'ends in ' + name}")  # fmt: skip
+            axes.plot(
+                x[own],
+                y[own],
+                marker,
+                color=colour,
+                mec="black",
+                mew=0.5,
+                ms=size,
+                ls="",
+                label=f"release: {name if len(name) > 3 else 'ends in ' + name}",
+            )
 
 
 def turning(ends: Ends) -> NDArray[np.bool_]:

@@ -60,9 +60,11 @@ def table_3_1(work: Workspace) -> Reproduced:
     outside = [swept(Bench.of(work, case), op, "I") for case in CASES[1:] for op in (SUB, SUPER)]
     met = sum(int(np.sum(one.stable != ABSENT)) for one in outside)
     claim = Claim.judged(
-        "Table 3.1", "Outside ABCD Type I does not exist.", met == 0,
+        "Table 3.1",
+        "Outside ABCD Type I does not exist.",
+        met == 0,
         f"{sum(one.stable[0].size for one in outside)} places of undersized and improperly oversized sets: {met}",
-    )  # fmt: skip
+    )
     grown = _grown(Bench.of(work, CASES[0]))
     return Reproduced(made.panels, made.tables, made.parameters, made.assumed, (*made.claims, claim, grown))
 
@@ -78,15 +80,17 @@ def _grown(bench: Bench) -> Claim:
     times: NDArray[np.float64] = np.linspace(0.0, late + (windows + 1) * period, 6001)
     state = simulate(p, Scene(SpeedHistory.constant(speed), (True, True), start), times, 1e-7).state
     away = np.max(np.abs(state[:, 2:4] - np.array(point.theta_rad)), axis=1)
-    first, last = (float(np.max(away[(times >= begin) & (times <= begin + period)]))
-                   for begin in (late, late + windows * period))  # fmt: skip
+    first, last = (
+        float(np.max(away[(times >= begin) & (times <= begin + period)])) for begin in (late, late + windows * period)
+    )
     rate = math.log(last / first) / (windows * period)
     return Claim.judged(
-        "(3-26) to (3-32)", "Eigenvalues of the linearised equations tell how a deviation grows.",
+        "(3-26) to (3-32)",
+        "Eigenvalues of the linearised equations tell how a deviation grows.",
         abs(rate / largest.real - 1) < 0.02,
         f"Type I at Ω = {ratio:g}, ζ = {SHOWN_ZETA:g}, c34 = {SHOWN_C34:g} N m s/rad: Re λ = {largest.real:+.4f} 1/s "
         f"(unstable above resonance); integrated from 1e-5 rad beside it {rate:+.4f} 1/s",
-    )  # fmt: skip
+    )
 
 
 def table_3_2(work: Workspace) -> Reproduced:
@@ -116,8 +120,8 @@ def _made(work: Workspace, kind: str, number: str, said: Said) -> Reproduced:
     return Reproduced(
         (panel,),
         (_cells(found, said, kind), _curve_table(curves, kind)),
-        numbers_of(benches[PROPERLY_OVERSIZED].rig) | {"c34_Nms_per_rad": "1e-5 … 1", "zeta1": "0.005 … 0.3",
-                                         "zeta2": "0.005 … 0.3"},
+        numbers_of(benches[PROPERLY_OVERSIZED].rig)
+        | {"c34_Nms_per_rad": "1e-5 … 1", "zeta1": "0.005 … 0.3", "zeta2": "0.005 … 0.3"},
         (
             "Pendulum sets: S_A, S_B = " + "; ".join(f"{c.a:g}, {c.b:g} S_P ({c.region})" for c in CASES) + ".",
             f"Curves at Ω = {SHOWN_SPEED[SUB]:g} and {SHOWN_SPEED[SUPER]:g}, ζ = {SHOWN_ZETA:g}; verdicts from "
@@ -129,7 +133,7 @@ def _made(work: Workspace, kind: str, number: str, said: Said) -> Reproduced:
             "0.001 N m s/rad agree.",
         ),
         tuple(_judged(found[cell], cell, says, kind, number) for cell, says in said.items()),
-    )  # fmt: skip
+    )
 
 
 def _judged(found: Swept, cell: tuple[str, str], says: tuple[bool, bool], kind: str, number: str) -> Claim:
@@ -139,13 +143,19 @@ def _judged(found: Swept, cell: tuple[str, str], says: tuple[bool, bool], kind: 
     at = found.at(SHOWN_SPEED[operation], SHOWN_ZETA, SHOWN_C34)
     shown = all(own == (1 if said else -1) for own, said in zip(at.tolist(), says, strict=True))
     verdict: Verdict = "holds" if all(a.all() for a in agree) else "holds in part" if shown else "does not hold"
-    words = "both sets are unstable" if not any(says) else (
-        "both mirror images are stable" if all(says) else "set II is stable, set I unstable")  # fmt: skip
+    words = (
+        "both sets are unstable"
+        if not any(says)
+        else ("both mirror images are stable" if all(says) else "set II is stable, set I unstable")
+    )
     if kind == "I":
         words = "it is stable" if all(says) else "it is unstable"
     parts = [f"{name} {_counted(own)}" for name, own in zip(_ROMAN[kind], found.stable, strict=True)]
-    off = [_needed(own, found.speeds) for own, said, a in zip(found.stable, says, agree, strict=True)
-           if said and not a.all()]  # fmt: skip
+    off = [
+        _needed(own, found.speeds)
+        for own, said, a in zip(found.stable, says, agree, strict=True)
+        if said and not a.all()
+    ]
     return Claim(
         f"Table {number}", f"Type {kind}, {operation}, {region}: {words}.", verdict, "; ".join([*parts, *off[:1]])
     )
@@ -180,15 +190,19 @@ def _cells(found: dict[tuple[str, str], Swept], said: Said, kind: str) -> Table:
         for i, (name, own) in enumerate(zip(_ROMAN[kind], found[operation, region].stable, strict=True))
     ]
     return Table(
-        "cells", f"Type {kind} over the sweep",
+        "cells",
+        f"Type {kind} over the sweep",
         {
-            "operation": [r[0] for r in rows], "region": [r[1] for r in rows], "set": [r[2] for r in rows],
+            "operation": [r[0] for r in rows],
+            "region": [r[1] for r in rows],
+            "set": [r[2] for r in rows],
             "source": [r[3] for r in rows],
-            "stable": [float(np.sum(r[4] == 1)) for r in rows], "unstable": [float(np.sum(r[4] == -1)) for r in rows],
+            "stable": [float(np.sum(r[4] == 1)) for r in rows],
+            "unstable": [float(np.sum(r[4] == -1)) for r in rows],
             "lost": [float(np.sum(r[4] == ABSENT)) for r in rows],
         },
         shown=True,
-    )  # fmt: skip
+    )
 
 
 def _curve_table(curves: dict[tuple[str, str], list[NDArray[np.float64]]], kind: str) -> Table:
@@ -201,9 +215,12 @@ def _curve_table(curves: dict[tuple[str, str], list[NDArray[np.float64]]], kind:
 
 
 def _drawn(
-    benches: dict[str, Bench], curves: dict[tuple[str, str], list[NDArray[np.float64]]], said: Said, kind: str,
+    benches: dict[str, Bench],
+    curves: dict[tuple[str, str], list[NDArray[np.float64]]],
+    said: Said,
+    kind: str,
     number: str,
-) -> Figure:  # fmt: skip
+) -> Figure:
     title = f"Table {number}: Type {kind}, real parts of the eigenvalues over pendulum damping"
     with sheet(WIDTH_IN, 1.75 * len(said) + 0.3, title) as figure:
         grid = figure.add_gridspec(len(said), 3, width_ratios=(0.62, 1, 1))

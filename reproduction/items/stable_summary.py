@@ -33,11 +33,13 @@ from reproduction.workspace import Workspace, numbers_of
 
 _KINDS = ("I", "II", "III")
 _SAID = {
-    (SUB, PROPERLY_OVERSIZED): ("III", True), (SUB, UNDERSIZED): ("III", False),
+    (SUB, PROPERLY_OVERSIZED): ("III", True),
+    (SUB, UNDERSIZED): ("III", False),
     (SUB, IMPROPERLY_OVERSIZED): ("III", True),
-    (SUPER, PROPERLY_OVERSIZED): ("I", False), (SUPER, UNDERSIZED): ("III", False),
+    (SUPER, PROPERLY_OVERSIZED): ("I", False),
+    (SUPER, UNDERSIZED): ("III", False),
     (SUPER, IMPROPERLY_OVERSIZED): ("II", True),
-}  # fmt: skip
+}
 """What the source's table has: the stable type, and whether it is a function of rotor damping."""
 _DAMPED = 0.3
 
@@ -63,8 +65,8 @@ def table_3_4(work: Workspace) -> Reproduced:
             ),
         ),
         (_table(sweeps, stable),),
-        numbers_of(benches[PROPERLY_OVERSIZED].rig) | {"zeta1": "0.005 … 0.3", "zeta2": "0.005 … 0.3",
-                                                      "c34_Nms_per_rad": "1e-5 … 1"},
+        numbers_of(benches[PROPERLY_OVERSIZED].rig)
+        | {"zeta1": "0.005 … 0.3", "zeta2": "0.005 … 0.3", "c34_Nms_per_rad": "1e-5 … 1"},
         (
             "Pendulum sets: S_A, S_B = " + "; ".join(f"{c.a:g}, {c.b:g} S_P ({c.region})" for c in CASES) + ".",
             f"Verdicts from Ω = {', '.join(f'{r:g}' for r in SPEEDS[SUB] + SPEEDS[SUPER])}, "
@@ -72,7 +74,7 @@ def table_3_4(work: Workspace) -> Reproduced:
             "A function of rotor damping is taken to mean: whether the stable point exists depends on it.",
         ),
         (*(_cell(cell, sweeps, stable) for cell in _SAID), *_summary(benches, stable)),
-    )  # fmt: skip
+    )
 
 
 def _any_stable(one: Swept) -> NDArray[np.bool_]:
@@ -88,17 +90,21 @@ def _cell(cell: Cell, sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bo
     lost = int(np.sum(~there))
     exact = bool(np.all(own | ~there)) and not any(others.values()) and (lost > 0) == depends
     shown = sweeps[cell][kind].at(SHOWN_SPEED[operation], SHOWN_ZETA, SHOWN_C34)
-    verdict: Verdict = "holds" if exact else "holds in part" if 1 in shown.tolist() and (lost > 0) == depends else (
-        "does not hold")  # fmt: skip
+    verdict: Verdict = (
+        "holds" if exact else "holds in part" if 1 in shown.tolist() and (lost > 0) == depends else ("does not hold")
+    )
     words = "a function of rotor damping" if depends else "independent of rotor damping"
     unstable = there & ~own
     where = _where(unstable, operation) if unstable.any() else ""
     return Claim(
-        "Table 3.4", f"{operation.capitalize()}, {region}: Type {kind} alone is stable, {words}.", verdict,
+        "Table 3.4",
+        f"{operation.capitalize()}, {region}: Type {kind} alone is stable, {words}.",
+        verdict,
         f"stable at {int(own.sum())} of {own.size}, lost at {lost} by damping"
         + (f", unstable at {int(unstable.sum())}: {where}" if where else "")
-        + "; others stable: " + ", ".join(f"{other} at {count}" for other, count in others.items()),
-    )  # fmt: skip
+        + "; others stable: "
+        + ", ".join(f"{other} at {count}" for other, count in others.items()),
+    )
 
 
 def _where(places: NDArray[np.bool_], operation: str) -> str:
@@ -117,42 +123,55 @@ def _summary(benches: dict[str, Bench], stable: dict[Cell, dict[str, NDArray[np.
     none = sum(int(np.sum(count == 0)) for count in counts.values())
     size = sum(np.size(count) for count in counts.values())
     sub = {kind: sum(int(np.sum(stable[SUB, case.region][kind])) for case in CASES) for kind in _KINDS}
-    over = {region: {kind: int(np.sum(stable[SUPER, region][kind])) for kind in _KINDS}
-            for region in (PROPERLY_OVERSIZED, IMPROPERLY_OVERSIZED)}  # fmt: skip
+    over = {
+        region: {kind: int(np.sum(stable[SUPER, region][kind])) for kind in _KINDS}
+        for region in (PROPERLY_OVERSIZED, IMPROPERLY_OVERSIZED)
+    }
     bench = benches[UNDERSIZED]
-    angles = [math.degrees(stable_first(bench.damped(zeta, SHOWN_C34), SHOWN_SPEED[SUB], "III").theta_rad[0])
-              for zeta in (SHOWN_ZETA, _DAMPED)]  # fmt: skip
+    angles = [
+        math.degrees(stable_first(bench.damped(zeta, SHOWN_C34), SHOWN_SPEED[SUB], "III").theta_rad[0])
+        for zeta in (SHOWN_ZETA, _DAMPED)
+    ]
     same: Verdict = "holds in part" if abs(angles[0] - angles[1]) > 1 else "holds"
     one: Verdict = "holds" if most == 1 and none == 0 else "holds in part" if most == 1 else "does not hold"
     return (
         Claim(
-            "3.1, summary", "In each case there is one type of stable singular point.", one,
+            "3.1, summary",
+            "In each case there is one type of stable singular point.",
+            one,
             f"never two types at one of {size} places; at {none} none: lost, or unstable close above resonance",
         ),
         Claim.judged(
-            "3.1, summary", "Below resonance Type II alone is stable.", sub["II"] > 0 and sub["I"] + sub["III"] == 0,
+            "3.1, summary",
+            "Below resonance Type II alone is stable.",
+            sub["II"] > 0 and sub["I"] + sub["III"] == 0,
             f"stable below resonance: II at {sub['II']}, III at {sub['III']} places; the source's own Tables 3.3 and "
             "3.4 have III",
         ),
         Claim.judged(
-            "3.1, summary", "Above resonance oversized pendulums have Type III stable.",
+            "3.1, summary",
+            "Above resonance oversized pendulums have Type III stable.",
             all(kinds["III"] > 0 and kinds["I"] + kinds["II"] == 0 for kinds in over.values()),
-            "; ".join(f"{region}: I at {k['I']}, II at {k['II']}, III at {k['III']} places"
-                      for region, k in over.items()),
+            "; ".join(
+                f"{region}: I at {k['I']}, II at {k['II']}, III at {k['III']} places" for region, k in over.items()
+            ),
         ),
         Claim(
-            "3.1, summary", "Below resonance undersized pendulums do not depend on rotor damping.", same,
+            "3.1, summary",
+            "Below resonance undersized pendulums do not depend on rotor damping.",
+            same,
             f"Type III exists and is stable at every ζ, but stands at {angles[0]:.1f}° with ζ = {SHOWN_ZETA:g} and at "
             f"{angles[1]:.1f}° with ζ = {_DAMPED:g} (Ω = {SHOWN_SPEED[SUB]:g})",
         ),
-    )  # fmt: skip
+    )
 
 
 def _table(sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> Table:
     columns: dict[str, list[str] | list[float]] = {
-        "operation": [cell[0] for cell in _SAID], "region": [cell[1] for cell in _SAID],
+        "operation": [cell[0] for cell in _SAID],
+        "region": [cell[1] for cell in _SAID],
         "source": [kind + (", by damping" if depends else "") for kind, depends in _SAID.values()],
-    }  # fmt: skip
+    }
     for kind in _KINDS:
         columns[f"{kind}_stable_share"] = [float(np.mean(stable[cell][kind])) for cell in _SAID]
         gone = [np.all(sweeps[cell][kind].stable == ABSENT, axis=0) for cell in _SAID]
@@ -169,7 +188,9 @@ def _drawn(benches: dict[str, Bench]) -> Figure:
                 kind, depends = _SAID[operation, case.region]
                 p = benches[case.region].damped(SHOWN_ZETA, SHOWN_C34)
                 point = stable_first(p, SHOWN_SPEED[operation], kind)
-                title = (f"{operation}, {case.region}\nType {kind}{' (lost at high ζ)' if depends else ''}, "
-                         f"{1e3 * abs(point.z_m):.2f} mm")  # fmt: skip
+                title = (
+                    f"{operation}, {case.region}\nType {kind}{' (lost at high ζ)' if depends else ''}, "
+                    f"{1e3 * abs(point.z_m):.2f} mm"
+                )
                 draw_pose(axes, p, point, title)
     return figure

@@ -32,9 +32,12 @@ PIN_ARM_M = 8e-6
 LOCKED_PP_M = 1.75e-3
 WITHOUT_PP_M = 0.80475e-3
 PENDULUMS = (
-    "imbalance.radius_m=0.05226", "virtual.truth.imbalance.radius_m=0.05226", "limits.speed_rpm=1600",
-    f"pendulums.a.friction_arm_m={PIN_ARM_M}", f"pendulums.b.friction_arm_m={PIN_ARM_M}",
-)  # fmt: skip
+    "imbalance.radius_m=0.05226",
+    "virtual.truth.imbalance.radius_m=0.05226",
+    "limits.speed_rpm=1600",
+    f"pendulums.a.friction_arm_m={PIN_ARM_M}",
+    f"pendulums.b.friction_arm_m={PIN_ARM_M}",
+)
 """Over the isotropic rig: an imbalance that whirls by 1.75 mm peak to peak while the pendulums are locked apart."""
 
 
@@ -75,15 +78,19 @@ class _Series:
         """Every start-up."""
         places, (angle_std, amplitude_std) = np.degrees(self.scatter.places_rad), self.std
         return Table(
-            name, title,
+            name,
+            title,
             {
                 "start_up": [float(i + 1) for i in range(len(self.ends))],
-                "lower_deg": places[:, 0], "higher_deg": places[:, 1], "lower_is": self.lower,
+                "lower_deg": places[:, 0],
+                "higher_deg": places[:, 1],
+                "lower_is": self.lower,
                 "place_std_deg": np.degrees(angle_std.max(axis=1)),
-                "amplitude_pp_mm": 2e3 * self.scatter.amplitude_m, "amplitude_pp_std_mm": 2e3 * amplitude_std,
+                "amplitude_pp_mm": 2e3 * self.scatter.amplitude_m,
+                "amplitude_pp_std_mm": 2e3 * amplitude_std,
             },
             shown=True,
-        )  # fmt: skip
+        )
 
 
 def _recorded(work: Workspace, rig: str, settings: tuple[str, ...], count: int, seed: int) -> _Series:
@@ -129,21 +136,31 @@ def balls_3_27(work: Workspace) -> Reproduced:
     best = level(p, (math.pi - balance, math.pi + balance))
     levels = {"without balls (computed)": bare, "balls locked at ±30° (computed)": best}
     figure = draw_start_ups(
-        series.scatter, f"3.27: {COUNT} start-ups of the ball balancer, from rest to 1500 rpm", levels,
-        ("Amplitudes are drawn peak to peak: only so do the source's levels fit its masses.",), series.std,
-    )  # fmt: skip
+        series.scatter,
+        f"3.27: {COUNT} start-ups of the ball balancer, from rest to 1500 rpm",
+        levels,
+        ("Amplitudes are drawn peak to peak: only so do the source's levels fit its masses.",),
+        series.std,
+    )
     left = series.scatter.amplitude_m
     return Reproduced(
         (
             Panel(
-                "places", "Resting places of both balls across, amplitude of the disk's centre up, a symbol a "
+                "places",
+                "Resting places of both balls across, amplitude of the disk's centre up, a symbol a "
                 "start-up, its two balls joined; the levels without balls and with balls locked where they balance.",
                 figure,
             ),
         ),
         (series.table("start-ups", "Start-ups of the ball balancer as measured"),),
-        numbers_of(p) | {"rolling_resistance_m": 1e-5, "friction_arm_m": p.a.friction_arm_m, "speed_rpm": SPEED_RPM,
-                         "ball_radius_m": p.a.ball_radius_m, "rotor_kg_of_the_level": p.rotor_mass_kg},
+        numbers_of(p)
+        | {
+            "rolling_resistance_m": 1e-5,
+            "friction_arm_m": p.a.friction_arm_m,
+            "speed_rpm": SPEED_RPM,
+            "ball_radius_m": p.a.ball_radius_m,
+            "rotor_kg_of_the_level": p.rotor_mass_kg,
+        },
         (
             "Rolling resistance of 10 µm (a length): the source gives none; item 3.28 sweeps it. Viscous damping of "
             "0.0001 N m s/rad: none is given either.",
@@ -157,18 +174,22 @@ def balls_3_27(work: Workspace) -> Reproduced:
         (
             _mass_of_the_level(p),
             Claim.judged(
-                "section 3.3.2", "Vibration is largest without balls: every start-up with balls has less.",
+                "section 3.3.2",
+                "Vibration is largest without balls: every start-up with balls has less.",
                 bool(np.all(left < bare)),
                 f"without {2e3 * bare:.3f} mm peak to peak (balls locked apart, measured "
                 f"{2e3 * series.locked_m:.3f} mm); with balls {2e3 * left.min():.3f} to {2e3 * left.max():.3f} mm, "
                 f"in the mean {2e3 * left.mean():.3f} mm",
             ),
             Claim.judged(
-                "section 3.3.2", "It is smallest with the balls locked at ±30°.", bool(np.all(left > best)),
+                "section 3.3.2",
+                "It is smallest with the balls locked at ±30°.",
+                bool(np.all(left > best)),
                 f"locked there {2e6 * best:.2g} µm by the model, least of the start-ups {2e6 * left.min():.0f} µm",
             ),
             Claim.judged(
-                "Figure 3.27", "The balls settle at other places each time, widely scattered.",
+                "Figure 3.27",
+                "The balls settle at other places each time, widely scattered.",
                 series.scatter.scatter_rad > 10 * series.own_rad and series.scatter.scatter_rad > math.radians(5),
                 f"standard deviation of a place {_degrees(series.scatter.scatter_rad)} ± "
                 f"{_degrees(series.scatter.scatter_std_rad)}, of the amplitude "
@@ -176,7 +197,7 @@ def balls_3_27(work: Workspace) -> Reproduced:
                 f"{_degrees(series.own_rad)}",
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _mass_of_the_level(p: RotorParameters) -> Claim:
@@ -192,10 +213,12 @@ def _mass_of_the_level(p: RotorParameters) -> Claim:
     zero, swing = mass["0–peak"], mass["half of a whole swing"]
     verdict = "holds" if abs(zero - 7) < 0.35 else "holds in part" if abs(swing - 7) < 0.35 else "does not hold"
     return Claim(
-        "section 3.3.2", "Without balls the amplitude is 0.80475 mm.", verdict,
+        "section 3.3.2",
+        "Without balls the amplitude is 0.80475 mm.",
+        verdict,
         f"with 2 m R cos 30° = {p.imbalance_moment_kg_m:.4g} kg m it asks for a rotor of {zero:.2f} kg as an amplitude "
         f"(0–peak) and of {swing:.2f} kg peak to peak; the pendulum rig's has 7 kg: taken as peak to peak",
-    )  # fmt: skip
+    )
 
 
 def _pendulums(work: Workspace, seed: int) -> tuple[RotorParameters, _Series]:
@@ -217,64 +240,89 @@ def pendulums_3_29(work: Workspace) -> Reproduced:
     p, series = _pendulums(work, 329)
     locked = level(p)
     figure = draw_start_ups(
-        series.scatter, f"3.29: {series.scatter.count} start-ups of the pendulum balancer, from rest to 1500 rpm",
+        series.scatter,
+        f"3.29: {series.scatter.count} start-ups of the pendulum balancer, from rest to 1500 rpm",
         {"locked at 0° and 180° (computed)": locked, "locked where they balance (computed)": 0.0},
-        ("Amplitudes are drawn peak to peak: only so do the source's levels fit its masses.",), series.std,
-    )  # fmt: skip
+        ("Amplitudes are drawn peak to peak: only so do the source's levels fit its masses.",),
+        series.std,
+    )
     most = p.a.first_moment_kg_m + p.b.first_moment_kg_m
-    wanted = {name: amplitude * p.imbalance_moment_kg_m / locked
-              for name, amplitude in (("peak", LOCKED_PP_M), ("swing", LOCKED_PP_M / 2))}  # fmt: skip
+    wanted = {
+        name: amplitude * p.imbalance_moment_kg_m / locked
+        for name, amplitude in (("peak", LOCKED_PP_M), ("swing", LOCKED_PP_M / 2))
+    }
     left = series.scatter.amplitude_m
     return Reproduced(
-        (Panel("places", "Resting places of both pendulums across, amplitude of the disk's centre up, a symbol a "
-               "start-up; the level with the pendulums locked at 0° and 180°.", figure),),
+        (
+            Panel(
+                "places",
+                "Resting places of both pendulums across, amplitude of the disk's centre up, a symbol a "
+                "start-up; the level with the pendulums locked at 0° and 180°.",
+                figure,
+            ),
+        ),
         (series.table("start-ups", "Start-ups of the pendulum balancer as measured"),),
         numbers_of(p) | {"friction_arm_m": PIN_ARM_M, "speed_rpm": SPEED_RPM},
         _ASSUMED,
         (
             Claim(
-                "section 3.3.2", "With the pendulums locked at 0° and 180° the amplitude is 1.75 mm.",
+                "section 3.3.2",
+                "With the pendulums locked at 0° and 180° the amplitude is 1.75 mm.",
                 "holds" if wanted["peak"] <= most else "holds in part" if wanted["swing"] <= most else "does not hold",
                 f"at 1500 rpm 1.75 mm 0–peak needs S_P = {1e3 * wanted['peak']:.2f} g m, more than both pendulums' "
                 f"{1e3 * most:.2f}: they could not balance it; peak to peak it needs "
                 f"{1e3 * wanted['swing']:.2f} g m and they can. So drawn, measured {2e3 * series.locked_m:.3f} mm",
             ),
             Claim.judged(
-                "Figure 3.29", "Free pendulums leave a small part of the locked rotor's vibration.",
+                "Figure 3.29",
+                "Free pendulums leave a small part of the locked rotor's vibration.",
                 bool(np.all(left < 0.05 * locked)),
                 f"{2e3 * left.min():.4f} to {2e3 * left.max():.4f} mm peak to peak, "
                 f"{100 * left.max() / locked:.2f} % of the locked rotor's at most",
             ),
             Claim.judged(
-                "Figure 3.29", "The pendulums settle at the same places each time.",
+                "Figure 3.29",
+                "The pendulums settle at the same places each time.",
                 series.scatter.scatter_rad < math.radians(0.2),
                 f"standard deviation of a place {_degrees(series.scatter.scatter_rad)}; the measurements alone "
                 f"{_degrees(series.own_rad)}; {_degrees(series.scatter.off_rad)} (rms) off the balance",
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def zoomed_3_30(work: Workspace) -> Reproduced:
     """Figure 3.30: the same closer, another series, and how it compares with the balls."""
     p, series = _pendulums(work, 330)
     figure = draw_start_ups(
-        series.scatter, f"3.30: resting places of the pendulums closer, {series.scatter.count} further start-ups", {},
-        ("Error bars hold what all start-ups share: each encoder's zero and the lasers' gain.",), series.std, zoom=True,
-    )  # fmt: skip
+        series.scatter,
+        f"3.30: resting places of the pendulums closer, {series.scatter.count} further start-ups",
+        {},
+        ("Error bars hold what all start-ups share: each encoder's zero and the lasers' gain.",),
+        series.std,
+        zoom=True,
+    )
     balls = simulated_balls(work)
     chance = more_consistent(series.scatter, balls)
     ratio = balls.scatter_rad / max(series.scatter.scatter_rad, 1e-12)
     amplitudes = balls.amplitude_scatter_m / max(series.scatter.amplitude_scatter_m, 1e-15)
     return Reproduced(
-        (Panel("closer", "Two plots around the resting places of the two pendulums, amplitude of the disk's centre up, "
-               "a symbol a start-up; where they would balance exactly.", figure),),
+        (
+            Panel(
+                "closer",
+                "Two plots around the resting places of the two pendulums, amplitude of the disk's centre up, "
+                "a symbol a start-up; where they would balance exactly.",
+                figure,
+            ),
+        ),
         (series.table("start-ups", "Further start-ups of the pendulum balancer as measured"),),
         numbers_of(p) | {"friction_arm_m": PIN_ARM_M, "speed_rpm": SPEED_RPM},
         (*_ASSUMED, "The balls' scatter is simulated from 24 random places; item 3.27 has recordings."),
         (
             Claim.judged(
-                "section 3.3.2", "Pendulums are much more consistent than balls.", ratio > 5 and chance < 1e-3,
+                "section 3.3.2",
+                "Pendulums are much more consistent than balls.",
+                ratio > 5 and chance < 1e-3,
                 f"standard deviation of a place {_degrees(series.scatter.scatter_rad)} against "
                 f"{_degrees(balls.scatter_rad)}, {ratio:.3g} times; of the amplitude {amplitudes:.3g} times; "
                 f"equal ones would differ so much with a probability of {chance:.1g}. For friction arms of "
@@ -282,13 +330,14 @@ def zoomed_3_30(work: Workspace) -> Reproduced:
                 "which range of assumed friction",
             ),
             Claim.judged(
-                "Figure 3.30", "They come to rest beside the exact balance, always alike.",
+                "Figure 3.30",
+                "They come to rest beside the exact balance, always alike.",
                 series.scatter.off_rad > 3 * series.scatter.scatter_rad,
                 f"{_degrees(series.scatter.off_rad)} (rms) off, scattered by {_degrees(series.scatter.scatter_rad)}: "
                 "consistent is not exact",
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def simulated_balls(work: Workspace, count: int = 24) -> SettledScatter:

@@ -59,9 +59,10 @@ class Curve:
     def table(self) -> Table:
         """As columns."""
         return Table(
-            "left-" + "".join(c if c.isalnum() else "-" for c in self.name), f"Left in both positions: {self.name}",
+            "left-" + "".join(c if c.isalnum() else "-" for c in self.name),
+            f"Left in both positions: {self.name}",
             {"S_P_g_m": 1e3 * self.moment_kg_m, "first_um": 1e6 * self.first_m, "second_um": 1e6 * self.second_m},
-        )  # fmt: skip
+        )
 
 
 _CURVES: tuple[tuple[str, Imperfections], ...] = (
@@ -98,8 +99,9 @@ def positions_figure(curves: Sequence[Curve], title: str) -> Figure:
         grid: NDArray[np.object_] = figure.subplots(2, 2, sharex=True, sharey=True)
         panels: list[Axes] = grid.ravel().tolist()
         for axes, curve in zip(panels, curves, strict=True):
-            axes.plot(1e3 * curve.moment_kg_m, 1e6 * curve.first_m, color=MEASURED, lw=3.0, alpha=0.55,
-                      label="A below 180°")  # fmt: skip
+            axes.plot(
+                1e3 * curve.moment_kg_m, 1e6 * curve.first_m, color=MEASURED, lw=3.0, alpha=0.55, label="A below 180°"
+            )
             axes.plot(1e3 * curve.moment_kg_m, 1e6 * curve.second_m, color=MODEL, lw=1.3, label="A above 180°")
             axes.set(ylim=(0, 100), xlim=(0, 8.1))
             label(axes, None, None, curve.name)
@@ -126,11 +128,14 @@ def rows_of(p: RotorParameters, speed_ratio: float) -> list[Row]:
         _solved("torque of 10 µN m on A", own, speed, Imperfections(torque_a_Nm=_TORQUE_NM)),
         _steady("bent shaft, 25 µm across", replace(own, bow_y_m=_SHIFT_M), speed),
         _steady("springs of x and y 10 % apart", replace(own, k2_N_per_m=1.1 * own.k1_N_per_m), speed),
-        _steady("the same, both pivots 25 µm along",
-                replace(own, k2_N_per_m=1.1 * own.k1_N_per_m, pivot_shift_m=_SHIFT_M), speed),
+        _steady(
+            "the same, both pivots 25 µm along",
+            replace(own, k2_N_per_m=1.1 * own.k1_N_per_m, pivot_shift_m=_SHIFT_M),
+            speed,
+        ),
         _steady("axis inclined by 5°", replace(own, gravity_m_per_s2=9.81 * math.sin(math.radians(5))), speed),
         *_seen(own, speed),
-    ]  # fmt: skip
+    ]
     return [*found, _friction(own, speed)]
 
 
@@ -194,11 +199,18 @@ def _friction(p: RotorParameters, speed: float) -> Row:
 
 def positions_table(rows: Sequence[Row]) -> Table:
     """All imperfections as a table."""
-    return Table("imperfections", "What is left with A below and above 180°, S_P = 3 g m", {
-        "imperfection": [row.name for row in rows], "A_below_180": [row.first for row in rows],
-        "A_above_180": [row.second for row in rows], "unit": [row.unit for row in rows],
-        "differ": ["yes" if row.differs else "no" for row in rows],
-    }, shown=True)  # fmt: skip
+    return Table(
+        "imperfections",
+        "What is left with A below and above 180°, S_P = 3 g m",
+        {
+            "imperfection": [row.name for row in rows],
+            "A_below_180": [row.first for row in rows],
+            "A_above_180": [row.second for row in rows],
+            "unit": [row.unit for row in rows],
+            "differ": ["yes" if row.differs else "no" for row in rows],
+        },
+        shown=True,
+    )
 
 
 def positions_claim(rows: Sequence[Row], recorded_m: Sequence[Sequence[float]]) -> Claim:
@@ -210,9 +222,11 @@ def positions_claim(rows: Sequence[Row], recorded_m: Sequence[Sequence[float]]) 
     largest = max(max(each, default=0.0) for each in recorded_m)
     said = "; ".join(f"{row.name}: {row.first:.3g} and {row.second:.3g} {row.unit}" for row in different)
     return Claim(
-        "3.2.3", "Small differences of the pendulums make the two positions leave different vibration.", verdict,
+        "3.2.3",
+        "Small differences of the pendulums make the two positions leave different vibration.",
+        verdict,
         f"not their masses: 0.5 % leaves {mass.first:.1g} and {mass.second:.1g} µm, either position balances (recorded "
         f"equal pendulums: {1e6 * largest:.2f} µm at most). Different: {said}. The same in both: "
         f"{'; '.join(row.name for row in alike)}. A reflection at the imbalance's line carries one position into the "
         "other; only what lacks that line, or a pivot for each, tells them apart",
-    )  # fmt: skip
+    )

@@ -164,8 +164,9 @@ class DaskWorkers:
         while self._client is None:
             waited = time.monotonic() - started
             try:
-                self._client = self._dask.Client(self._address, timeout=max(1.0, min(5.0, self._patience_s)),
-                                                 set_as_default=False)  # fmt: skip
+                self._client = self._dask.Client(
+                    self._address, timeout=max(1.0, min(5.0, self._patience_s)), set_as_default=False
+                )
             except OSError as fault:
                 if waited > self._patience_s:
                     raise EngineLost(

@@ -14,9 +14,14 @@ from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
 
 STEP = 2 * np.pi / 4096
 IDENTIFIED_STD = {
-    "k1_N_per_m": 7e-5, "k2_N_per_m": 8e-5, "zeta1": 2e-3, "zeta2": 2e-3,
-    "c3_Nms_per_rad": 4e-3, "c4_Nms_per_rad": 4e-3, "SP_kg_m": 8e-4,
-}  # fmt: skip
+    "k1_N_per_m": 7e-5,
+    "k2_N_per_m": 8e-5,
+    "zeta1": 2e-3,
+    "zeta2": 2e-3,
+    "c3_Nms_per_rad": 4e-3,
+    "c4_Nms_per_rad": 4e-3,
+    "SP_kg_m": 8e-4,
+}
 AXIS_STD_DEG = 0.01
 
 
@@ -107,9 +112,14 @@ def _history(w: float, stop_at: float, end: float) -> SpeedHistory:
 
 
 def _state(
-    physics: RotorParameters, history: SpeedHistory, w: float, start: np.ndarray, before: float, t: np.ndarray,
+    physics: RotorParameters,
+    history: SpeedHistory,
+    w: float,
+    start: np.ndarray,
+    before: float,
+    t: np.ndarray,
     accuracy: float,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     locked = t <= before
     psi = history.phase(t[locked])[:, 0]
     rows = np.array([locked_state(physics, w, p, start[0], start[1]) for p in psi])

@@ -37,8 +37,10 @@ def identified(world: World, known: bool) -> IdentifiedParameters:
     values = {name: world.truth[name] for name in PARAMETER_UNITS}
     std = np.array([1e-4 * abs(v) for v in values.values()])
     a, b = world.mechanics.a.dry_Nm, world.mechanics.b.dry_Nm
-    friction = {"values": dict(zip(KEPT_FRICTION, (a, b, 0.0, 0.0), strict=True)),
-                "covariance": np.diag([(0.01 * a) ** 2, (0.01 * b) ** 2, 0.0, 0.0]).tolist()}  # fmt: skip
+    friction = {
+        "values": dict(zip(KEPT_FRICTION, (a, b, 0.0, 0.0), strict=True)),
+        "covariance": np.diag([(0.01 * a) ** 2, (0.01 * b) ** 2, 0.0, 0.0]).tolist(),
+    }
     axis = (math.degrees(world.axis_rad), 0.01)
     return IdentifiedParameters(values, np.diag(std**2), {"friction": friction} if known else {}, axis)
 
@@ -96,8 +98,17 @@ def test_friction_as_a_cause_is_not_below_zero(sign: float) -> None:
     rows = tuple(("E", f"release {i + 1}") for i in range(4))
     direction = np.array([1.0, 2.0, 0.0, -1.0])
     differences = Differences(rows, sign * 6 * direction, np.eye(4), none, (), np.zeros((0, 0)), none, {}, {})
-    friction = Cause("friction.a_Nm", "dry friction of pendulum A", math.nan, 1.0, direction, "% of c3 · 12 rad/s", 0.1,
-                     "another spin-down", one_sided=True)  # fmt: skip
+    friction = Cause(
+        "friction.a_Nm",
+        "dry friction of pendulum A",
+        math.nan,
+        1.0,
+        direction,
+        "% of c3 · 12 rad/s",
+        0.1,
+        "another spin-down",
+        one_sided=True,
+    )
     found = explanations(differences, [friction])
     if sign < 0:
         assert found.best is None

@@ -17,8 +17,10 @@ from uncertainty import check_linear, monte_carlo
 from uncertainty.rows import budget_rows
 
 INSTRUMENT = {
-    "measures": ["rotor.mass_kg", "pendulums.a.mass_kg"], "relative_std": 0.003, "distribution": "rectangular",
-}  # fmt: skip
+    "measures": ["rotor.mass_kg", "pendulums.a.mass_kg"],
+    "relative_std": 0.003,
+    "distribution": "rectangular",
+}
 MASSES = ("rotor.mass_kg", "imbalance.mass_kg", "pendulums.a.mass_kg", "pendulums.b.mass_kg")
 
 
@@ -62,8 +64,9 @@ def test_the_budgets_hold_the_covariance_of_the_prediction(found: PredictedBudge
     at = [i for i, q in enumerate(found.quantities) if q.point == "D"]
     expected = found.predictions["D"].covariance * np.outer(scale, scale)
     std = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found.budgets.covariance[np.ix_(at, at)] / np.outer(std, std),
-                               expected / np.outer(std, std), atol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(
+        found.budgets.covariance[np.ix_(at, at)] / np.outer(std, std), expected / np.outer(std, std), atol=1e-6
+    )
     assert [found.budgets.names[i] for i in at] == quantity_names("D")
     assert found.budgets["D.theta3_deg"].value == pytest.approx(np.degrees(found.predictions["D"].values[0]))
 

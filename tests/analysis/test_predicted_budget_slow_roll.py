@@ -36,8 +36,10 @@ def identified(rig: Rig, roll: SlowRoll) -> IdentifiedParameters:
     values = rig.physics.identified()
     gain = np.array([1e-3 * v if name == "SP_kg_m" else 0.0 for name, v in values.items()])
     covariance = np.diag([(1e-4 * v) ** 2 for v in values.values()]) + np.outer(gain, gain)
-    friction = {"values": dict(zip(KEPT_FRICTION, (2e-4, 1e-4, 0.0, 0.0), strict=True)),
-                "covariance": np.diag([1e-10, 1e-10, 0.0, 0.0]).tolist()}  # fmt: skip
+    friction = {
+        "values": dict(zip(KEPT_FRICTION, (2e-4, 1e-4, 0.0, 0.0), strict=True)),
+        "covariance": np.diag([1e-10, 1e-10, 0.0, 0.0]).tolist(),
+    }
     return IdentifiedParameters(
         values, covariance, {"friction": friction}, (1.0, 0.05), {"gain x": gain}, slow_roll=roll
     )
@@ -50,9 +52,13 @@ def found(rig: Rig, identified: IdentifiedParameters) -> PredictedBudgets:
         for name in ("A", "B", "E")
     }
     return predicted_budgets(
-        predictions, list(identified.values), parameter_budgets(identified, rig).budgets, rig,
-        known_axis_angle(identified, rig), slow_roll=identified.slow_roll,
-    )  # fmt: skip
+        predictions,
+        list(identified.values),
+        parameter_budgets(identified, rig).budgets,
+        rig,
+        known_axis_angle(identified, rig),
+        slow_roll=identified.slow_roll,
+    )
 
 
 def test_every_budget_comes_to_the_predictions_uncertainty(found: PredictedBudgets) -> None:
@@ -83,9 +89,13 @@ def test_rows_have_the_sensitivities_of_the_prediction(
     speed = found.predictions["B"].speed_rad_s
     before = predict_point(rig, alone, speed)
     budgets = predicted_budgets(
-        {"B": before}, list(alone.values), parameter_budgets(alone, rig).budgets, rig, known_axis_angle(alone, rig),
+        {"B": before},
+        list(alone.values),
+        parameter_budgets(alone, rig).budgets,
+        rig,
+        known_axis_angle(alone, rig),
         slow_roll=roll,
-    )  # fmt: skip
+    )
     row = next(r for r in budget_rows(budgets.budgets["B.theta3_deg"]) if r.source.endswith("bow along 0°"))
     near = before.values[:2].tolist()
     longer = replace(alone, slow_roll=replace(roll, bow_m=roll.bow_m + 2e-7))

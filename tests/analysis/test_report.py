@@ -96,11 +96,18 @@ def campaign(text: str = "plain") -> Campaign:
         [fit_curve("ring-down x"), dataclasses.replace(fit_curve(text), unit=text, y_label=text, notes=text)],
     )
     return Campaign(
-        title=f"Title {text}", rig=other, runs=runs, identification=identification,
+        title=f"Title {text}",
+        rig=other,
+        runs=runs,
+        identification=identification,
         validation=validate(runs, other, drawn.identified, drawn.axis_angle_deg),
-        axis_angle_deg=drawn.axis_angle_deg, devices={"laser_x": {"serial": text}},
-        truth=rig.true_physics.identified(), notes=[text], software_version=text, seed=7,
-    )  # fmt: skip
+        axis_angle_deg=drawn.axis_angle_deg,
+        devices={"laser_x": {"serial": text}},
+        truth=rig.true_physics.identified(),
+        notes=[text],
+        software_version=text,
+        seed=7,
+    )
 
 
 @pytest.fixture(scope="module")

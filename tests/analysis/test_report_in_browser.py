@@ -36,18 +36,38 @@ def test_a_browser_draws_every_figure_and_fetches_nothing(tmp_path: Path) -> Non
     figures = text.count("<svg")
     page.write_text(text.replace("</body>", PROBE), encoding="utf-8")
     done = subprocess.run(
-        [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--disable-sync", "--window-size=1280,900",
-         f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000", "--dump-dom", page.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
+        [
+            str(BROWSER),
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--window-size=1280,900",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--virtual-time-budget=5000",
+            "--dump-dom",
+            page.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout)
     assert found, done.stdout[-500:] + done.stderr[-500:]
     seen = json.loads(found[1])
     assert figures >= 5
     assert seen == {
-        "figures": figures, "drawn": figures, "wider": False, "asked": 0, "heading": seen["heading"],
-    }  # fmt: skip
+        "figures": figures,
+        "drawn": figures,
+        "wider": False,
+        "asked": 0,
+        "heading": seen["heading"],
+    }
     assert seen["heading"]
 
 
@@ -58,9 +78,20 @@ def test_without_its_appendix_it_prints_on_eight_pages(tmp_path: Path) -> None:
     page.write_text(text[: text.index('<section id="appendix">')] + "</body></html>", encoding="utf-8")
     paper = tmp_path / "report.pdf"
     subprocess.run(
-        [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer",
-         f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={paper}", page.as_uri()],
-        capture_output=True, timeout=120, check=True,
-    )  # fmt: skip
+        [
+            str(BROWSER),
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--no-pdf-header-footer",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            f"--print-to-pdf={paper}",
+            page.as_uri(),
+        ],
+        capture_output=True,
+        timeout=120,
+        check=True,
+    )
     pages = len(re.findall(rb"/Type\s*/Page\b", paper.read_bytes()))
     assert 3 <= pages <= 8

@@ -45,14 +45,26 @@ def test_json_has_the_promised_keys_and_only_json_values(rig: Rig, drawn: Drawn,
     values = {"theta3_deg", "theta4_deg", "amplitude_mm", "amplitude_x_mm", "amplitude_y_mm", "speed_rpm"}
     for point in data["points"].values():
         assert list(point) == [
-            "state", "measured", "predicted", "measured_std", "predicted_std", "z_scores", "verdict", "why", "scores",
+            "state",
+            "measured",
+            "predicted",
+            "measured_std",
+            "predicted_std",
+            "z_scores",
+            "verdict",
+            "why",
+            "scores",
             "to_come",
-        ]  # fmt: skip
+        ]
         for part in ("measured", "predicted", "measured_std", "predicted_std"):
             assert set(point[part]) == values
     assert set(data["points"]["A"]["z_scores"]) == {
-        "theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude",
-    }  # fmt: skip
+        "theta3",
+        "theta4",
+        "amplitude_x",
+        "amplitude_y",
+        "amplitude",
+    }
 
 
 @pytest.mark.parametrize(("name", "seeds"), [("A", 5), ("B", 5), ("D", 10), ("E", 10)])

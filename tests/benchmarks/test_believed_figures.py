@@ -25,11 +25,18 @@ def row(seed: int, z: float = 0.5, passed: bool = True, warnings: tuple[str, ...
     """A campaign's line."""
     verdict = "pass" if passed else "fail"
     return {
-        "seed": seed, "z": {"k1_N_per_m": z}, "std": {"k1_N_per_m": 0.1}, "parameters": {"k1_N_per_m": 2600.0},
-        "axis": {"found_deg": 1.0, "std_deg": 0.1, "true_deg": 1.0}, "warnings": list(warnings), "passed": passed,
-        "points": {"A": {"verdict": verdict, "state": "III", "why": "", "z": {"theta3": z}}}, "wrong": "", "by": 0.0,
+        "seed": seed,
+        "z": {"k1_N_per_m": z},
+        "std": {"k1_N_per_m": 0.1},
+        "parameters": {"k1_N_per_m": 2600.0},
+        "axis": {"found_deg": 1.0, "std_deg": 0.1, "true_deg": 1.0},
+        "warnings": list(warnings),
+        "passed": passed,
+        "points": {"A": {"verdict": verdict, "state": "III", "why": "", "z": {"theta3": z}}},
+        "wrong": "",
+        "by": 0.0,
         "seconds": {"data": 1.0, "identification": 2.0 + seed, "validation": 3.0},
-    }  # fmt: skip
+    }
 
 
 @given(trials=st.integers(1, 200), share=st.floats(0, 1))
@@ -127,6 +134,10 @@ def test_a_campaign_end_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
     assert max(abs(z) for z in found["z"].values()) < 5
     assert all(abs(found["parameters"][n] / found["truth"][n] - 1) < 0.01 for n in found["truth"])
     assert {name: point["state"] for name, point in found["points"].items()} == {
-        "A": "III", "B": "I", "C": "I", "D": "III", "E": "I"
-    }  # fmt: skip
+        "A": "III",
+        "B": "I",
+        "C": "I",
+        "D": "III",
+        "E": "I",
+    }
     assert set(found["seconds"]) == {"data", "identification", "validation"}

@@ -22,9 +22,12 @@ BOTH = np.array([0.0, math.pi])
 
 
 def mechanics(
-    damping: float = 1e-3, zeta: float = 0.02, mass_b: float = 0.075, stiffness_ratio: float = 14.9,
+    damping: float = 1e-3,
+    zeta: float = 0.02,
+    mass_b: float = 0.075,
+    stiffness_ratio: float = 14.9,
     moment: float = 0.12 * 0.02117,
-) -> Mechanics:  # fmt: skip
+) -> Mechanics:
     """The nominal rig."""
     mass = 7.195 + mass_b
     k = np.array([1.0, stiffness_ratio]) * mass * (6 * math.pi) ** 2
@@ -88,9 +91,12 @@ def test_the_locked_orbit_stays_and_a_ramp_passes_the_resonance() -> None:
 
 @pytest.mark.parametrize(
     ("ratio", "moment", "mass_b", "theta_deg", "radius_mm", "opposed"),
-    [(0.8, 0.12 * 0.02117, 0.075, 303.708, 2.325497, 0.0), (2.5, 0.012, 0.075, 180.886, 0.638397, 0.0),
-     (2.5, 0.001, 0.019, 174.456, 0.334778, math.pi)],
-)  # fmt: skip
+    [
+        (0.8, 0.12 * 0.02117, 0.075, 303.708, 2.325497, 0.0),
+        (2.5, 0.012, 0.075, 180.886, 0.638397, 0.0),
+        (2.5, 0.001, 0.019, 174.456, 0.334778, math.pi),
+    ],
+)
 def test_isotropic_states_of_types_II_and_III(
     ratio: float, moment: float, mass_b: float, theta_deg: float, radius_mm: float, opposed: float
 ) -> None:
@@ -241,8 +247,11 @@ def test_what_the_node_sends() -> None:
     stepped = record(replace(world, effects=with_effect("phase_step")), 5, "point-C")
     steps = stepped.phase_rad / math.radians(0.1)
     assert np.allclose(steps, np.round(steps), atol=1e-5)
-    assert np.allclose(np.interp(stepped.mark_time_s, usual.mark_time_s, usual.mark_phase_rad)[1:-1],
-                       stepped.mark_phase_rad[1:-1], atol=math.radians(0.1))  # fmt: skip
+    assert np.allclose(
+        np.interp(stepped.mark_time_s, usual.mark_time_s, usual.mark_phase_rad)[1:-1],
+        stepped.mark_phase_rad[1:-1],
+        atol=math.radians(0.1),
+    )
     noisy = record(replace(world, effects=with_effect("speed_noise")), 5, "point-C")
     assert not noisy.phase_absolute
     assert usual.phase_absolute
@@ -288,8 +297,13 @@ def test_one_number_is_wrong_and_no_other(name: str) -> None:
     wrong = world.changed(name, 1e-5)
 
     def numbers(of: World) -> dict[str, float]:
-        return of.truth | {"mass_b": of.mechanics.b.mass_kg, "length_b": of.mechanics.b.length_m,
-                           "zero_a": of.zero_rad[0], "zero_b": of.zero_rad[1], "gain_x": of.gain[0]}  # fmt: skip
+        return of.truth | {
+            "mass_b": of.mechanics.b.mass_kg,
+            "length_b": of.mechanics.b.length_m,
+            "zero_a": of.zero_rad[0],
+            "zero_b": of.zero_rad[1],
+            "gain_x": of.gain[0],
+        }
 
     before, after = numbers(world), numbers(wrong)
     moved_by = {n: after[n] - before[n] for n in before if after[n] != before[n]}

@@ -88,14 +88,24 @@ def test_no_text_breaks_a_command(
 @pytest.mark.parametrize(
     "words",
     [
-        "check virtual --seconds -1", "check virtual --seconds 0", "check virtual --time-scale 0",
-        "virtual --time-scale -3", "virtual --time-scale 1000", "demo --time-scale nan",
-        "record virtual -o x.mcap --duration -5", "record virtual -o x.mcap --duration 0",
-        "record virtual -o x.mcap --until-silent -1", "test virtual run-up --duration 0",
-        "test virtual run-up --top-rpm -1", "predict virtual --speed-rpm -1", "predict virtual --speed-ratio 0",
-        "predict virtual --point A --accuracy 0", "parameters diff a b --level 0", "parameters history --level 1",
+        "check virtual --seconds -1",
+        "check virtual --seconds 0",
+        "check virtual --time-scale 0",
+        "virtual --time-scale -3",
+        "virtual --time-scale 1000",
+        "demo --time-scale nan",
+        "record virtual -o x.mcap --duration -5",
+        "record virtual -o x.mcap --duration 0",
+        "record virtual -o x.mcap --until-silent -1",
+        "test virtual run-up --duration 0",
+        "test virtual run-up --top-rpm -1",
+        "predict virtual --speed-rpm -1",
+        "predict virtual --speed-ratio 0",
+        "predict virtual --point A --accuracy 0",
+        "parameters diff a b --level 0",
+        "parameters history --level 1",
     ],
-)  # fmt: skip
+)
 def test_a_number_out_of_its_range_is_refused_by_name(capsys: pytest.CaptureFixture[str], words: str) -> None:
     assert run(words.split()) == 2
     err = " ".join(capsys.readouterr().err.replace("│", " ").split())
@@ -106,11 +116,17 @@ def test_a_number_out_of_its_range_is_refused_by_name(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     "fault",
     [
-        "suspension.k1_N_per_m=*x@point-A", "suspension.k1_N_per_m=*1.2.3@point-A", "suspension.k1_N_per_m=true@B",
-        "suspension.k1_N_per_m=-5@run-up", "suspension.k1=5@run-up", "suspension.k1_N_per_m=*1e999@A", "=@A",
-        "pendulums.a=3@A", "suspension.k1_N_per_m=nan@A",
+        "suspension.k1_N_per_m=*x@point-A",
+        "suspension.k1_N_per_m=*1.2.3@point-A",
+        "suspension.k1_N_per_m=true@B",
+        "suspension.k1_N_per_m=-5@run-up",
+        "suspension.k1=5@run-up",
+        "suspension.k1_N_per_m=*1e999@A",
+        "=@A",
+        "pendulums.a=3@A",
+        "suspension.k1_N_per_m=nan@A",
     ],
-)  # fmt: skip
+)
 def test_a_fault_that_cannot_be_is_refused_before_the_first_test(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, fault: str
 ) -> None:

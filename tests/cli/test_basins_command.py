@@ -22,9 +22,23 @@ def test_a_map_with_its_files_and_probabilities(capsys: pytest.CaptureFixture[st
     arrays, figure, parameters = tmp_path / "basins.npz", tmp_path / "basins.svg", tmp_path / "parameters.toml"
     IdentifiedParameters({"zeta1": 0.021}, np.array([[1e-10]])).save(parameters)
     code, out, _ = said(
-        capsys, "--point", "E", "--grid", "6x4", "--seconds", "10", "--probabilities", "5", "--parameters",
-        str(parameters), "-o", str(arrays), "--plot", str(figure), "--json",
-    )  # fmt: skip
+        capsys,
+        "--point",
+        "E",
+        "--grid",
+        "6x4",
+        "--seconds",
+        "10",
+        "--probabilities",
+        "5",
+        "--parameters",
+        str(parameters),
+        "-o",
+        str(arrays),
+        "--plot",
+        str(figure),
+        "--json",
+    )
     result = json.loads(out)
     assert code == 0
     assert result["releases"] == 24

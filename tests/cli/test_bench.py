@@ -25,8 +25,15 @@ def test_quick_run_gives_keys_figures_and_small_true_errors(capsys: pytest.Captu
     assert run(["bench", "dynamics", "--quick", "--json", "-o", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert set(result) == {
-        "what", "machine", "seconds", "recommendations", "notes", "targets", "measurements", "files",
-    }  # fmt: skip
+        "what",
+        "machine",
+        "seconds",
+        "recommendations",
+        "notes",
+        "targets",
+        "measurements",
+        "files",
+    }
     rows = result["measurements"]
     assert {r["service"] for r in rows} == {"multipliers", "motion", "map", "batch", "steady states"}
     for r in rows:
@@ -57,17 +64,34 @@ def test_identification_writes_every_service_beside_peers(
     from identification.bench import precision
 
     tiny = precision.Size(
-        zetas=(0.02,), damaged_zetas=(), pairs=(), run_up_zetas=(), dampings=(1e-3,), runs=3, damaged_runs=1,
-        pair_runs=1, run_up_runs=1, release_runs=1, release_truths=1, most_s=0.0,
-    )  # fmt: skip
+        zetas=(0.02,),
+        damaged_zetas=(),
+        pairs=(),
+        run_up_zetas=(),
+        dampings=(1e-3,),
+        runs=3,
+        damaged_runs=1,
+        pair_runs=1,
+        run_up_runs=1,
+        release_runs=1,
+        release_truths=1,
+        most_s=0.0,
+    )
     monkeypatch.setattr(precision, "QUICK", tiny)
     monkeypatch.setattr(precision, "_release", lambda physics, size: precision._spin_downs(size)[0])
     monkeypatch.setattr(precision, "_tracking", lambda physics, size: precision._spin_downs(size)[0])
     assert run(["bench", "identification", "--quick", "--json", "-o", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert set(result) == {
-        "what", "machine", "seconds", "recommendations", "notes", "targets", "measurements", "files",
-    }  # fmt: skip
+        "what",
+        "machine",
+        "seconds",
+        "recommendations",
+        "notes",
+        "targets",
+        "measurements",
+        "files",
+    }
     assert any(f"seed {precision.SEED}" in note for note in result["notes"])
     rows = result["measurements"]
     for service, ours, peer in (("ring-down", "fit_ring_down", "half-power"), ("spin-down", "fit_spin_down", "line")):
@@ -99,10 +123,14 @@ def test_the_reference_knows_the_printed_multipliers() -> None:
 def test_fronts_hold_what_nothing_beats() -> None:
     rows = compared(
         [
-            row("quick", 1.0, 1e-3), row("slow and wrong", 2.0, 1e-2), row("exact", 3.0, 1e-9),
-            row("peer", 2.5, 1e-10, peer=True), row("elsewhere", 9.0, 1e-2, case="d"), row("unknown", 0.1, None),
+            row("quick", 1.0, 1e-3),
+            row("slow and wrong", 2.0, 1e-2),
+            row("exact", 3.0, 1e-9),
+            row("peer", 2.5, 1e-10, peer=True),
+            row("elsewhere", 9.0, 1e-2, case="d"),
+            row("unknown", 0.1, None),
         ]
-    )  # fmt: skip
+    )
     assert [r.method for r in rows if r.front] == ["quick", "exact", "elsewhere"]
     assert [r.method for r in rows if r.front_of_all] == ["quick", "peer", "elsewhere"]
     ratios = {r.method: r.peer_ratio for r in rows}
@@ -167,5 +195,10 @@ def test_a_fresh_process_follows_the_same_release_as_heyoka() -> None:
 
 def _machine() -> dict[str, object]:
     return {
-        "processor": "p", "cores": 2, "load_before": 0.1, "python": "3", "numba": "0", "numpy": "2",
-    }  # fmt: skip
+        "processor": "p",
+        "cores": 2,
+        "load_before": 0.1,
+        "python": "3",
+        "numba": "0",
+        "numpy": "2",
+    }

@@ -29,8 +29,14 @@ def test_predict_gives_the_contract_keys_and_the_expected_states(capsys: pytest.
         assert set(result) >= {"model", "why", "speed_ratio", "speed_rpm", "steady_states", "release"}
         first = result["steady_states"][0]
         assert set(first) >= {
-            "type", "theta3_deg", "theta4_deg", "amplitude_mm", "stable", "multiplier_max", "error_estimate",
-        }  # fmt: skip
+            "type",
+            "theta3_deg",
+            "theta4_deg",
+            "amplitude_mm",
+            "stable",
+            "multiplier_max",
+            "error_estimate",
+        }
         assert (first["type"], first["stable"]) == (kind, True)
         assert result["release"]["reaches"] == kind
 
@@ -57,9 +63,19 @@ def test_predict_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path, suffi
 def test_map_writes_arrays_and_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arrays, figure = tmp_path / "map.npz", tmp_path / "map.png"
     code, out, _ = said(
-        capsys, "map", "virtual", "--x", "speed_ratio=0.5:6:23", "--y", "stiffness_ratio=1:15:8",
-        "-o", str(arrays), "--plot", str(figure), "--json",
-    )  # fmt: skip
+        capsys,
+        "map",
+        "virtual",
+        "--x",
+        "speed_ratio=0.5:6:23",
+        "--y",
+        "stiffness_ratio=1:15:8",
+        "-o",
+        str(arrays),
+        "--plot",
+        str(figure),
+        "--json",
+    )
     result = json.loads(out)
     assert code == 0
     assert result["points"] == 184
@@ -128,14 +144,18 @@ def test_the_wheel_carries_the_rig_files_and_runs_outside_the_checkout(tmp_path:
     target = tmp_path / "site"
     subprocess.run(
         ["uv", "pip", "install", "--python", sys.executable, "--no-deps", "--target", str(target), str(wheel)],
-        check=True, capture_output=True,
-    )  # fmt: skip
+        check=True,
+        capture_output=True,
+    )
     script = "import sys; from cli.main import run; import rig_configs; print(rig_configs.__file__, file=sys.stderr); "
     done = subprocess.run(
         [sys.executable, "-c", script + "sys.exit(run(['predict', 'isotropic', '--point', 'above', '--json']))"],
-        cwd=tmp_path, env={"PYTHONPATH": str(target), "PATH": "", "HOME": str(tmp_path)},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(target), "PATH": "", "HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert str(target) in done.stderr
     assert json.loads(done.stdout)["steady_states"][0]["type"] == "I"
 

@@ -144,9 +144,12 @@ def test_the_command_itself_exits_70(tmp_path: Path) -> None:
     broken = tmp_path / "cli_broken.py"
     broken.write_text("import sys\nimport cli.model\ncli.model.need_place = 1\nfrom cli.entry import main\nmain()\n")
     done = subprocess.run(
-        [sys.executable, str(broken), "predict", "virtual", "--json"], capture_output=True, text=True, check=False,
+        [sys.executable, str(broken), "predict", "virtual", "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])},
-    )  # fmt: skip
+    )
     assert done.returncode == 70
     assert "Traceback" not in done.stderr
     assert json.loads(done.stdout)["exit_code"] == 70

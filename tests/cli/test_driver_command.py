@@ -48,8 +48,11 @@ def test_drivers_are_listed_with_package_and_roles(capsys: pytest.CaptureFixture
     assert code == 0
     assert list(drivers) == list(installed())
     assert drivers["vesc"] == {
-        "name": "vesc", "package": "pendulum-balancer-rig", "roles": ["speed source"], "verified": False,
-    }  # fmt: skip
+        "name": "vesc",
+        "package": "pendulum-balancer-rig",
+        "roles": ["speed source"],
+        "verified": False,
+    }
     assert drivers["rotorlink"]["roles"] == ["pendulum angles", "pendulum locks", "rotor phase"]
     code, out, _ = said(capsys, "list")
     assert code == 0

@@ -61,11 +61,35 @@ def test_ring_downs_of_another_laboratory_are_identified(capsys: pytest.CaptureF
     x, y = pluck("y", 2, t)
     savemat(tmp_path / "pluck.mat", {"rec": {"t": t, "d": np.column_stack([x, y]) / 0.0254}})
     logs = [
-        imported(capsys, german, "--test", "ring-down-x", "--time", "Zeit:ms", "--x", "Weg 1:mm", "--y", "Weg 2:-um",
-                 "--start", "2026-03-01T10:00:00"),
-        imported(capsys, tmp_path / "pluck.mat", "--test", "ring-down-y", "--time", "rec.t:s", "--x", "rec.d.1:in",
-                 "--y", "rec.d.2:in", "--clock-tolerance-ppm", "3"),
-    ]  # fmt: skip
+        imported(
+            capsys,
+            german,
+            "--test",
+            "ring-down-x",
+            "--time",
+            "Zeit:ms",
+            "--x",
+            "Weg 1:mm",
+            "--y",
+            "Weg 2:-um",
+            "--start",
+            "2026-03-01T10:00:00",
+        ),
+        imported(
+            capsys,
+            tmp_path / "pluck.mat",
+            "--test",
+            "ring-down-y",
+            "--time",
+            "rec.t:s",
+            "--x",
+            "rec.d.1:in",
+            "--y",
+            "rec.d.2:in",
+            "--clock-tolerance-ppm",
+            "3",
+        ),
+    ]
     code, out, err = said(capsys, "identify", *logs, "--rig", "virtual", "-o", tmp_path / "p.toml", "--json")
     assert code == 0, err
     found = json.loads(out)["parameters"]
@@ -110,12 +134,38 @@ def balanced_point(path: Path, rate: float = 1000.0) -> Path:
 
 def test_a_point_of_another_laboratory_is_validated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     log = imported(
-        capsys, balanced_point(tmp_path / "b.csv"), "--point", "B", "--time", "t:s", "--x", "x:mm", "--y", "y:mm",
-        "--theta3", "a:deg", "--theta4", "b:deg", "--phase", "psi:deg", "--release", "5.0",
-    )  # fmt: skip
+        capsys,
+        balanced_point(tmp_path / "b.csv"),
+        "--point",
+        "B",
+        "--time",
+        "t:s",
+        "--x",
+        "x:mm",
+        "--y",
+        "y:mm",
+        "--theta3",
+        "a:deg",
+        "--theta4",
+        "b:deg",
+        "--phase",
+        "psi:deg",
+        "--release",
+        "5.0",
+    )
     toml = tmp_path / "p.toml"
-    x_only = imported(capsys, half(balanced_point(tmp_path / "c.csv")), "--point", "B", "--time", "t:s", "--x", "x:mm",
-                      "--release", "5.0")  # fmt: skip
+    x_only = imported(
+        capsys,
+        half(balanced_point(tmp_path / "c.csv")),
+        "--point",
+        "B",
+        "--time",
+        "t:s",
+        "--x",
+        "x:mm",
+        "--release",
+        "5.0",
+    )
     known(toml)
     code, out, err = said(capsys, "validate", "virtual", log, x_only, "--parameters", toml, "--json")
     assert code in (0, 1), err
@@ -173,8 +223,20 @@ def test_bad_use_is_explained(
 ) -> None:
     file = tmp_path / "a.csv"
     file.write_text("t,d\n" + "".join(f"{i * 0.001!r},{i * 0.1!r}\n" for i in range(50)))
-    code, _, err = said(capsys, "import", file, "--rig", "virtual", "--test", "ring-down-x", "-o", tmp_path / "a.mcap",
-                        "--time", "t:s", *options)  # fmt: skip
+    code, _, err = said(
+        capsys,
+        "import",
+        file,
+        "--rig",
+        "virtual",
+        "--test",
+        "ring-down-x",
+        "-o",
+        tmp_path / "a.mcap",
+        "--time",
+        "t:s",
+        *options,
+    )
     assert code == 2
     assert words in " ".join(err.split())
     assert not (tmp_path / "a.mcap").exists()

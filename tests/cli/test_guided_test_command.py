@@ -75,8 +75,9 @@ def test_a_plan_gives_what_this_rig_s_sensors_can_show(capsys: pytest.CaptureFix
         _, out, _ = said(capsys, "test", rig, "ring-down-x", "--plan", "--json")
         gives[rig] = json.loads(out)["gives"]
     assert gives == {
-        "virtual": ["k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2"], "one_laser": ["k1_N_per_m", "zeta1"],
-    }  # fmt: skip
+        "virtual": ["k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2"],
+        "one_laser": ["k1_N_per_m", "zeta1"],
+    }
 
 
 @pytest.mark.usefixtures("no_device")
@@ -198,8 +199,10 @@ def test_an_interrupted_campaign_shows_which_tests_are_missing(
 ) -> None:
     (tmp_path / "03-bad.mcap").write_bytes(b"no log")
     for name, rig, missed in (
-        ("ring-down-x", "virtual", ""), ("run-up", "virtual", "the top speed"), ("spin-down", "another", ""),
-    ):  # fmt: skip
+        ("ring-down-x", "virtual", ""),
+        ("run-up", "virtual", "the top speed"),
+        ("spin-down", "another", ""),
+    ):
         recorder = Recorder(tmp_path / f"01-{name}.mcap", HostClock(), {"test": name, "rig": rig}, {}, ())
         recorder.close(ending(missed))
     code, out, err = said(capsys, "test", "virtual", "--out", str(tmp_path), "--json")
@@ -286,8 +289,10 @@ def test_the_whole_of_start_ups_counts_classes_and_takes_angles_as_directions() 
     runs = [
         {"class": "balanced", "state": "I", "theta3_deg": 359.0, "amplitude_x_mm": 0.1},
         {"class": "balanced", "state": "I", "theta3_deg": 3.0, "amplitude_x_mm": 0.3},
-        {"class": "slipping", "state": "slipping"}, {"class": "other", "state": "not settled"}, {"reached": False},
-    ]  # fmt: skip
+        {"class": "slipping", "state": "slipping"},
+        {"class": "other", "state": "not settled"},
+        {"reached": False},
+    ]
     whole = summed(runs)
     assert whole["start_ups"] == 4
     assert whole["classes"] == {"balanced": 2, "slipping": 1, "other": 1}

@@ -104,8 +104,10 @@ def test_text_of_any_origin_is_shown_as_text(
 def test_a_progress_bar_takes_any_name() -> None:
     drawn = io.StringIO()
     terminal = console._Stderr()
-    bar = console.Progress(console.TextColumn("{task.description}", markup=False),
-                           console=Console(file=drawn, force_terminal=True, markup=False))  # fmt: skip
+    bar = console.Progress(
+        console.TextColumn("{task.description}", markup=False),
+        console=Console(file=drawn, force_terminal=True, markup=False),
+    )
     with bar:
         bar.add_task(harmless(HOSTILE), total=1.0)
     assert "[/red]" in drawn.getvalue()

@@ -156,9 +156,18 @@ def test_a_folder_that_keeps_nothing_is_said_once(said: Any, shelf: Path) -> Non
 
 @pytest.mark.parametrize("width", [40, 60, 80, 120, 200])
 def test_the_table_fits(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], width: int) -> None:
-    entry = Entry(path="deep/" * 8 + "01-ring-down-x.mcap", size_bytes=10**8, state="damaged", rig="virtual",
-                  test="ring-down-x", point="A", note="a note as long as notes are\x1b[31m\nand longer",
-                  started="2026-03-01T10:00:00Z", lost=12345, verdict="not settled")  # fmt: skip
+    entry = Entry(
+        path="deep/" * 8 + "01-ring-down-x.mcap",
+        size_bytes=10**8,
+        state="damaged",
+        rig="virtual",
+        test="ring-down-x",
+        point="A",
+        note="a note as long as notes are\x1b[31m\nand longer",
+        started="2026-03-01T10:00:00Z",
+        lost=12345,
+        verdict="not settled",
+    )
     monkeypatch.setattr(log_table, "stdout_console", lambda: Console(width=width, highlight=False))
     print_logs([entry] * 3, 3, Path("logs"))
     lines = capsys.readouterr().out.splitlines()
@@ -187,8 +196,9 @@ def test_a_log_as_json(said: Any, tmp_path: Path) -> None:
     assert found["raw"]["laser_x"]["bytes_in"] > 60 * 40
     assert found["events"]["lock"] == 2
     assert [line["text"] for line in found["events_alike"] if line["kind"] == "lock"] == [
-        "pendulum A released", "pendulum B released",
-    ]  # fmt: skip
+        "pendulum A released",
+        "pendulum B released",
+    ]
     assert "all_events" not in found
     assert found["losses"]["source"] == "summary"
     assert found["rig"]["name"] == load_rig("virtual").name

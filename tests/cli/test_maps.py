@@ -33,9 +33,22 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 def test_any_two_numbers_with_borders(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arrays, figure = tmp_path / "map.npz", tmp_path / "map.svg"
     code, out, _ = said(
-        capsys, "map", "virtual", "--x", "speed_ratio=1:2:20", "--y", DAMPING, "--borders", "--quantity", "decay-rate",
-        "-o", str(arrays), "--plot", str(figure), "--json",
-    )  # fmt: skip
+        capsys,
+        "map",
+        "virtual",
+        "--x",
+        "speed_ratio=1:2:20",
+        "--y",
+        DAMPING,
+        "--borders",
+        "--quantity",
+        "decay-rate",
+        "-o",
+        str(arrays),
+        "--plot",
+        str(figure),
+        "--json",
+    )
     result = json.loads(out)
     assert code == 0
     assert (result["x"], result["points"]) == ("speed_ratio", 240)
@@ -151,10 +164,25 @@ def test_a_family_and_the_best_value(capsys: pytest.CaptureFixture[str], tmp_pat
     zetas = "suspension.zeta1+suspension.zeta2"
     file, page = tmp_path / "map.parquet", tmp_path / "map.html"
     code, out, _ = said(
-        capsys, "map", "virtual", "--x", "speed_ratio=2:6:9", "--y", "stiffness_ratio=4:12:9", "--refine", "2",
-        "--family", f"{zetas}=0.2,0.05", "--best", f"{zetas}=0.02:1:log", "-o", str(file), "--plot", str(page),
+        capsys,
+        "map",
+        "virtual",
+        "--x",
+        "speed_ratio=2:6:9",
+        "--y",
+        "stiffness_ratio=4:12:9",
+        "--refine",
+        "2",
+        "--family",
+        f"{zetas}=0.2,0.05",
+        "--best",
+        f"{zetas}=0.02:1:log",
+        "-o",
+        str(file),
+        "--plot",
+        str(page),
         "--json",
-    )  # fmt: skip
+    )
     assert code == 0
     result = json.loads(out)
     assert result["points"] == 33 * 33

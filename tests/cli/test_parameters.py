@@ -32,10 +32,16 @@ def kept(
     covariance[0, 2] = covariance[2, 0] = 0.7 * STD["k1_N_per_m"] * STD["zeta1"]
     clock = {"k1_N_per_m": 0.3, "k2_N_per_m": 0.0, "zeta1": 0.0}
     test = {
-        "test": "ring-down", "log": f"{path.stem}.mcap", "digest": f"d{day}", "method": "made up", "values": values,
-        "covariance": covariance.tolist(), "shared": {"clock laser_x": clock}, "model_share": 0.25,
+        "test": "ring-down",
+        "log": f"{path.stem}.mcap",
+        "digest": f"d{day}",
+        "method": "made up",
+        "values": values,
+        "covariance": covariance.tolist(),
+        "shared": {"clock laser_x": clock},
+        "model_share": 0.25,
         "recorded": f"2026-03-{day:02d}T10:00:00+00:00",
-    }  # fmt: skip
+    }
     if left_out:
         test["left_out"] = left_out
     total = covariance + np.outer(list(clock.values()), list(clock.values()))
@@ -139,8 +145,10 @@ def test_budget_of_parameters_alone(capsys: pytest.CaptureFixture[str], tmp_path
     assert k1["u"] == pytest.approx(np.hypot(0.5, 0.3))
     assert sum(row["contribution"] ** 2 for row in k1["budget"]) == pytest.approx(k1["u"] ** 2)
     assert [row["source"] for row in k1["budget"]] == [
-        "own: ring-down (p.mcap)", "clock laser_x", "beyond noise: ring-down (p.mcap)",
-    ]  # fmt: skip
+        "own: ring-down (p.mcap)",
+        "clock laser_x",
+        "beyond noise: ring-down (p.mcap)",
+    ]
     assert set(k1["budget"][0]) >= {"source", "type", "distribution", "u", "sensitivity", "contribution", "nu"}
     assert k1["nu_eff"] is None
     assert k1["U95"] == pytest.approx(1.96 * k1["u"], rel=1e-4)

@@ -157,9 +157,13 @@ def test_a_folder_without_a_figure_is_bad_input(tmp_path: Path, capsys: pytest.C
     ],
 )
 def test_what_is_refused(
-    words: list[str], said: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    said: str,
+    log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     told = plotted(capsys, *[str(log) if word == "LOG" else word for word in words], code=2)
     assert said in told["error"]

@@ -9,8 +9,16 @@ import pytest
 
 from cli.main import run
 
-_SWEEP = ["predict", "isotropic", "--sweep", "imbalance.radius_m=0.005:0.1:20", "--speed-ratio", "2.5",
-          "--set", "pendulums.b.mass_kg=0.037"]  # fmt: skip
+_SWEEP = [
+    "predict",
+    "isotropic",
+    "--sweep",
+    "imbalance.radius_m=0.005:0.1:20",
+    "--speed-ratio",
+    "2.5",
+    "--set",
+    "pendulums.b.mass_kg=0.037",
+]
 
 
 def test_break_points_and_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

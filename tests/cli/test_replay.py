@@ -62,9 +62,17 @@ def test_a_true_log_is_identical(capsys: pytest.CaptureFixture[str], log: Path) 
     found = json.loads(out)
     assert (code, found["identical"], found["until_ns"]) == (0, True, None)
     assert found["channels"][0] == {
-        "topic": "laser/x", "live": 2400, "again": 2400, "compared": 2400, "differing": 0, "extra": 0, "missing": [],
-        "difference": "", "fields": {}, "first": None,
-    }  # fmt: skip
+        "topic": "laser/x",
+        "live": 2400,
+        "again": 2400,
+        "compared": 2400,
+        "differing": 0,
+        "extra": 0,
+        "missing": [],
+        "difference": "",
+        "fields": {},
+        "first": None,
+    }
 
 
 def test_where_it_differs_stands_in_a_table(capsys: pytest.CaptureFixture[str], falsified: Path) -> None:
@@ -76,8 +84,15 @@ def test_where_it_differs_stands_in_a_table(capsys: pytest.CaptureFixture[str], 
     row = next(
         line for line in out.splitlines() if line.startswith("motor") and "identical" not in line and "live" not in line
     )
-    assert row.split() == ["motor", str(len(wrong)), str(wrong[0]), str(times[wrong[0]]), "speed_rpm",
-                           str(speeds[wrong[0]]), str(speeds[wrong[0]] - 0.5)]  # fmt: skip
+    assert row.split() == [
+        "motor",
+        str(len(wrong)),
+        str(wrong[0]),
+        str(times[wrong[0]]),
+        "speed_rpm",
+        str(speeds[wrong[0]]),
+        str(speeds[wrong[0]] - 0.5),
+    ]
     code, out, _ = said(capsys, str(falsified), "--json")
     assert code == 0  # only --check makes it a verdict
     motor = next(row for row in json.loads(out)["channels"] if row["topic"] == "motor")
@@ -210,8 +225,9 @@ class Player:
 def hosted(player: Player, *command: str) -> subprocess.CompletedProcess[str]:
     """Another `rig` command on the ports of a player, to its end."""
     settings = [word for device, port in player.ports.items() for word in ("--set", f"devices.{device}.port={port}")]
-    return subprocess.run([sys.executable, "-m", "cli.main", *command, *settings], capture_output=True, text=True,
-                          timeout=60, check=False)  # fmt: skip
+    return subprocess.run(
+        [sys.executable, "-m", "cli.main", *command, *settings], capture_output=True, text=True, timeout=60, check=False
+    )
 
 
 def drained(ports: dict[str, str], got: dict[str, int]) -> None:
@@ -253,8 +269,12 @@ def test_a_check_shows_the_devices_of_the_log(long_log: Path) -> None:
     with Player(long_log, "tcp", "1") as player:  # a busy machine takes its time to open four devices
         host = hosted(player, "check", "virtual", "--seconds", "1", "--json")
     found = json.loads(host.stdout)
-    failed = {f"{name} {what}" for name, device in found["devices"].items() for what, one in device["checks"].items()
-              if one["verdict"] == "fail"}  # fmt: skip
+    failed = {
+        f"{name} {what}"
+        for name, device in found["devices"].items()
+        for what, one in device["checks"].items()
+        if one["verdict"] == "fail"
+    }
     assert host.returncode == 1, host.stderr
     # the rotor of the log turns, its counts go on in closed locks, its node never told its status
     assert failed - {"laser_y lost_samples"} == {"drive speed_rpm", "encoder locked_A_deg", "encoder status"}
@@ -278,8 +298,13 @@ def test_a_host_that_configures_records_again_what_the_log_holds(long_log: Path,
         said = json.loads(two.attachments["identities.json"])
         assert said["laser_x"] == {**IDENTITIES["laser_x"], "scaling": "ILD1420"}
         assert check(again).identical
-        for topic, key in (("laser/x", "counter"), ("laser/y", "device_ticks"), ("pendulums", "index"),
-                           ("tacho", "revolutions"), ("motor", "speed_rpm")):  # fmt: skip
+        for topic, key in (
+            ("laser/x", "counter"),
+            ("laser/y", "device_ticks"),
+            ("pendulums", "index"),
+            ("tacho", "revolutions"),
+            ("motor", "speed_rpm"),
+        ):
             _same_stretch(one[topic], two[topic], key)
 
 

@@ -51,8 +51,22 @@ def test_what_changed_since_an_earlier_file(capsys: pytest.CaptureFixture[str], 
 
 def test_points_alone_need_parameters(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     table, log = balanced_point(tmp_path / "b.csv"), tmp_path / "b.mcap"
-    columns = ["--time", "t:s", "--x", "x:mm", "--y", "y:mm", "--theta3", "a:deg", "--theta4", "b:deg", "--phase",
-               "psi:deg", "--release", "5.0"]  # fmt: skip
+    columns = [
+        "--time",
+        "t:s",
+        "--x",
+        "x:mm",
+        "--y",
+        "y:mm",
+        "--theta3",
+        "a:deg",
+        "--theta4",
+        "b:deg",
+        "--phase",
+        "psi:deg",
+        "--release",
+        "5.0",
+    ]
     assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(log), *columns]) == 0
     code, told = answered(capsys, log, "-o", tmp_path / "r.html")
     assert code == 2

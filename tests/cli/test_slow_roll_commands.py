@@ -89,8 +89,22 @@ def test_budget_has_the_bow_and_the_map_leaves_it_out(
     sources = [row["source"] for row in found["predicted"]["B.amplitude_x_mm"]["budget"]]
     assert any("bow" in source for source in sources)
     assert any("run-out of x" in source for source in sources)
-    assert run(["map", "virtual", "--x", "speed_ratio=1:2:3", "--y", "stiffness_ratio=1:2:3", "--parameters",
-                str(tmp_path / "p.toml"), "--json"]) == 0  # fmt: skip
+    assert (
+        run(
+            [
+                "map",
+                "virtual",
+                "--x",
+                "speed_ratio=1:2:3",
+                "--y",
+                "stiffness_ratio=1:2:3",
+                "--parameters",
+                str(tmp_path / "p.toml"),
+                "--json",
+            ]
+        )
+        == 0
+    )
     assert "leaves the bow out" in capsys.readouterr().err
 
 

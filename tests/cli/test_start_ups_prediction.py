@@ -26,9 +26,11 @@ def test_start_ups_of_balls_scatter_and_leave_vibration(tmp_path: Path, capsys: 
 
 @pytest.mark.parametrize(
     ("more", "words"),
-    [(["--start-ups", "1"], "expected 2 to 10000"),
-     (["--start-ups", "3", "--set", "pendulums.b.mass_kg=0"], "expected two pendulums or balls")],
-)  # fmt: skip
+    [
+        (["--start-ups", "1"], "expected 2 to 10000"),
+        (["--start-ups", "3", "--set", "pendulums.b.mass_kg=0"], "expected two pendulums or balls"),
+    ],
+)
 def test_refusals(more: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["predict", "isotropic", "--speed-rpm", "600", "--no-release", *more]) == 2
     assert words in capsys.readouterr().err

@@ -91,9 +91,20 @@ def test_both_settings_find_the_dampings_and_write_table_and_figure(
     assert "rig file" in svg
 
     place = tmp_path / "slow.csv"
-    slow = tracked(capsys, log, "--setting", "reference", "--parameters", toml, "--set",
-                   "pendulums.a.damping_Nms_per_rad=1e-3", "--set", "pendulums.b.damping_Nms_per_rad=1e-3", "-o",
-                   place)["logs"][0]  # fmt: skip
+    slow = tracked(
+        capsys,
+        log,
+        "--setting",
+        "reference",
+        "--parameters",
+        toml,
+        "--set",
+        "pendulums.a.damping_Nms_per_rad=1e-3",
+        "--set",
+        "pendulums.b.damping_Nms_per_rad=1e-3",
+        "-o",
+        place,
+    )["logs"][0]
     assert slow["files"] == [str(place), str(place.with_suffix(".svg"))]
     assert slow["smoother"] == {"stretches": 1, "filter_kept_share": 0.0}
     rows = np.genfromtxt(place, delimiter=",", names=True)

@@ -42,9 +42,26 @@ def log(tmp_path_factory: pytest.TempPathFactory, world: World) -> Path:
     rows = np.column_stack([point.angle_time_s, np.degrees(point.angle_rad)])
     np.savetxt(table, rows, "%.9g", delimiter=",", header="t,a,b", comments="")
     np.savetxt(marks, point.mark_time_s, "%.9f", header="mark", comments="")
-    words = ["import", str(table), "--rig", "virtual", "--test", "point-E", "-o", str(out), "--time", "t:s",
-             "--theta3", "a:deg", "--theta4", "b:deg", "--marks", f"{marks}:s", "--release",
-             f"{point.releases[0].time_s:.6f}"]  # fmt: skip
+    words = [
+        "import",
+        str(table),
+        "--rig",
+        "virtual",
+        "--test",
+        "point-E",
+        "-o",
+        str(out),
+        "--time",
+        "t:s",
+        "--theta3",
+        "a:deg",
+        "--theta4",
+        "b:deg",
+        "--marks",
+        f"{marks}:s",
+        "--release",
+        f"{point.releases[0].time_s:.6f}",
+    ]
     assert run(words) == 0
     return out
 

@@ -29,8 +29,22 @@ def known(path: Path, axis_angle_deg: tuple[float, float] | None = (1.0, 0.01)) 
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("point")
     out = folder / "b.mcap"
-    columns = ["--time", "t:s", "--x", "x:mm", "--y", "y:mm", "--theta3", "a:deg", "--theta4", "b:deg", "--phase",
-               "psi:deg", "--release", "5.0"]  # fmt: skip
+    columns = [
+        "--time",
+        "t:s",
+        "--x",
+        "x:mm",
+        "--y",
+        "y:mm",
+        "--theta3",
+        "a:deg",
+        "--theta4",
+        "b:deg",
+        "--phase",
+        "psi:deg",
+        "--release",
+        "5.0",
+    ]
     table = balanced_point(folder / "b.csv")
     assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(out), *columns]) == 0
     return out

@@ -90,8 +90,13 @@ def test_hands_do_what_a_person_does_and_an_onlooker_sees_it(
     asked(capsys, "set", "suspension.k1_N_per_m=3000")
     assert by_hand.virtual.rig.motion.physics.identified()["k1_N_per_m"] == 3000
     assert set(asked(capsys, "state")) == {
-        "time_s", "speed_rpm", "displacement_mm", "pendulums_deg", "pendulums_held", "devices",
-    }  # fmt: skip
+        "time_s",
+        "speed_rpm",
+        "displacement_mm",
+        "pendulums_deg",
+        "pendulums_held",
+        "devices",
+    }
 
 
 def test_faults_are_placed_by_their_words_on_the_one_device_that_can_have_them(

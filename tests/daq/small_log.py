@@ -36,9 +36,12 @@ def device_bytes(steps: int = 10, opened_at: int | None = None, told: tuple[int,
             event = rotorlink.LockEvent(1, seq, 10_000 * step + 3_000, pendulum, 1, 7)
             events, seq = events + rotorlink.wire(event.pack()), seq + 1
         frame = slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
-        reads += [("laser_x", optoncdt.encode_block(words)), ("laser_y", optoncdt.encode_block(words)),
-                  ("encoder", rotorlink.wire(block.pack()) + rotorlink.wire(mark.pack()) + events),
-                  ("drive", slcan.encode(frame))]  # fmt: skip
+        reads += [
+            ("laser_x", optoncdt.encode_block(words)),
+            ("laser_y", optoncdt.encode_block(words)),
+            ("encoder", rotorlink.wire(block.pack()) + rotorlink.wire(mark.pack()) + events),
+            ("drive", slcan.encode(frame)),
+        ]
     return reads
 
 
@@ -47,8 +50,10 @@ def write_small_log(path: Path, falsify: bool = False, **what: Any) -> Path:
     rig = load_rig("virtual")
     pipelines = make_pipelines(rig.devices, {})
     attachments: dict[str, bytes] = {
-        "rig.json": rig.snapshot_json(), "roles.json": rig.roles_json(), "identities.json": b"{}",
-    }  # fmt: skip
+        "rig.json": rig.snapshot_json(),
+        "roles.json": rig.roles_json(),
+        "identities.json": b"{}",
+    }
     recorder = Recorder(path, HostClock(), {"test": "small"}, attachments, tuple(pipelines))
     start = 1_700_000_000_000_000_000
     for i, (device, data) in enumerate(device_bytes(**what)):

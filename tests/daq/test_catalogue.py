@@ -67,8 +67,15 @@ def judged(log: Path, verdict: str = "pass") -> Verdict:
 
 
 def test_facts_of_a_finished_log(tmp_path: Path) -> None:
-    facts = {"rig": "bench", "test": "point-A", "point": "A", "note": "new spring", "software": "0.1.0",
-             "parameters": "parameters.toml sha256:1a2b3c4d", "started": "2026-03-01T10:00:00Z"}  # fmt: skip
+    facts = {
+        "rig": "bench",
+        "test": "point-A",
+        "point": "A",
+        "note": "new spring",
+        "software": "0.1.0",
+        "parameters": "parameters.toml sha256:1a2b3c4d",
+        "started": "2026-03-01T10:00:00Z",
+    }
     losses = {"laser_x": {"samples": 12, "invalid": 3}, "encoder": {"radio_frames": 0}}
     path = make_log(tmp_path / "deep" / "down" / "run.mcap", marks=5, losses=losses, **facts)
     entry = only(tmp_path)
@@ -148,7 +155,7 @@ on_posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no na
         pytest.param(broken_link, "unreadable", "expected a file", marks=on_posix),
         pytest.param(named_pipe, "unreadable", "expected a file", marks=on_posix),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_log_is_listed_as_what_it_is(
     tmp_path: Path, make: Callable[[Path], None], state: str, why: str
 ) -> None:
@@ -197,12 +204,33 @@ def test_a_folder_is_needed(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def shelf(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     folder = tmp_path_factory.mktemp("shelf")
-    make_log(folder / "a.mcap", 2, rig="bench", test="point-A", point="A", started="2026-03-01T10:00:00Z",
-             note="New spring", parameters="p.toml sha256:11")  # fmt: skip
-    make_log(folder / "b.mcap", 4, {"laser_x": {"samples": 5}}, rig="bench", test="point-AB", point="AB",
-             started="2026-03-02T10:00:00Z")  # fmt: skip
-    make_log(folder / "sub" / "c.mcap", 3, {"laser_x": {"invalid": 5}}, rig="tower", test="run-up",
-             started="2026-03-03T10:00:00Z")  # fmt: skip
+    make_log(
+        folder / "a.mcap",
+        2,
+        rig="bench",
+        test="point-A",
+        point="A",
+        started="2026-03-01T10:00:00Z",
+        note="New spring",
+        parameters="p.toml sha256:11",
+    )
+    make_log(
+        folder / "b.mcap",
+        4,
+        {"laser_x": {"samples": 5}},
+        rig="bench",
+        test="point-AB",
+        point="AB",
+        started="2026-03-02T10:00:00Z",
+    )
+    make_log(
+        folder / "sub" / "c.mcap",
+        3,
+        {"laser_x": {"invalid": 5}},
+        rig="tower",
+        test="run-up",
+        started="2026-03-03T10:00:00Z",
+    )
     make_log(folder / "d.mcap", cut=True, rig="tower", test="run-up", note="spring broke", started="2026-03-04T10:00Z")
     keep_verdict(folder / "a.mcap", judged(folder / "a.mcap"))
     keep_verdict(folder / "b.mcap", judged(folder / "b.mcap", "not settled"))
@@ -251,10 +279,16 @@ def test_search(shelf: Catalogue, query: dict[str, Any], names: str) -> None:
 @pytest.mark.parametrize("sort", Sort.__args__)
 def test_sorting_and_its_reverse(shelf: Catalogue, sort: Sort) -> None:
     keys: dict[str, Callable[[Entry], Any]] = {
-        "started": lambda e: -(e.started_ns or 0), "path": lambda e: e.path, "rig": lambda e: e.rig,
-        "test": lambda e: e.test.lower(), "point": lambda e: e.point, "duration": lambda e: -e.duration_s,
-        "size": lambda e: -e.size_bytes, "lost": lambda e: -(e.lost or 0), "verdict": lambda e: e.verdict,
-    }  # fmt: skip
+        "started": lambda e: -(e.started_ns or 0),
+        "path": lambda e: e.path,
+        "rig": lambda e: e.rig,
+        "test": lambda e: e.test.lower(),
+        "point": lambda e: e.point,
+        "duration": lambda e: -e.duration_s,
+        "size": lambda e: -e.size_bytes,
+        "lost": lambda e: -(e.lost or 0),
+        "verdict": lambda e: e.verdict,
+    }
     there = [keys[sort](entry) for entry in shelf.search(Query(sort=sort))]
     back = [keys[sort](entry) for entry in shelf.search(Query(sort=sort, reverse=True))]
     assert len(set(there)) > 1

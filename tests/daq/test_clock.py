@@ -95,12 +95,17 @@ def test_a_seed_of_another_clock_counts_for_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "told", [3, {}, {"device_ns": 1, "host_ns": 1, "rate": 0.0},
-             {"device_ns": 1, "host_ns": 1, "rate": 2.0, "wrap_ns": 9},
-             {"device_ns": 1.5, "host_ns": 1, "rate": 0.0, "wrap_ns": 9},
-             {"device_ns": 1, "host_ns": 1, "rate": float("nan"), "wrap_ns": 9},
-             {"device_ns": 1, "host_ns": 1, "rate": 0.0, "wrap_ns": 0}],
-)  # fmt: skip
+    "told",
+    [
+        3,
+        {},
+        {"device_ns": 1, "host_ns": 1, "rate": 0.0},
+        {"device_ns": 1, "host_ns": 1, "rate": 2.0, "wrap_ns": 9},
+        {"device_ns": 1.5, "host_ns": 1, "rate": 0.0, "wrap_ns": 9},
+        {"device_ns": 1, "host_ns": 1, "rate": float("nan"), "wrap_ns": 9},
+        {"device_ns": 1, "host_ns": 1, "rate": 0.0, "wrap_ns": 0},
+    ],
+)
 def test_a_seed_that_no_clock_can_have_is_refused(told: object) -> None:
     with pytest.raises(DeviceError, match=r"clocks\.json: expected device_ns"):
         ClockSeed.of({"clock_seed": told})

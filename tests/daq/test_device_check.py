@@ -75,13 +75,17 @@ def healthy() -> Seen:
     return Seen(
         seconds=2.0,
         rates={"laser/x": rate(4000), "laser/y": rate(4000), "pendulums": rate(1000)},
-        losses={"laser_x": {"samples": 0, "invalid": 3}, "laser_y": {"samples": 0}, "drive": {"damaged_lines": 0},
-                "encoder": {"radio_frames": 1, "samples": 20}},
+        losses={
+            "laser_x": {"samples": 0, "invalid": 3},
+            "laser_y": {"samples": 0},
+            "drive": {"damaged_lines": 0},
+            "encoder": {"radio_frames": 1, "samples": 20},
+        },
         events=[],
         displacement_m={"x": rest, "y": rest},
         angles=AnglesSeen(LOCKED, flags(96)),
         speed=SpeedSeen(100.0, 0.0),
-    )  # fmt: skip
+    )
 
 
 def changed(look: Seen, what: str, value: Any) -> Seen:
@@ -95,11 +99,17 @@ def test_a_healthy_rig_passes_with_what_was_seen_and_expected() -> None:
     devices = healthy().judged()
     assert list(devices) == ["laser_x", "laser_y", "encoder", "drive"]
     assert {name: [w for w, c in checks.items() if not c.passed] for name, checks in devices.items()} == {
-        "laser_x": [], "laser_y": [], "encoder": [], "drive": [],
-    }  # fmt: skip
+        "laser_x": [],
+        "laser_y": [],
+        "encoder": [],
+        "drive": [],
+    }
     assert devices["laser_x"]["rate_Hz"].facts() == {
-        "value": 4000.0, "expected": 4000, "verdict": "pass", "note": "± 1000 ppm in 2.0 s",
-    }  # fmt: skip
+        "value": 4000.0,
+        "expected": 4000,
+        "verdict": "pass",
+        "note": "± 1000 ppm in 2.0 s",
+    }
     assert "longer look" in devices["laser_x"]["clock_ppm"].note
     assert devices["encoder"]["battery_mV"].value == 3712
     assert devices["encoder"]["firmware"].value == "1.4"
@@ -135,7 +145,7 @@ EMERGENCY = Event("emergency", "drive", "drive error 0x3220", {"error_code": 0x3
         ("events", [EMERGENCY], "drive", "emergencies"),
         ("events", [Event("restart", "encoder", "the node started again")], "encoder", "restarts"),
     ],
-)  # fmt: skip
+)
 def test_one_thing_wrong_fails_its_check_and_no_other(what: str, value: Any, device: str, check: str) -> None:
     devices = changed(healthy(), what, value).judged()
     failed = {(name, key) for name, checks in devices.items() for key, found in checks.items() if not found.passed}

@@ -201,8 +201,13 @@ def test_a_drive_in_operation_that_is_right_is_not_taken_out_of_it() -> None:
 
 
 def test_what_a_drive_had_is_put_back_when_it_refuses_ours() -> None:
-    had = {(cia402.TPDO1_MAPPING, 0): 2, (cia402.TPDO1_MAPPING, 1): TORQUE, (cia402.TPDO1_MAPPING, 2): STATUS,
-           (cia402.TPDO1, 1): 0x4000_0185, (cia402.TPDO1, 2): 1}  # fmt: skip
+    had = {
+        (cia402.TPDO1_MAPPING, 0): 2,
+        (cia402.TPDO1_MAPPING, 1): TORQUE,
+        (cia402.TPDO1_MAPPING, 2): STATUS,
+        (cia402.TPDO1, 1): 0x4000_0185,
+        (cia402.TPDO1, 2): 1,
+    }
     drive = MappedDrive(had)
     drive.refused_entry = ACTUAL
     with pytest.raises(DeviceError, match="1A00h sub 2"):

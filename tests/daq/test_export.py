@@ -48,12 +48,22 @@ def log_path(tmp_path: Path) -> Path:
             value[: len(AWKWARD)] = AWKWARD
             ticks = rng.integers(0, 2**64, 100, np.uint64, endpoint=False)
             sequence = (np.arange(100) + 2**32 - 50).astype(np.uint32)
-            columns = {"displacement_m": value, "code": np.full(100, 2**32 - 1), "counter": np.arange(100),
-                       "device_ticks": ticks}  # fmt: skip
+            columns = {
+                "displacement_m": value,
+                "code": np.full(100, 2**32 - 1),
+                "counter": np.arange(100),
+                "device_ticks": ticks,
+            }
             log.batch(Batch(LASER_X, time, sequence, columns), int(time[-1]) + 7)
-            angles = {"theta3_rad": value[:20], "theta4_rad": value[20:40], "count_a": np.full(20, -(2**31)),
-                      "count_b": np.arange(20), "index": np.arange(20), "node_time_us": ticks[:20],
-                      "flags": np.arange(20)}  # fmt: skip
+            angles = {
+                "theta3_rad": value[:20],
+                "theta4_rad": value[20:40],
+                "count_a": np.full(20, -(2**31)),
+                "count_b": np.arange(20),
+                "index": np.arange(20),
+                "node_time_us": ticks[:20],
+                "flags": np.arange(20),
+            }
             log.batch(Batch(PENDULUMS, time[::5], np.arange(20, dtype=np.uint32), angles), int(time[-1]) + 9)
             log.flush()
         log.event(Event("gap", "laser_x", "3 samples lost", {"samples": 3}), START + 5_000_000)
@@ -111,8 +121,11 @@ def read_hdf5(files: list[Path], names: list[str]) -> Tables:
 
 
 READERS: dict[str, Callable[[list[Path], list[str]], Tables]] = {
-    "csv": read_csv, "parquet": read_parquet, "mat": read_mat, "hdf5": read_hdf5,
-}  # fmt: skip
+    "csv": read_csv,
+    "parquet": read_parquet,
+    "mat": read_mat,
+    "hdf5": read_hdf5,
+}
 
 
 def assert_same(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
@@ -187,10 +200,22 @@ def test_units_and_provenance_go_with_the_numbers(log_path: Path, format: Any) -
 def test_units_of_every_field_the_rig_logs() -> None:
     fields = {name for channel in (LASER_X, LASER_Y, PENDULUMS, TACHO, MOTOR) for name in channel.names}
     assert {name: unit_of(name) for name in fields} == {
-        "displacement_m": "m", "code": "1", "counter": "count", "device_ticks": "count", "theta3_rad": "rad",
-        "theta4_rad": "rad", "count_a": "count", "count_b": "count", "index": "1", "node_time_us": "us", "flags": "1",
-        "revolutions": "count", "speed_rpm": "rpm", "target_rpm": "rpm", "statusword": "1",
-    }  # fmt: skip
+        "displacement_m": "m",
+        "code": "1",
+        "counter": "count",
+        "device_ticks": "count",
+        "theta3_rad": "rad",
+        "theta4_rad": "rad",
+        "count_a": "count",
+        "count_b": "count",
+        "index": "1",
+        "node_time_us": "us",
+        "flags": "1",
+        "revolutions": "count",
+        "speed_rpm": "rpm",
+        "target_rpm": "rpm",
+        "statusword": "1",
+    }
 
 
 def test_one_channel_in_a_span_of_time(log_path: Path) -> None:
@@ -250,8 +275,11 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(log_path: Path) -> None:
     cases = [*(f"{format}:2000" for format in FORMATS), "hdf5:20000"]  # the last one fails when the file is closed
     done = subprocess.run(
         [sys.executable, "-c", script, str(log_path), str(log_path.with_name("out")), *cases],
-        capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2],
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parents[2],
+    )
     assert (done.returncode, done.stderr) == (0, "")  # HDF5 would crash on its own
     assert done.stdout.split("\n")[:-1] == [f"OSError {errno.EFBIG}"] * len(cases)
     assert set(log_path.parent.iterdir()) == before

@@ -308,8 +308,10 @@ def test_the_rotor_by_its_angle_its_marks_or_its_speed(tmp_path: Path) -> None:
     turns = 2 * np.pi * np.arange(1, 17)
     times = (-20 + np.sqrt(400 + 20 * (turns - 1))) / 10
     wrapped = phase_file(tmp_path / "wrapped.csv", np.angle(np.exp(1j * psi)))
-    for run in (bring_in(wrapped, time="1:s", phase="2:rad"),
-                bring_in(phase_file(tmp_path / "whole.csv", np.degrees(psi)), time="1:s", phase="2:deg")):  # fmt: skip
+    for run in (
+        bring_in(wrapped, time="1:s", phase="2:rad"),
+        bring_in(phase_file(tmp_path / "whole.csv", np.degrees(psi)), time="1:s", phase="2:deg"),
+    ):
         assert np.allclose(run.mark_phase_rad[:16], turns)
         assert np.allclose(run.mark_time_s[:16], times, atol=1e-6)
         assert run.phase_absolute

@@ -211,9 +211,13 @@ def test_what_is_no_column_is_said_by_its_name(tmp_path: Path) -> None:
     found = open_recording(path)
     assert found.names == ("x",)
     for name, words in {
-        "z": "of complex128", "stamp": "of object", "cube": r"of shape \(2, 2, 2\)", "none": "without values",
-        "soft": "a soft link", "out": "a link to another file",
-    }.items():  # fmt: skip
+        "z": "of complex128",
+        "stamp": "of object",
+        "cube": r"of shape \(2, 2, 2\)",
+        "none": "without values",
+        "soft": "a soft link",
+        "out": "a link to another file",
+    }.items():
         with pytest.raises(ExchangeError, match=f"--x: expected a column of numbers, '{name}' is .*{words}"):
             pick(found, name, "--x")
 
@@ -234,7 +238,13 @@ def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
     (tmp_path / "to_pipe.csv").symlink_to("pipe.csv")
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "socket.csv"))
-        for name, words in (("pipe.csv", "named pipe"), ("to_pipe.csv", "named pipe"), ("socket.csv", "socket"),
-                            ("round.csv", "symbolic links"), (".", "directory"), ("/dev/zero", "device")):  # fmt: skip
+        for name, words in (
+            ("pipe.csv", "named pipe"),
+            ("to_pipe.csv", "named pipe"),
+            ("socket.csv", "socket"),
+            ("round.csv", "symbolic links"),
+            (".", "directory"),
+            ("/dev/zero", "device"),
+        ):
             with pytest.raises(ExchangeError, match=words):
                 open_recording(tmp_path / name)

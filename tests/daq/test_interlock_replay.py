@@ -356,8 +356,13 @@ def test_holes_are_those_between_two_known_times() -> None:
     from daq.log.samples import Missing
 
     known = Missing("x", start_ns=5, end_ns=9, messages=3)
-    places = [replace(known, start_ns=20, end_ns=30), known, replace(known, messages=0), replace(known, end_ns=None),
-              replace(known, topics=("health",))]  # fmt: skip
+    places = [
+        replace(known, start_ns=20, end_ns=30),
+        known,
+        replace(known, messages=0),
+        replace(known, end_ns=None),
+        replace(known, topics=("health",)),
+    ]
     assert holes_of(places) == (Hole(5, 9), Hole(20, 30))
 
 
@@ -365,8 +370,14 @@ def test_an_imported_log_is_judged_by_what_it_holds(tmp_path: Path) -> None:
     rig = load_rig("virtual")
     plain = replace(LASER_X, fields=LASER_X.fields[:1])
     t = START_NS + 250_000 * np.arange(8000)
-    with LogFile(tmp_path / "a.mcap", {"test": "run-up"}, {"rig.json": rig.snapshot_json()}, (), START_NS,
-                 [plain, replace(TACHO, fields=TACHO.fields[:1])]) as log:  # fmt: skip
+    with LogFile(
+        tmp_path / "a.mcap",
+        {"test": "run-up"},
+        {"rig.json": rig.snapshot_json()},
+        (),
+        START_NS,
+        [plain, replace(TACHO, fields=TACHO.fields[:1])],
+    ) as log:
         x = {"displacement_m": np.where(np.arange(8000) > 6000, 12e-3, 1e-3)}
         log.batch(Batch(plain, t, np.arange(8000).astype(np.uint32), x), t)
         marks = t[::400]

@@ -52,7 +52,7 @@ FAILURES = [
     ("drive", "reported share", 0.5, 3.0, "the index marks come at 5.. rpm, the drive reports"),
     ("drive", "reported share", 2.2, 4.0, "the drive reports .* rpm, (it was told 600|limits)"),
     ("drive", "speed", 1100, 2.0, "the drive reports .* rpm, it was told 600"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("device", "what", "value", "within_s", "words"), FAILURES)

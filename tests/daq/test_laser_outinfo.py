@@ -80,13 +80,21 @@ def test_without_an_identity_the_stream_is_made_of_the_rig_files_words() -> None
 @pytest.mark.parametrize(
     "words",
     [
-        ["DIST"], ["DIST", "COUNTER"], ["DIST", "TIMESTAMP"], ["COUNTER", "TIMESTAMP"],
-        ["DIST", "COUNTER", "TIMESTAMP", "COUNTER"], ["DIST", "COUNTER", "TIMESTAMP", "DIST"],
-        ["DIST", "COUNTER", "TIMESTAMP", "TIMESTAMP_LO"], ["DIST", "COUNTER", "TIMESTAMP", "a word"],
-        ["DIST", "COUNTER", "TIMESTAMP", ""], ["DIST", "COUNTER", "TIMESTAMP", 5], "DIST COUNTER TIMESTAMP",
-        ["DIST", "COUNTER", "TIMESTAMP", *(f"W{i}" for i in range(29))], 7,
+        ["DIST"],
+        ["DIST", "COUNTER"],
+        ["DIST", "TIMESTAMP"],
+        ["COUNTER", "TIMESTAMP"],
+        ["DIST", "COUNTER", "TIMESTAMP", "COUNTER"],
+        ["DIST", "COUNTER", "TIMESTAMP", "DIST"],
+        ["DIST", "COUNTER", "TIMESTAMP", "TIMESTAMP_LO"],
+        ["DIST", "COUNTER", "TIMESTAMP", "a word"],
+        ["DIST", "COUNTER", "TIMESTAMP", ""],
+        ["DIST", "COUNTER", "TIMESTAMP", 5],
+        "DIST COUNTER TIMESTAMP",
+        ["DIST", "COUNTER", "TIMESTAMP", *(f"W{i}" for i in range(29))],
+        7,
     ],
-)  # fmt: skip
+)
 def test_words_that_give_no_samples_are_refused_by_the_rig_file(words: object) -> None:
     with pytest.raises(ValidationError, match="words"):
         Laser.model_validate({**RIG_TABLE, "words": words})

@@ -17,8 +17,22 @@ from daq.errors import DeviceError
 from tests.daq.hand_made_laser import HandMadeLaser
 
 START_NS = 1_700_000_000_000_000_000
-RATES_HZ = (10.0, 250.0, 300.0, 333.3, 375.0, 1500.0, 2500.0, 4000.0, 7500.0, 10_000.0, 20_000.0, 30_000.0, 49_020.0,
-            50_000.0)  # fmt: skip
+RATES_HZ = (
+    10.0,
+    250.0,
+    300.0,
+    333.3,
+    375.0,
+    1500.0,
+    2500.0,
+    4000.0,
+    7500.0,
+    10_000.0,
+    20_000.0,
+    30_000.0,
+    49_020.0,
+    50_000.0,
+)
 
 
 def laser(rate_Hz: float) -> LaserPipeline:
@@ -66,9 +80,11 @@ def test_at_every_rate_losses_are_exact(rate_Hz: float, lost: int) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.one_of(st.sampled_from(RATES_HZ), st.floats(10.0, 50_000.0)), st.integers(0, 2**32 - 1),
-    st.lists(st.integers(0, 700), min_size=1, max_size=4), st.lists(st.integers(1, 2000), min_size=1, max_size=5),
-)  # fmt: skip
+    st.one_of(st.sampled_from(RATES_HZ), st.floats(10.0, 50_000.0)),
+    st.integers(0, 2**32 - 1),
+    st.lists(st.integers(0, 700), min_size=1, max_size=4),
+    st.lists(st.integers(1, 2000), min_size=1, max_size=5),
+)
 @example(49_020.0, 0, [1, 1, 1], [12])
 @example(7500.0, 2**32 - 3, [2, 0, 5], [12, 500])
 def test_at_any_rate_nothing_is_lost_that_was_not(

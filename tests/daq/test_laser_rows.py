@@ -49,9 +49,11 @@ def ticks_of(items: list[Batch | Event]) -> np.ndarray:
 @settings(max_examples=60)
 @example(3694.0, 0, [54], 0)
 @given(
-    st.floats(300.0, 10_000.0), st.integers(0, 2**20), st.lists(st.integers(1, 900), min_size=1, max_size=5),
+    st.floats(300.0, 10_000.0),
+    st.integers(0, 2**20),
+    st.lists(st.integers(1, 900), min_size=1, max_size=5),
     st.integers(0, 400),
-)  # fmt: skip
+)
 def test_at_any_rate_samples_and_losses_are_right(rate_Hz: float, tick0: int, sizes: list[int], lost: int) -> None:
     counters = np.concatenate([np.arange(300), np.arange(300 + lost, 900 + lost)])
     pipeline = laser()

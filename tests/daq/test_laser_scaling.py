@@ -92,9 +92,11 @@ def test_words_and_metres_are_inverse(name: str) -> None:
 
 
 @given(
-    st.sampled_from(sorted(optoncdt.SCALINGS)), arrays(np.uint32, 20, elements=st.integers(0, 2**18 - 1)),
-    st.floats(1e-3, 0.5), st.floats(0.2, 5.0),
-)  # fmt: skip
+    st.sampled_from(sorted(optoncdt.SCALINGS)),
+    arrays(np.uint32, 20, elements=st.integers(0, 2**18 - 1)),
+    st.floats(1e-3, 0.5),
+    st.floats(0.2, 5.0),
+)
 def test_compiled_and_plain_scaling_agree_bit_by_bit(
     name: str, codes: np.ndarray, range_m: float, to_disk: float
 ) -> None:
@@ -119,10 +121,16 @@ def test_a_lone_jump_is_marked_above_the_1420s_words_too() -> None:
 @pytest.mark.parametrize(
     ("name", "scaling"),
     [
-        ("ILD1220-10", "ILD1420"), ("ILD1320-100", "ILD1420"), ("ILD1420", "ILD1420"), ("ild 1420-500 CL1", "ILD1420"),
-        ("ILD2300-20LL", "ILD1420"), ("ILD1750-25", "ILD1900"), ("optoNCDT 1900", "ILD1900"), ("ILD1900-2", "ILD1900"),
+        ("ILD1220-10", "ILD1420"),
+        ("ILD1320-100", "ILD1420"),
+        ("ILD1420", "ILD1420"),
+        ("ild 1420-500 CL1", "ILD1420"),
+        ("ILD2300-20LL", "ILD1420"),
+        ("ILD1750-25", "ILD1900"),
+        ("optoNCDT 1900", "ILD1900"),
+        ("ILD1900-2", "ILD1900"),
     ],
-)  # fmt: skip
+)
 def test_the_name_tells_the_scaling(name: str, scaling: str) -> None:
     assert HandMadeLaser(name).set_up()["scaling"] == scaling
 

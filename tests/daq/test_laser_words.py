@@ -34,8 +34,12 @@ def stream(names: tuple[str, ...] | list[str], counter: np.ndarray) -> bytes:
     """Blocks of these outputs at 4 kHz, the distance growing with the counter."""
     words = optoncdt.parse_outinfo(" ".join(("GETOUTINFO_RS422", *names)))
     ticks = 25 * counter
-    columns = {"DIST": 30_000 + 3 * counter % 1000, "COUNTER": counter % 2**18,
-               "TIMESTAMP_LO": ticks & 0xFFFF, "TIMESTAMP_HI": (ticks >> 16) & 0xFFFF}  # fmt: skip
+    columns = {
+        "DIST": 30_000 + 3 * counter % 1000,
+        "COUNTER": counter % 2**18,
+        "TIMESTAMP_LO": ticks & 0xFFFF,
+        "TIMESTAMP_HI": (ticks >> 16) & 0xFFFF,
+    }
     return optoncdt.encode_block(np.column_stack([columns.get(w, np.full(len(counter), 1234)) for w in words]))
 
 
@@ -80,10 +84,17 @@ def test_an_answer_that_is_not_true_costs_nothing(told: list[str], at: int, cuts
     assert sum(event.kind == "reply" for event in events) == 2
 
 
-@pytest.mark.parametrize("told", [
-    ("DIST", "TIMESTAMP", "COUNTER"), ("DIST", "INTENSITY", "COUNTER", "TIMESTAMP"), ("DIST1", "COUNTER", "TIMESTAMP"),
-    ("COUNTER", "TIMESTAMP", "DIST"), ("TIMESTAMP", "STATE", "DIST", "COUNTER"), ("COUNTER", "DIST", "TIMESTAMP"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "told",
+    [
+        ("DIST", "TIMESTAMP", "COUNTER"),
+        ("DIST", "INTENSITY", "COUNTER", "TIMESTAMP"),
+        ("DIST1", "COUNTER", "TIMESTAMP"),
+        ("COUNTER", "TIMESTAMP", "DIST"),
+        ("TIMESTAMP", "STATE", "DIST", "COUNTER"),
+        ("COUNTER", "DIST", "TIMESTAMP"),
+    ],
+)
 @pytest.mark.parametrize("cut", [1, 13, 10_000])
 def test_a_true_answer_holds_from_its_own_place_on(told: tuple[str, ...], cut: int) -> None:
     data = stream(USUAL, K[:40]) + answer(*told) + stream(told, K[40:])
@@ -95,8 +106,16 @@ def test_a_true_answer_holds_from_its_own_place_on(told: tuple[str, ...], cut: i
     assert [event.kind for event in events].count("words") == changed
 
 
-@pytest.mark.parametrize("told", [("DIST",), ("DIST", "COUNTER"), ("DIST", "TIMESTAMP"), ("INTENSITY", "COUNTER"),
-                                  ("DIST", "STATE", "SHUTTER", "TEMP")])  # fmt: skip
+@pytest.mark.parametrize(
+    "told",
+    [
+        ("DIST",),
+        ("DIST", "COUNTER"),
+        ("DIST", "TIMESTAMP"),
+        ("INTENSITY", "COUNTER"),
+        ("DIST", "STATE", "SHUTTER", "TEMP"),
+    ],
+)
 def test_words_without_counter_and_timestamp_are_counted_as_unusable(told: tuple[str, ...]) -> None:
     laser = pipeline()
     rows, events = fed([stream(USUAL, K[:40]) + answer(*told) + stream(told, K[40:])], laser)
@@ -170,10 +189,21 @@ def test_an_endless_flow_of_answers_keeps_nothing() -> None:
     assert len(rows) == 60
 
 
-@pytest.mark.parametrize("identity", [
-    {"words": []}, {"words": "DIST"}, {"words": [1, 2]}, {"words": None}, {"words": ["DIST"] * 99}, {"range_m": "wide"},
-    {"range_m": float("nan")}, {"range_m": -1}, {"range_m": True}, {"range_m": None},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "identity",
+    [
+        {"words": []},
+        {"words": "DIST"},
+        {"words": [1, 2]},
+        {"words": None},
+        {"words": ["DIST"] * 99},
+        {"range_m": "wide"},
+        {"range_m": float("nan")},
+        {"range_m": -1},
+        {"range_m": True},
+        {"range_m": None},
+    ],
+)
 def test_an_identity_that_is_none_is_refused_in_words(identity: dict[str, object]) -> None:
     with pytest.raises(DeviceError, match="laser_x: expected"):
         pipeline(identity)

@@ -55,9 +55,12 @@ TIMES = st.integers(0, 60)
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.lists(st.tuples(TIMES, st.lists(TIMES, max_size=5)), min_size=1, max_size=12), TIMES, TIMES, st.booleans(),
+    st.lists(st.tuples(TIMES, st.lists(TIMES, max_size=5)), min_size=1, max_size=12),
+    TIMES,
+    TIMES,
+    st.booleans(),
     st.sampled_from(["zstd", "none"]),
-)  # fmt: skip
+)
 def test_a_window_holds_exactly_what_lies_in_it(tmp_path_factory, blocks, low, high, finish, compression):
     """However late or early the samples came: those of the whole log with the right times, in its order."""
     path = tmp_path_factory.mktemp("window") / "run.mcap"

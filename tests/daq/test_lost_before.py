@@ -184,8 +184,9 @@ def test_the_check_ends_where_the_recovered_log_lacks_something(
 def test_places_that_cannot_be_read_are_told_by_their_sentences(places: str) -> None:
     told = {"recovered": {"places": places, "missing": "one\ntwo"}}
     assert [str(place) for place in read_lost(told)] == [
-        "lost before it was recovered: one", "lost before it was recovered: two",
-    ]  # fmt: skip
+        "lost before it was recovered: one",
+        "lost before it was recovered: two",
+    ]
     assert len(read_lost({"recovered": {"places": places}})) == 1
     assert read_lost({"recovered": {}}) == ()
 

@@ -44,8 +44,10 @@ def records_of(data):
 
 def messages_of(data):
     reader = make_reader(io.BytesIO(data), validate_crcs=True)
-    return [(c.topic, m.log_time, m.publish_time, m.sequence, m.data)
-            for _, c, m in reader.iter_messages(log_time_order=False)]  # fmt: skip
+    return [
+        (c.topic, m.log_time, m.publish_time, m.sequence, m.data)
+        for _, c, m in reader.iter_messages(log_time_order=False)
+    ]
 
 
 def metadata_of(data, name):
@@ -79,8 +81,9 @@ def check_message_indexes(data):
 
 DATA_END = b"\x0f\x04" + bytes(7)
 TIMES = st.integers(0, 2**63 - 1)
-BLOCKS = st.lists(st.tuples(st.booleans(), st.lists(st.tuples(TIMES, TIMES, st.integers(0, 2**32 - 1)), max_size=12)),
-                  max_size=12)  # fmt: skip
+BLOCKS = st.lists(
+    st.tuples(st.booleans(), st.lists(st.tuples(TIMES, TIMES, st.integers(0, 2**32 - 1)), max_size=12)), max_size=12
+)
 
 
 @settings(max_examples=60)
@@ -194,8 +197,10 @@ def fresh():
 
 def test_adopted_ids_stay_and_new_ones_are_free():
     writer = fresh()
-    writer.adopt([Schema(7, b"", "jsonschema", "x"), Schema(1, b"", "jsonschema", "y")],
-                 [Channel(65535, "a", "json", {}, 7), Channel(0, "b", "json", {}, 0)])  # fmt: skip
+    writer.adopt(
+        [Schema(7, b"", "jsonschema", "x"), Schema(1, b"", "jsonschema", "y")],
+        [Channel(65535, "a", "json", {}, 7), Channel(0, "b", "json", {}, 0)],
+    )
     assert writer.register_schema("new", "jsonschema", b"") == 2
     assert writer.register_channel("new", "json", 2) == 1
     writer.add_message(65535, T0, T0, 0, b"{}")
@@ -341,9 +346,14 @@ def test_behind_half_a_record_nothing_more_is_written():
     with pytest.raises(OSError, match="No space left"):
         writer.flush()
     size = stream.tell()
-    for call in (writer.flush, writer.finish, lambda: writer.add_message(channel, T0, T0, 0, b""),
-                 lambda: writer.add_block(channel, T0, T0, 0, np.zeros(1, "V1")),
-                 lambda: writer.add_metadata("run", {}), lambda: writer.add_attachment("a", "", b"", 0)):  # fmt: skip
+    for call in (
+        writer.flush,
+        writer.finish,
+        lambda: writer.add_message(channel, T0, T0, 0, b""),
+        lambda: writer.add_block(channel, T0, T0, 0, np.zeros(1, "V1")),
+        lambda: writer.add_metadata("run", {}),
+        lambda: writer.add_attachment("a", "", b"", 0),
+    ):
         with pytest.raises(OSError, match="failed before"):
             call()
     assert stream.tell() == size
@@ -368,8 +378,10 @@ def re_encoded(data):
     summary = reader.get_summary()
     assert summary is not None
     schemas = {s.id: writer.register_schema(s.name, s.encoding, s.data) for s in summary.schemas.values()}
-    ids = {c.id: writer.register_channel(c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata)
-           for c in summary.channels.values()}  # fmt: skip
+    ids = {
+        c.id: writer.register_channel(c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata)
+        for c in summary.channels.values()
+    }
     for _, channel, message in reader.iter_messages(log_time_order=False):
         writer.add_message(ids[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
     for attachment in reader.iter_attachments():

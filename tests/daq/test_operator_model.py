@@ -27,10 +27,21 @@ from rig_configs import load_rig
 RPM = math.pi / 30
 TESTS = ("ring-down-x", "spin-down", "run-up", "point-A", "point-D")
 FAULTS = (
-    ("laser_x", "blocked"), ("laser_y", "mute"), ("encoder", "radio"), ("encoder", "dead"), ("encoder", "locks stuck"),
-    ("encoder", "marks lost"), ("encoder", "power"), ("drive", "fault"), ("drive", "restart"), ("drive", "emergency"),
-    ("drive", "unheard"), ("drive", "silent reports"), ("laser_x", "unplug"), ("drive", "unplug"),
-)  # fmt: skip
+    ("laser_x", "blocked"),
+    ("laser_y", "mute"),
+    ("encoder", "radio"),
+    ("encoder", "dead"),
+    ("encoder", "locks stuck"),
+    ("encoder", "marks lost"),
+    ("encoder", "power"),
+    ("drive", "fault"),
+    ("drive", "restart"),
+    ("drive", "emergency"),
+    ("drive", "unheard"),
+    ("drive", "silent reports"),
+    ("laser_x", "unplug"),
+    ("drive", "unplug"),
+)
 ONCE = ("fault", "restart", "emergency")
 
 

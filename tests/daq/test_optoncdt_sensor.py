@@ -54,8 +54,9 @@ def test_without_the_echo_only_what_was_asked_comes_back() -> None:
 
 def test_what_it_was_told_is_what_it_will_do() -> None:
     happened: list[str] = []
-    told = SensorCommands([], 4000.0, rate_set=lambda: happened.append("rate"),
-                          counter_reset=lambda: happened.append("counter"))  # fmt: skip
+    told = SensorCommands(
+        [], 4000.0, rate_set=lambda: happened.append("rate"), counter_reset=lambda: happened.append("counter")
+    )
     told.receive(b"MEASRATE 1\nOUTADD_RS422 TIMESTAMP COUNTER\nRESETCNT MEASCNT\nRESETCNT TIMESTAMP\nOUTPUT RS422\n")
     assert (told.rate_Hz, told.outputs, told.streaming) == (1000.0, ("COUNTER", "TIMESTAMP"), True)
     assert happened == ["rate", "counter"]

@@ -91,8 +91,14 @@ def test_amplitudes_have_the_larger_part_of_the_noise() -> None:
 def test_covariance_of_windows_with_gaps_is_positive(kept: list[bool], neighbours: float) -> None:
     starts = np.flatnonzero([*kept, True, True]).astype(float)
     edges = np.stack([starts, starts + 1], axis=1)
-    found = WindowMeans(edges, np.zeros((len(starts), 1)), np.ones(1), np.array([2e-6]), np.empty((1, 0)),
-                        neighbours=np.array([neighbours]))  # fmt: skip
+    found = WindowMeans(
+        edges,
+        np.zeros((len(starts), 1)),
+        np.ones(1),
+        np.array([2e-6]),
+        np.empty((1, 0)),
+        neighbours=np.array([neighbours]),
+    )
     covariance = found.noise_covariance(1e-12)[0]
     assert np.linalg.eigvalsh(covariance).min() > 0.05 * 4e-12
     meet = np.diff(starts) == 1

@@ -128,9 +128,14 @@ def test_of_a_sensor_that_was_never_asked_the_rig_file_tells() -> None:
     laser = PlayedLaser({}, LASER)
     talk = Asking(laser)
     identity = lasers.configure("laser_x", LASER, talk)
-    assert identity == {"name": "ILD1420", "scaling": "ILD1420", "serial": "unknown", "version": "unknown",
-                        "range_m": LASER.range_m,
-                        "words": list(optoncdt.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP"))}  # fmt: skip
+    assert identity == {
+        "name": "ILD1420",
+        "scaling": "ILD1420",
+        "serial": "unknown",
+        "version": "unknown",
+        "range_m": LASER.range_m,
+        "words": list(optoncdt.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP")),
+    }
 
 
 def test_a_log_has_no_other_rate() -> None:
@@ -269,8 +274,11 @@ def test_whatever_a_host_sends_nothing_breaks(pieces: list[bytes]) -> None:
 def test_every_device_of_a_log_has_its_stand_in(log: Log) -> None:
     devices = played_devices(log)
     assert {name: type(device) for name, device in devices.items()} == {
-        "laser_x": PlayedLaser, "laser_y": PlayedLaser, "encoder": PlayedNode, "drive": PlayedDrive,
-    }  # fmt: skip
+        "laser_x": PlayedLaser,
+        "laser_y": PlayedLaser,
+        "encoder": PlayedNode,
+        "drive": PlayedDrive,
+    }
     assert b"Serial: 1\r\n" in devices["laser_x"].hear(b"GETINFO\n")
     assert b"Serial: 2\r\n" in devices["laser_y"].hear(b"GETINFO\n")
 

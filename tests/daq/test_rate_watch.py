@@ -50,9 +50,12 @@ def laser(
 
 @settings(max_examples=25)
 @given(
-    ppm=st.floats(-80, 80), seed=st.integers(0, 2**31), stall=st.floats(0, 15), length=st.floats(0, 2.5),
+    ppm=st.floats(-80, 80),
+    seed=st.integers(0, 2**31),
+    stall=st.floats(0, 15),
+    length=st.floats(0, 2.5),
     delay_s=st.floats(1e-4, 2e-2),
-)  # fmt: skip
+)
 def test_a_clock_within_its_tolerance_is_never_called_wrong(ppm, seed, stall, length, delay_s) -> None:
     watches = RateWatches(DEVICES)
     clock = 1 + ppm * 1e-6

@@ -110,9 +110,10 @@ def test_what_one_log_has_read_of_a_rate_is_an_error_of_its_own(tmp_path: Path) 
     both = replace(run, **rates, clocks={"x": "east", "y": "north"}, source="a/1.mcap + b/2.mcap")
     found = clock_errors(both, {"x": np.array([1.0, 0.0]), "y": np.array([0.0, 2.0])})
     assert {label: shift.tolist() for label, shift in found.items()} == {
-        "clock east": pytest.approx([3e-6, 0.0]), "clock east in 1.mcap + 2.mcap": pytest.approx([4e-6, 0.0]),
+        "clock east": pytest.approx([3e-6, 0.0]),
+        "clock east in 1.mcap + 2.mcap": pytest.approx([4e-6, 0.0]),
         "clock north": pytest.approx([0.0, 1e-5]),
-    }  # fmt: skip
+    }
     assert [shared_source(label).kind for label in found] == ["B", "A", "B"]
 
 

@@ -125,8 +125,15 @@ def at_bench(monkeypatch: pytest.MonkeyPatch, config: RiftekLaser, **other: floa
 
 def test_opening_sets_it_up_and_starts_its_stream(bench: Bench) -> None:
     identity = DRIVER.open("laser_y", bench.config, bench)
-    assert identity == {"type": 63, "firmware": 64, "serial": "12345", "base_m": 0.08, "range_m": 0.025,
-                        "period_us": 250, "control": 0x02}  # fmt: skip
+    assert identity == {
+        "type": 63,
+        "firmware": 64,
+        "serial": "12345",
+        "base_m": 0.08,
+        "range_m": 0.025,
+        "period_us": 250,
+        "control": 0x02,
+    }
     assert bench.sensor.streaming
     assert bench.sensor.period_us == 250
     bench.pass_time(1.0)
@@ -203,8 +210,9 @@ def test_a_parameter_that_does_not_stay_as_written_is_said(bench: Bench, monkeyp
 
 def test_a_sensor_of_another_address_is_refused_but_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = at_bench(monkeypatch, laser(address=7))
-    other = SimulatedRiftek(laser(address=9), np.array([0.0, 1.0]), 0.0, 0.0, DeviceClock(0.0, 0.0),
-                            np.random.default_rng(2), "1")  # fmt: skip
+    other = SimulatedRiftek(
+        laser(address=9), np.array([0.0, 1.0]), 0.0, 0.0, DeviceClock(0.0, 0.0), np.random.default_rng(2), "1"
+    )
     bench.sensor = other
     other.receive(wire.request(9, wire.START))
     with pytest.raises(DeviceError, match="of address 7"):

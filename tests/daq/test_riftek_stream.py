@@ -48,8 +48,14 @@ def codes_of(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return MIDDLE + np.rint(3000 * np.sin(0.02 * numbers)).astype(np.int64)
 
 
-def reads_of(numbers: NDArray[np.int64], rate_Hz: float, late_s: float = 2e-4, seed: int = 0, every_s: float = 0.02,
-             drift: float = 0.0) -> Reads:  # fmt: skip
+def reads_of(
+    numbers: NDArray[np.int64],
+    rate_Hz: float,
+    late_s: float = 2e-4,
+    seed: int = 0,
+    every_s: float = 0.02,
+    drift: float = 0.0,
+) -> Reads:
     """What a host reads every `every_s` of results of these numbers, each read late by `late_s` on average."""
     rng = np.random.default_rng(seed)
     came_s = numbers / rate_Hz * (1 + drift)
@@ -182,8 +188,10 @@ def test_a_late_host_and_a_fast_clock_are_no_loss(late_s: float, drift: float) -
 
 def test_one_stretch_of_late_reads_is_no_loss() -> None:
     """A host that was 5 ms late for 0.3 s: the next stretch is punctual again."""
-    reads = [(data, ns + 5_000_000 * (2 * 10**9 <= ns - START_NS < 23 * 10**8)) for data, ns in
-             reads_of(np.arange(6000), 1000.0)]  # fmt: skip
+    reads = [
+        (data, ns + 5_000_000 * (2 * 10**9 <= ns - START_NS < 23 * 10**8))
+        for data, ns in reads_of(np.arange(6000), 1000.0)
+    ]
     _, events = feed(pipeline(laser()), reads)
     assert events == []
 
@@ -193,8 +201,10 @@ def test_the_guard_grows_with_how_unevenly_the_host_reads() -> None:
     rng = np.random.default_rng(4)
     wander = 4_000_000 * rng.random(1000)
     for uneven, found in ((1, 0), (0, 8)):
-        reads = [(data, ns + uneven * int(wander[(ns - START_NS) // 250_000_000])) for data, ns in
-                 reads_of(without(8000, 5013, 8), 1000.0)]  # fmt: skip
+        reads = [
+            (data, ns + uneven * int(wander[(ns - START_NS) // 250_000_000]))
+            for data, ns in reads_of(without(8000, 5013, 8), 1000.0)
+        ]
         pipe = pipeline(laser())
         feed(pipe, reads)
         assert pipe.losses["samples"] == found
@@ -314,8 +324,11 @@ def test_the_same_bytes_at_the_same_times_give_the_same_batches() -> None:
 
 
 @settings(max_examples=40)
-@given(st.lists(st.tuples(st.sampled_from([RX, RX, TX]), st.binary(max_size=300), st.integers(-10**9, 10**10)),
-                max_size=20))  # fmt: skip
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([RX, RX, TX]), st.binary(max_size=300), st.integers(-(10**9), 10**10)), max_size=20
+    )
+)
 def test_no_bytes_and_no_times_break_it(reads: list[tuple[int, bytes, int]]) -> None:
     pipe = pipeline(laser())
     for direction, data, after_ns in reads:

@@ -27,9 +27,13 @@ class Slow(StreamDecoder):
 
 def rows(found: list[Decoded]) -> list[tuple[int, bool, int, int]]:
     """Results with what belongs to them."""
-    return [row for each in found
-            for row in zip(each.code.tolist(), each.updated.tolist(), each.step.tolist(), each.skipped.tolist(),
-                           strict=True)]  # fmt: skip
+    return [
+        row
+        for each in found
+        for row in zip(
+            each.code.tolist(), each.updated.tolist(), each.step.tolist(), each.skipped.tolist(), strict=True
+        )
+    ]
 
 
 def doubted(found: list[Decoded]) -> list[int]:
@@ -109,13 +113,17 @@ def stream(count: int, first: int = 0, rng: random.Random | None = None) -> byte
 
 
 pieces = st.one_of(
-    st.builds(lambda n, first, seed: stream(n, first, random.Random(seed)), st.integers(0, 40), st.integers(0, 3),
-              st.integers(0, 99)),
+    st.builds(
+        lambda n, first, seed: stream(n, first, random.Random(seed)),
+        st.integers(0, 40),
+        st.integers(0, 3),
+        st.integers(0, 99),
+    ),
     st.binary(max_size=12),
     st.builds(lambda n, updated: wire.packet(bytes([7, 9]), n, updated=updated), st.integers(0, 3), st.booleans()),
     st.builds(lambda byte, n: bytes([byte]) * n, st.integers(0, 255), st.integers(1, 20)),
     st.just(IDENTIFICATION),
-)  # fmt: skip
+)
 
 
 @given(st.lists(pieces, max_size=8).map(b"".join), st.integers(1, 70), st.sampled_from([None, 2, 16]))

@@ -108,8 +108,12 @@ def test_lines_are_mute_unheard_and_damaged_each_by_itself_and_by_seed() -> None
             name: data for name, data in sound.items() if name != "laser_x"
         }
         share = len(sent["laser_x"]) / len(sound["laser_x"])
-        assert {"mute": share == 0, "garbage": 1 < share < 1.01, "bit errors": share == 1,
-                "lost bytes": 0.99 < share < 1}[what]  # fmt: skip
+        assert {
+            "mute": share == 0,
+            "garbage": 1 < share < 1.01,
+            "bit errors": share == 1,
+            "lost bytes": 0.99 < share < 1,
+        }[what]
         assert sent["laser_x"] != sound["laser_x"]
         fed.fail("laser_x", what, end=True)
         fed.go(0.1)

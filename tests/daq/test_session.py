@@ -84,9 +84,10 @@ def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(
     virtual_rig: VirtualRigProcess, plugged: Rig
 ) -> None:
     wrong = plugged.model_copy(
-        update={"devices": {
-            **plugged.devices, "laser_x": plugged.devices["laser_x"].model_copy(update={"range_m": 0.05})}}
-    )  # fmt: skip
+        update={
+            "devices": {**plugged.devices, "laser_x": plugged.devices["laser_x"].model_copy(update={"range_m": 0.05})}
+        }
+    )
     with pytest.raises(DeviceError, match=r"50 mm, the sensor 25 mm"), Session(wrong, virtual_rig.clock):
         pass
 
@@ -199,8 +200,14 @@ def test_the_control_port_asks_for_its_token(virtual_rig: VirtualRigProcess) -> 
         intruder.ask("truth")
     intruder.close()
     assert set(virtual_rig.line.ask("truth")["truth"]) == {
-        "k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "c3_Nms_per_rad", "c4_Nms_per_rad", "SP_kg_m",
-    }  # fmt: skip
+        "k1_N_per_m",
+        "k2_N_per_m",
+        "zeta1",
+        "zeta2",
+        "c3_Nms_per_rad",
+        "c4_Nms_per_rad",
+        "SP_kg_m",
+    }
 
 
 @needs_posix

@@ -12,9 +12,16 @@ SPEED = 49.0
 
 
 def signals(
-    offset, *, duration: float = 30.0, amplitude=lambda t: 1e-3 + 0 * t, wobble: float = 0.0, seed: int = 0,
-    base=(0.0, math.pi), speed: float = SPEED, keep: float = 1.0,
-):  # fmt: skip
+    offset,
+    *,
+    duration: float = 30.0,
+    amplitude=lambda t: 1e-3 + 0 * t,
+    wobble: float = 0.0,
+    seed: int = 0,
+    base=(0.0, math.pi),
+    speed: float = SPEED,
+    keep: float = 1.0,
+):
     """Angles base + offset(t) (rad; A up, B down), order-1 motion of a given amplitude; all noisy and quantised."""
     rng = np.random.default_rng(seed)
     t = np.arange(0, duration, 1e-3)
@@ -132,7 +139,7 @@ def test_locked_orbit_decays_before_it_is_steady() -> None:
 
 def coded(
     offset, counts: int, noise: float, duration: float, *, ripple: float = 0.0, speed: float = SPEED, seed: int = 0
-):  # fmt: skip
+):
     """As `signals`, with encoders of any step and lasers at rest, for motions of both pendulums given in rad."""
     rng = np.random.default_rng(seed)
     t, _, marks, phase, tx, x, ty, y = signals(lambda t: 0 * t, duration=duration, speed=speed, seed=seed)

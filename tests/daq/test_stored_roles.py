@@ -78,13 +78,14 @@ def test_roles_that_are_none_are_refused(tmp_path: Path, stored: bytes, monkeypa
     "role",
     [
         Displacement(device="a", topic="laser/x", axis="x", rate_Hz=10.0, range_m=0.1, clock_tolerance_ppm=1.0),
-        PendulumAngles(device="a", topic="t", rate_Hz=1.0, counts_per_revolution=64, zero_std_deg=0.0,
-                       clock_tolerance_ppm=1.0),
+        PendulumAngles(
+            device="a", topic="t", rate_Hz=1.0, counts_per_revolution=64, zero_std_deg=0.0, clock_tolerance_ppm=1.0
+        ),
         RotorPhase(device="a", topic="t", index_angle_deg=3.0, clock_tolerance_ppm=1.0),
         PendulumLocks(device="a"),
         OtherQuantity(device="a", topic="t", fields=("temperature_degC",)),
     ],
-)  # fmt: skip
+)
 def test_every_role_comes_back_from_json(role: Role) -> None:
     assert read_role(json.loads(json.dumps(role_table(role)))) == role
 

@@ -87,8 +87,10 @@ def test_invalid_codes_are_nan_and_counted() -> None:
 
 def test_a_restarted_sensor_is_an_event_not_a_huge_gap() -> None:
     pipeline = laser()
-    parts = [optoncdt.encode_block(blocks(np.arange(90_000, 90_100), np.zeros(100))),
-             optoncdt.encode_block(blocks(np.arange(5, 105), np.zeros(100)))]  # fmt: skip
+    parts = [
+        optoncdt.encode_block(blocks(np.arange(90_000, 90_100), np.zeros(100))),
+        optoncdt.encode_block(blocks(np.arange(5, 105), np.zeros(100))),
+    ]
     batches, events = feed(pipeline, parts)
     assert [e.kind for e in events] == ["restart"]
     assert pipeline.losses["samples"] == 0
@@ -99,12 +101,17 @@ def node_frames(count: int, first_seq: int = 65_530) -> list[bytes]:
     return [
         rotorlink.wire(
             rotorlink.EncoderBlock(
-                1, (first_seq + i) & 0xFFFF, 20 * i, (20_000 * i) % 2**32, 1000, 96,
+                1,
+                (first_seq + i) & 0xFFFF,
+                20 * i,
+                (20_000 * i) % 2**32,
+                1000,
+                96,
                 np.column_stack([np.arange(20) + 20 * i, np.full(20, 2048)]).astype(np.int32),
             ).pack()
         )
         for i in range(count)
-    ]  # fmt: skip
+    ]
 
 
 @given(st.sets(st.integers(1, 38), max_size=25))
@@ -227,17 +234,35 @@ def decoded(sent: list[tuple[float, bytes]]) -> tuple[NodePipeline, list[int], l
     return pipeline, index, [x for x in items if isinstance(x, Event)]
 
 
-def blocks_from(start_s: float, count: int, seq: int = 0, index: int = 0, node_s: float | None = None,
-                period_us: int = 1000, n: int = 20, **other: int) -> list[tuple[float, bytes]]:  # fmt: skip
+def blocks_from(
+    start_s: float,
+    count: int,
+    seq: int = 0,
+    index: int = 0,
+    node_s: float | None = None,
+    period_us: int = 1000,
+    n: int = 20,
+    **other: int,
+) -> list[tuple[float, bytes]]:
     """Encoder blocks of a node as they come: each when its last sample is made."""
     node_us = round(1e6 * (start_s if node_s is None else node_s))
     return [
-        (start_s + 1e-6 * (i + 1) * n * period_us,
-         rotorlink.wire(rotorlink.EncoderBlock(
-             other.get("node", 1), (seq + i) % 2**16, (index + n * i) % 2**32, (node_us + i * n * period_us) % 2**32,
-             period_us, other.get("flags", 0), np.zeros((n, 2), np.int32)).pack()))
+        (
+            start_s + 1e-6 * (i + 1) * n * period_us,
+            rotorlink.wire(
+                rotorlink.EncoderBlock(
+                    other.get("node", 1),
+                    (seq + i) % 2**16,
+                    (index + n * i) % 2**32,
+                    (node_us + i * n * period_us) % 2**32,
+                    period_us,
+                    other.get("flags", 0),
+                    np.zeros((n, 2), np.int32),
+                ).pack()
+            ),
+        )
         for i in range(count)
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.parametrize("minutes", [0.1, 10, 36, 40, 60, 71, 75])
@@ -457,8 +482,10 @@ def test_losses_of_air_and_cable_are_told_apart() -> None:
     """Four frames of the node are missing; the dongle's numbers say that it had handed over two frames, or one more."""
     pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
     sent = [(7, 0), (10, 5), (11, 7)]
-    wire = [rotorlink.wire(rotorlink.Wrapped(1, seq, 50_000 * i, -60, rotorlink.IndexMark(1, i, 50_000 * i, i)).pack())
-            for seq, i in sent]  # fmt: skip
+    wire = [
+        rotorlink.wire(rotorlink.Wrapped(1, seq, 50_000 * i, -60, rotorlink.IndexMark(1, i, 50_000 * i, i)).pack())
+        for seq, i in sent
+    ]
     feed(pipeline, wire)
     assert (pipeline.losses["cable_frames"], pipeline.losses["radio_frames"]) == (2, 3)
 

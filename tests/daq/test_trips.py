@@ -38,8 +38,13 @@ def laser(start_ns: int, seconds: float, displacement_m: np.ndarray | None = Non
     n = round(4000 * seconds)
     k = np.arange(n)
     seen = 1e-3 * np.sin(0.05 * k) if displacement_m is None else displacement_m
-    columns = {"displacement_m": seen, "code": 30_000 + k % 7, "counter": k, "device_ticks": 25 * k,
-               "flags": np.zeros(n, np.uint32)}  # fmt: skip
+    columns = {
+        "displacement_m": seen,
+        "code": 30_000 + k % 7,
+        "counter": k,
+        "device_ticks": 25 * k,
+        "flags": np.zeros(n, np.uint32),
+    }
     return Batch(LASER_X, start_ns + 250_000 * k, k.astype(np.uint32), columns)
 
 
@@ -96,8 +101,10 @@ def test_all_that_came_together_is_named_and_what_came_later_beside_it() -> None
     event = only(trips.end(T0 + S, recent))
     assert event.facts["interlocks"] == ["amplitude", "runaway"]
     assert [(r["text"][:13], r["after_ms"]) for r in event.facts["reasons"]] == [
-        ("laser/x: 12.1", 0.0), ("laser/y: 11.9", 100.0), ("the drive rep", 300.0),
-    ]  # fmt: skip
+        ("laser/x: 12.1", 0.0),
+        ("laser/y: 11.9", 100.0),
+        ("the drive rep", 300.0),
+    ]
     assert event.facts["later"] == ["silent angles"]
     assert event.text.startswith("amplitude, runaway: laser/x: 12.1 mm")
     assert "; also the drive reports 700 rpm" in event.text

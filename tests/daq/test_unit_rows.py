@@ -102,8 +102,20 @@ def test_another_unit_than_the_file_s_is_refused(tmp_path: Path, options: dict[s
 
 
 def test_words_for_units() -> None:
-    for cell, unit in {"µm": "um", "μm": "um", "Âµm": "um", "[°]": "deg", "(1/min)": "rpm", "min⁻¹": "rpm", "º": "deg",
-                       "Sekunden": "s", "RPM": "rpm", "hz": "Hz", "rad/s": "rad/s", "MM": "mm"}.items():  # fmt: skip
+    for cell, unit in {
+        "µm": "um",
+        "μm": "um",
+        "Âµm": "um",
+        "[°]": "deg",
+        "(1/min)": "rpm",
+        "min⁻¹": "rpm",
+        "º": "deg",
+        "Sekunden": "s",
+        "RPM": "rpm",
+        "hz": "Hz",
+        "rad/s": "rad/s",
+        "MM": "mm",
+    }.items():
         assert unit_word(cell) == unit, cell
     assert not is_unit_row(["t", "x"])
     assert not is_unit_row(["-", "1"])

@@ -187,8 +187,7 @@ def test_it_goes_up_the_ramp_and_down(bench: Bench) -> None:
     bench.control.set_speed(0.0)
     bench.pass_time(3.0)
     assert abs(bench.rpm) < 0.01
-    steps = [b.number - a.number for (_, a), (_, b) in pairwise(bench.told)
-             if a.what == b.what == wire.SET_RPM]  # fmt: skip
+    steps = [b.number - a.number for (_, a), (_, b) in pairwise(bench.told) if a.what == b.what == wire.SET_RPM]
     assert max(map(abs, steps)) <= 7 * 200 * 0.07
     assert {command.number for _, command in bench.told if command.what == wire.SET_BRAKE} == {5000}
     assert min(abs(c.number) for _, c in bench.told if c.what == wire.SET_RPM) >= 700
@@ -284,8 +283,9 @@ def test_a_stop_while_a_speed_is_being_permitted_wins(bench: Bench) -> None:
 def test_a_rotor_found_turning_is_led_down_the_ramp(bench: Bench) -> None:
     """A host before this one was killed."""
     bench.runs(600.0)
-    bench.control = DRIVER.speed_source(SETTINGS, bench.send, bench.clock, RotorGuard(
-        lambda rpm: None, lambda: abs(bench.rpm) < 1, lambda: bench.rpm))  # fmt: skip
+    bench.control = DRIVER.speed_source(
+        SETTINGS, bench.send, bench.clock, RotorGuard(lambda rpm: None, lambda: abs(bench.rpm) < 1, lambda: bench.rpm)
+    )
     bench.pass_time(0.3)
     bench.control.enable()
     assert bench.rpm > 500
@@ -647,9 +647,13 @@ def test_it_tells_who_it_is() -> None:
     talk.replies.put("stale")
     known = DRIVER.open("drive", SETTINGS, talk)
     assert known == {
-        "driver": "vesc", "firmware": "6.05", "hardware": "60_MK5", "serial": "ab" * 12, "pole_pairs": 7,
+        "driver": "vesc",
+        "firmware": "6.05",
+        "hardware": "60_MK5",
+        "serial": "ab" * 12,
+        "pole_pairs": 7,
         "timeout_s": 1.0,
-    }  # fmt: skip
+    }
 
 
 def test_the_far_end_tells_who_it_is() -> None:

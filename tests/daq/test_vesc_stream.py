@@ -153,14 +153,17 @@ PIECES = st.lists(
         st.tuples(
             st.just(RX),
             st.builds(
-                wire.Values, erpm=st.integers(-20_000, 20_000), turned=st.integers(0, 99), fault=st.integers(0, 2),
+                wire.Values,
+                erpm=st.integers(-20_000, 20_000),
+                turned=st.integers(0, 99),
+                fault=st.integers(0, 2),
                 status=st.sampled_from([None, 0, 1]),
             ).map(answer),
         ),
         st.tuples(st.just(RX), st.binary(min_size=1, max_size=30)),
     ),
     max_size=20,
-)  # fmt: skip
+)
 
 
 def same(one: list[Batch | Event], other: list[Batch | Event]) -> None:

@@ -17,10 +17,88 @@ MUTATIONS = 10_000
 
 # an answer of a real controller at rest, firmware with a status byte; published with the MIT-licensed crate vesc 0.3
 REAL = bytes(
-    [2, 74, 4, 1, 20, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1,
-     119, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 1, 116, 0, 0, 0, 0, 255, 255, 131, 64, 0, 2, 168, 254,
-     0, 18, 6, 65, 224, 20, 1, 21, 252, 216, 252, 202, 0, 0, 0, 8, 0, 0, 0, 12, 0, 218, 113, 3]
-)  # fmt: skip
+    [
+        2,
+        74,
+        4,
+        1,
+        20,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        1,
+        119,
+        0,
+        0,
+        0,
+        9,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        1,
+        116,
+        0,
+        0,
+        0,
+        0,
+        255,
+        255,
+        131,
+        64,
+        0,
+        2,
+        168,
+        254,
+        0,
+        18,
+        6,
+        65,
+        224,
+        20,
+        1,
+        21,
+        252,
+        216,
+        252,
+        202,
+        0,
+        0,
+        0,
+        8,
+        0,
+        0,
+        0,
+        12,
+        0,
+        218,
+        113,
+        3,
+    ]
+)
 
 I32 = st.integers(-(2**31), 2**31 - 1)
 GROWING = st.integers(0, 2**31 - 1)
@@ -90,9 +168,15 @@ def test_commands_round_trip(erpm: int, amperes: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "made", [lambda: wire.set_rpm(2**31), lambda: wire.set_brake(-1.0), lambda: wire.set_brake(float("nan")),
-             lambda: packets.packet(b""), lambda: packets.packet(bytes(513))],
-)  # fmt: skip
+    "made",
+    [
+        lambda: wire.set_rpm(2**31),
+        lambda: wire.set_brake(-1.0),
+        lambda: wire.set_brake(float("nan")),
+        lambda: packets.packet(b""),
+        lambda: packets.packet(bytes(513)),
+    ],
+)
 def test_what_no_packet_can_carry_is_refused(made) -> None:
     with pytest.raises(ValueError, match="expected"):
         made()

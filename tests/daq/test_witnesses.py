@@ -38,9 +38,15 @@ def motion(time_s: Floats, size_m: float) -> Floats:
 
 
 def compared(
-    seed: int, gain: float = 1.0, size_m: float = 2.5e-3, rates: tuple[float, float] = (4000.0, 4000.0),
-    delay_s: float = 1.5e-3, drift: float = 20e-6, noise_m: float = NOISE_M, gain_std: float = 1.4e-3,
-) -> Agreement:  # fmt: skip
+    seed: int,
+    gain: float = 1.0,
+    size_m: float = 2.5e-3,
+    rates: tuple[float, float] = (4000.0, 4000.0),
+    delay_s: float = 1.5e-3,
+    drift: float = 20e-6,
+    noise_m: float = NOISE_M,
+    gain_std: float = 1.4e-3,
+) -> Agreement:
     rng = np.random.default_rng(seed)
     ta, tb = (np.arange(rng.uniform(0, 1) / rate, 12.0, 1 / rate) for rate in rates)
     a = motion(ta, size_m) + noise_m * rng.normal(size=len(ta)) + 3e-4
@@ -170,8 +176,9 @@ def witnessed_log(path: Path, gain: float) -> Path:
                 number = 160 * block + np.arange(160)
                 value = scale * motion(number / 4000.0, 2.5e-3) + NOISE_M * rng.normal(size=160)
                 columns = {name: np.zeros(160) for name in channel.names} | {
-                    "displacement_m": value, "device_ticks": 25 * number,
-                }  # fmt: skip
+                    "displacement_m": value,
+                    "device_ticks": 25 * number,
+                }
                 time = start + 250_000 * number.astype(np.int64)
                 log.batch(Batch(channel, time, number.astype(np.uint32), columns), int(time[-1]) + 100_000)
         return log.finish({"losses": {}})

@@ -122,9 +122,15 @@ def test_the_module_tells_who_it_is(kind: dict[str, Any]) -> None:
     bench.pass_time(0.2)
     identity = DRIVER.open("encoder", bench.config, bench)
     assert identity == {
-        "driver": "xbee", "port": "-", "api_mode": bench.config.api_mode, "firmware": "100A", "hardware": "2E48",
-        "serial": OWN, "payload_bytes": 100, "rssi_dBm": -58,
-    }  # fmt: skip
+        "driver": "xbee",
+        "port": "-",
+        "api_mode": bench.config.api_mode,
+        "firmware": "100A",
+        "hardware": "2E48",
+        "serial": OWN,
+        "payload_bytes": 100,
+        "rssi_dBm": -58,
+    }
     assert DRIVER.pipeline("encoder", bench.config, identity).rssi_dBm == -58
     assert bench.pipeline.losses["damaged_frames"] == 0
 

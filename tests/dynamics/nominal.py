@@ -10,9 +10,13 @@ from dynamics import Pendulum, RotorParameters
 
 
 def rig(
-    stiffness_ratio: float = 14.9, zeta: float = 0.02, sp: float = 0.12 * 0.02117, mass_b: float = 0.075,
-    damping: float = 0.001, **more: float,
-) -> RotorParameters:  # fmt: skip
+    stiffness_ratio: float = 14.9,
+    zeta: float = 0.02,
+    sp: float = 0.12 * 0.02117,
+    mass_b: float = 0.075,
+    damping: float = 0.001,
+    **more: float,
+) -> RotorParameters:
     """The nominal rig with some numbers changed; k1 follows from 3 Hz and the whole mass."""
     mass = 7.0 + 0.12 + 0.075 + mass_b
     k1 = mass * (2 * math.pi * 3) ** 2

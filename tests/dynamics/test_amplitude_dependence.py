@@ -24,9 +24,13 @@ START = np.array([3e-3, -1e-3, 0.2, 3.0, 0.05, 0.2, 2.0, -3.0])
 def rig() -> RotorParameters:
     p = nominal()
     return replace(
-        p, hardening_per_m2=(5e3, 2e3), damping_growth_s_per_m=(1.0, 0.5), bow_x_m=5e-5,
-        a=replace(p.a, drag_Nms2_per_rad2=2e-5), b=replace(p.b, drag_Nms2_per_rad2=4e-5),
-    )  # fmt: skip
+        p,
+        hardening_per_m2=(5e3, 2e3),
+        damping_growth_s_per_m=(1.0, 0.5),
+        bow_x_m=5e-5,
+        a=replace(p.a, drag_Nms2_per_rad2=2e-5),
+        b=replace(p.b, drag_Nms2_per_rad2=4e-5),
+    )
 
 
 def as_world(p: RotorParameters) -> Mechanics:
@@ -36,9 +40,17 @@ def as_world(p: RotorParameters) -> Mechanics:
         return SwingingMass(q.mass_kg, q.length_m, q.damping_Nms_per_rad, q.drag_Nms2_per_rad2)
 
     return Mechanics(
-        p.total_mass_kg, (p.k1_N_per_m, p.k2_N_per_m), p.damping_Ns_per_m, p.imbalance_moment_kg_m, swinging(p.a),
-        swinging(p.b), p.hardening_per_m2, p.damping_growth_s_per_m, abs(p.bow_m), float(np.angle(p.bow_m)),
-    )  # fmt: skip
+        p.total_mass_kg,
+        (p.k1_N_per_m, p.k2_N_per_m),
+        p.damping_Ns_per_m,
+        p.imbalance_moment_kg_m,
+        swinging(p.a),
+        swinging(p.b),
+        p.hardening_per_m2,
+        p.damping_growth_s_per_m,
+        abs(p.bow_m),
+        float(np.angle(p.bow_m)),
+    )
 
 
 @pytest.mark.parametrize("released", [True, False])

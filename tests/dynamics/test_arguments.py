@@ -76,9 +76,22 @@ def test_a_constant_speed_is_passed_at_no_time() -> None:
 
 EXTREMES = st.sampled_from([0.0, 5e-324, 1e-300, 1e-12, 1e12, 1e300, -1.0, math.nan, math.inf])
 FIELDS = st.sampled_from(
-    ["rotor_mass_kg", "imbalance_mass_kg", "imbalance_radius_m", "k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2",
-     "pivot_shift_m", "gravity_m_per_s2", "a.mass_kg", "a.length_m", "a.damping_Nms_per_rad", "b.mass_kg"]
-)  # fmt: skip
+    [
+        "rotor_mass_kg",
+        "imbalance_mass_kg",
+        "imbalance_radius_m",
+        "k1_N_per_m",
+        "k2_N_per_m",
+        "zeta1",
+        "zeta2",
+        "pivot_shift_m",
+        "gravity_m_per_s2",
+        "a.mass_kg",
+        "a.length_m",
+        "a.damping_Nms_per_rad",
+        "b.mass_kg",
+    ]
+)
 
 
 def changed(p: RotorParameters, field: str, value: float) -> RotorParameters:

@@ -286,8 +286,13 @@ def test_an_orbit_that_releases_miss_comes_from_a_neighbour(monkeypatch):
     rigs = [near[0], p, near[1], damped]  # two rows: the one below the first sees it, and hands it on to the right
     released = coexisting.slipping_orbit
     first = _speed(near[0], D)
-    monkeypatch.setattr(coexisting, "slipping_orbit", lambda turning, strobe, near_rad: (
-        released(turning, strobe, near_rad) if turning.parameters == near[0] else None))  # fmt: skip
+    monkeypatch.setattr(
+        coexisting,
+        "slipping_orbit",
+        lambda turning, strobe, near_rad: (
+            released(turning, strobe, near_rad) if turning.parameters == near[0] else None
+        ),
+    )
     found = stable_motions(rigs, [first, *(_speed(one, D) for one in rigs[1:])], columns=2)
     assert [each.names for each in found] == [("slipping",), ("III",), ("slipping",), ("slipping",)]
     monkeypatch.undo()

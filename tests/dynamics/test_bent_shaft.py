@@ -28,9 +28,11 @@ def by_hand(p: RotorParameters, speed: float, start: np.ndarray, times: np.ndarr
         turn = np.exp(1j * speed * t)
         rest, push = b * turn, moment * speed**2 * turn
         return [
-            y[2], y[3], (push.real - c1 * y[2] - p.k1_N_per_m * (y[0] - rest.real)) / mass,
+            y[2],
+            y[3],
+            (push.real - c1 * y[2] - p.k1_N_per_m * (y[0] - rest.real)) / mass,
             (push.imag - c2 * y[3] - p.k2_N_per_m * (y[1] - rest.imag)) / mass,
-        ]  # fmt: skip
+        ]
 
     return solve_ivp(right, times[[0, -1]], start, "DOP853", times, rtol=1e-12, atol=1e-15).y.T
 

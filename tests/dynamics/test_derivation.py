@@ -43,10 +43,15 @@ SCENES = {
     "shift not compensated": (BOTH, {"pivot_shift_m": 2e-3, "pivot_shift_compensated": False}),
     "everything": (
         BOTH,
-        {"balls": True, "friction": True, "gravity_m_per_s2": 9.81, "pivot_shift_m": 3e-3,
-         "pivot_shift_compensated": False},
+        {
+            "balls": True,
+            "friction": True,
+            "gravity_m_per_s2": 9.81,
+            "pivot_shift_m": 3e-3,
+            "pivot_shift_compensated": False,
+        },
     ),
-}  # fmt: skip
+}
 # a gap between rounding (some 1e-15 of the terms) and any error of the equations
 TOLERANCE = 1e-12
 
@@ -63,9 +68,12 @@ def random_rig(rng: np.random.Generator, options: dict) -> RotorParameters:
         return Pendulum.absent() if name in absent else Pendulum(mass, length, damping, arm, radius, kappa)
 
     return RotorParameters(
-        *rng.uniform([1, 0.01, 0.001], [10, 0.5, 0.1]), pendulum("a"), pendulum("b"),
-        *rng.uniform([100, 100, 0, 0], [1e5, 1e5, 1, 1]), **rest,
-    )  # fmt: skip
+        *rng.uniform([1, 0.01, 0.001], [10, 0.5, 0.1]),
+        pendulum("a"),
+        pendulum("b"),
+        *rng.uniform([100, 100, 0, 0], [1e5, 1e5, 1, 1]),
+        **rest,
+    )
 
 
 def random_motion(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -165,10 +173,17 @@ def turning_matrix(
     """[A] of the linear motion in the turning frame from the derivation, shape (8, 8)."""
     values = rig_values(p)
     moments = {
-        s.M_S: p.total_mass_kg, s.S_A: p.a.first_moment_kg_m, s.S_B: p.b.first_moment_kg_m,
+        s.M_S: p.total_mass_kg,
+        s.S_A: p.a.first_moment_kg_m,
+        s.S_B: p.b.first_moment_kg_m,
         s.S_P: p.imbalance_moment_kg_m,
-        s.psi: psi, s.omega: omega, s.Y1: y1, s.Y2: y2, s.theta3: t3, s.theta4: t4,
-    }  # fmt: skip
+        s.psi: psi,
+        s.omega: omega,
+        s.Y1: y1,
+        s.Y2: y2,
+        s.theta3: t3,
+        s.theta4: t4,
+    }
     linear = singular_point_matrices()
     inertia, damping, stiffness = (
         numbers(m, values | moments) for m in (linear.inertia, linear.damping, linear.stiffness)
@@ -214,10 +229,17 @@ def test_isotropic_matrices_hold_where_the_disk_whirls(kind: str) -> None:
     point = next(point for point in singular_points(p, omega) if point.type == kind)
     (t3, t4), z = point.theta_rad, point.z_m
     values = rig_values(p) | {
-        s.M_S: p.total_mass_kg, s.S_A: p.a.first_moment_kg_m, s.S_B: p.b.first_moment_kg_m,
-        s.S_P: p.imbalance_moment_kg_m, s.psi: 0.3, s.omega: omega, s.Y1: z.real, s.Y2: z.imag, s.theta3: t3,
+        s.M_S: p.total_mass_kg,
+        s.S_A: p.a.first_moment_kg_m,
+        s.S_B: p.b.first_moment_kg_m,
+        s.S_P: p.imbalance_moment_kg_m,
+        s.psi: 0.3,
+        s.omega: omega,
+        s.Y1: z.real,
+        s.Y2: z.imag,
+        s.theta3: t3,
         s.theta4: t4,
-    }  # fmt: skip
+    }
     rest = numbers(singular_point_equations(), values)
     assert np.max(np.abs(rest)) < 1e-12 * p.k1_N_per_m * abs(z)
     psi, turn = 0.3, np.exp(0.3j)

@@ -25,8 +25,9 @@ def test_one_shift_for_both_leaves_itself_in_both_positions() -> None:
     shift = 1e-4
     both = mirrored_positions(_P, _SPEED, Imperfections(shift, shift))
     known = [s for s in steady_states(replace(_P, pivot_shift_m=shift), _SPEED) if s.type == "I"]
-    for position, state in zip(sorted(both, key=lambda b: b.theta_rad), sorted(known, key=lambda s: s.theta_rad),
-                               strict=True):  # fmt: skip
+    for position, state in zip(
+        sorted(both, key=lambda b: b.theta_rad), sorted(known, key=lambda s: s.theta_rad), strict=True
+    ):
         assert position.theta_rad == pytest.approx(state.theta_rad, abs=1e-9)
     assert [abs(p.z_m) for p in both] == pytest.approx([shift, shift], rel=1e-9)
 

@@ -336,9 +336,15 @@ def test_strong_magnets_are_integrated_implicitly() -> None:
     gravity=st.sampled_from([0.0, 9.81]),
 )
 def test_the_whole_domain_is_answered_or_refused(
-    masses: tuple[float, float], damping: float, stiffness_ratio: float, zeta: float, moment: float, speed: float,
-    friction: float, gravity: float,
-) -> None:  # fmt: skip
+    masses: tuple[float, float],
+    damping: float,
+    stiffness_ratio: float,
+    zeta: float,
+    moment: float,
+    speed: float,
+    friction: float,
+    gravity: float,
+) -> None:
     a, b = (Pendulum(m, ARM, damping, friction) for m in masses)
     k1 = 7.12 * 18.85**2
     p = RotorParameters(7.0, 0.12, moment / 0.12, a, b, k1, stiffness_ratio * k1, zeta, zeta, 1e-3, False, gravity)

@@ -24,11 +24,21 @@ from dynamics.equations.kernels import rates
 LIST = Path(__file__).parents[2] / "docs" / "theory" / "misprints.md"
 # Equations with their wrong cells; every other one printed agrees
 WRONG = {
-    "2-9": {(1, 1)}, "3-17": {(1, 1)}, "3-22": {(1, 1), (1, 2)}, "3-27": {(4, 1)}, "3-28": {(3, 2), (4, 2)},
-    "3-29": {(3, 2), (3, 3), (4, 4)}, "3-34": {(1, 1)}, "4-6": {(1, 1)}, "4-7": {(1, 1)}, "4-10": {(1, 1)},
-    "4-11": {(1, 1)}, "4-15": {(4, 1)}, "4-16": {(1, 1), (2, 2), (3, 2), (4, 2)},
+    "2-9": {(1, 1)},
+    "3-17": {(1, 1)},
+    "3-22": {(1, 1), (1, 2)},
+    "3-27": {(4, 1)},
+    "3-28": {(3, 2), (4, 2)},
+    "3-29": {(3, 2), (3, 3), (4, 4)},
+    "3-34": {(1, 1)},
+    "4-6": {(1, 1)},
+    "4-7": {(1, 1)},
+    "4-10": {(1, 1)},
+    "4-11": {(1, 1)},
+    "4-15": {(4, 1)},
+    "4-16": {(1, 1), (2, 2), (3, 2), (4, 2)},
     "4-17": {(1, 1), (2, 2), (3, 2), (3, 3), (4, 4)},
-}  # fmt: skip
+}
 
 
 def test_the_list_is_what_its_generator_writes() -> None:
@@ -55,8 +65,11 @@ def test_energies_with_a_wrong_term_do_not_give_the_motion() -> None:
     right = rotating_frame_equations().residual.subs(s.PLAIN)
     wrong = lagrange_rows(source.KINETIC + s.S_A * s.Y1 * s.dtheta3, source.POTENTIAL, source.DISSIPATION)
     assert [compare("", "", row, ours).agrees for row, ours in zip(wrong, right, strict=True)] == [
-        False, True, False, True,
-    ]  # fmt: skip
+        False,
+        True,
+        False,
+        True,
+    ]
 
 
 def test_the_key_deviations() -> None:
@@ -165,10 +178,23 @@ def test_run_up_equations_with_fault_a_are_the_listings() -> None:
     dz = (y[4] + 1j * y[5]) * back - 1j * omega * z
     ddz = (out[4] + 1j * out[5]) * back - 2j * omega * dz + omega**2 * z
     values = rig_values(p) | {
-        s.M_S: p.total_mass_kg, s.S_A: p.a.first_moment_kg_m, s.S_B: p.b.first_moment_kg_m, s.alpha: 0,
-        s.psi: psi, s.omega: omega, s.Y1: z.real, s.Y2: z.imag, s.theta3: y[2], s.theta4: y[3], s.dY1: dz.real,
-        s.dY2: dz.imag, s.dtheta3: y[6], s.dtheta4: y[7], s.ddY1: ddz.real, s.ddY2: ddz.imag,
-    }  # fmt: skip
+        s.M_S: p.total_mass_kg,
+        s.S_A: p.a.first_moment_kg_m,
+        s.S_B: p.b.first_moment_kg_m,
+        s.alpha: 0,
+        s.psi: psi,
+        s.omega: omega,
+        s.Y1: z.real,
+        s.Y2: z.imag,
+        s.theta3: y[2],
+        s.theta4: y[3],
+        s.dY1: dz.real,
+        s.dY2: dz.imag,
+        s.dtheta3: y[6],
+        s.dtheta4: y[7],
+        s.ddY1: ddz.real,
+        s.ddY2: ddz.imag,
+    }
     listed = source_listing.residuals()
     disk = listed[:2, :].subs(source_listing.NOT_YET_COMPUTED).subs(values)
     pendulums = listed[2:, :].subs(values | {s.ddtheta3: out[6], s.ddtheta4: out[7]})

@@ -24,8 +24,11 @@ def test_they_are_the_logarithms_of_the_multipliers(ratio: float) -> None:
     states = steady_states(p, speed)
     assert len(states) == len(points)
     for point, own in zip(points, values, strict=True):
-        state = next(s for s in states if np.allclose(np.exp(1j * np.array(s.theta_rad)),
-                                                      np.exp(1j * np.array(point.theta_rad)), atol=1e-9))  # fmt: skip
+        state = next(
+            s
+            for s in states
+            if np.allclose(np.exp(1j * np.array(s.theta_rad)), np.exp(1j * np.array(point.theta_rad)), atol=1e-9)
+        )
         assert np.all(np.diff(own.real) <= 0), "the largest real part first"
         expected = np.exp(2 * math.pi * own / speed)
         assert np.sort(np.abs(expected)) == pytest.approx(np.sort(np.abs(state.multipliers)), rel=1e-6, abs=1e-9)

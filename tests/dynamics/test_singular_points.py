@@ -38,9 +38,18 @@ def test_every_point_satisfies_the_equations_of_motion(seed: int, shift: float) 
     rng = np.random.default_rng(seed)
     drawn, ratio = from_domain(rng)
     isotropic = RotorParameters(
-        drawn.rotor_mass_kg, drawn.imbalance_mass_kg, drawn.imbalance_radius_m, drawn.a, drawn.b,
-        drawn.k1_N_per_m, drawn.k1_N_per_m, drawn.zeta1, drawn.zeta1, shift, bool(seed % 2),
-    )  # fmt: skip
+        drawn.rotor_mass_kg,
+        drawn.imbalance_mass_kg,
+        drawn.imbalance_radius_m,
+        drawn.a,
+        drawn.b,
+        drawn.k1_N_per_m,
+        drawn.k1_N_per_m,
+        drawn.zeta1,
+        drawn.zeta1,
+        shift,
+        bool(seed % 2),
+    )
     for point in singular_points(isotropic, isotropic.speed_rad_s(ratio)):
         if np.isfinite(point.z_m):
             assert residual(isotropic, isotropic.speed_rad_s(ratio), point) < 1e-11

@@ -108,9 +108,15 @@ def test_progress_rises_to_one_and_many_threads_may_ask() -> None:
 
 @pytest.mark.parametrize(
     ("speeds", "stiffness", "accuracy"),
-    [([0.0, 1.0], [1.0], 1e-6), ([1.0], [-1.0], 1e-6), ([math.nan], [1.0], 1e-6), ([1.0], [1.0], 1e-15),
-     ([1.0, 1e200], [1.0], 1e-6), ([1.0], [1e-300, 1.0], 1e-6)],
-)  # fmt: skip
+    [
+        ([0.0, 1.0], [1.0], 1e-6),
+        ([1.0], [-1.0], 1e-6),
+        ([math.nan], [1.0], 1e-6),
+        ([1.0], [1.0], 1e-15),
+        ([1.0, 1e200], [1.0], 1e-6),
+        ([1.0], [1e-300, 1.0], 1e-6),
+    ],
+)
 def test_ratios_outside_the_domain_are_refused(speeds: list[float], stiffness: list[float], accuracy: float) -> None:
     with pytest.raises(OutsideDomain, match=r"above 0|accuracy"):
         stability_map(NOMINAL, np.array(speeds), np.array(stiffness), accuracy)

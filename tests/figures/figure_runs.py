@@ -44,16 +44,27 @@ def run_up(seed: int = 1) -> Run:
 
 
 def _run(
-    test: str, source: str, time: np.ndarray, x: np.ndarray, y: np.ndarray, rng: np.random.Generator,
+    test: str,
+    source: str,
+    time: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    rng: np.random.Generator,
     marks: tuple[np.ndarray, np.ndarray],
-) -> Run:  # fmt: skip
+) -> Run:
     return Run(
-        test=test, source=source, start_s=1.7e9,
-        x_time_s=time + LAG_S, x_m=x + _NOISE_M * rng.standard_normal(len(time)),
-        y_time_s=time + LAG_S, y_m=y + _NOISE_M * rng.standard_normal(len(time)),
-        angle_time_s=time, angle_rad=np.tile([0.002, math.pi], (len(time), 1)),
-        mark_time_s=marks[0], mark_phase_rad=marks[1],
-    )  # fmt: skip
+        test=test,
+        source=source,
+        start_s=1.7e9,
+        x_time_s=time + LAG_S,
+        x_m=x + _NOISE_M * rng.standard_normal(len(time)),
+        y_time_s=time + LAG_S,
+        y_m=y + _NOISE_M * rng.standard_normal(len(time)),
+        angle_time_s=time,
+        angle_rad=np.tile([0.002, math.pi], (len(time), 1)),
+        mark_time_s=marks[0],
+        mark_phase_rad=marks[1],
+    )
 
 
 @cache

@@ -23,9 +23,20 @@ def _map() -> BasinMap:
     times = np.where(end < 0, math.nan, 10.0 + np.arange(12).reshape(3, 4))
     three, four = np.radians([-135.0, -45.0, 45.0, 135.0]), np.radians([60.0, 180.0, 300.0])
     return BasinMap(
-        three, four, ends, end, sure, times, times, np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4, 2)), 20.0,
-        1e-6, 60.0,
-    )  # fmt: skip
+        three,
+        four,
+        ends,
+        end,
+        sure,
+        times,
+        times,
+        np.zeros((3, 4)),
+        np.zeros((3, 4)),
+        np.zeros((3, 4, 2)),
+        20.0,
+        1e-6,
+        60.0,
+    )
 
 
 def test_cells_borders_hatches_and_words():

@@ -35,10 +35,14 @@ def words(figure: Figure) -> str:
 def later(run: Run, shift_s: float) -> Run:
     """The same run in a log that began earlier."""
     return replace(
-        run, x_time_s=run.x_time_s + shift_s, y_time_s=run.y_time_s + shift_s, angle_time_s=run.angle_time_s + shift_s,
-        mark_time_s=run.mark_time_s + shift_s, motor_start_s=run.motor_start_s + shift_s,
+        run,
+        x_time_s=run.x_time_s + shift_s,
+        y_time_s=run.y_time_s + shift_s,
+        angle_time_s=run.angle_time_s + shift_s,
+        mark_time_s=run.mark_time_s + shift_s,
+        motor_start_s=run.motor_start_s + shift_s,
         releases=tuple(replace(release, time_s=release.time_s + shift_s) for release in run.releases),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("draw", [draw_bode, draw_polar, draw_orbit, draw_time])
@@ -194,9 +198,14 @@ def holding(run: Run, hold_s: float) -> Run:
     phase = np.append(run.mark_phase_rad, run.mark_phase_rad[-1] + 2 * math.pi * np.arange(1, len(marks) + 1))
     psi = np.interp(time, mark_time, phase)
     return replace(
-        run, x_time_s=time, x_m=1e-3 * np.cos(psi), y_time_s=time, y_m=1e-3 * np.sin(psi), mark_time_s=mark_time,
+        run,
+        x_time_s=time,
+        x_m=1e-3 * np.cos(psi),
+        y_time_s=time,
+        y_m=1e-3 * np.sin(psi),
+        mark_time_s=mark_time,
         mark_phase_rad=phase,
-    )  # fmt: skip
+    )
 
 
 def test_a_run_through_speeds_has_no_spectrum_but_that_of_a_stretch_at_one_speed() -> None:

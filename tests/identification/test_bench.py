@@ -97,9 +97,13 @@ def test_every_peer_reads_a_quiet_decay(peer: Callable[[decays.Decay], Answer]) 
 @pytest.mark.parametrize("peer", [ring_down_peers.matrix_pencil, ring_down_peers.nonlinear_least_squares])
 def test_the_strong_peers_reach_the_bound(peer: Callable[[decays.Decay], Answer]) -> None:
     case = Case(
-        "ring-down", "c", lambda rng: decays.one_mode(rng, 0.02, record_s=8.0), {"f": ("f1_Hz",), "ζ": ("zeta1",)},
-        {"f": 0.05, "ζ": 1.0}, [Method("peer", "", peer, peer=True)],
-    )  # fmt: skip
+        "ring-down",
+        "c",
+        lambda rng: decays.one_mode(rng, 0.02, record_s=8.0),
+        {"f": ("f1_Hz",), "ζ": ("zeta1",)},
+        {"f": 0.05, "ζ": 1.0},
+        [Method("peer", "", peer, peer=True)],
+    )
     (row,) = measure(case, 40, 5)
     assert row.gross == 0
     assert all(0.7 < v < 1.4 for v in row.rms.values())
@@ -171,9 +175,13 @@ def test_failures_are_counted_left_out_and_kept_off_the_front() -> None:
         return Answer({"a": math.nan})
 
     rows = compared(
-        measure(_case(Method("flaky", "", flaky), Method("silent", "", silent, peer=True), Method("good", "", _read())),
-                200, 1), 1.15,
-    )  # fmt: skip
+        measure(
+            _case(Method("flaky", "", flaky), Method("silent", "", silent, peer=True), Method("good", "", _read())),
+            200,
+            1,
+        ),
+        1.15,
+    )
     flaky_row, silent_row, good = rows
     assert 80 < flaky_row.gross < 160
     assert flaky_row.rms["a"] < 0.5
@@ -210,9 +218,19 @@ def _row(
     setting: str, rms: float, gross: int = 0, peer: bool = False, runs: int = 100, seconds: float = 0.1
 ) -> Precision:
     return Precision(
-        "ring-down", "ζ 0.01, 20 s", "m", setting, peer, seconds, runs, gross, {"f": rms, "ζ": rms},
-        {"f": 0.0, "ζ": -0.05}, {"f": 0.95, "ζ": 0.94}, "why" if gross else "",
-    )  # fmt: skip
+        "ring-down",
+        "ζ 0.01, 20 s",
+        "m",
+        setting,
+        peer,
+        seconds,
+        runs,
+        gross,
+        {"f": rms, "ζ": rms},
+        {"f": 0.0, "ζ": -0.05},
+        {"f": 0.95, "ζ": 0.94},
+        "why" if gross else "",
+    )
 
 
 def test_targets_hold_the_balanced_setting_alone_and_only_when_measured_often() -> None:

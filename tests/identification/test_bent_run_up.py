@@ -25,9 +25,12 @@ DRIVE = Drive.from_history(SpeedHistory.ramp(8.0, 40.0, 10.0), 0.0, 10.0)
 
 
 def response(
-    terms: tuple[float, float], b: complex, f: complex = 1e-4 + 5e-5j, own: tuple[float, float] = OWN,
+    terms: tuple[float, float],
+    b: complex,
+    f: complex = 1e-4 + 5e-5j,
+    own: tuple[float, float] = OWN,
     bow: complex | None = None,
-):  # fmt: skip
+):
     return bent_response(SPREAD, turning(DRIVE, TIMES, SPREAD), DRIVE, forcing(DRIVE), own, terms, b, f, bow)
 
 

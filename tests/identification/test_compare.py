@@ -37,13 +37,17 @@ def parameters_of(
     kept = with_tests(found)
     tests = [
         {
-            **test, "test": e.test, "log": e.source, "digest": f"{day}-{e.source}", "method": "made up",
+            **test,
+            "test": e.test,
+            "log": e.source,
+            "digest": f"{day}-{e.source}",
+            "method": "made up",
             "values": dict(zip(e.names, e.values.tolist(), strict=True)),
             "recorded": f"2026-03-{day:02d}T10:00:00+00:00",
             **({"devices": {"laser_x": f"{serial}x", "laser_y": f"{serial}y"}} if serial else {}),
         }
         for test, e in zip(kept.provenance["tests"], estimates, strict=True)
-    ]  # fmt: skip
+    ]
     return IdentifiedParameters(kept.values, kept.covariance, {**kept.provenance, "tests": tests, "rig": rig})
 
 

@@ -18,9 +18,14 @@ from rig_configs.known import DRAG
 
 SEED = 1003
 SHARE = {
-    "k1_N_per_m": 1e-4, "k2_N_per_m": 1e-4, "zeta1": 1e-3, "zeta2": 1e-3,
-    "c3_Nms_per_rad": 1e-3, "c4_Nms_per_rad": 1e-3, "SP_kg_m": 1e-3,
-}  # fmt: skip
+    "k1_N_per_m": 1e-4,
+    "k2_N_per_m": 1e-4,
+    "zeta1": 1e-3,
+    "zeta2": 1e-3,
+    "c3_Nms_per_rad": 1e-3,
+    "c4_Nms_per_rad": 1e-3,
+    "SP_kg_m": 1e-3,
+}
 
 
 def identified(world: World, drag: Drag | None) -> IdentifiedParameters:

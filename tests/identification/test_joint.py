@@ -220,8 +220,12 @@ def test_weights_reproduce_the_values_and_a_direct_minimum() -> None:
 
 
 def test_shared_gain_stays_and_own_errors_average_out() -> None:
-    tests = [Estimate("run-up", f"{i}", ("SP_kg_m",), np.array([2.5e-3]), np.array([[1e-14]]),
-                      {"gain laser_x": np.array([1e-6])}) for i in range(4)]  # fmt: skip
+    tests = [
+        Estimate(
+            "run-up", f"{i}", ("SP_kg_m",), np.array([2.5e-3]), np.array([[1e-14]]), {"gain laser_x": np.array([1e-6])}
+        )
+        for i in range(4)
+    ]
     found = joint_estimate(tests)
     assert found.weighted.shared["gain laser_x"] == pytest.approx([1e-6])
     assert np.sqrt(found.weighted.own[0, 0]) == pytest.approx(1e-7 / 2)

@@ -33,12 +33,21 @@ def add(monkeypatch: pytest.MonkeyPatch) -> Add:
 
 def test_the_rows_that_there_are_select_the_estimators_that_there_are() -> None:
     assert {name: methods_of(kind) for name, kind in KINDS.items()} == {
-        "ring-down-x": ("ring-down",), "ring-down-y": ("ring-down",), "spin-down": ("spin-down",),
-        "run-up": ("passage",), "run-down": ("passage",), "point": ("release",), "start-ups": (),
-    }  # fmt: skip
+        "ring-down-x": ("ring-down",),
+        "ring-down-y": ("ring-down",),
+        "spin-down": ("spin-down",),
+        "run-up": ("passage",),
+        "run-down": ("passage",),
+        "point": ("release",),
+        "start-ups": (),
+    }
     assert [pulled_along(name) for name in ("ring-down-x", "ring-down-y", "run-up", "spin-down", "none")] == [
-        "x", "y", None, None, None,
-    ]  # fmt: skip
+        "x",
+        "y",
+        None,
+        None,
+        None,
+    ]
 
 
 def test_another_ring_down_gives_what_its_row_says(add: Add) -> None:

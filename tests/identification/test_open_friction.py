@@ -45,8 +45,12 @@ def test_shared_friction_is_least_squares_over_damping_and_friction() -> None:
     rng, tests = np.random.default_rng(1), list[OpenFriction]()
     for _ in range(3):
         root = rng.standard_normal((6, 6)) * 1e-3
-        tests.append(OpenFriction(np.r_[-7, -7.2, np.zeros(4)] + 1e-3 * rng.standard_normal(6) * UNIT,
-                                  (root @ root.T + 1e-8 * np.eye(6)) * np.outer(UNIT, UNIT)))  # fmt: skip
+        tests.append(
+            OpenFriction(
+                np.r_[-7, -7.2, np.zeros(4)] + 1e-3 * rng.standard_normal(6) * UNIT,
+                (root @ root.T + 1e-8 * np.eye(6)) * np.outer(UNIT, UNIT),
+            )
+        )
     shared, whole = together(tests), pooled(tests)
     estimates = [
         Estimate(f"t{i}", f"t{i}", NAMES, c, own, {f"friction {k}": v for k, v in enumerate(by.T)})
@@ -147,10 +151,14 @@ def test_a_release_after_which_nothing_moves_is_told_so() -> None:
 def test_two_tests_share_their_friction_and_one_stands_alone() -> None:
     campaign = Campaign(6, clock_rate_std=0.0)
     spin, point = campaign.spin_down(apart_s=0.0), campaign.point("E")
-    fits = {spin.source: fit_spin_down_run(spin, known(campaign)),
-            point.source: fit_release(point, known(campaign), np.radians(0.05))}  # fmt: skip
-    own = [Estimate("t", s, NAMES, np.array(list(f.values.values())), f.covariance, {"clock e": np.ones(2) * 1e-9})
-           for s, f in fits.items()]  # fmt: skip
+    fits = {
+        spin.source: fit_spin_down_run(spin, known(campaign)),
+        point.source: fit_release(point, known(campaign), np.radians(0.05)),
+    }
+    own = [
+        Estimate("t", s, NAMES, np.array(list(f.values.values())), f.covariance, {"clock e": np.ones(2) * 1e-9})
+        for s, f in fits.items()
+    ]
     both, shared = with_shared_friction(own, fits)
     assert shared is not None
     assert told(shared) == []

@@ -38,12 +38,15 @@ def kept(estimates: Sequence[Estimate], model_share: float = 0.25) -> Identified
     joint = joint_estimate(estimates)
     tests = [
         {
-            "test": e.test, "log": e.source, "values": dict(zip(e.names, e.values.tolist(), strict=True)),
-            "covariance": e.covariance.tolist(), "model_share": model_share,
+            "test": e.test,
+            "log": e.source,
+            "values": dict(zip(e.names, e.values.tolist(), strict=True)),
+            "covariance": e.covariance.tolist(),
+            "model_share": model_share,
             "shared": {label: dict(zip(e.names, v.tolist(), strict=True)) for label, v in e.shared.items()},
         }
         for e in estimates
-    ]  # fmt: skip
+    ]
     return replace(joint.parameters, provenance={"tests": tests}, by_number=BY_MASS)
 
 
@@ -94,9 +97,12 @@ def test_own_noise_and_what_is_beyond_it_are_two_rows_of_each_test() -> None:
     assert (own.kind, rows["clock laser_x"].kind) == ("A", "B")
     assert isinstance(found.sources[0], Group)
     assert set(rows) >= {
-        "own: test-0 (00.mcap)", "own: test-1 (01.mcap)", "beyond noise: test-0 (00.mcap)",
-        "beyond noise: test-1 (01.mcap)", "clock laser_x",
-    }  # fmt: skip
+        "own: test-0 (00.mcap)",
+        "own: test-1 (01.mcap)",
+        "beyond noise: test-0 (00.mcap)",
+        "beyond noise: test-1 (01.mcap)",
+        "clock laser_x",
+    }
 
 
 def test_one_log_twice_gives_rows_of_their_own() -> None:
@@ -123,9 +129,11 @@ def test_the_rotor_mass_is_the_main_source_of_a_stiffness_with_its_sensitivity()
 
 def test_an_instrument_brings_its_distribution_and_degrees_of_freedom() -> None:
     instrument = {
-        "measures": ["rotor.mass_kg", "pendulums.a.mass_kg"], "relative_std": 0.002, "distribution": "rectangular",
+        "measures": ["rotor.mass_kg", "pendulums.a.mass_kg"],
+        "relative_std": 0.002,
+        "distribution": "rectangular",
         "degrees_of_freedom": 8.0,
-    }  # fmt: skip
+    }
     rig = load_rig("virtual", settings={"instruments": {"balance": instrument}})
     found = parameter_budgets(kept([estimate(0, [0, 0, 0])]), rig).budgets
     row = budget_rows(found["k1_N_per_m"])[0]

@@ -55,8 +55,12 @@ def test_a_few_samples_per_time_constant_are_enough(seed: int) -> None:
 
 
 def test_answers_that_explain_a_run_down_alike_are_all_covered() -> None:
-    truth = {"pendulums.a.damping_Nms_per_rad": 0.006, "pendulums.b.damping_Nms_per_rad": 0.0033,
-             "suspension.zeta1": 0.11, "suspension.zeta2": 0.01}  # fmt: skip
+    truth = {
+        "pendulums.a.damping_Nms_per_rad": 0.006,
+        "pendulums.b.damping_Nms_per_rad": 0.0033,
+        "suspension.zeta1": 0.11,
+        "suspension.zeta2": 0.01,
+    }
     settings = {f"virtual.truth.{name}": value for name, value in truth.items()}
     told = 0
     for seed in range(5):

@@ -56,9 +56,10 @@ def test_locked_start_s_derivatives_are_its_own() -> None:
     true = RIG.identified()
     state, by = start.at(RIG, 0.01, 3.1, 1e-3)
     moves = [
-        (start.at(RIG, 0.01 + 1e-6, 3.1, 1e-3)[0], 1e-6), (start.at(RIG, 0.01, 3.1 + 1e-6, 1e-3)[0], 1e-6),
+        (start.at(RIG, 0.01 + 1e-6, 3.1, 1e-3)[0], 1e-6),
+        (start.at(RIG, 0.01, 3.1 + 1e-6, 1e-3)[0], 1e-6),
         (start.at(RIG, 0.01, 3.1, 1e-3 + 1e-6)[0], 1e-6),
-    ]  # fmt: skip
+    ]
     for name in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m"):
         moves.append((start.at(RIG.with_values(**{name: true[name] * np.exp(1e-4)}), 0.01, 3.1, 1e-3)[0], 1e-4))
     for column, (moved, step) in enumerate(moves):

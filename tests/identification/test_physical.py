@@ -80,10 +80,17 @@ def test_a_laser_s_sign_and_an_index_mark_half_a_turn_off_are_told(run_up: tuple
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("k1_N_per_m", -1.0), ("k2_N_per_m", 0.0), ("zeta1", -1e-6), ("zeta2", 2.5), ("c3_Nms_per_rad", -1e-9),
-        ("c4_Nms_per_rad", 60.0), ("SP_kg_m", -0.0055), ("SP_kg_m", 5.0), ("k1_N_per_m", 1e12),
+        ("k1_N_per_m", -1.0),
+        ("k2_N_per_m", 0.0),
+        ("zeta1", -1e-6),
+        ("zeta2", 2.5),
+        ("c3_Nms_per_rad", -1e-9),
+        ("c4_Nms_per_rad", 60.0),
+        ("SP_kg_m", -0.0055),
+        ("SP_kg_m", 5.0),
+        ("k1_N_per_m", 1e12),
     ],
-)  # fmt: skip
+)
 def test_every_value_that_the_loader_refuses_is_left_out(tmp_path: Path, name: str, value: float) -> None:
     sound = "zeta2" if name != "zeta2" else "zeta1"
     estimate = Estimate("t", "a.mcap", (name, sound), np.array([value, 0.02]), np.diag([1e-10, 1e-10]))

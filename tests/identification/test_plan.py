@@ -258,12 +258,17 @@ def test_errors_bear_the_labels_that_a_recorded_test_gives_them() -> None:
     other = Sensors.of(load_rig("other_devices"))
     speed = RIG.physics.speed_rad_s(3.3)
     planned = (
-        ring_down(RIG.physics, other, "x", 2.5e-3, 10.0), run_up(RIG.physics, other, 94.0, 40.0),
-        spin_down(RIG.physics, other, 10.0, 4.0), release(RIG.physics, other, "point-D", speed, 4.0),
-    )  # fmt: skip
+        ring_down(RIG.physics, other, "x", 2.5e-3, 10.0),
+        run_up(RIG.physics, other, 94.0, 40.0),
+        spin_down(RIG.physics, other, 10.0, 4.0),
+        release(RIG.physics, other, "point-D", speed, 4.0),
+    )
     assert [set(e.expected.shared) for e in planned] == [
-        {"clock east"}, {"clock rotor", "gain x", "gain y"}, {"clock rotor"}, {"clock rotor"},
-    ]  # fmt: skip
+        {"clock east"},
+        {"clock rotor", "gain x", "gain y"},
+        {"clock rotor"},
+        {"clock rotor"},
+    ]
     campaign = Campaign(1)
     devices = {"x": "laser_x", "y": "laser_y", "angles": "encoder", "phase": "encoder"}
     passage = replace(campaign.run_up(), clocks=devices)

@@ -24,9 +24,16 @@ def asked(
     accuracy: float, seconds: float, error: float | None, case: str = "c", ratio: float | None = None
 ) -> Measurement:
     return Measurement(
-        "motion", case, "explicit", f"accuracy {accuracy:.0e}, 8 steps", seconds, "run", error, automatic=True,
+        "motion",
+        case,
+        "explicit",
+        f"accuracy {accuracy:.0e}, 8 steps",
+        seconds,
+        "run",
+        error,
+        automatic=True,
         peer_ratio=ratio,
-    )  # fmt: skip
+    )
 
 
 def test_a_dearer_setting_that_is_no_more_exact_is_not_recommended() -> None:
@@ -51,8 +58,11 @@ def test_a_dearer_setting_that_is_more_exact_is_recommended() -> None:
 
 
 def test_one_case_in_which_it_is_more_exact_is_enough() -> None:
-    rows = [row(s, t, e, case=c) for c, e_slow in (("a", 1.0), ("b", 0.5)) for s, t, e in
-            (("fast", 1.0, 1.0), ("balanced", 2.0, e_slow))]  # fmt: skip
+    rows = [
+        row(s, t, e, case=c)
+        for c, e_slow in (("a", 1.0), ("b", 0.5))
+        for s, t, e in (("fast", 1.0, 1.0), ("balanced", 2.0, e_slow))
+    ]
     (found,) = recommended_settings(rows)
     assert found.setting == "balanced"
 
@@ -91,9 +101,12 @@ def test_peers_and_single_settings_get_no_line() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.floats(1e-6, 1e3), st.floats(1e-3, 1e3), st.integers(1, 500), st.floats(0, 1)), min_size=6,
-             max_size=6)
-)  # fmt: skip
+    st.lists(
+        st.tuples(st.floats(1e-6, 1e3), st.floats(1e-3, 1e3), st.integers(1, 500), st.floats(0, 1)),
+        min_size=6,
+        max_size=6,
+    )
+)
 def test_any_rows_give_a_line_that_names_a_setting_or_none(values: list[tuple[float, float, int, float]]) -> None:
     names = [(c, s) for c in ("a", "b") for s in ("fast", "balanced", "reference")]
     rows = [

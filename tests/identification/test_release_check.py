@@ -25,9 +25,14 @@ from rig_configs.known import FRICTION, ZERO_A, ZERO_B, known_label
 from rig_configs.suspension_terms import TERMS
 
 SHARE = {
-    "k1_N_per_m": 1e-4, "k2_N_per_m": 1e-4, "zeta1": 2e-3, "zeta2": 2e-3,
-    "c3_Nms_per_rad": 4e-3, "c4_Nms_per_rad": 4e-3, "SP_kg_m": 1e-3,
-}  # fmt: skip
+    "k1_N_per_m": 1e-4,
+    "k2_N_per_m": 1e-4,
+    "zeta1": 2e-3,
+    "zeta2": 2e-3,
+    "c3_Nms_per_rad": 4e-3,
+    "c4_Nms_per_rad": 4e-3,
+    "SP_kg_m": 1e-3,
+}
 
 
 def identified(campaign: Campaign, seed: int) -> IdentifiedParameters:

@@ -41,8 +41,9 @@ def test_lengths_moments_bow_and_dampings_together_move_no_angle(
     assert roll is not None
     for release in releases:
         by = dict(zip(release.parameters, release.by_parameter.T, strict=True))
-        lengths = sum(release.by_number[f"pendulums.{n}.length_m"] * p.length_m
-                      for n, p in (("a", physics.a), ("b", physics.b)))  # fmt: skip
+        lengths = sum(
+            release.by_number[f"pendulums.{n}.length_m"] * p.length_m for n, p in (("a", physics.a), ("b", physics.b))
+        )
         bow = (
             -release.by_slow_roll["bow along"] * roll.bow_m.real - release.by_slow_roll["bow across"] * roll.bow_m.imag
         )

@@ -123,8 +123,13 @@ def test_an_integrated_rig_with_other_imperfections() -> None:
     turn = np.array([[np.cos(beta), np.sin(beta)], [-np.sin(beta), np.cos(beta)]])
     free = solve_ivp(
         lambda _, s: [s[2], s[3], -(k[0] * s[0] + c[0] * s[2]) / mass, -(k[1] * s[1] + c[1] * s[3]) / mass],
-        (0, 18), [3e-3, 1e-3, 0, 0], method="DOP853", rtol=1e-11, atol=1e-15, dense_output=True,
-    )  # fmt: skip
+        (0, 18),
+        [3e-3, 1e-3, 0, 0],
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-15,
+        dense_output=True,
+    )
     rng = np.random.default_rng(11)
     t = np.arange(20_000) / 1000
     motion = np.where(t < 2, np.array([[3e-3], [1e-3]]), free.sol(np.maximum(t - 2, 0))[:2])

@@ -142,9 +142,12 @@ def test_constant_damping_raises_no_alarm() -> None:
 
 @pytest.mark.parametrize(
     ("drift", "model"),
-    [(0.0 * TIME, "one mode, offset"), (2e-5 * TIME / 20, "one mode, offset and slope"),
-     (1e-4 * (TIME / 20 - 0.5) ** 3, "one mode, offset and cubic drift")],
-)  # fmt: skip
+    [
+        (0.0 * TIME, "one mode, offset"),
+        (2e-5 * TIME / 20, "one mode, offset and slope"),
+        (1e-4 * (TIME / 20 - 0.5) ** 3, "one mode, offset and cubic drift"),
+    ],
+)
 def test_drift_is_modelled_as_far_as_it_is_there(drift: np.ndarray, model: str) -> None:
     fit = fit_ring_down(TIME, noisy(decay(TIME, 4.0, 0.05) + drift))
     assert fit.model == model

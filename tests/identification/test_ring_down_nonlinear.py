@@ -201,8 +201,13 @@ def test_the_integrated_motion_is_scipy_s() -> None:
                 - 0.75 * np.pi * drag * 1e3 * abs(y[1]) * y[1]
                 - w * w * (1 + 0.03 / PULL_M**2 * y[0] ** 2) * y[0],
             ],
-            (0.0, t[-1]), [PULL_M, speed], "DOP853", t, rtol=1e-11, atol=1e-14,
-        ).y[0]  # fmt: skip
+            (0.0, t[-1]),
+            [PULL_M, speed],
+            "DOP853",
+            t,
+            rtol=1e-11,
+            atol=1e-14,
+        ).y[0]
         assert level > 0
         np.testing.assert_allclose(own[0] * scale, shifted, atol=2e-8)
     assert np.max(np.abs(exact - shifted)) < 1e-3 * PULL_M

@@ -91,11 +91,16 @@ class Passage:
     def truth(self) -> dict[str, float]:
         """By the fit's names."""
         return {
-            "f1_Hz": self.f_Hz[0], "zeta1": self.zeta[0], "f2_Hz": self.f_Hz[1], "zeta2": self.zeta[1],
-            "axis_angle_deg": self.angle_deg, "amplitude_x_m": self.eccentricity_m,
-            "amplitude_y_m": self.eccentricity_m, "phase_x_deg": np.degrees(self.direction_rad),
+            "f1_Hz": self.f_Hz[0],
+            "zeta1": self.zeta[0],
+            "f2_Hz": self.f_Hz[1],
+            "zeta2": self.zeta[1],
+            "axis_angle_deg": self.angle_deg,
+            "amplitude_x_m": self.eccentricity_m,
+            "amplitude_y_m": self.eccentricity_m,
+            "phase_x_deg": np.degrees(self.direction_rad),
             "phase_y_deg": np.degrees(self.direction_rad),
-        }  # fmt: skip
+        }
 
     def fit(self, **options: object) -> RunUpFit:
         return fit_run_up(self.time, self.signal, self.phase, **options)  # type: ignore[arg-type]
@@ -110,9 +115,19 @@ class Passage:
         none, t = np.empty(0), self.time
         rates: dict[str, float] = dict.fromkeys(("x", "y", "angles", "phase"), 0.0)
         return Run(
-            "run-up", "imported.mcap", 0.0, t, self.signal[:, 0], t, self.signal[:, 1], none, np.empty((0, 2)),
-            marks, turns, clock_rate_std=rates,
-        )  # fmt: skip
+            "run-up",
+            "imported.mcap",
+            0.0,
+            t,
+            self.signal[:, 0],
+            t,
+            self.signal[:, 1],
+            none,
+            np.empty((0, 2)),
+            marks,
+            turns,
+            clock_rate_std=rates,
+        )
 
 
 def z_scores(passage: Passage, fit: RunUpFit) -> np.ndarray:
@@ -157,10 +172,12 @@ def test_severe_passage_is_within_the_goal() -> None:
 
 
 def test_intervals_cover_over_many_draws() -> None:
-    z = np.concatenate([
-        z_scores(p, p.fit(setting="fast"))
-        for p in (Passage(ramp(0.5, 7.0, 12.0), 12.0, seed=s, angle_deg=s - 15.0) for s in range(0, 30, 2))
-    ])  # fmt: skip
+    z = np.concatenate(
+        [
+            z_scores(p, p.fit(setting="fast"))
+            for p in (Passage(ramp(0.5, 7.0, 12.0), 12.0, seed=s, angle_deg=s - 15.0) for s in range(0, 30, 2))
+        ]
+    )
     assert 0.88 < np.mean(np.abs(z) < 1.96) < 0.99
     assert 0.85 < np.std(z) < 1.15
 
@@ -335,9 +352,14 @@ def test_outliers_rail_and_gaps_are_left_out() -> None:
 
 def test_outliers_that_sparse_samples_hide_in_the_motion_are_left_out() -> None:
     passage = Passage(
-        ramp(0.5, 15.0, 30.0), 30.0, f_Hz=(3.0, 11.6), zeta=(0.005, 0.02), eccentricity_m=350e-6, noise_m=2e-6,
+        ramp(0.5, 15.0, 30.0),
+        30.0,
+        f_Hz=(3.0, 11.6),
+        zeta=(0.005, 0.02),
+        eccentricity_m=350e-6,
+        noise_m=2e-6,
         rate_Hz=500.0,
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(3)
     hit = rng.random(passage.signal.shape) < 0.01
     hit[-1] = True  # which no neighbour after it tells

@@ -28,11 +28,19 @@ def estimate() -> Estimate:
     covariance[[0, 2], [0, 2]] = 0.01, 1e-12
     names = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
     return Estimate(
-        "ring-down-y", "y.mcap", names, np.array([2500.0, K, 0.02, 0.02]), covariance, {"clock": np.ones(4) * 1e-9},
-        "two coupled decays, separable least squares", {},
-        {TERMS[1 + 2 * i]: np.array([0.0, 2 * K * OWN.covariance[0, 2 + i], 0.0, OWN.covariance[1, 2 + i]])
-         for i in range(2)},
-    )  # fmt: skip
+        "ring-down-y",
+        "y.mcap",
+        names,
+        np.array([2500.0, K, 0.02, 0.02]),
+        covariance,
+        {"clock": np.ones(4) * 1e-9},
+        "two coupled decays, separable least squares",
+        {},
+        {
+            TERMS[1 + 2 * i]: np.array([0.0, 2 * K * OWN.covariance[0, 2 + i], 0.0, OWN.covariance[1, 2 + i]])
+            for i in range(2)
+        },
+    )
 
 
 def chosen(own: DirectionTerms = OWN) -> ChosenTerms:

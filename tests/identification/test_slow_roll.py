@@ -40,9 +40,9 @@ class Crooked(Passage):
         x, y = (self.bow_m * h[0]).real, (self.bow_m * h[1]).imag
         c, s = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         seen = np.column_stack([c * x + s * y, c * y - s * x])
-        self.signal = self.signal + seen + np.column_stack(
-            [(self.run_out_m[0] * turn).real, (self.run_out_m[1] * turn).imag]
-        )  # fmt: skip
+        self.signal = (
+            self.signal + seen + np.column_stack([(self.run_out_m[0] * turn).real, (self.run_out_m[1] * turn).imag])
+        )
 
     def fit(self, **options: object) -> RunUpFit:
         return super().fit(**options)
@@ -95,8 +95,11 @@ def test_run_out_is_found_and_named() -> None:
     assert [w for w in fit.warnings if w.startswith("run-out: the sensors show ")] == fit.warnings
     assert fit.model.endswith("run-out")
     assert {row.name: row.chosen for row in fit.model_table if "out" in row.name or "bow" in row.name} == {
-        "offset without slope": True, "run-out": True, "bow": False, "run-out and bow": False,
-    }  # fmt: skip
+        "offset without slope": True,
+        "run-out": True,
+        "bow": False,
+        "run-out and bow": False,
+    }
 
 
 def test_a_bow_is_found_and_told_from_run_out() -> None:

@@ -52,9 +52,23 @@ def own(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     phases = np.column_stack([SPEED * np.r_[0.0, times[:-1]], np.full(4 * n, SPEED), np.zeros(4 * n)])
     mean, cov = BEGIN.copy(), np.diag(SPREAD)
     filter_readings(
-        mean, cov, times, np.zeros(4 * n), np.tile(np.arange(4), n), data.ravel(), np.tile(NOISES**2, n), phases,
-        np.ones((4 * n, 2)), RIG.packed(), NOISE, 1.0, 8.0, -1.0, np.zeros(TALLY), np.empty(4 * n),
-    )  # fmt: skip
+        mean,
+        cov,
+        times,
+        np.zeros(4 * n),
+        np.tile(np.arange(4), n),
+        data.ravel(),
+        np.tile(NOISES**2, n),
+        phases,
+        np.ones((4 * n, 2)),
+        RIG.packed(),
+        NOISE,
+        1.0,
+        8.0,
+        -1.0,
+        np.zeros(TALLY),
+        np.empty(4 * n),
+    )
     return mean, cov
 
 

@@ -21,10 +21,16 @@ ALIGNED = Spread(zero_deg=0.0, index_deg=0.0, axis_deg=0.0, gain=0.0, clock_ppm=
 def shortened(run: Run, until_s: float) -> Run:
     x, y, a, m = (t < until_s for t in (run.x_time_s, run.y_time_s, run.angle_time_s, run.mark_time_s))
     return replace(
-        run, x_time_s=run.x_time_s[x], x_m=run.x_m[x], y_time_s=run.y_time_s[y], y_m=run.y_m[y],
-        angle_time_s=run.angle_time_s[a], angle_rad=run.angle_rad[a], mark_time_s=run.mark_time_s[m],
+        run,
+        x_time_s=run.x_time_s[x],
+        x_m=run.x_m[x],
+        y_time_s=run.y_time_s[y],
+        y_m=run.y_m[y],
+        angle_time_s=run.angle_time_s[a],
+        angle_rad=run.angle_rad[a],
+        mark_time_s=run.mark_time_s[m],
         mark_phase_rad=run.mark_phase_rad[m],
-    )  # fmt: skip
+    )
 
 
 def true_physics(world: World, bow: bool) -> RotorParameters:

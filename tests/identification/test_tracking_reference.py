@@ -103,9 +103,23 @@ def _one_reading(peer: FilterpyFilter, cov: np.ndarray) -> None:
     mean = np.r_[np.zeros(3), np.pi, np.zeros(4), np.log([1e-3, 1e-3])]
     tally = np.zeros(TALLY)
     peer(
-        mean, cov, np.array([1e-3]), np.zeros(1), np.array([2]), np.zeros(1), np.full(1, 1e-6), np.zeros((1, 3)),
-        np.ones((1, 2)), physics.packed(), np.full(STATES, 1e-8), 1e-3, 6.0, -1.0, tally, np.empty(1),
-    )  # fmt: skip
+        mean,
+        cov,
+        np.array([1e-3]),
+        np.zeros(1),
+        np.array([2]),
+        np.zeros(1),
+        np.full(1, 1e-6),
+        np.zeros((1, 3)),
+        np.ones((1, 2)),
+        physics.packed(),
+        np.full(STATES, 1e-8),
+        1e-3,
+        6.0,
+        -1.0,
+        tally,
+        np.empty(1),
+    )
 
 
 def test_a_covariance_that_breaks_down_is_an_error_with_a_way_out() -> None:

@@ -118,8 +118,9 @@ def test_both_clocks_are_in_what_both_sensors_show() -> None:
     k1 = fit.values["k1_N_per_m"]
     shared = ring_down_estimate(run, fit, 7.27).shared
     assert {label: shift[0] / k1 for label, shift in shared.items()} == {
-        "clock x": pytest.approx(3e-6), "clock y": pytest.approx(3e-6),
-    }  # fmt: skip
+        "clock x": pytest.approx(3e-6),
+        "clock y": pytest.approx(3e-6),
+    }
 
 
 def test_an_angle_that_nobody_has_shown_is_that_of_the_mounting() -> None:

@@ -185,8 +185,9 @@ def test_what_is_asked_waits_for_no_other_thread_of_the_page(monkeypatch: pytest
         connection.request("POST", f"/stop?{parts.query}", "{}", {"Origin": f"http://{parts.netloc}"})
         answer = connection.getresponse()  # nobody takes this one
         assert (answer.status, json.loads(answer.read())) == (
-            409, {"error": "stop: no answer from the recorder within 2 s"}
-        )  # fmt: skip
+            409,
+            {"error": "stop: no answer from the recorder within 2 s"},
+        )
         assert ours.recv()["act"] == "stop"
         source._take({"answer": {"done": True}, "to": 2})  # too late, and no harm
         assert source._waiting == {}

@@ -59,8 +59,10 @@ def test_a_recording_is_given_while_it_runs(virtual_rig: VirtualRigProcess, tmp_
     command = [*RIG, "record", "virtual", "-o", str(tmp_path / "a.mcap"), "--time-scale", str(virtual_rig.clock.rate)]
     with subprocess.Popen(
         [*command, "--json", "--foxglove", "--foxglove-port", "0", *settings],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as running:  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
         try:
             with connect(_begun(running), subprotocols=OURS) as line:
                 line.recv(timeout=30)
@@ -92,7 +94,10 @@ def test_a_recording_is_given_while_it_runs(virtual_rig: VirtualRigProcess, tmp_
 def test_what_cannot_be_is_refused_in_words(point_log: Path, options: list[str], code: int, why: str) -> None:
     done = subprocess.run(
         [*RIG, "live", str(point_log), "--json", "--foxglove", *options],
-        capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == code, done.stderr
     assert why in json.loads(done.stdout.splitlines()[-1])["error"]

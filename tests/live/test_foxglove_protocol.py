@@ -57,8 +57,10 @@ def test_channels_are_advertised_with_the_schemas_of_a_log() -> None:
     assert len({each["id"] for each in given_.values()}) == len(given_)
     laser = given_["laser/x"]
     assert (laser["encoding"], laser["schemaEncoding"], laser["schemaName"]) == (
-        "protobuf", "protobuf", "rig.LaserSample",
-    )  # fmt: skip
+        "protobuf",
+        "protobuf",
+        "rig.LaserSample",
+    )
     assert Channel.from_descriptor_set("laser/x", "rig.LaserSample", base64.b64decode(laser["schema"])) == LASER_X
     events = given_["events"]
     assert (events["encoding"], events["schemaEncoding"]) == ("json", "jsonschema")
@@ -82,7 +84,10 @@ REFUSED = [
     ('{"op": "subscribeConnectionGraph"}', "connection graph: refused"),
     ('{"op": "stop"}', "expected"),
     ('{"op": ["subscribe"]}', "expected"),
-    ("[]", "expected"), ("null", "expected"), ("", "expected JSON"), ("{", "expected JSON"),
+    ("[]", "expected"),
+    ("null", "expected"),
+    ("", "expected JSON"),
+    ("{", "expected JSON"),
     ("[" * 60_000, "expected JSON"),
     ("1" * 5000, "expected JSON"),
     ('{"op": "subscribe"}', "list under subscriptions"),
@@ -91,8 +96,9 @@ REFUSED = [
     ('{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": -1}]}', "whole number"),
     ('{"op": "subscribe", "subscriptions": [{"id": 4294967296, "channelId": 1}]}', "whole number"),
     ('{"op": "unsubscribe", "subscriptionIds": [1.5]}', "whole number"),
-    (b"", "no known opcode"), (b"\xff", "no known opcode"),
-]  # fmt: skip
+    (b"", "no known opcode"),
+    (b"\xff", "no known opcode"),
+]
 
 
 @pytest.mark.parametrize(("said", "why"), REFUSED, ids=range(len(REFUSED)))
@@ -114,8 +120,10 @@ def test_one_subscription_a_channel_and_one_channel_an_id() -> None:
     assert ours.apply(Subscribe(((7, 1), (8, 2)))) == []
     assert ours.by_channel == {1: 7, 2: 8}
     assert ours.apply(Subscribe(((9, 1), (7, 3), (5, 99), (6, 4)))) == [
-        "channel 1: subscribed to already, as 7", "subscription 7: the id is in use", "channel 99: there is none",
-    ]  # fmt: skip
+        "channel 1: subscribed to already, as 7",
+        "subscription 7: the id is in use",
+        "channel 99: there is none",
+    ]
     assert ours.by_channel == {1: 7, 2: 8, 4: 6}
     assert ours.apply(Unsubscribe((7, 77))) == ["subscription 77: there is none"]
     assert ours.apply(Subscribe(((7, 3),))) == []

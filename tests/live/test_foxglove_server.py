@@ -58,9 +58,12 @@ def _client(
     server: FoxgloveServer, protocols: tuple[str, ...] = SUBPROTOCOLS, origin: str | None = None, **more: Any
 ) -> Iterator[ClientConnection]:
     with connect(
-        server.url, subprotocols=[Subprotocol(each) for each in protocols] or None, compression=None,
-        origin=Origin(origin) if origin is not None else None, **more,
-    ) as line:  # fmt: skip
+        server.url,
+        subprotocols=[Subprotocol(each) for each in protocols] or None,
+        compression=None,
+        origin=Origin(origin) if origin is not None else None,
+        **more,
+    ) as line:
         yield line
 
 
@@ -141,9 +144,16 @@ def test_programs_and_allowed_pages_get_in(server: FoxgloveServer, origin: str |
 
 
 FOREIGN = [
-    "https://evil.example", "null", "", "http://app.foxglove.dev", "https://app.foxglove.dev.evil.example",
-    "https://app.foxglove.dev:444", "https://studio.foxglove.dev", "file://evil", "http://127.0.0.1:8765",
-]  # fmt: skip
+    "https://evil.example",
+    "null",
+    "",
+    "http://app.foxglove.dev",
+    "https://app.foxglove.dev.evil.example",
+    "https://app.foxglove.dev:444",
+    "https://studio.foxglove.dev",
+    "file://evil",
+    "http://127.0.0.1:8765",
+]
 
 
 @pytest.mark.parametrize("origin", FOREIGN)
@@ -321,9 +331,15 @@ def test_publishing_is_refused_with_a_status(server: FoxgloveServer) -> None:
         first = _told(line)
         line.send(b"\x01\x01\x00\x00\x00{}")
         second = _told(line)
-    assert first == second == {
-        "op": "status", "level": 2, "message": "publishing: refused, this connection is read-only",
-    }  # fmt: skip
+    assert (
+        first
+        == second
+        == {
+            "op": "status",
+            "level": 2,
+            "message": "publishing: refused, this connection is read-only",
+        }
+    )
 
 
 def test_who_is_refused_too_often_is_shown_out_and_others_stay(server: FoxgloveServer, played: Played) -> None:

@@ -22,9 +22,15 @@ OURS = "127.0.0.1:8123"
 ORIGIN = f"http://{OURS}"
 FOREIGN_HOSTS = ["evil.example:8123", "127.0.0.1:8124", "127.0.0.1", "127.0.0.1.evil.example:8123", ""]
 FOREIGN_ORIGINS = [
-    "http://evil.example", "https://127.0.0.1:8123", "http://127.0.0.1:8124", "http://localhost:8123", "null",
-    "http://127.0.0.1:8123.evil.example", "http://127.0.0.1:8123/", "",
-]  # fmt: skip
+    "http://evil.example",
+    "https://127.0.0.1:8123",
+    "http://127.0.0.1:8124",
+    "http://localhost:8123",
+    "null",
+    "http://127.0.0.1:8123.evil.example",
+    "http://127.0.0.1:8123/",
+    "",
+]
 WRONG_TOKENS = ["", TOKEN[:-1], TOKEN + "x", TOKEN.swapcase(), "é"]
 PLACES = ["page", "data", "stop"]
 
@@ -59,9 +65,11 @@ def _server() -> Iterator[None]:
 
 AT: list[int] = []
 UPGRADE = {
-    "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Version": "13",
     "Sec-WebSocket-Key": base64.b64encode(bytes(16)).decode(),
-}  # fmt: skip
+}
 
 
 def _answer(method: str, path: str, headers: Mapping[str, str]) -> HTTPResponse:

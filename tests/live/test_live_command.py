@@ -36,8 +36,11 @@ def test_the_first_line_is_the_address_and_sigterm_ends_it(point_log: Path) -> N
             assert len(answer.read()) > (1_000_000 if answer.status == 200 and "bokeh" in path else 20)
             connection.close()
         assert found == {
-            "/?token=T": 200, "/": 403, "/page/bokeh.min.js?token=T": 200, "/page/bokeh.min.js": 403,
-        }  # fmt: skip
+            "/?token=T": 200,
+            "/": 403,
+            "/page/bokeh.min.js?token=T": 200,
+            "/page/bokeh.min.js": 403,
+        }
         running.send_signal(signal.SIGTERM)
         rest, said = running.communicate(timeout=30)
     finally:
@@ -63,8 +66,10 @@ def test_what_cannot_be_is_refused_in_words(point_log: Path, options: list[str],
 def test_a_host_is_warned_of_and_still_asks_for_the_token(point_log: Path) -> None:
     running = subprocess.Popen(
         [*RIG, str(point_log), "--json", "--host", "localhost"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
         assert running.stdout is not None
         parts = urlsplit(json.loads(running.stdout.readline())["url"])

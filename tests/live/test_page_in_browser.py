@@ -17,10 +17,17 @@ from live.serving import Serving
 X, Y, THREE, FOUR, MODEL = (86, 180, 233), (230, 159, 0), (47, 199, 155), (217, 143, 184), (242, 242, 242)
 WAIT_MS = 30_000
 INKS = {
-    "#strip-x .plot": [X], "#strip-y .plot": [Y], "#strip-theta3 .plot": [THREE], "#strip-theta4 .plot": [FOUR],
-    "#strip-speed .plot": [X], "#orbit .plot": [X, MODEL], "#dial .plot": [THREE, FOUR],
-    "#bode .amplitude": [X, Y], "#bode .phase": [X, Y], "#tracked .plot": [THREE, FOUR],
-}  # fmt: skip
+    "#strip-x .plot": [X],
+    "#strip-y .plot": [Y],
+    "#strip-theta3 .plot": [THREE],
+    "#strip-theta4 .plot": [FOUR],
+    "#strip-speed .plot": [X],
+    "#orbit .plot": [X, MODEL],
+    "#dial .plot": [THREE, FOUR],
+    "#bode .amplitude": [X, Y],
+    "#bode .phase": [X, Y],
+    "#tracked .plot": [THREE, FOUR],
+}
 
 
 def _pixels(page: Page, selector: str) -> NDArray[np.int64]:

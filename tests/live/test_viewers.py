@@ -110,9 +110,15 @@ def test_each_viewer_has_its_own_window(serving: Serving, replayed: Replayed) ->
 
 
 NONSENSE = (
-    "", "[]", "{", '{"view": {}}', '{"view": {"window_s": "x", "pixels": 1}}', '{"seen": "all"}', "x" * 5000,
+    "",
+    "[]",
+    "{",
+    '{"view": {}}',
+    '{"view": {"window_s": "x", "pixels": 1}}',
+    '{"seen": "all"}',
+    "x" * 5000,
     '{"view": {"window_s": NaN, "pixels": 1}}',
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("nonsense", NONSENSE, ids=range(len(NONSENSE)))

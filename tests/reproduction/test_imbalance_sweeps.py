@@ -66,8 +66,9 @@ def test_equal_pendulums(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         "holds in part"
     )
     assert set(judged.values()) == {"holds"}
-    differ = dict(zip(column(found, "imperfections", "imperfection"), column(found, "imperfections", "differ"),
-                      strict=True))  # fmt: skip
+    differ = dict(
+        zip(column(found, "imperfections", "imperfection"), column(found, "imperfections", "differ"), strict=True)
+    )
     assert differ["B heavier by 0.5 %"] == "no"
     assert differ["both pivots 25 µm across"] == "no"
     assert differ["pivots ± 25 µm across"] == "yes"

@@ -34,10 +34,13 @@ def test_type_one(tmp_path: Path) -> None:
     assert images[0] == images[1], "mirror images are alike"
 
 
-@pytest.mark.parametrize(("number", "part"), [
-    ("table-3.2", ["Type II, supercritical, improperly oversized: set II is stable, set I unstable."]),
-    ("table-3.3", ["Type III, supercritical, undersized: set II is stable, set I unstable."]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("number", "part"),
+    [
+        ("table-3.2", ["Type II, supercritical, improperly oversized: set II is stable, set I unstable."]),
+        ("table-3.3", ["Type III, supercritical, undersized: set II is stable, set I unstable."]),
+    ],
+)
 def test_types_two_and_three(number: str, part: list[str], tmp_path: Path) -> None:
     found = made(number, tmp_path)
     judged = verdicts(found)

@@ -12,8 +12,12 @@ from rig_configs import IdentifiedParameters, load_rig
 from rig_configs.drag import Drag, read_as, spread_between
 from rig_configs.known import DRAG, KEPT_FRICTION, KnownSource
 
-FOUND = Drag(np.array([1.6e-6, 1.8e-6]), np.array([[4e-14, 1e-14], [1e-14, 9e-14]]), undecided=True,
-             by_number={"pendulums.a.length_m": np.array([6e-5, 0.0])})  # fmt: skip
+FOUND = Drag(
+    np.array([1.6e-6, 1.8e-6]),
+    np.array([[4e-14, 1e-14], [1e-14, 9e-14]]),
+    undecided=True,
+    by_number={"pendulums.a.length_m": np.array([6e-5, 0.0])},
+)
 
 
 def kept(drag: Drag = FOUND) -> IdentifiedParameters:
@@ -71,8 +75,12 @@ def test_read_as_drag_it_is_settled() -> None:
 
 
 def test_read_as_contact_friction_it_adds_to_what_was_found_of_that_and_drags_no_more() -> None:
-    other = {"friction": {"values": dict(zip(KEPT_FRICTION, [1e-6, 0.0, 1e-7, 0.0], strict=True)),
-                          "covariance": np.zeros((4, 4)).tolist()}}  # fmt: skip
+    other = {
+        "friction": {
+            "values": dict(zip(KEPT_FRICTION, [1e-6, 0.0, 1e-7, 0.0], strict=True)),
+            "covariance": np.zeros((4, 4)).tolist(),
+        }
+    }
     provenance = read_as({**FOUND.table, **other}, "contact")
     assert friction(provenance) == pytest.approx([1e-6, 0.0, 1.7e-6, 1.8e-6])
     covariance = np.array(provenance["friction"]["covariance"])

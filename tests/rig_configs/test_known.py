@@ -28,13 +28,14 @@ def test_a_rig_file_without_uncertainties_takes_masses_and_lengths_as_exact_and_
 
 def test_every_number_may_carry_its_standard_uncertainty() -> None:
     stated = {
-        "rotor.mass_std_kg": ("rotor.mass_kg", 0.003), "imbalance.mass_std_kg": ("imbalance.mass_kg", 1e-5),
+        "rotor.mass_std_kg": ("rotor.mass_kg", 0.003),
+        "imbalance.mass_std_kg": ("imbalance.mass_kg", 1e-5),
         "pendulums.a.mass_std_kg": ("pendulums.a.mass_kg", 2e-5),
         "pendulums.a.length_std_m": ("pendulums.a.length_m", 3e-5),
         "pendulums.b.mass_std_kg": ("pendulums.b.mass_kg", 4e-5),
         "pendulums.b.length_std_m": ("pendulums.b.length_m", 5e-5),
         "pendulums.pivot_shift_std_m": ("pendulums.pivot_shift_m", 1e-5),
-    }  # fmt: skip
+    }
     settings = [f"{key}={std}" for key, (_, std) in stated.items()]
     known = load_rig("virtual", settings=[*settings, "devices.encoder.index_angle_std_deg=0.1"]).known
     for number, std in stated.values():

@@ -30,9 +30,20 @@ def test_a_bus_and_placeholders_may_be_named_twice(port: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "port", ["/dev/ttyUSB0", "COM3", "can:can0", "socket://10.0.0.2:4001", "spy:///dev/ttyS1?file=a", r"\\?\COM10",
-             "loop://", "/dev/serial/by-id/usb-FTDI_X-if00-port0", "/dev/ttymxc0", "/dev/rfcomm1"],
-)  # fmt: skip
+    "port",
+    [
+        "/dev/ttyUSB0",
+        "COM3",
+        "can:can0",
+        "socket://10.0.0.2:4001",
+        "spy:///dev/ttyS1?file=a",
+        r"\\?\COM10",
+        "loop://",
+        "/dev/serial/by-id/usb-FTDI_X-if00-port0",
+        "/dev/ttymxc0",
+        "/dev/rfcomm1",
+    ],
+)
 def test_a_port_s_name_is_no_placeholder(port: str) -> None:
     assert not is_placeholder(port)
 

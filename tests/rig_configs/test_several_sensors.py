@@ -47,10 +47,14 @@ def test_a_witness_that_looks_elsewhere_is_held_against_nothing() -> None:
 @pytest.mark.parametrize(
     ("x", "y", "turn"),
     [
-        (45.0, 135.0, 45.0), (-45.0, 45.0, -45.0), (2.0, 91.0, 1.5), (None, None, 0.0), (-170.0, -80.0, -170.0),
+        (45.0, 135.0, 45.0),
+        (-45.0, 45.0, -45.0),
+        (2.0, 91.0, 1.5),
+        (None, None, 0.0),
+        (-170.0, -80.0, -170.0),
         (315.0, 45.0, -45.0),
     ],
-)  # fmt: skip
+)
 def test_two_sensors_at_right_angles_may_stand_turned(x: float | None, y: float | None, turn: float) -> None:
     roles = Roles.of([replace(LOW, direction_deg=x), replace(NORTH, direction_deg=y)])
     assert roles.turn_deg == pytest.approx(turn)

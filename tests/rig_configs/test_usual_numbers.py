@@ -18,8 +18,7 @@ def test_nothing_is_odd_about_a_shipped_rig(name: str) -> None:
     ("setting", "text"),
     [
         ("suspension.zeta1=2.0", "suspension.zeta1 is 2: per cent? Usual is 0 to 0.5"),
-        ("pendulums.a.mass_kg=75",
-         "pendulums.a.mass_kg is 75 kg: grams? Usual is 0.001 to 5 kg, or 0 for no pendulum"),
+        ("pendulums.a.mass_kg=75", "pendulums.a.mass_kg is 75 kg: grams? Usual is 0.001 to 5 kg, or 0 for no pendulum"),
         ("pendulums.b.length_m=0.9", "pendulums.b.length_m is 0.9 m: centimetres? Usual is 0.003 to 0.3 m"),
         ("pendulums.a.length_m=5.4e-5", "pendulums.a.length_m is 5.4e-05 m. Usual is"),
         ("pendulums.a.damping_Nms_per_rad=1.0", "mN m s"),
@@ -34,7 +33,7 @@ def test_nothing_is_odd_about_a_shipped_rig(name: str) -> None:
         ("devices.laser_x.port=/dev/ttyUSB?", "devices.laser_x.port is '/dev/ttyUSB?': a placeholder?"),
         ("devices.laser_x.port=to be found", "a placeholder?"),
     ],
-)  # fmt: skip
+)
 def test_a_slip_is_named_with_its_number_its_unit_and_the_usual_range(setting: str, text: str) -> None:
     (doubt,) = doubts(load_rig("virtual", settings=[setting]))
     assert doubt.startswith(setting.partition("=")[0])
@@ -43,9 +42,16 @@ def test_a_slip_is_named_with_its_number_its_unit_and_the_usual_range(setting: s
 
 @pytest.mark.parametrize(
     "setting",
-    ["pendulums.a.mass_kg=0", "imbalance.mass_kg=0", "suspension.zeta1=0", "suspension.gravity_m_per_s2=9.81",
-     "pendulums.a.friction_arm_m=1e-4", "devices.drive.port=can:can0", "devices.laser_x.port=COM3"],
-)  # fmt: skip
+    [
+        "pendulums.a.mass_kg=0",
+        "imbalance.mass_kg=0",
+        "suspension.zeta1=0",
+        "suspension.gravity_m_per_s2=9.81",
+        "pendulums.a.friction_arm_m=1e-4",
+        "devices.drive.port=can:can0",
+        "devices.laser_x.port=COM3",
+    ],
+)
 def test_usual_numbers_and_none_at_all_are_no_slip(setting: str) -> None:
     settings = [setting, "imbalance.radius_m=0"] if setting == "imbalance.mass_kg=0" else [setting]
     assert doubts(load_rig("virtual", settings=settings)) == []

@@ -175,8 +175,12 @@ class UnknownClaim(RotorLink):
 def drops_a_sample(batch: Batch) -> Batch:
     if batch.channel.topic != "pendulums" or int(batch.sequence[0]) % 1000:
         return batch
-    return replace(batch, time_ns=batch.time_ns[1:], sequence=batch.sequence[1:],
-                   columns={name: values[1:] for name, values in batch.columns.items()})  # fmt: skip
+    return replace(
+        batch,
+        time_ns=batch.time_ns[1:],
+        sequence=batch.sequence[1:],
+        columns={name: values[1:] for name, values in batch.columns.items()},
+    )
 
 
 def forgets_short_reads(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
@@ -251,45 +255,68 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
     "an identity that JSON changes": ("opening dialogue", IdentityOfTuples, "through JSON"),
     "a question without a time-out": ("silent device", WaitsForever, "without a time-out"),
     "a sample dropped in silence": (
-        "stream", lambda: with_pipeline(RotorLink, on_batches(drops_a_sample)), "no loss was counted"),
+        "stream",
+        lambda: with_pipeline(RotorLink, on_batches(drops_a_sample)),
+        "no loss was counted",
+    ),
     "times of the device's own clock": (
         "stream",
         lambda: with_pipeline(RotorLink, on_batches(lambda b: replace(b, time_ns=b.time_ns - 10**12))),
-        "away from the host's"),
+        "away from the host's",
+    ),
     "the wrong sign": (
-        "displacement", lambda: with_pipeline(OptoNcdt, on_batches(column("displacement_m", np.negative))), "sign"),
+        "displacement",
+        lambda: with_pipeline(OptoNcdt, on_batches(column("displacement_m", np.negative))),
+        "sign",
+    ),
     "degrees in place of radians": (
-        "pendulum angles", lambda: with_pipeline(RotorLink, on_batches(column("theta3_rad", np.degrees))), "57."),
+        "pendulum angles",
+        lambda: with_pipeline(RotorLink, on_batches(column("theta3_rad", np.degrees))),
+        "57.",
+    ),
     "every other mark": (
         "rotor phase",
         lambda: with_pipeline(
             RotorLink,
-            on_batches(lambda b: None if b.channel.topic == "tacho" and int(b.columns["revolutions"][0]) % 2 else b)),
-        "marks in"),
+            on_batches(lambda b: None if b.channel.topic == "tacho" and int(b.columns["revolutions"][0]) % 2 else b),
+        ),
+        "marks in",
+    ),
     "electrical speed": (
-        "speed", lambda: with_pipeline(VescDriver, on_batches(column("speed_rpm", lambda v: 7 * v))), "rpm off"),
+        "speed",
+        lambda: with_pipeline(VescDriver, on_batches(column("speed_rpm", lambda v: 7 * v))),
+        "rpm off",
+    ),
     "state that pipelines share": (
-        "replay", lambda: with_pipeline(RotorLink, shares_a_count([])), "differs in sequence"),
+        "replay",
+        lambda: with_pipeline(RotorLink, shares_a_count([])),
+        "differs in sequence",
+    ),
     "short reads forgotten": ("split", lambda: with_pipeline(RotorLink, forgets_short_reads), "reads of 1 bytes"),
     "a crash on garbage": ("garbage", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError: 'unknown frame'"),
     "losses forgotten": ("garbage", lambda: with_pipeline(RotorLink, forgets_losses), "no loss was counted"),
     "one loss too many": ("damage", lambda: with_pipeline(RotorLink, miscounts), "claims to count exactly"),
     "lost bytes forgotten": ("damage", lambda: with_pipeline(Cia402, forgets_losses), "no loss was counted"),
     "losses nobody hears of": ("lost reads", lambda: with_pipeline(RotorLink, keeps_quiet), "no event tells of it"),
-    "a claim that does not hold": (
-        "lost reads", lambda: with_pipeline(OptoNcdt, miscounts), "claims to count exactly"),
+    "a claim that does not hold": ("lost reads", lambda: with_pipeline(OptoNcdt, miscounts), "claims to count exactly"),
     "deaf after a restart": (
-        "restart", lambda: with_pipeline(OptoNcdt, ends_at_a_restart), "samples came after a restart"),
+        "restart",
+        lambda: with_pipeline(OptoNcdt, ends_at_a_restart),
+        "samples came after a restart",
+    ),
     "a wrap taken for a restart": ("counter wrap", lambda: with_pipeline(OptoNcdt, restarts_at_a_wrap), "restart"),
     "a clock that is not unwrapped": (
         "clock wrap",
         lambda: with_pipeline(RotorLink, on_batches(column("node_time_us", lambda v: v % np.uint64(2**32)))),
-        "node_time_us"),
+        "node_time_us",
+    ),
     "all bytes kept": ("memory", lambda: with_pipeline(Cia402, hoards), "it holds"),
     "a crash on damage": ("mutations", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError"),
     "a checksum there is not": (
-        "mutations", lambda: with_pipeline(Cia402, on_batches(lambda b: b), frozenset({"checksum"})),
-        "claims a checksum"),
+        "mutations",
+        lambda: with_pipeline(Cia402, on_batches(lambda b: b), frozenset({"checksum"})),
+        "claims a checksum",
+    ),
     "a stop that raises": ("stop", StopRaises, "RuntimeError: no such command"),
     "a stop that stops nothing": ("stop", StopsNothing, "claims that it falls silent"),
     "a stop after which nothing opens": ("stop", CannotBeOpenedAgain, "LinkLost"),
@@ -299,7 +326,7 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
     "no time-out of its own": ("stops by itself", NoTimeout, "turns at"),
     "locks that do nothing": ("locks", LocksOnlySayThatTheyDid, "the flags say"),
     "a stand-in without a word": ("played", StandInSaysNothing, "no answer"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("how", BROKEN)

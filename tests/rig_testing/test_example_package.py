@@ -106,9 +106,13 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def ran(python: str, folder: Path, *arguments: str, code: int = 0) -> str:
     done = subprocess.run(
-        [python, *arguments], capture_output=True, text=True, check=False, cwd=folder,
+        [python, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
         env={**os.environ, "PYTHONPATH": str(folder)},
-    )  # fmt: skip
+    )
     assert done.returncode == code, done.stderr[-3000:] + done.stdout[-2000:]
     return done.stdout
 

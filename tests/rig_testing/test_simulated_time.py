@@ -19,8 +19,15 @@ MINUTE_S = 60.0
 
 
 def real() -> list[Any]:
-    return [time.sleep, time.monotonic, time.monotonic_ns, threading.Thread.start, threading.Thread.join,
-            threading.Event.wait, queue.Queue.get]  # fmt: skip
+    return [
+        time.sleep,
+        time.monotonic,
+        time.monotonic_ns,
+        threading.Thread.start,
+        threading.Thread.join,
+        threading.Event.wait,
+        queue.Queue.get,
+    ]
 
 
 def test_waits_of_minutes_take_no_time_and_the_rig_moves_meanwhile() -> None:

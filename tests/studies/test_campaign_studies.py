@@ -85,11 +85,18 @@ def test_a_campaign_that_cannot_be_run_says_why_and_the_others_count(campaigns: 
 def test_counts_of_rows_are_what_was_counted() -> None:
     def row(values: list[float], verdict: str) -> dict[str, np.ndarray]:
         return {
-            "seed": np.array(0), "names": np.array(["k1_N_per_m", "zeta1"]), "values": np.array(values),
-            "std": np.array([2.0, 0.0]), "truth": np.array([10.0, 0.1]), "points": np.array(["A"]),
-            "verdicts": np.array([verdict]), "quantities": np.array(["A theta3"]), "z": np.array([1.5]),
-            "passed": np.array(verdict == "pass"), "warnings": np.array([], dtype=str),
-        }  # fmt: skip
+            "seed": np.array(0),
+            "names": np.array(["k1_N_per_m", "zeta1"]),
+            "values": np.array(values),
+            "std": np.array([2.0, 0.0]),
+            "truth": np.array([10.0, 0.1]),
+            "points": np.array(["A"]),
+            "verdicts": np.array([verdict]),
+            "quantities": np.array(["A theta3"]),
+            "z": np.array([1.5]),
+            "passed": np.array(verdict == "pass"),
+            "warnings": np.array([], dtype=str),
+        }
 
     found = CampaignResults([row([12.0, 0.1], "pass"), row([5.0, 0.2], "fail")])
     assert {name: list(z) for name, z in found.parameter_z().items()} == {"k1_N_per_m": [1.0, -2.5]}

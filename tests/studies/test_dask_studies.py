@@ -108,8 +108,21 @@ def test_a_killed_client_loses_nothing_that_is_done(
     processes: DaskProcesses, expected: dict[str, bytes], tmp_path: Path
 ) -> None:
     output = tmp_path / "map.npz"
-    command = [sys.executable, "-m", "cli.main", "map", "virtual", "--x", X, "--y", Y,
-               "--scheduler", processes.address, "-o", str(output)]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "cli.main",
+        "map",
+        "virtual",
+        "--x",
+        X,
+        "--y",
+        Y,
+        "--scheduler",
+        processes.address,
+        "-o",
+        str(output),
+    ]
     tiles = Path(f"{output}.tiles")
     client = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
     until(lambda: len(list(tiles.glob("*.npz"))) >= 2, client)

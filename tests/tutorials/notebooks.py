@@ -89,9 +89,14 @@ def executed(notebook: NotebookNode, folder: Path) -> NotebookNode:
     fresh.cells.insert(0, strict)
     with _own_settings(folder):
         client = NotebookClient(
-            fresh, timeout=_LONGEST_S, kernel_name="python3", record_timing=False, coalesce_streams=True,
-            extra_arguments=["--log-level=ERROR"], resources={"metadata": {"path": str(folder)}},
-        )  # fmt: skip
+            fresh,
+            timeout=_LONGEST_S,
+            kernel_name="python3",
+            record_timing=False,
+            coalesce_streams=True,
+            extra_arguments=["--log-level=ERROR"],
+            resources={"metadata": {"path": str(folder)}},
+        )
         client.execute()
     fresh.cells.remove(strict)
     for number, cell in enumerate(code_cells(fresh), 1):
@@ -113,9 +118,12 @@ def executed(notebook: NotebookNode, folder: Path) -> NotebookNode:
 def _own_settings(folder: Path) -> Iterator[None]:
     """Nobody's own IPython or Jupyter settings have a say, and the kernel's debugger is silent."""
     ours = {
-        "IPYTHONDIR": str(folder / ".ipython"), "JUPYTER_CONFIG_DIR": str(folder / ".jupyter"),
-        "JUPYTER_NO_CONFIG": "1", "PYDEVD_DISABLE_FILE_VALIDATION": "1", "MPLBACKEND": "",
-    }  # fmt: skip
+        "IPYTHONDIR": str(folder / ".ipython"),
+        "JUPYTER_CONFIG_DIR": str(folder / ".jupyter"),
+        "JUPYTER_NO_CONFIG": "1",
+        "PYDEVD_DISABLE_FILE_VALIDATION": "1",
+        "MPLBACKEND": "",
+    }
     before = {name: os.environ.get(name) for name in ours}
     os.environ.update({name: value for name, value in ours.items() if value})
     os.environ.pop("MPLBACKEND", None)

@@ -22,13 +22,9 @@ GAUGE = [
     Source.of_half_width("expansion", 2e-6, "1/°C"),
     Source("mean temperature", 0.2, "°C"),
     Source.of_half_width("cyclic temperature", 0.5, "°C", "arcsine"),
-    Source.of_half_width(
-        "difference of expansions", 1e-6, "1/°C", "rectangular", round(reliability_degrees(0.1))
-    ),
-    Source.of_half_width(
-        "difference of temperatures", 0.05, "°C", "rectangular", round(reliability_degrees(0.5))
-    ),
-]  # fmt: skip
+    Source.of_half_width("difference of expansions", 1e-6, "1/°C", "rectangular", round(reliability_degrees(0.1))),
+    Source.of_half_width("difference of temperatures", 0.05, "°C", "rectangular", round(reliability_degrees(0.5))),
+]
 
 VOLTAGE = (5.007, 4.994, 5.005, 4.990, 4.999)
 CURRENT_A = (19.663e-3, 19.639e-3, 19.640e-3, 19.685e-3, 19.678e-3)

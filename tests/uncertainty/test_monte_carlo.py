@@ -121,7 +121,7 @@ def test_adaptive_procedure_reaches_the_digits_asked_for() -> None:
     for digits, tolerance in ((1, 0.5), (2, 0.05)):
         found = monte_carlo(
             lambda e: e[:, :1], [Source("a", 3.0)], seed=5, digits=digits, progress=lambda *x: told.append(x)
-        )  # fmt: skip
+        )
         assert found.stabilised
         y = found.quantities[0]
         assert y.mean == pytest.approx(0, abs=tolerance)
@@ -216,9 +216,7 @@ def test_model_may_fill_one_array_again() -> None:
         out[: len(errors)] = both(errors)
         return out[: len(errors)]
 
-    assert same(
-        monte_carlo(model, TWO, seed=1, trials=5000, rows=1000), monte_carlo(both, TWO, seed=1, trials=5000)
-    )  # fmt: skip
+    assert same(monte_carlo(model, TWO, seed=1, trials=5000, rows=1000), monte_carlo(both, TWO, seed=1, trials=5000))
 
 
 def test_no_sources() -> None:

@@ -99,8 +99,13 @@ class SimulatedDrive(FarEnd):
 
     def facts(self) -> dict[str, Any]:
         """See FarEnd."""
-        return {"speed_rpm": self.speed_rpm, "drive": self.state, "can_frames": self.frames_sent,
-                "emergencies": self.emergencies, "watchdog_ms": self.watchdog_ms}  # fmt: skip
+        return {
+            "speed_rpm": self.speed_rpm,
+            "drive": self.state,
+            "can_frames": self.frames_sent,
+            "emergencies": self.emergencies,
+            "watchdog_ms": self.watchdog_ms,
+        }
 
     def fail(self, what: str, value: Any) -> None:
         """See FarEnd and `fault_kinds`."""

@@ -250,9 +250,13 @@ _EMERGENCIES = {
 def emergency_words(error_code: int) -> str:
     """An error code and what it means; of a code the standard does not name, its class."""
     known = next(
-        (error_code & mask for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
-         if error_code & mask in _EMERGENCIES and (error_code & mask or not error_code)), None
-    )  # fmt: skip
+        (
+            error_code & mask
+            for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
+            if error_code & mask in _EMERGENCIES and (error_code & mask or not error_code)
+        ),
+        None,
+    )
     return f"0x{error_code:04X}, " + ("unknown to CiA 301 and 402" if known is None else _EMERGENCIES[known])
 
 

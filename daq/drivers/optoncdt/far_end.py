@@ -69,10 +69,14 @@ class SimulatedLaser(FarEnd):
         gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
         look = gain * world.direction(config.axis, config.direction_deg)
         return cls(
-            config, look, 5e-5 * world.calibration.standard_normal(),
-            world.virtual.sensors.laser_noise_m, world.clock(device), world.rng(f"noise {device}"),
+            config,
+            look,
+            5e-5 * world.calibration.standard_normal(),
+            world.virtual.sensors.laser_noise_m,
+            world.clock(device),
+            world.rng(f"noise {device}"),
             serial=f"1420{world.number(device, config.topic):04d}",
-        )  # fmt: skip
+        )
 
     def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
         """Take command bytes; returns the answers."""

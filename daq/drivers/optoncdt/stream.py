@@ -149,8 +149,10 @@ class LaserPipeline:
             self.losses["unusable"] += len(values)
             if not self._useless_told:
                 self._useless_told = True
-                text = (f"the stream's words are {' '.join(self._decoder.words)}: no samples without distance, counter "
-                        "and timestamp (OUTADD_RS422 COUNTER TIMESTAMP)")  # fmt: skip
+                text = (
+                    f"the stream's words are {' '.join(self._decoder.words)}: no samples without distance, counter "
+                    "and timestamp (OUTADD_RS422 COUNTER TIMESTAMP)"
+                )
                 out.append(Event("words", self._device, text))
             return
         _, counter, ticks = _columns(values, self._places)
@@ -231,9 +233,14 @@ class LaserPipeline:
             lost = int(steps[i]) - 1
             self.losses["samples"] += lost
             span = lost * self._order.beat * optoncdt.TICK_S
-            out.append(Event("gap", self._device, f"{lost} samples lost ({span * 1e3:.2f} ms)",
-                             {"samples": lost, "span_s": span, "time_ns": int(time_ns[i]),
-                              "device_ticks": int(ticks[i])}))  # fmt: skip
+            out.append(
+                Event(
+                    "gap",
+                    self._device,
+                    f"{lost} samples lost ({span * 1e3:.2f} ms)",
+                    {"samples": lost, "span_s": span, "time_ns": int(time_ns[i]), "device_ticks": int(ticks[i])},
+                )
+            )
         return out
 
 

@@ -230,15 +230,25 @@ class StreamDecoder:
     def _close_block(self) -> None:
         if self._rows:
             code, updated, step, skipped = zip(*self._rows, strict=True)
-            self._blocks.append((np.array(code, np.int64), np.array(updated, np.bool_), np.array(step, np.int64),
-                                 np.array(skipped, np.int64)))  # fmt: skip
+            self._blocks.append(
+                (
+                    np.array(code, np.int64),
+                    np.array(updated, np.bool_),
+                    np.array(step, np.int64),
+                    np.array(skipped, np.int64),
+                )
+            )
             self._rows = []
 
 
 def _joined(blocks: list[_Block]) -> _Block:
     whole = [(np.empty(0, np.int64), np.empty(0, np.bool_), np.empty(0, np.int64), np.empty(0, np.int64)), *blocks]
-    return (np.concatenate([block[0] for block in whole]), np.concatenate([block[1] for block in whole]),
-            np.concatenate([block[2] for block in whole]), np.concatenate([block[3] for block in whole]))  # fmt: skip
+    return (
+        np.concatenate([block[0] for block in whole]),
+        np.concatenate([block[1] for block in whole]),
+        np.concatenate([block[2] for block in whole]),
+        np.concatenate([block[3] for block in whole]),
+    )
 
 
 def _bytes_of(halves: bytearray) -> bytes:

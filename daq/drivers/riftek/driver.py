@@ -43,8 +43,11 @@ class Riftek:
         """See Driver; its results bear no time, they are counted."""
         (channel,) = self.channels(settings)
         tick_ns = round(channels.DEVICE_TICK_S * 1e9)
-        return (SampleClock(channel.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "device_ticks", tick_ns,
-                            _COUNTER_WRAP),)  # fmt: skip
+        return (
+            SampleClock(
+                channel.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "device_ticks", tick_ns, _COUNTER_WRAP
+            ),
+        )
 
     def pipeline(self, device: str, settings: RiftekLaser, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""

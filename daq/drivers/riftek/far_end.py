@@ -18,8 +18,17 @@ _NO_TARGET = 0
 _KIND, _FIRMWARE, _BASE_MM = 63, 0x40, 80
 _MESSAGE_BYTES = {wire.READ: 2, wire.WRITE: 4, wire.STORE: 2}
 _WORDS = {wire.PERIOD: wire.PERIODS_US, wire.INTEGRATION: wire.INTEGRATIONS_US, wire.ZERO: wire.ZEROS}
-_FACTORY = {wire.POWER: 1, wire.CONTROL: 0x02, wire.AVERAGES: 1, wire.PERIOD: 0x88, wire.PERIOD + 1: 0x13,
-            wire.INTEGRATION: 0x80, wire.INTEGRATION + 1: 0x0C, wire.ZERO: 0, wire.ZERO + 1: 0}  # fmt: skip
+_FACTORY = {
+    wire.POWER: 1,
+    wire.CONTROL: 0x02,
+    wire.AVERAGES: 1,
+    wire.PERIOD: 0x88,
+    wire.PERIOD + 1: 0x13,
+    wire.INTEGRATION: 0x80,
+    wire.INTEGRATION + 1: 0x0C,
+    wire.ZERO: 0,
+    wire.ZERO + 1: 0,
+}
 
 
 class SimulatedRiftek(FarEnd):
@@ -84,10 +93,14 @@ class SimulatedRiftek(FarEnd):
         gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
         look = gain * world.direction(config.axis, config.direction_deg)
         return cls(
-            config, look, 5e-5 * world.calibration.standard_normal(),
-            world.virtual.sensors.laser_noise_m, world.clock(device), world.rng(f"noise {device}"),
+            config,
+            look,
+            5e-5 * world.calibration.standard_normal(),
+            world.virtual.sensors.laser_noise_m,
+            world.clock(device),
+            world.rng(f"noise {device}"),
             serial=f"19{world.number(device, config.topic):03d}",
-        )  # fmt: skip
+        )
 
     @classmethod
     def unmoved(cls, config: RiftekLaser, serial: str) -> SimulatedRiftek:

@@ -273,8 +273,12 @@ class RiftekPipeline:
             lost = int(step[i]) - 1
             self.losses["samples"] += lost
             span = lost * self._period_ns * 1e-9
-            facts: dict[str, Any] = {"samples": lost, "span_s": span, "time_ns": int(time_ns[i]),
-                                     "device_ticks": int(numbers[i]) * self._period_ns // TICK_NS}  # fmt: skip
+            facts: dict[str, Any] = {
+                "samples": lost,
+                "span_s": span,
+                "time_ns": int(time_ns[i]),
+                "device_ticks": int(numbers[i]) * self._period_ns // TICK_NS,
+            }
             text = f"{lost} samples lost ({span * 1e3:.2f} ms)"
             if rows.guessed[i] or (found_late and i == 0):
                 facts["uncertain_samples"] = self._arrears.uncertainty

@@ -41,8 +41,11 @@ class RotorLink:
 
     def clocks(self, settings: EncoderNode) -> tuple[SampleClock, ...]:
         """See Driver."""
-        return (SampleClock(channels.PENDULUMS.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "node_time_us",
-                            1000, 2**32),)  # fmt: skip
+        return (
+            SampleClock(
+                channels.PENDULUMS.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "node_time_us", 1000, 2**32
+            ),
+        )
 
     def pipeline(self, device: str, settings: EncoderNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""

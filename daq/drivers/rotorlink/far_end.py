@@ -146,9 +146,15 @@ class SimulatedNode(FarEnd):
         virtual = world.virtual
         zero = world.spread * math.radians(config.zero_std_deg) * world.calibration.standard_normal(2)
         return cls(
-            config, world.motion, zero, virtual.sensors.encoder_noise_counts, math.radians(virtual.lock_play_deg),
-            world.clock(device), Air(virtual.radio, world.rng("radio")), world.rng("node"),
-        )  # fmt: skip
+            config,
+            world.motion,
+            zero,
+            virtual.sensors.encoder_noise_counts,
+            math.radians(virtual.lock_play_deg),
+            world.clock(device),
+            Air(virtual.radio, world.rng("radio")),
+            world.rng("node"),
+        )
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take bytes the host sent to the dongle."""

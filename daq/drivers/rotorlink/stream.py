@@ -181,13 +181,29 @@ class NodePipeline:
             case rotorlink.LockEvent():
                 node_us = np.array([self._time.unwrap(frame.node_time_us)])
                 name, state = "AB"[frame.pendulum & 1], rotorlink.LOCK_STATES[min(frame.state, 3)]
-                out.append(Event("lock", self._device, f"pendulum {name} {state}",
-                                 {"pendulum": frame.pendulum, "state": state, "node_time_us": int(node_us[0]),
-                                  "time_ns": int(self._clock.map(node_us * 1000, host_ns)[0])}))  # fmt: skip
+                out.append(
+                    Event(
+                        "lock",
+                        self._device,
+                        f"pendulum {name} {state}",
+                        {
+                            "pendulum": frame.pendulum,
+                            "state": state,
+                            "node_time_us": int(node_us[0]),
+                            "time_ns": int(self._clock.map(node_us * 1000, host_ns)[0]),
+                        },
+                    )
+                )
             case rotorlink.Acknowledge():
                 result = rotorlink.RESULTS[min(frame.result, len(rotorlink.RESULTS) - 1)]
-                out.append(Event("acknowledge", self._device, f"command {frame.command_seq}: {result}",
-                                 {"command_seq": frame.command_seq, "result": frame.result}))  # fmt: skip
+                out.append(
+                    Event(
+                        "acknowledge",
+                        self._device,
+                        f"command {frame.command_seq}: {result}",
+                        {"command_seq": frame.command_seq, "result": frame.result},
+                    )
+                )
             case rotorlink.Status():
                 self.status = frame
                 if frame.counts_per_revolution != self._counts_per_revolution:
@@ -197,10 +213,20 @@ class NodePipeline:
                     )
                     self.complaint = text
                     out.append(Event("fault", self._device, text))
-                out.append(Event("status", self._device, f"battery {frame.battery_mv} mV",
-                                 {"battery_mv": frame.battery_mv, "frames_sent": frame.frames_sent,
-                                  "overruns": frame.overruns, "counts_per_revolution": frame.counts_per_revolution,
-                                  "temperature_degC": frame.temperature_decidegc / 10}))  # fmt: skip
+                out.append(
+                    Event(
+                        "status",
+                        self._device,
+                        f"battery {frame.battery_mv} mV",
+                        {
+                            "battery_mv": frame.battery_mv,
+                            "frames_sent": frame.frames_sent,
+                            "overruns": frame.overruns,
+                            "counts_per_revolution": frame.counts_per_revolution,
+                            "temperature_degC": frame.temperature_decidegc / 10,
+                        },
+                    )
+                )
             case _:
                 pass
         return out

@@ -83,8 +83,13 @@ class SimulatedVesc(FarEnd):
 
     def facts(self) -> dict[str, Any]:
         """See FarEnd."""
-        return {"speed_rpm": self.speed_rpm, "drive": self.state, "frames": self.frames_sent,
-                "emergencies": self.emergencies, "watchdog_ms": self.watchdog_ms}  # fmt: skip
+        return {
+            "speed_rpm": self.speed_rpm,
+            "drive": self.state,
+            "frames": self.frames_sent,
+            "emergencies": self.emergencies,
+            "watchdog_ms": self.watchdog_ms,
+        }
 
     def _start(self) -> None:
         """As it stands after power came."""

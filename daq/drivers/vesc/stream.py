@@ -105,8 +105,15 @@ class VescPipeline:
 
     def _identity(self, payload: bytes) -> Event:
         firmware = wire.parse_firmware(payload)
-        facts = {} if firmware is None else {"firmware": f"{firmware.major}.{firmware.minor:02d}",
-                                             "hardware": firmware.hardware, "serial": firmware.serial}  # fmt: skip
+        facts = (
+            {}
+            if firmware is None
+            else {
+                "firmware": f"{firmware.major}.{firmware.minor:02d}",
+                "hardware": firmware.hardware,
+                "serial": firmware.serial,
+            }
+        )
         return Event("reply", self._device, payload.hex(), facts)
 
     def _report(self, payload: bytes, words: list[int]) -> list[Event]:

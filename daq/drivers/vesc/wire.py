@@ -148,9 +148,20 @@ def pack_values(values: Values) -> bytes:
     turned = (values.turned + _I32) % 2**32 - _I32
     motor = round(values.motor_A * 100)
     head = _VALUES.pack(
-        250, 250, motor, round(motor * abs(values.duty)), 0, motor, round(values.duty * 1000), values.erpm,
-        round(values.input_V * 10), *values.charges, 0, turned, values.fault,
-    )  # fmt: skip
+        250,
+        250,
+        motor,
+        round(motor * abs(values.duty)),
+        0,
+        motor,
+        round(values.duty * 1000),
+        values.erpm,
+        round(values.input_V * 10),
+        *values.charges,
+        0,
+        turned,
+        values.fault,
+    )
     tail = _TAIL.pack(0, 0, 250, 250, 250, 0, 0)
     status = b"" if values.status is None else bytes([values.status])
     return bytes([GET_VALUES]) + head + tail + status

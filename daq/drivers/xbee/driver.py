@@ -42,8 +42,11 @@ class XBee:
 
     def clocks(self, settings: XBeeNode) -> tuple[SampleClock, ...]:
         """See Driver."""
-        return (SampleClock(channels.PENDULUMS.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "node_time_us",
-                            1000, 2**32),)  # fmt: skip
+        return (
+            SampleClock(
+                channels.PENDULUMS.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "node_time_us", 1000, 2**32
+            ),
+        )
 
     def pipeline(self, device: str, settings: XBeeNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""

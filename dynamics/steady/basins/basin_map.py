@@ -100,10 +100,20 @@ def basins(
     ends, found = follow_to_all(turning, starts, seconds, stated_error_rad, workers, progress)
     shape = (len(four), len(three))
     return BasinMap(
-        three, four, tuple(ends), found.end.reshape(shape), found.sure.reshape(shape), found.caught_s.reshape(shape),
-        found.settled_s.reshape(shape), found.amplitude_m.reshape(shape), found.apart_rad.reshape(shape),
-        found.turns.reshape(*shape, 2), float(seconds), float(stated_error_rad), turning.speed_rad_s,
-    )  # fmt: skip
+        three,
+        four,
+        tuple(ends),
+        found.end.reshape(shape),
+        found.sure.reshape(shape),
+        found.caught_s.reshape(shape),
+        found.settled_s.reshape(shape),
+        found.amplitude_m.reshape(shape),
+        found.apart_rad.reshape(shape),
+        found.turns.reshape(*shape, 2),
+        float(seconds),
+        float(stated_error_rad),
+        turning.speed_rad_s,
+    )
 
 
 def released(turning: Turning, theta_rad: Array) -> Array:
@@ -113,9 +123,13 @@ def released(turning: Turning, theta_rad: Array) -> Array:
 
 
 def follow_to_all(
-    turning: Turning, starts: Array, seconds: float, stated_error_rad: float, workers: int | None,
+    turning: Turning,
+    starts: Array,
+    seconds: float,
+    stated_error_rad: float,
+    workers: int | None,
     progress: Callable[[float], None] | None,
-) -> tuple[list[End], Followed]:  # fmt: skip
+) -> tuple[list[End], Followed]:
     """Releases followed to steady states and to the slipping orbits that they themselves lead to."""
     steady = steady_ends(turning)
     few = np.unique(np.linspace(0, len(starts) - 1, _FIRST).astype(int))

@@ -95,8 +95,13 @@ def stable_motions(
             tried: list[list[SlippingOrbit]] = [[] for _ in found]
             while pairs := _to_try(found, tried, wide):
                 places = [place for place, _ in pairs]
-                new = pool.map(_with, (rigs[i] for i in places), (speeds_rad_s[i] for i in places),
-                               (found[i] for i in places), (orbits for _, orbits in pairs))  # fmt: skip
+                new = pool.map(
+                    _with,
+                    (rigs[i] for i in places),
+                    (speeds_rad_s[i] for i in places),
+                    (found[i] for i in places),
+                    (orbits for _, orbits in pairs),
+                )
                 for place, here in zip(places, list(new), strict=True):
                     found[place] = here
             return found
@@ -114,8 +119,12 @@ def _to_try(
         if here.refused:
             continue
         column, wanted = place % wide, list[SlippingOrbit]()
-        for other, there in ((place - 1, column > 0), (place + 1, column < wide - 1), (place - wide, True),
-                             (place + wide, True)):  # fmt: skip
+        for other, there in (
+            (place - 1, column > 0),
+            (place + 1, column < wide - 1),
+            (place - wide, True),
+            (place + wide, True),
+        ):
             if not there or not 0 <= other < len(found):
                 continue
             for orbit in found[other].slipping:

@@ -145,8 +145,13 @@ def packed(ends: Sequence[End], turning: Turning) -> tuple[Any, ...]:
         first.append(first[-1] + len(points[-1]))
         radius.append(end.amplitude_m)
     return (
-        np.concatenate([np.zeros((0, 8)), *points]), np.concatenate([np.zeros((0, 8, 8)), *forms]),
-        np.array(first, np.int64), np.array(lead, np.int64), np.array(sheets, np.int64),
-        np.array(maps, np.float64).reshape(-1, 8, 8), np.array(straight, np.float64), np.array(near, np.float64),
+        np.concatenate([np.zeros((0, 8)), *points]),
+        np.concatenate([np.zeros((0, 8, 8)), *forms]),
+        np.array(first, np.int64),
+        np.array(lead, np.int64),
+        np.array(sheets, np.int64),
+        np.array(maps, np.float64).reshape(-1, 8, 8),
+        np.array(straight, np.float64),
+        np.array(near, np.float64),
         np.array(radius, np.float64),
-    )  # fmt: skip
+    )

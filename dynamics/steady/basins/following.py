@@ -68,10 +68,15 @@ class Followed:
 
 
 def follow(
-    turning: Turning, starts: Array, ends: Sequence[End], seconds: float, *,
-    stated_error_rad: float = STATED_ERROR_RAD, progress: Callable[[float], None] | None = None,
+    turning: Turning,
+    starts: Array,
+    ends: Sequence[End],
+    seconds: float,
+    *,
+    stated_error_rad: float = STATED_ERROR_RAD,
+    progress: Callable[[float], None] | None = None,
     workers: int | None = None,
-) -> Followed:  # fmt: skip
+) -> Followed:
     """Follow releases until an end catches them, at most so long.
 
     Args:
@@ -109,9 +114,14 @@ def follow(
         _in_threads(group, begins, workers or os.cpu_count() or 1, progress)
     period = turning.period_s
     return Followed(
-        facts[:, END].astype(np.int64), facts[:, CAUGHT] * period, facts[:, SETTLED] * period, facts[:, APART].copy(),
-        facts[:, RADIUS].copy(), facts[:, [TURNS_A, TURNS_B]], last,
-    )  # fmt: skip
+        facts[:, END].astype(np.int64),
+        facts[:, CAUGHT] * period,
+        facts[:, SETTLED] * period,
+        facts[:, APART].copy(),
+        facts[:, RADIUS].copy(),
+        facts[:, [TURNS_A, TURNS_B]],
+        last,
+    )
 
 
 def _in_threads(

@@ -131,9 +131,15 @@ def mirrored(region: Region) -> Region:
 
 
 def _core(
-    turning: Turning, form: Array, placed: Callable[[Array], Array], deviation: Callable[[Array], Array], own: Array,
-    ratio: float, most: int, number: int,
-) -> tuple[float, float, int]:  # fmt: skip
+    turning: Turning,
+    form: Array,
+    placed: Callable[[Array], Array],
+    deviation: Callable[[Array], Array],
+    own: Array,
+    ratio: float,
+    most: int,
+    number: int,
+) -> tuple[float, float, int]:
     """Radius up to which every sample came nearer, radius up to which the linear map held, number of samples.
 
     Args:
@@ -155,9 +161,13 @@ def _core(
 
 
 def _outer(
-    turning: Turning, form: Array, placed: Callable[[Array], Array], deviation: Callable[[Array], Array],
-    core: float, patience: int,
-) -> tuple[float, int]:  # fmt: skip
+    turning: Turning,
+    form: Array,
+    placed: Callable[[Array], Array],
+    deviation: Callable[[Array], Array],
+    core: float,
+    patience: int,
+) -> tuple[float, int]:
     """Radius up to which every sample, followed for so many revolutions, came into the core; number of samples."""
     shells, radius, samples = _Shells(form), core, 0
     for wanted in shells.radii(core * _OUTER_SHELL, _OUTER_SHELL, _OUTER_SHELLS):

@@ -126,9 +126,12 @@ def _one(p: RotorParameters, speed: float, from_rad: Array, seconds: float, stat
         return _One(None, math.nan, math.nan, float(blind.amplitude_m[0]), bool(blind.sure[0]))
     found = follow(turning, start[None, :], [end], seconds, stated_error_rad=stated_error_rad, workers=1)
     return _One(
-        end if found.end[0] == 0 else None, float(found.caught_s[0]), float(found.settled_s[0]),
-        float(found.amplitude_m[0]), bool(found.sure[0]),
-    )  # fmt: skip
+        end if found.end[0] == 0 else None,
+        float(found.caught_s[0]),
+        float(found.settled_s[0]),
+        float(found.amplitude_m[0]),
+        bool(found.sure[0]),
+    )
 
 
 def end_ahead(turning: Turning, state: Array, seconds: float) -> End | None:

@@ -228,9 +228,12 @@ def _finer(values: Array, count: int) -> Array:
 
 
 def described(
-    turning: Turning, curve: tuple[Array, float, float], winding: tuple[int, int], near_rad: float | None,
+    turning: Turning,
+    curve: tuple[Array, float, float],
+    winding: tuple[int, int],
+    near_rad: float | None,
     quick: bool = False,
-) -> SlippingOrbit | None:  # fmt: skip
+) -> SlippingOrbit | None:
     """A curve with its multipliers, and with its region where there is one; None where the multipliers are no numbers.
 
     Args:
@@ -247,9 +250,21 @@ def described(
     radius = turning.mean_radius(u[0], min(400, max(20, math.ceil(4 / abs(rate)))))
     rates = (rate * winding[0], rate * winding[1])
     orbit = SlippingOrbit(
-        rates, winding, 0, rate, residual, multipliers, float(moduli[0]), radius, np.zeros((0, 8)),
-        np.zeros((0, 8, 8)), 0, 0, 0.0, u,
-    )  # fmt: skip
+        rates,
+        winding,
+        0,
+        rate,
+        residual,
+        multipliers,
+        float(moduli[0]),
+        radius,
+        np.zeros((0, 8)),
+        np.zeros((0, 8, 8)),
+        0,
+        0,
+        0.0,
+        u,
+    )
     return orbit if near_rad is None or not orbit.stable else _with_region(turning, orbit, near_rad, quick)
 
 
@@ -301,7 +316,18 @@ def _of_periodic(
     multipliers[: len(motion.moduli)] = motion.moduli
     rates = (motion.turns[0] / count, motion.turns[1] / count)
     return SlippingOrbit(
-        rates, motion.turns, count, max(rates, key=abs), motion.residual, multipliers, float(motion.moduli[0]),
-        turning.mean_radius(motion.states[0], count), motion.states, forms, -1, 1,
-        near, motion.states,
-    )  # fmt: skip
+        rates,
+        motion.turns,
+        count,
+        max(rates, key=abs),
+        motion.residual,
+        multipliers,
+        float(motion.moduli[0]),
+        turning.mean_radius(motion.states[0], count),
+        motion.states,
+        forms,
+        -1,
+        1,
+        near,
+        motion.states,
+    )

@@ -87,9 +87,13 @@ class Turning:
         """What compiled code takes: packed parameters, which pendulums are there, one endless stretch of phase."""
         p, segments = self.parameters, PhaseSegments.of(SpeedHistory.constant(self.speed_rad_s))
         return (
-            p.packed(), float(p.a.present), float(p.b.present),
-            np.array([-np.inf, np.inf]), segments.origins, segments.cubics,
-        )  # fmt: skip
+            p.packed(),
+            float(p.a.present),
+            float(p.b.present),
+            np.array([-np.inf, np.inf]),
+            segments.origins,
+            segments.cubics,
+        )
 
     @property
     def there(self) -> tuple[int, ...]:

@@ -27,12 +27,18 @@ def table(asked: Asked) -> Table:
         asked,
         *spin_up(asked, rpm),
         State(
-            "roll", does="begin the log", enter=Orders.begin, waits_for=f"{turns:.0f} revolutions", look=turned,
-            rpm=rpm, usual_s=turns * turn_s, limit_s=2 * turns * turn_s + 5.0,
+            "roll",
+            does="begin the log",
+            enter=Orders.begin,
+            waits_for=f"{turns:.0f} revolutions",
+            look=turned,
+            rpm=rpm,
+            usual_s=turns * turn_s,
+            limit_s=2 * turns * turn_s + 5.0,
             missed=lambda view: f"{turns:.0f} revolutions: {view.measures.revolutions_since(view.entered_ns):.0f} came",
             no_pause=near_resonance(asked.rig, rpm),
         ),
-    )  # fmt: skip
+    )
 
 
 def refusal(asked: Asked) -> str:
@@ -45,9 +51,13 @@ def refusal(asked: Asked) -> str:
 
 
 KIND = TestKind(
-    "slow-roll", "turn slowly with locked pendulums, record the runout", ("x", "y", "phase"), turns=True,
-    table=table, refusal=refusal,
+    "slow-roll",
+    "turn slowly with locked pendulums, record the runout",
+    ("x", "y", "phase"),
+    turns=True,
+    table=table,
+    refusal=refusal,
     numbers={"speed_rpm": Number("speed, rpm", 40.0), "turns": Number("revolutions", 10, 3, 1000, whole=True)},
-)  # fmt: skip
+)
 
 __all__ = ["KIND"]
